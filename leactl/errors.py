@@ -1,0 +1,71 @@
+"""Every error that leactl raises on purpose, each with the exit status a shell script sees.
+
+LeactlError (1)
+ +- InputError (2)          a file, an option or a run that cannot be used
+ |   +- MissingChannel      a run lacks a quantity that the question needs
+ |   +- NotIdentifiable     the data cannot answer the question
+ +- SafetyTrip (3)          the supervisor stopped the bench
+ +- Stopped (4)             a person stopped the run
+ +- DeviceError (5)         a device or its bus failed
+ |   +- NoAnswer            nothing came back in time
+ |   +- DeviceFault         the device says it is in fault
+ +- AcceptanceFailed (6)    an acceptance limit of the protocol was not met
+"""
+
+from collections.abc import Sequence
+
+
+class LeactlError(Exception):
+    """Root of the tree: one line a person can act on."""
+
+    exit_status = 1
+
+
+class InputError(LeactlError):
+    """An input that cannot be used: every fault found in it, one line each."""
+
+    exit_status = 2
+
+    def __init__(self, faults: str | Sequence[str]) -> None:
+        self.faults: list[str] = [faults] if isinstance(faults, str) else list(faults)
+        super().__init__("\n".join(self.faults))
+
+
+class MissingChannel(InputError):
+    """A run lacks a channel of the quantity and role that was asked for."""
+
+
+class NotIdentifiable(InputError):
+    """The data cannot determine the parameter that was asked for."""
+
+
+class SafetyTrip(LeactlError):
+    """The supervisor stopped the bench; the trip stays latched until a person resets it."""
+
+    exit_status = 3
+
+
+class Stopped(LeactlError):
+    """A person stopped the run."""
+
+    exit_status = 4
+
+
+class DeviceError(LeactlError):
+    """A device or the bus to it failed."""
+
+    exit_status = 5
+
+
+class NoAnswer(DeviceError):
+    """A device did not answer within its time."""
+
+
+class DeviceFault(DeviceError):
+    """A device reports a fault of its own."""
+
+
+class AcceptanceFailed(LeactlError):
+    """The run is complete and an acceptance limit of its protocol was not met."""
+
+    exit_status = 6

@@ -1,0 +1,48 @@
+"""The vocabulary of measured quantities: names, units and roles that run files, drivers and analyses share."""
+
+from typing import Final
+
+UNITS: Final[dict[str, str]] = {
+    "q_axis_current_reference": "A",
+    "q_axis_current": "A",
+    "q_axis_voltage": "V",
+    "d_axis_current": "A",
+    "d_axis_voltage": "V",
+    "velocity_reference": "rad/s",
+    "velocity": "rad/s",
+    "angle_reference": "rad",
+    "angle": "rad",
+    "torque": "N*m",
+    "torque_reference": "N*m",
+    "winding_temperature": "degC",
+    "housing_temperature": "degC",
+    "ambient_temperature": "degC",
+    "drive_temperature": "degC",
+    "line_current": "A",
+    "line_voltage": "V",
+    "phase_voltage_ab": "V",
+    "phase_voltage_bc": "V",
+    "phase_voltage_ca": "V",
+    "bus_voltage": "V",
+    "bus_current": "A",
+    "drive_enabled": "1",
+}
+"""Unit string of each quantity (Pint and UDUNITS both read it)."""
+
+LINEAR_UNITS: Final[dict[str, str]] = {
+    "rad": "m",
+    "rad/s": "m/s",
+    "N*m": "N",
+}
+"""Units that a linear axis of a foreign rig may use instead."""
+
+ROLES: Final = ("test", "load", "bench")
+SETUPS: Final = ("free", "locked", "coupled", "heated")
+
+
+def accepted_units(quantity: str) -> tuple[str, ...]:
+    """Units that a channel of this quantity may carry; empty for a quantity outside the vocabulary."""
+    unit = UNITS.get(quantity)
+    if unit is None:
+        return ()
+    return (unit, LINEAR_UNITS[unit]) if unit in LINEAR_UNITS else (unit,)
