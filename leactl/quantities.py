@@ -1,6 +1,6 @@
 """The vocabulary of measured quantities: names, units and roles that run files, drivers and analyses share."""
 
-from typing import Final
+from typing import Final, NamedTuple
 
 UNITS: Final[dict[str, str]] = {
     "q_axis_current_reference": "A",
@@ -46,3 +46,22 @@ def accepted_units(quantity: str) -> tuple[str, ...]:
     if unit is None:
         return ()
     return (unit, LINEAR_UNITS[unit]) if unit in LINEAR_UNITS else (unit,)
+
+
+class ChannelSpec(NamedTuple):
+    """What a channel is, apart from its numbers; a reader finds it by quantity, role and location, never by name."""
+
+    name: str
+    quantity: str
+    role: str
+    device: str
+    long_name: str = ""
+    location: str = ""
+    sampling: str = "instant"  # or "mean": over the interval that ends at the stamp
+    units: str = ""  # empty: the vocabulary's own
+    dtype: str = "f4"  # storage; angles take "f8", float32 loses counts after a few hundred turns
+
+    @property
+    def unit(self) -> str:
+        """The unit string that is stored with the channel."""
+        return self.units or UNITS[self.quantity]
