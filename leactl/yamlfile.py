@@ -1,7 +1,7 @@
-"""YAML that a person wrote: plain data out, with the place of every value kept so that a fault can name line and column.
+"""YAML that a person wrote: plain data out, with the place of every value kept, so that a fault names line and column.
 
-Stricter than YAML: one document, no anchors or tags, no duplicate keys, YAML 1.2 core scalars (`on` and `yes` are text, `1e3`
-is a number). Nothing in a file is ever evaluated.
+Stricter than YAML: one document, no anchors or tags, no duplicate keys, YAML 1.2 core scalars (`on` and `yes` are text,
+`1e3` is a number). Nothing in a file is ever evaluated.
 """
 
 import math
@@ -28,6 +28,7 @@ MAX_NODES = 100_000
 
 _INT = re.compile(r"[-+]?[0-9]+\Z")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z")
+_CORE_TAG = re.compile(r"tag:yaml\.org,2002:[a-z]+\Z")
 _WORDS: dict[str, Any] = {"": None, "~": None, "null": None, "true": True, "false": False}
 _INFINITE = re.compile(r"[-+]?\.(inf|Inf|INF)\Z|\.(nan|NaN|NAN)\Z")
 
@@ -42,7 +43,10 @@ class Document:
     places: dict[Location, tuple[int, int]] = field(default_factory=dict)
 
     def fault(self, location: Sequence[str | int], message: str) -> str:
-        """One line for a fault at a location: `file:line:column  path: message`; the nearest known parent's place is used."""
+        """One line for a fault: `file:line:column  path: message`.
+
+        A location that the file lacks takes the place of its nearest parent there.
+        """
         known = tuple(location)
         while known and known not in self.places:
             known = known[:-1]
@@ -88,7 +92,11 @@ class Document:
         kept: list[str | int] = []
         for position, part in enumerate(loc):
             last = position == len(loc) - 1
-            if under + (*kept, part) in self.places or (last and not isinstance(part, str)) or (last and "[" not in str(part)):
+            if (
+                (*under, *kept, part) in self.places
+                or (last and not isinstance(part, str))
+                or (last and "[" not in str(part))
+            ):
                 kept.append(part)
         return tuple(kept)
 
@@ -150,8 +158,10 @@ def scalar(text: str) -> Any:
         return _WORDS[text]
     if _INT.match(text):
         return int(text) if len(text) <= 4000 else text
-    if _FLOAT.match(text) or _INFINITE.match(text):
-        return float(text.replace(".inf", "inf").replace(".Inf", "inf").replace(".INF", "inf").replace(".nan", "nan").replace(".NaN", "nan").replace(".NAN", "nan"))
+    if _FLOAT.match(text):
+        return float(text)
+    if _INFINITE.match(text):
+        return float(text.replace(".", "", 1))
     return text
 
 
@@ -188,9 +198,10 @@ class _Builder:
             return self.mapping(node, location)
         if isinstance(node, yaml.SequenceNode):
             return [self.build(child, (*location, index)) for index, child in enumerate(node.value)]
-        if not node.tag.startswith("tag:yaml.org,2002:"):
+        if not _CORE_TAG.match(node.tag):
             self.complain(node, location, f"tag {node.tag} is not accepted")
             return None
+        assert isinstance(node, yaml.ScalarNode)
         if node.style is not None:
             return node.value
         value = scalar(node.value)

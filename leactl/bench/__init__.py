@@ -1,0 +1,1 @@
+"""Bench YAML to opened devices, calibrated channels and a clock."""

@@ -1,0 +1,1 @@
+"""The emulated bench: plant, faults, and the far ends of the wires."""

@@ -1,0 +1,1 @@
+"""Parameter sets of actuators and the quantities that follow from them."""

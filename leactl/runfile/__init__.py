@@ -1,0 +1,1 @@
+"""Run files: write, read, verify, recover, annotate and export them."""

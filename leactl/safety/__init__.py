@@ -1,0 +1,1 @@
+"""Limits, the thermal estimate, and the one supervisor through which every command passes."""
