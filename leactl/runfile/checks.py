@@ -1,0 +1,79 @@
+"""What every stream of a run must keep to before anybody computes with it."""
+
+from typing import Any
+
+import h5py
+import numpy as np
+
+from leactl.quantities import accepted_units
+from leactl.runfile import layout
+
+
+def faults_of_streams(streams: Any, unfinished: bool) -> list[str]:
+    """Faults of all streams, each with its place; columns of an unfinished file may end at different rows."""
+    faults = []
+    for name, group in streams.items():
+        place = f"/streams/{name}"
+        if not isinstance(group, h5py.Group):
+            faults.append(f"{place}: a dataset where a group was expected")
+        elif not isinstance(group.get("time"), h5py.Dataset):
+            faults.append(f"{place}: has no time")
+        else:
+            shapes = faults_of_shape(place, group)
+            faults += shapes or faults_of_columns(place, group, unfinished)
+    return faults
+
+
+def faults_of_shape(place: str, group: Any) -> list[str]:
+    """Columns that are not one row of numbers."""
+    faults = []
+    for name, column in group.items():
+        if not isinstance(column, h5py.Dataset):
+            faults.append(f"{place}/{name}: a group where a channel was expected")
+        elif column.ndim != 1 or column.dtype.kind not in "fiu":
+            faults.append(f"{place}/{name}: shape {column.shape} of {column.dtype}; expected one dimension of numbers")
+    return faults
+
+
+def faults_of_columns(place: str, group: Any, unfinished: bool) -> list[str]:
+    """Lengths, units and stamps of one stream."""
+    faults = []
+    for name, column in group.items():
+        if name != "time":
+            faults += faults_of_units(f"{place}/{name}", layout.attributes(column))
+            if len(column) != len(group["time"]) and not unfinished:
+                faults.append(f"{place}/{name}: {len(column)} values for {len(group['time'])} stamps")
+    if not unfinished:
+        faults += faults_of_time(f"{place}/time", group["time"])
+    return faults
+
+
+def faults_of_units(place: str, found: dict[str, Any]) -> list[str]:
+    """Units that are not those of the quantity; a quantity outside the vocabulary may have any."""
+    expected = accepted_units(str(found.get("quantity", "")))
+    if not expected or found.get("units") in expected:
+        return []
+    return [f"{place}: {found['quantity']} has units {found.get('units')!r}, expected {' or '.join(expected)}"]
+
+
+def faults_of_time(place: str, time: Any) -> list[str]:
+    """Whether the stamps are finite and increase strictly, with the row where they first do not."""
+    stamps = time[:]
+    good = increasing_rows(stamps)
+    if good == len(stamps):
+        return []
+    before = f" after {stamps[good - 1]!s}" if good else ""
+    return [f"{place}[{good}]: {stamps[good]!s}{before}; time must be finite and increase strictly"]
+
+
+def increasing_rows(stamps: np.ndarray[Any, Any]) -> int:
+    """How many stamps from the start are finite and increase strictly."""
+    wrong = ~np.isfinite(stamps)
+    wrong[1:] |= ~(stamps[1:] > stamps[:-1])
+    return int(np.argmax(wrong)) if wrong.any() else len(stamps)
+
+
+def whole_rows(group: Any) -> int:
+    """Rows that every column has and that have a stamp: where a file left by a kill is cut."""
+    shortest = min(len(column) for column in group.values())
+    return increasing_rows(group["time"][:shortest])

@@ -1,0 +1,146 @@
+"""Layout of a run file, version 1: names of groups and attributes, text in both its forms, and checksums.
+
+docs describe the same contract in prose; whatever changes here changes `VERSION`.
+"""
+
+import hashlib
+from collections.abc import Iterator
+from typing import Any, Final
+
+import h5py
+import numpy as np
+
+from leactl.quantities import ChannelSpec
+
+FORMAT: Final = "leactl-run"
+VERSION: Final = 1
+RECORDING: Final = "recording"
+CLOSED_STATUSES: Final = ("complete", "stopped", "tripped", "failed")
+STATUSES: Final = (RECORDING, *CLOSED_STATUSES, "recovered")
+
+ROOT_ATTRIBUTES: Final = (
+    "format",
+    "format_version",
+    "run_id",
+    "created",
+    "status",
+    "status_reason",
+    "protocol",
+    "bench",
+    "actuator",
+    "condition",
+    "operator",
+    "software",
+    "simulated",
+)
+CHANNEL_ATTRIBUTES: Final = ("units", "quantity", "role", "device", "long_name")
+SOURCES: Final = ("protocol", "bench", "model")
+
+# Bytes of the fixed-length strings of a live file; SWMR allows no other kind. Numbers have no entry.
+TABLES: Final[dict[str, dict[str, int | None]]] = {
+    "steps": {"name": 128, "start": None, "stop": None, "settle": None, "parameters": 4096},
+    "events": {"time": None, "level": 16, "source": 64, "message": 512},
+}
+NOTES: Final[dict[str, int | None]] = {"time": 0, "author": 0, "text": 0}
+
+BLOCK_ROWS: Final = 1 << 18  # 2 MiB of float64 at a time, whatever the length of the run
+TEXT: Final = h5py.string_dtype("utf-8")
+
+
+def plain(value: Any) -> Any:
+    """An attribute as Python sees it: str for bytes, a scalar for the one-element arrays that MATLAB writes."""
+    if isinstance(value, np.ndarray):
+        return plain(value.reshape(-1)[0]) if value.size == 1 else [plain(item) for item in value]
+    if isinstance(value, bytes):
+        return value.rstrip(b"\0").decode("utf-8", "replace")
+    if isinstance(value, h5py.Empty):
+        return ""
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def attributes(node: Any) -> dict[str, Any]:
+    """Attributes of a group or dataset, without those that HDF5 keeps for its dimension scales."""
+    own = {"CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS"}
+    return {name: plain(node.attrs[name]) for name in node.attrs if name not in own}
+
+
+def storable(text: str) -> str:
+    """The text without what HDF5 cannot hold: NUL ends a string there, lone surrogates are not UTF-8."""
+    return text.replace("\0", "\N{REPLACEMENT CHARACTER}").encode("utf-8", "replace").decode("utf-8")
+
+
+def is_text(dataset: Any) -> bool:
+    """Whether a dataset holds strings, of fixed or variable length."""
+    return h5py.check_string_dtype(dataset.dtype) is not None
+
+
+def texts(dataset: Any, rows: int | None = None) -> list[str]:
+    """A 1-D string dataset, of fixed or variable length, as str."""
+    return [str(plain(value)) for value in dataset[:rows]]
+
+
+def create_stream(streams: Any, name: str, specs: list[ChannelSpec], **storage: Any) -> Any:
+    """Create one stream: its time scale, its channels in their order, their attributes and their scale."""
+    group = streams.create_group(name, track_order=True)
+    time = group.create_dataset("time", dtype="<f8", **storage)
+    time.make_scale("time")
+    time.attrs["units"] = "s"
+    time.attrs["long_name"] = "time since the run's start"
+    for spec in specs:
+        dataset = group.create_dataset(spec.name, dtype=np.dtype(spec.dtype).newbyteorder("<"), **storage)
+        dataset.dims[0].attach_scale(time)
+        for key, value in channel_attributes(spec).items():
+            dataset.attrs[key] = value
+    return group
+
+
+def channel_attributes(spec: ChannelSpec) -> dict[str, str]:
+    """The attributes that a channel is found and read by."""
+    found = {
+        "units": spec.unit,
+        "quantity": spec.quantity,
+        "role": spec.role,
+        "device": spec.device,
+        "long_name": spec.long_name or f"{spec.role} {spec.quantity.replace('_', ' ')}",
+        "sampling": spec.sampling,
+    }
+    return {**found, "location": spec.location} if spec.location else found
+
+
+def datasets(node: Any, place: str = "") -> Iterator[tuple[str, Any]]:
+    """Every dataset of the file with its path; links that lead out of the file are not followed."""
+    for name in node:
+        if not isinstance(node.get(name, getlink=True), h5py.HardLink):
+            continue
+        child = node[name]
+        path = f"{place}/{name}"
+        if isinstance(child, h5py.Group):
+            yield from datasets(child, path)
+        elif isinstance(child, h5py.Dataset):
+            yield path, child
+
+
+def digest(dataset: Any) -> str:
+    """SHA-256 of a dataset's values.
+
+    Numbers count as their little-endian bytes, a scalar string as its UTF-8 bytes (so that `sha256sum` of the YAML
+    file gives the same), an array of strings as the UTF-8 bytes of each with a NUL after it.
+    """
+    sha = hashlib.sha256()
+    if is_text(dataset):
+        if dataset.shape == ():
+            sha.update(str(plain(dataset[()])).encode())
+        else:
+            for text in texts(dataset):
+                sha.update(text.encode() + b"\0")
+    elif dataset.shape == ():
+        sha.update(little_endian(np.asarray(dataset[()])).tobytes())
+    else:
+        for start in range(0, dataset.shape[0], BLOCK_ROWS):
+            sha.update(little_endian(dataset[start : start + BLOCK_ROWS]).tobytes())
+    return sha.hexdigest()
+
+
+def little_endian(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """The same values in the byte order that checksums are defined in."""
+    return values.astype(values.dtype.newbyteorder("<"), copy=False)

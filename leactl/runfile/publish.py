@@ -1,0 +1,72 @@
+"""Put a finished file in its place in one step, so that nobody ever sees half of one.
+
+Both ways write under a hidden name in the same directory, force it to the disk and then move it.
+"""
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from leactl.errors import InputError
+
+
+@contextmanager
+def new_file(target: Path) -> Iterator[Path]:
+    """Yield a temporary path; what is written there becomes `target`, which must not exist before or after."""
+    refuse_existing(target)
+    with temporary(target) as path:
+        yield path
+        force_to_disk(path)
+        move_without_overwriting(path, target)
+
+
+@contextmanager
+def replacement(target: Path) -> Iterator[Path]:
+    """Yield a temporary path; what is written there takes the place of `target` at once or not at all."""
+    with temporary(target) as path:
+        yield path
+        force_to_disk(path)
+        path.replace(target)
+        force_to_disk(target.parent)
+
+
+def refuse_existing(target: Path) -> None:
+    """Refuse a name that is taken: nothing is ever overwritten."""
+    if os.path.lexists(target):
+        raise InputError(f"{target}: exists already and is never overwritten; choose another name or move it away")
+
+
+def move_without_overwriting(source: Path, target: Path) -> None:
+    """Rename, but fail where the target exists; a hard link does both in one step."""
+    try:
+        os.link(source, target)
+    except FileExistsError:
+        refuse_existing(target)
+        raise
+    except OSError:  # no hard links here (exFAT, some network mounts): the check and the rename are two steps
+        refuse_existing(target)
+        source.rename(target)
+    else:
+        source.unlink()
+    force_to_disk(target.parent)
+
+
+@contextmanager
+def temporary(target: Path) -> Iterator[Path]:
+    """Yield a free hidden name next to the target and remove what is left under it."""
+    path = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        yield path
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def force_to_disk(path: Path) -> None:
+    """Wait until the disk itself has the file or the directory entry."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

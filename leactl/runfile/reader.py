@@ -1,0 +1,247 @@
+"""Open a run and ask it for channels by what they measure; the file is checked once, at the door.
+
+Everything an analysis may rely on holds after `Run.open`: stamps increase strictly, every channel has a value for each
+stamp, units are those of the quantity. Values come as float64, a missed sample as NaN.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError, MissingChannel
+from leactl.quantities import ChannelSpec
+from leactl.runfile import layout
+from leactl.runfile.checks import faults_of_streams, whole_rows
+from leactl.runfile.opening import faults_of_links, open_run_file
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One measured quantity over time."""
+
+    time: Array  # s since the run's start
+    values: Array
+    quantity: str
+    role: str
+    units: str
+    device: str
+    long_name: str
+    location: str
+    sampling: str  # "instant", or "mean" over the interval that ends at the stamp
+    stream: str
+
+
+@dataclass(frozen=True)
+class Step:
+    """A part of the run; analysis leaves out its first `settle` seconds."""
+
+    name: str
+    start: float
+    stop: float
+    settle: float
+    parameters: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened during the run."""
+
+    time: float
+    level: str
+    source: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Note:
+    """Something a person added after the run."""
+
+    time: str
+    author: str
+    text: str
+
+
+class Run:
+    """A run file, open for reading: `with Run.open(path) as run: ...`."""
+
+    def __init__(self, path: Path, file: Any, live: bool) -> None:
+        self.path = path
+        self.attributes = layout.attributes(file)
+        self.setup = layout.attributes(file["setup"]) if "setup" in file else {}
+        self.unfinished = live or self.status == layout.RECORDING
+        self._file = file
+        self._streams = file.get("streams", {})
+        faults = faults_of_links(file) or faults_of_streams(self._streams, self.unfinished)
+        if faults:
+            raise InputError([f"{path}: {fault}" for fault in faults])
+        self.rows = {name: whole_rows(group) for name, group in self._streams.items()}
+        self.streams = {name: channel_specs(group) for name, group in self._streams.items()}
+
+    @classmethod
+    def open(cls, path: Path | str) -> Self:
+        """Open and check a run file, also one that is being written or was left by a kill.
+
+        Raises
+        ------
+        InputError : not a run file, cut short, or breaking the format; one line for each fault.
+        """
+        place = Path(path)
+        file, live = open_run_file(place)
+        try:
+            return cls(place, file, live)
+        except InputError:
+            file.close()
+            raise
+        except (OSError, RuntimeError, KeyError) as fault:
+            file.close()
+            raise InputError(f"{place}: damaged: {' '.join(str(fault).split())}") from fault
+
+    @property
+    def status(self) -> str:
+        """How the run ended; `recording` while it has not, or where its writer was killed."""
+        return str(self.attributes.get("status", ""))
+
+    @property
+    def mechanical(self) -> str:
+        """What the shaft was connected to: free, locked, coupled or heated; empty where the file does not say."""
+        return str(self.setup.get("mechanical", ""))
+
+    @property
+    def steps(self) -> list[Step]:
+        """The parts of the run, in the order in which they were recorded."""
+        rows = self._table("steps", layout.TABLES["steps"])
+        return [Step(*row[:4], self._parameters(index, row[4])) for index, row in enumerate(rows)]
+
+    @property
+    def events(self) -> list[Event]:
+        """What happened during the run."""
+        return [Event(*row) for row in self._table("events", layout.TABLES["events"])]
+
+    @property
+    def notes(self) -> list[Note]:
+        """What people added after the run."""
+        return [Note(*row) for row in self._table("notes", layout.NOTES)]
+
+    def source(self, name: str) -> str | None:
+        """The YAML text of the `protocol`, the `bench` or the `model` as it was used; None where the file has none."""
+        place = f"{name}/source"
+        return str(layout.plain(self._file[place][()])) if place in self._file else None
+
+    def has(self, quantity: str, role: str = "test") -> bool:
+        """Whether the run has a channel of this quantity and role."""
+        return bool(self._find(quantity, role))
+
+    def channels(self, quantity: str, role: str = "test") -> list[Channel]:
+        """Every channel of this quantity and role, one for each location; empty where there is none."""
+        return [self._read(stream, spec) for stream, spec in self._find(quantity, role)]
+
+    def channel(self, quantity: str, role: str = "test", location: str | None = None) -> Channel:
+        """The one channel of this quantity and role.
+
+        Raises
+        ------
+        MissingChannel : the run has none.
+        InputError : it has several; ask for a location.
+        """
+        found = self._find(quantity, role)
+        if location is not None:
+            found = [(stream, spec) for stream, spec in found if spec.location == location]
+        if not found:
+            place = f" at {location!r}" if location is not None else ""
+            raise MissingChannel(f"{self.path}: no {quantity} of {role}{place}; the run has {self._contents()}")
+        if len(found) > 1:
+            places = ", ".join(spec.location or f"{stream}/{spec.name}" for stream, spec in found)
+            raise InputError(f"{self.path}: several channels of {quantity} of {role}: {places}; ask for one location")
+        return self._read(*found[0])
+
+    def time(self, stream: str) -> Array:
+        """Stamps of one stream."""
+        return np.asarray(self._column(stream, "time", 0, self.rows[stream]), np.float64)
+
+    def blocks(self, stream: str, rows: int = layout.BLOCK_ROWS) -> Iterator[dict[str, npt.NDArray[Any]]]:
+        """The stream's columns as stored, `time` first, so many rows at a time."""
+        names = ["time", *(spec.name for spec in self.streams[stream])]
+        for start in range(0, self.rows[stream], rows):
+            stop = min(start + rows, self.rows[stream])
+            yield {name: self._column(stream, name, start, stop) for name in names}
+
+    def close(self) -> None:
+        """Let go of the file; what was read stays."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        self.close()
+
+    def _find(self, quantity: str, role: str) -> list[tuple[str, ChannelSpec]]:
+        every = ((stream, spec) for stream, specs in self.streams.items() for spec in specs)
+        return [(stream, spec) for stream, spec in every if (spec.quantity, spec.role) == (quantity, role)]
+
+    def _contents(self) -> str:
+        named = {
+            f"{spec.quantity} of {spec.role}" for specs in self.streams.values() for spec in specs if spec.quantity
+        }
+        return ", ".join(sorted(named)) or "no channel"
+
+    def _read(self, stream: str, spec: ChannelSpec) -> Channel:
+        return Channel(
+            time=self.time(stream),
+            values=np.asarray(self._column(stream, spec.name, 0, self.rows[stream]), np.float64),
+            quantity=spec.quantity,
+            role=spec.role,
+            units=spec.units,
+            device=spec.device,
+            long_name=spec.long_name,
+            location=spec.location,
+            sampling=spec.sampling,
+            stream=stream,
+        )
+
+    def _column(self, stream: str, name: str, start: int, stop: int) -> npt.NDArray[Any]:
+        try:
+            values: npt.NDArray[Any] = self._streams[stream][name][start:stop]
+        except (OSError, RuntimeError) as fault:
+            raise InputError(
+                f"{self.path}: /streams/{stream}/{name}: damaged: {' '.join(str(fault).split())}"
+            ) from fault
+        return values
+
+    def _parameters(self, index: int, text: str) -> dict[str, Any]:
+        try:
+            found = json.loads(text or "{}")
+        except ValueError:
+            found = None
+        if not isinstance(found, dict):
+            raise InputError(f"{self.path}: /steps/parameters[{index}]: {text!r} is not a JSON object")
+        return found
+
+    def _table(self, name: str, columns: dict[str, int | None]) -> list[tuple[Any, ...]]:
+        """Rows of parallel arrays, cut to the shortest; empty where the file has none."""
+        group = self._file.get(name, {})
+        if any(column not in group for column in columns):
+            return []
+        cells = [layout.texts(group[c]) if layout.is_text(group[c]) else group[c][()].tolist() for c in columns]
+        return list(zip(*cells, strict=False))
+
+
+def channel_specs(group: Any) -> list[ChannelSpec]:
+    """What the channels of a stream are, by their attributes."""
+    specs = []
+    for name in group:
+        if name != "time":
+            found = {key: str(value) for key, value in layout.attributes(group[name]).items()}
+            keys = ("quantity", "role", "device", "long_name", "location", "units")
+            fields = {key: found.get(key, "") for key in keys}
+            sampling = found.get("sampling") or "instant"
+            specs.append(ChannelSpec(name=name, **fields, sampling=sampling, dtype=group[name].dtype.str[1:]))
+    return specs

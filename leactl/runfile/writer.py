@@ -1,0 +1,302 @@
+"""Record a run while the bench moves: rows go into memory at once and to the disk about once a second.
+
+The live file is uncompressed and in HDF5's single-writer/multiple-reader mode, so others may watch it and a kill leaves
+every flushed row readable; an orderly close repacks it. Appending never waits for the disk: `flush` may run elsewhere.
+"""
+
+import re
+import secrets
+import shutil
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import h5py
+import numpy as np
+
+from leactl.errors import InputError, LeactlError, SafetyTrip, Stopped
+from leactl.quantities import ROLES, SETUPS, UNITS, ChannelSpec, accepted_units
+from leactl.runfile import layout
+from leactl.runfile.buffer import RowBuffer
+from leactl.runfile.publish import move_without_overwriting, refuse_existing, replacement
+from leactl.runfile.repack import as_text, one_line, repack
+
+LIVE_CHUNK_ROWS = 1 << 12
+RESERVE_BYTES = 1 << 20  # HDF5 needs room for its own tables: stop before the disk is full to the last byte
+
+
+class RecordingFailed(LeactlError):
+    """The disk took no more data; what was flushed before stays readable."""
+
+
+@dataclass(frozen=True)
+class RunInfo:
+    """What is known of a run before it starts; it becomes the root attributes."""
+
+    run_id: str
+    protocol: str
+    bench: str
+    actuator: str
+    condition: str
+    operator: str
+    simulated: bool
+    mechanical: str
+    software: str
+    created: str  # ISO 8601, UTC
+    sources: Mapping[str, str] = field(default_factory=dict)  # "protocol", "bench", "model": YAML as used
+    setup: Mapping[str, float | str] = field(default_factory=dict)  # drive_gain, load_mass, ...: over the model file's
+
+
+def new_run_id(protocol: str, when: datetime) -> str:
+    """A name that sorts by time and never repeats: `20261120T101530Z-torque-constant-7f3a`."""
+    slug = re.sub(r"[^a-z0-9]+", "-", protocol.lower()).strip("-") or "run"
+    return f"{when.astimezone(UTC):%Y%m%dT%H%M%SZ}-{slug}-{secrets.token_hex(2)}"
+
+
+class RunWriter:
+    """Writer of one run; use it as a context manager or call `close`.
+
+    `append`, `append_row`, `step` and `event` only touch memory and may be called from the control loop while another
+    thread flushes. Rows count as recorded once `flush` has returned.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        info: RunInfo,
+        streams: Mapping[str, Sequence[ChannelSpec]],
+        flush_s: float = 1.0,
+    ) -> None:
+        if faults := faults_of(info, streams):
+            raise InputError(faults)
+        self.path = directory / f"{info.run_id}.h5"
+        self.closed = False
+        self._flush_s = flush_s
+        self._flushed_at = float("-inf")
+        self._disk = threading.Lock()
+        self._buffers = {name: RowBuffer(len(specs)) for name, specs in streams.items()}
+        self._columns = {name: [spec.name for spec in specs] for name, specs in streams.items()}
+        self._written = dict.fromkeys(streams, 0)
+        self._tables: dict[str, list[dict[str, Any]]] = {name: [] for name in layout.TABLES}
+        self._tables_written = dict.fromkeys(layout.TABLES, 0)
+        partial = directory / f"{info.run_id}.h5.partial"
+        refuse_existing(self.path)
+        refuse_existing(partial)
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+            self._file = create(partial, info, streams)
+            move_without_overwriting(partial, self.path)
+        except OSError as fault:
+            raise RecordingFailed(f"{partial}: cannot create the run file: {one_line(str(fault))}") from fault
+
+    def append_row(self, stream: str, time: float, values: Sequence[float]) -> None:
+        """Add one row; a few microseconds, whatever the disk does."""
+        self._buffers[stream].append_row(time, values)
+
+    def append(self, stream: str, times: np.ndarray[Any, Any], block: np.ndarray[Any, Any]) -> None:
+        """Add rows: `times` (n,) and `block` (n, channels)."""
+        self._buffers[stream].append(times, block)
+
+    def step(self, name: str, start: float, stop: float, settle: float, parameters: Mapping[str, Any]) -> None:
+        """Note which part of the run did what."""
+        row = {"name": name, "start": start, "stop": stop, "settle": settle, "parameters": dict(parameters)}
+        self._tables["steps"].append(row)
+
+    def event(self, time: float, level: str, source: str, message: str) -> None:
+        """Note something that happened."""
+        self._tables["events"].append({"time": time, "level": level, "source": source, "message": message})
+
+    def flush_if_due(self, monotonic_now: float) -> bool:
+        """Flush where the last flush is longer ago than `flush_s`; says whether it did."""
+        if monotonic_now - self._flushed_at < self._flush_s:
+            return False
+        self._flushed_at = monotonic_now
+        self.flush()
+        return True
+
+    def flush(self) -> None:
+        """Bring everything so far into the file, where a reader or a recovery finds it."""
+        with self._disk:
+            self._on_disk(self._write_pending)
+
+    def close(self, status: str, reason: str = "") -> None:
+        """Write what is left, repack compressed with checksums, and replace the live file in one step."""
+        if status not in layout.CLOSED_STATUSES:
+            raise ValueError(f"status {status!r} is none of {', '.join(layout.CLOSED_STATUSES)}")
+        with self._disk:
+            if not self.closed:
+                self._on_disk(self._write_pending)
+                self._on_disk(self._file.close)
+                self._on_disk(lambda: self._repack(status, reason))
+                self.closed = True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        if self.closed:
+            return
+        if error is None:
+            self.close("complete")
+        elif isinstance(error, RecordingFailed):
+            self._abandon()
+        else:
+            stopped = isinstance(error, Stopped | KeyboardInterrupt)
+            status = "tripped" if isinstance(error, SafetyTrip) else "stopped" if stopped else "failed"
+            self.close(status, str(error) or type(error).__name__)
+
+    def _write_pending(self) -> None:
+        taken = {name: buffer.take() for name, buffer in self._buffers.items()}
+        self._require_room(sum(rows.nbytes for rows in taken.values()))
+        for name, rows in taken.items():
+            if len(rows):
+                write_rows(self._file["streams"][name], self._columns[name], self._written[name], rows)
+                self._written[name] += len(rows)
+        for name, rows_of_table in self._tables.items():
+            pending = rows_of_table[self._tables_written[name] :]
+            if pending:
+                write_live_table(self._file[name], layout.TABLES[name], self._tables_written[name], pending)
+                self._tables_written[name] += len(pending)
+
+    def _require_room(self, pending: int) -> None:
+        free = shutil.disk_usage(self.path.parent).free
+        if free < pending + RESERVE_BYTES:
+            raise OSError(f"{free} bytes are free, {pending + RESERVE_BYTES} are needed")
+
+    def _repack(self, status: str, reason: str) -> None:
+        with h5py.File(self.path, "r") as live, replacement(self.path) as target:
+            repack(live, target, status=status, reason=reason, rows=self._written, tables=self._tables)
+
+    def _on_disk(self, action: Callable[[], None]) -> None:
+        """Do something with the file; where the disk refuses, let go of the file and say so in one line."""
+        if self.closed:
+            raise RecordingFailed(f"{self.path}: the recording has ended; start a new run")
+        try:
+            action()
+        # HDF5 reports a full disk as OSError while writing and as RuntimeError while flushing or closing
+        except (OSError, RuntimeError) as fault:
+            self._abandon()
+            hint = "free space on the disk, then run: leactl runs recover"
+            raise RecordingFailed(f"{self.path}: recording failed: {one_line(str(fault))}; {hint}") from fault
+
+    def _abandon(self) -> None:
+        self.closed = True
+        try:
+            self._file.close()
+        except (OSError, RuntimeError):
+            return  # the caller reports why the disk refused; the flushed rows are in the file
+
+
+def faults_of(info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> list[str]:
+    """Everything that would make the file break its own format."""
+    faults = []
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", info.run_id):
+        faults.append(f"run_id: {info.run_id!r} is no file name; use letters, digits, '.', '_' and '-'")
+    if info.mechanical not in SETUPS:
+        faults.append(f"mechanical: {info.mechanical!r} is none of {', '.join(SETUPS)}")
+    faults += [
+        f"sources: {name!r} is none of {', '.join(layout.SOURCES)}" for name in info.sources.keys() - {*layout.SOURCES}
+    ]
+    seen: dict[tuple[str, str, str], str] = {}
+    for stream, specs in streams.items():
+        names = [spec.name for spec in specs]
+        for spec in specs:
+            place = f"streams/{stream}/{spec.name}"
+            faults += faults_of_channel(place, spec)
+            if names.count(spec.name) > 1:
+                faults.append(f"{place}: the name occurs twice in its stream")
+            known = seen.setdefault((spec.quantity, spec.role, spec.location), place)
+            if known != place:
+                faults.append(f"{place}: same quantity, role and location as {known}; give each a location")
+    return faults
+
+
+def faults_of_channel(place: str, spec: ChannelSpec) -> list[str]:
+    """What is wrong with one channel's description."""
+    faults = []
+    if any(not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", part) for part in place.split("/")) or spec.name == "time":
+        faults.append(f"{place}: not a usable name for a channel")
+    if spec.quantity not in UNITS:
+        return [*faults, f"{place}: quantity {spec.quantity!r} is not in the vocabulary"]
+    if spec.unit not in accepted_units(spec.quantity):
+        faults.append(f"{place}: unit {spec.unit!r} is none of {', '.join(accepted_units(spec.quantity))}")
+    if spec.role not in ROLES:
+        faults.append(f"{place}: role {spec.role!r} is none of {', '.join(ROLES)}")
+    if spec.sampling not in ("instant", "mean"):
+        faults.append(f"{place}: sampling {spec.sampling!r} is neither instant nor mean")
+    if np.dtype(spec.dtype).kind != "f":
+        faults.append(f"{place}: dtype {spec.dtype!r} cannot hold NaN for a missed sample; use f4 or f8")
+    return faults
+
+
+def create(partial: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> Any:
+    """Create everything a run will need, since SWMR mode allows no new objects, and switch SWMR on."""
+    file = h5py.File(partial, "x", libver="latest")
+    for name in layout.ROOT_ATTRIBUTES:
+        file.attrs[name] = layout.storable(value) if isinstance(value := root_value(name, info), str) else value
+    setup = file.create_group("setup")
+    setup.attrs["mechanical"] = info.mechanical
+    for name, value in info.setup.items():
+        setup.attrs[name] = value
+    for name, text in info.sources.items():
+        file.create_dataset(f"{name}/source", data=text, dtype=layout.TEXT)
+    group = file.create_group("streams")
+    # NaN as fill value: a stamp that was announced but never written shows as NaN and is cut
+    live = {"shape": (0,), "maxshape": (None,), "chunks": (LIVE_CHUNK_ROWS,), "fillvalue": np.nan}
+    for stream, specs in streams.items():
+        layout.create_stream(group, stream, list(specs), **live)
+    for table, columns in layout.TABLES.items():
+        for column, width in columns.items():
+            dtype = "<f8" if width is None else h5py.string_dtype("utf-8", width)
+            file.create_dataset(f"{table}/{column}", (0,), dtype=dtype, maxshape=(None,), chunks=(16,))
+    file.swmr_mode = True
+    return file
+
+
+def root_value(name: str, info: RunInfo) -> Any:
+    """Value of one root attribute at the start of the recording."""
+    start: dict[str, Any] = {
+        "format": layout.FORMAT,
+        "format_version": layout.VERSION,
+        "status": layout.RECORDING,
+        "status_reason": "",
+        "simulated": int(info.simulated),
+    }
+    return start[name] if name in start else getattr(info, name)
+
+
+def write_rows(stream: Any, channels: Sequence[str], written: int, rows: np.ndarray[Any, Any]) -> None:
+    """Append rows, channels before time: once a stamp is in the file, so is its whole row."""
+    columns = [*zip(channels, rows.T[1:], strict=True), ("time", rows[:, 0])]
+    for name, values in columns:
+        dataset = stream[name]
+        dataset.resize((written + len(rows),))
+        with np.errstate(over="ignore"):  # beyond float32 becomes inf
+            dataset[written:] = values.astype(dataset.dtype)
+        dataset.flush()
+
+
+def write_live_table(
+    group: Any, columns: Mapping[str, int | None], written: int, rows: Sequence[Mapping[str, Any]]
+) -> None:
+    """Append to `/steps` or `/events`, cutting text to what a fixed-length string holds."""
+    for column, width in columns.items():
+        dataset = group[column]
+        dataset.resize((written + len(rows),))
+        values = [row[column] if width is None else fitted(row[column], width) for row in rows]
+        dataset[written:] = np.array(values, dataset.dtype)
+        dataset.flush()
+
+
+def fitted(value: Any, width: int) -> bytes:
+    """Text within so many bytes; parameters lose whole entries from the end, so that the JSON stays JSON."""
+    if isinstance(value, Mapping):
+        entries = dict(value)
+        while len(encoded := layout.storable(as_text(entries)).encode()) > width:
+            entries.popitem()
+        return encoded
+    return layout.storable(value).encode()[:width].decode("utf-8", "ignore").encode()

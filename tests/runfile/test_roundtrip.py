@@ -1,0 +1,137 @@
+"""What goes into a run file comes out of it, by this reader and by others."""
+
+import hashlib
+from datetime import UTC, datetime
+from itertools import pairwise
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from leactl.errors import InputError, MissingChannel, SafetyTrip
+from leactl.quantities import ChannelSpec
+from leactl.runfile.reader import Run
+from leactl.runfile.writer import RunWriter, new_run_id
+
+from .specimen import LOOP, PROTOCOL, STREAMS, info
+
+
+def test_a_run_comes_back(complete: Path):
+    with Run.open(complete) as run:
+        assert (run.status, run.mechanical, run.setup["drive_gain"]) == ("complete", "coupled", 0.98)
+        assert run.attributes["simulated"] == 1
+        assert run.source("protocol") == PROTOCOL
+        assert run.source("model") is None
+        torque = run.channel("torque")
+        assert torque.values.dtype == np.float64
+        assert torque.sampling == "mean"
+        assert np.flatnonzero(np.isnan(torque.values)).tolist() == [500]
+        assert torque.time[-1] == 0.999
+        assert [step.parameters for step in run.steps] == [{"current_A": 2.0, "note": "größer"}, {}]
+        assert run.events[0].message == "x" * 2000
+        assert [spec.name for spec in run.streams["loop"]] == ["iq", "theta", "a_torque"]
+
+
+def test_several_places_must_be_told_apart(complete: Path):
+    with Run.open(complete) as run:
+        with pytest.raises(InputError, match=r"active_1, inactive_2"):
+            run.channel("housing_temperature")
+        assert run.channel("housing_temperature", location="inactive_2").location == "inactive_2"
+        assert len(run.channels("housing_temperature")) == 2
+        with pytest.raises(MissingChannel, match=r"no velocity of load.*torque of test"):
+            run.channel("velocity", role="load")
+        assert not run.has("velocity")
+
+
+def test_xarray_opens_a_stream_unchanged(complete: Path):
+    with xarray.open_dataset(complete, engine="h5netcdf", group="streams/loop") as loop:
+        assert loop["iq"].dims == ("time",)
+        assert loop["iq"].attrs["units"] == "A"
+        assert loop["theta"].sel(time=0.5).item() == 250.0
+
+
+def test_the_protocol_text_has_the_checksum_of_its_file(complete: Path):
+    with h5py.File(complete) as file:
+        assert file["protocol/source"].attrs["sha256"] == hashlib.sha256(PROTOCOL.encode()).hexdigest()
+        assert file["streams/loop/iq"].compression == "gzip"
+        assert file["streams/loop/iq"].dims[0][0].name == "/streams/loop/time"
+
+
+finite = st.floats(allow_nan=True, allow_infinity=True, width=64)
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    gaps=st.lists(st.integers(1, 10**6), max_size=60),
+    values=arrays("f8", (60, 3), elements=finite),
+    cuts=st.sets(st.integers(0, 60)),
+    texts=st.lists(st.text(max_size=600), max_size=3),
+)
+def test_any_rows_and_texts_survive(tmp_path_factory: pytest.TempPathFactory, gaps, values, cuts, texts):
+    specs = [spec._replace(dtype="f8") for spec in LOOP]
+    times = np.cumsum(np.array([0, *gaps])) * 1e-6
+    values = values[: len(times)] if len(times) <= 60 else np.vstack([values, values[:1]])
+    with RunWriter(tmp_path_factory.mktemp("run"), info(), {"loop": specs}) as writer:
+        edges = [0, *sorted(cut for cut in cuts if cut < len(times)), len(times)]
+        for start, stop in pairwise(edges):
+            writer.append("loop", times[start:stop], values[start:stop])
+            for text in texts:
+                writer.step(text, 0.0, 1.0, 0.0, {"text": text})
+                writer.event(0.0, "info", text, text)
+            writer.flush()
+    with Run.open(writer.path) as run:
+        for index, spec in enumerate(specs):
+            channel = run.channel(spec.quantity)
+            np.testing.assert_array_equal(channel.time, times)
+            np.testing.assert_array_equal(channel.values, values[:, index])
+        assert [step.parameters["text"] for step in run.steps] == texts * (len(edges) - 1)
+
+
+@pytest.mark.parametrize("time", [0.0, -1.0, float("nan"), float("inf")])
+def test_time_that_does_not_increase_is_refused(tmp_path: Path, time: float):
+    with RunWriter(tmp_path, info(), {"loop": LOOP}) as writer:
+        writer.append_row("loop", 0.0, [1, 2, 3])
+        with pytest.raises(ValueError, match="does not come after"):
+            writer.append_row("loop", time, [1, 2, 3])
+        with pytest.raises(ValueError, match="do not increase"):
+            writer.append("loop", np.array([1.0, time]), np.zeros((2, 3)))
+        with pytest.raises(ValueError, match="1 values for 3 channels"):
+            writer.append_row("loop", 1.0, [1])
+    with Run.open(writer.path) as run:
+        assert run.rows == {"loop": 1}
+
+
+def test_nothing_is_ever_overwritten(complete: Path):
+    before = complete.read_bytes()
+    with pytest.raises(InputError, match="exists already"):
+        RunWriter(complete.parent, info(), STREAMS)
+    assert complete.read_bytes() == before
+    complete.rename(complete.with_name(complete.name + ".partial"))
+    with pytest.raises(InputError, match="exists already"):
+        RunWriter(complete.parent, info(), STREAMS)
+    assert len(list(complete.parent.iterdir())) == 1
+
+
+def test_a_description_that_breaks_the_format_is_refused_in_full(tmp_path: Path):
+    wrong = [ChannelSpec("a", "torque", "test", "x", units="Nm"), ChannelSpec("a", "torque", "best", "x", dtype="i4")]
+    with pytest.raises(InputError) as caught:
+        RunWriter(tmp_path, info("../x"), {"loop": wrong})
+    assert len(caught.value.faults) == 6
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_exception_names_its_end(tmp_path: Path):
+    with pytest.raises(SafetyTrip), RunWriter(tmp_path, info(), STREAMS) as writer:
+        raise SafetyTrip("winding above 120 degC\nsecond line")
+    with Run.open(writer.path) as run:
+        assert (run.status, run.attributes["status_reason"]) == ("tripped", "winding above 120 degC second line")
+
+
+def test_run_ids_sort_by_time():
+    when = datetime(2026, 11, 20, 10, 15, 30, tzinfo=UTC)
+    assert new_run_id("Torque constant", when).startswith("20261120T101530Z-torque-constant-")
