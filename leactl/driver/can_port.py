@@ -1,0 +1,135 @@
+"""One CAN bus shared by several drivers, without threads: frames are dispatched while somebody waits for one."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from leactl.driver.clock import Clock
+from leactl.errors import DeviceError
+
+if TYPE_CHECKING:
+    import can
+
+Listener = Callable[[bytearray, float], None]
+
+SYNC_ID = 0x080
+NMT_ID = 0x000
+
+
+class CanPort:
+    """Send frames, and route received ones to whoever listens to their identifier.
+
+    A synchronous port keeps the order of events the order of the code: no callback runs unless the caller waits, and a
+    failure in one surfaces where the wait is.
+    """
+
+    def __init__(self, connect: "Callable[[], can.BusABC]", clock: Clock, name: str = "can") -> None:
+        from can import Message
+
+        self._message = Message
+        self._connect = connect
+        self.clock = clock
+        self.name = name
+        self.bus: can.BusABC | None = None
+        self._listeners: dict[int, Listener] = {}
+        self._users = 0
+
+    def open(self) -> None:
+        """Connect, once for all users of the port.
+
+        Raises
+        ------
+        DeviceError : the bus is absent or refuses.
+        """
+        self._users += 1
+        if self.bus is None:
+            self._open_bus()
+
+    def _open_bus(self) -> None:
+        try:
+            self.bus = self._connect()
+        except (OSError, ValueError, ImportError, _can_error()) as error:
+            raise DeviceError(f"bus '{self.name}': {error}") from None
+
+    def close(self) -> None:
+        """Disconnect when the last user has let go."""
+        self._users = max(0, self._users - 1)
+        if self._users == 0:
+            self._shut()
+
+    def reopen(self) -> None:
+        """Replace a connection that may be dead by a fresh one."""
+        self._shut()
+        self._open_bus()
+
+    def _shut(self) -> None:
+        bus, self.bus = self.bus, None
+        if bus is not None:
+            try:
+                bus.shutdown()
+            except (OSError, _can_error()):
+                return  # it is gone already, which is what was asked for
+
+    def listen(self, identifier: int, listener: Listener | None) -> None:
+        """Route frames of this identifier; None ends it."""
+        if listener is None:
+            self._listeners.pop(identifier, None)
+        else:
+            self._listeners[identifier] = listener
+
+    def send(self, identifier: int, data: bytes) -> None:
+        """Send one frame.
+
+        Raises
+        ------
+        DeviceError : the bus is closed, full or gone.
+        """
+        if self.bus is None:
+            raise DeviceError(f"bus '{self.name}': not open")
+        try:
+            self.bus.send(self._message(arbitration_id=identifier, data=data, is_extended_id=False))
+        except (OSError, ValueError, _can_error()) as error:
+            raise DeviceError(f"bus '{self.name}': cannot send 0x{identifier:03X}: {error}") from None
+
+    def pump(self, timeout: float) -> bool:
+        """Dispatch one frame, waiting for it at most `timeout` s; False where none came.
+
+        Raises
+        ------
+        DeviceError : the bus is closed or gone.
+        """
+        if self.bus is None:
+            raise DeviceError(f"bus '{self.name}': not open")
+        try:
+            message = self.bus.recv(timeout)
+        except (OSError, ValueError, _can_error()) as error:
+            raise DeviceError(f"bus '{self.name}': cannot receive: {error}") from None
+        if message is None:
+            return False
+        if message.is_error_frame or message.is_extended_id or message.is_remote_frame:
+            return True
+        listener = self._listeners.get(message.arbitration_id)
+        if listener is not None:
+            listener(message.data, message.timestamp)
+        return True
+
+    def pump_until(self, arrived: Callable[[], bool], deadline: float) -> bool:
+        """Dispatch frames until `arrived()` or the deadline on the clock; a babbling bus cannot hold it longer."""
+        now = self.clock.now
+        while not arrived():
+            left = deadline - now()
+            if left <= 0:
+                while not arrived() and self.pump(0.0) and now() - deadline < 0.01:
+                    pass
+                return arrived()
+            self.pump(left)
+        return True
+
+    def sync(self) -> None:
+        """Send the CANopen SYNC frame."""
+        self.send(SYNC_ID, b"")
+
+
+def _can_error() -> type[Exception]:
+    from can import CanError
+
+    return CanError

@@ -1,0 +1,141 @@
+"""What a driver plug-in is: a few required methods, and small capabilities that it may have besides.
+
+A driver declares its settings and channels and composes a transport. `safe_state` is required of every driver and must
+work from any state, as often as it is called.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from enum import StrEnum
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
+
+from pydantic import BaseModel, ConfigDict
+
+from leactl.driver.clock import Clock
+from leactl.quantities import ChannelSpec
+
+
+class DriverSettings(BaseModel):
+    """Settings of one device in the bench file; every field's name carries its unit."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Confirmation(NamedTuple):
+    """What a device answered when it was told to become safe."""
+
+    safe: bool
+    detail: str
+
+
+class StreamSpec(NamedTuple):
+    """A stream that a device samples by a clock of its own."""
+
+    name: str
+    channels: tuple[ChannelSpec, ...]
+
+
+class Row(NamedTuple):
+    """One sample of a device's own stream; NaN where a channel has no value at this time."""
+
+    stream: str
+    time: float
+    values: Sequence[float]
+
+
+class Mode(StrEnum):
+    """What a motion device follows."""
+
+    OFF = "off"
+    CURRENT = "current"  # q axis, A, power invariant
+    TORQUE_PROFILE = "torque_profile"  # as CURRENT, ramped by the drive
+    VELOCITY = "velocity"  # rad/s
+    ANGLE = "angle"  # rad
+
+
+class Driver(ABC):
+    """One device: made from settings and a transport, opened, used, made safe, closed."""
+
+    Settings: ClassVar[type[DriverSettings]]
+    transport: ClassVar[str]  # the kind of bus it needs: "can", "i2c", "serial" or "none"
+    summary: ClassVar[str]  # one line for `leactl driver list`
+
+    @abstractmethod
+    def __init__(self, name: str, role: str, settings: Any, port: Any, clock: Clock) -> None: ...
+
+    @abstractmethod
+    def safe_state(self, deadline_s: float) -> Confirmation:
+        """Bring the device to where it cannot hurt, from any state, within the deadline; never raises."""
+
+    @abstractmethod
+    def open(self) -> None:
+        """Meet the device, check that it is the one expected, and configure it; nothing moves.
+
+        Raises
+        ------
+        DeviceError : the device is absent, another one, or refuses a setting.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let the device go; harmless when it was never opened or is closed already."""
+
+    @property
+    def streams(self) -> tuple[StreamSpec, ...]:
+        """Streams of the device's own clocks."""
+        return ()
+
+    def take(self) -> Sequence[Row]:
+        """Rows of the own streams that have come in since the last call."""
+        return ()
+
+
+@runtime_checkable
+class CyclicDevice(Protocol):
+    """A device exchanged once per cycle of the control loop."""
+
+    @property
+    def loop_channels(self) -> tuple[ChannelSpec, ...]:
+        """Channels of `values`, in order."""
+
+    values: list[float]  # the last exchange; NaN where nothing came
+
+    def begin_cycle(self) -> None:
+        """Send the outputs."""
+
+    def end_cycle(self, deadline: float) -> None:
+        """Collect the inputs until the deadline on the bench's clock."""
+
+
+@runtime_checkable
+class MotionDevice(CyclicDevice, Protocol):
+    """A drive. Only the supervisor calls `command`, `engage` and `release`."""
+
+    def engage(self, mode: Mode) -> None:
+        """Begin to enter operation in this mode with zero demand; completes over the next cycles."""
+
+    def release(self) -> None:
+        """Begin to leave operation; completes over the next cycles."""
+
+    @property
+    def engaged(self) -> bool:
+        """True once the device itself reports that it follows its setpoint."""
+
+    def command(self, value: float) -> None:
+        """Set the setpoint of the engaged mode in its SI unit, for the next cycle.
+
+        Raises
+        ------
+        InputError : the value is not finite or the device cannot express it.
+        """
+
+    def feed(self) -> None:
+        """Send the host's sign of life; the control loop calls this after each supervised cycle, nothing else does."""
+
+
+@runtime_checkable
+class AnalogInput(Protocol):
+    """A device that measures voltages and can set their zero."""
+
+    def tare(self, samples: int) -> dict[str, float]:
+        """Take the present mean as zero; returns the offsets in the channels' units."""

@@ -1,0 +1,56 @@
+"""The far end of a wire: what an emulator of a device is, and the machine that an emulated drive turns.
+
+An emulator knows frames or bytes and time, no transport: frames in, frames out. The physics behind it is a port of
+plain readings, so that the same emulator turns the emulated bench or a stand-in of a test.
+"""
+
+from typing import NamedTuple, Protocol
+
+
+class Frame(NamedTuple):
+    """A CAN frame with an 11-bit identifier."""
+
+    identifier: int
+    data: bytes
+
+
+class Machine(Protocol):
+    """What an emulated drive turns and reads; currents in the drive's power-invariant q axis."""
+
+    def command(self, mode: str, value: float) -> None:
+        """Follow a setpoint; mode "off" lets no current flow."""
+
+    def read(self) -> tuple[float, float, float]:
+        """Current [A], velocity [rad/s] and angle [rad] as the drive's sensors report them now."""
+
+    @property
+    def voltage(self) -> float:
+        """q-axis voltage [V]."""
+
+    @property
+    def bus_voltage(self) -> float:
+        """DC link voltage [V]."""
+
+
+class CanEmulator(Protocol):
+    """A device on an emulated CAN bus."""
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        """Take one frame from the bus and answer it."""
+
+    def tick(self, now: float) -> list[Frame]:
+        """Frames that the device sends by itself up to now."""
+
+    @property
+    def due(self) -> float:
+        """Time at which `tick` next has something to do."""
+
+
+class I2cEmulator(Protocol):
+    """A device on an emulated I2C bus: 16-bit registers, most significant byte first."""
+
+    def read(self, register: int, now: float) -> int:
+        """Read a register."""
+
+    def write(self, register: int, value: int, now: float) -> None:
+        """Write a register."""

@@ -1,0 +1,92 @@
+"""One I2C bus shared by several drivers: smbus2's own calls, with its errors told apart and named."""
+
+import errno
+from collections.abc import Callable
+from typing import Protocol
+
+from leactl.errors import DeviceError, NoAnswer
+
+_NAK = {errno.EREMOTEIO, errno.ENXIO, errno.ENODEV}
+_MEANING = {
+    errno.EBUSY: "a kernel driver holds this address; unbind it",
+    errno.EACCES: "no permission; add the user to group i2c",
+    errno.ENOENT: "no such bus; load i2c-dev and enable the adapter",
+}
+
+
+class SmBus(Protocol):
+    """The part of smbus2.SMBus that is used."""
+
+    def read_i2c_block_data(self, i2c_addr: int, register: int, length: int) -> list[int]: ...  # noqa: D102
+    def write_i2c_block_data(self, i2c_addr: int, register: int, data: list[int]) -> None: ...  # noqa: D102
+    def close(self) -> None: ...  # noqa: D102
+
+
+class I2cPort:
+    """Registers of devices on one bus, most significant byte first."""
+
+    def __init__(self, connect: Callable[[], SmBus], name: str = "i2c") -> None:
+        self._connect = connect
+        self.name = name
+        self._bus: SmBus | None = None
+        self._users = 0
+
+    def open(self) -> None:
+        """Connect, once for all users of the port.
+
+        Raises
+        ------
+        DeviceError : the bus is absent or refuses.
+        """
+        self._users += 1
+        if self._bus is None:
+            try:
+                self._bus = self._connect()
+            except OSError as error:
+                raise DeviceError(f"bus '{self.name}': {_MEANING.get(error.errno or 0, error)}") from None
+
+    def close(self) -> None:
+        """Disconnect when the last user has let go."""
+        self._users = max(0, self._users - 1)
+        if self._users == 0 and self._bus is not None:
+            self._bus.close()
+            self._bus = None
+
+    def read(self, address: int, register: int) -> int:
+        """Read a 16-bit register.
+
+        Raises
+        ------
+        NoAnswer : nothing acknowledged, or the transfer timed out.
+        DeviceError : the bus is closed or failed.
+        """
+        if self._bus is None:
+            raise DeviceError(f"bus '{self.name}': not open")
+        try:
+            high, low = self._bus.read_i2c_block_data(address, register, 2)
+        except OSError as error:
+            raise self._explain(error, address) from None
+        return high << 8 | low
+
+    def write(self, address: int, register: int, value: int) -> None:
+        """Write a 16-bit register.
+
+        Raises
+        ------
+        NoAnswer : nothing acknowledged, or the transfer timed out.
+        DeviceError : the bus is closed or failed.
+        """
+        if self._bus is None:
+            raise DeviceError(f"bus '{self.name}': not open")
+        try:
+            self._bus.write_i2c_block_data(address, register, [value >> 8, value & 0xFF])
+        except OSError as error:
+            raise self._explain(error, address) from None
+
+    def _explain(self, error: OSError, address: int) -> DeviceError:
+        place = f"bus '{self.name}', address 0x{address:02X}"
+        if error.errno in _NAK:
+            return NoAnswer(f"{place}: not acknowledged (errno {error.errno}); check wiring, power, address")
+        if error.errno == errno.ETIMEDOUT:
+            return NoAnswer(f"{place}: the transfer timed out (errno {error.errno})")
+        return DeviceError(f"{place}: {_MEANING.get(error.errno or 0, error)}")

@@ -1,0 +1,71 @@
+"""Finds driver plug-ins by entry point `leactl.drivers`; one that does not load is reported and harms nothing."""
+
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING
+
+from leactl.errors import InputError
+
+if TYPE_CHECKING:
+    from leactl.driver.contract import Driver
+
+GROUP = "leactl.drivers"
+
+
+@dataclass(frozen=True)
+class Registered:
+    """One name in the registry: the driver, or why it could not be loaded."""
+
+    name: str
+    source: str  # the distribution that brought it
+    driver: "type[Driver] | None"
+    error: str = ""
+
+
+def names() -> list[str]:
+    """Names of all registered drivers, without importing any."""
+    return sorted({point.name for point in entry_points(group=GROUP)})
+
+
+def find(name: str) -> Registered:
+    """Load one driver.
+
+    Raises
+    ------
+    InputError : no plug-in of this name is registered.
+    """
+    points = [point for point in entry_points(group=GROUP) if point.name == name]
+    if not points:
+        raise InputError(f"driver '{name}' is not registered; known: {', '.join(names()) or 'none'}")
+    return _load(points[0])
+
+
+def load(name: str) -> "type[Driver]":
+    """Load one driver that must work.
+
+    Raises
+    ------
+    InputError : it is not registered, or it fails to load.
+    """
+    found = find(name)
+    if found.driver is None:
+        raise InputError(f"driver '{name}' of {found.source} cannot be used: {found.error}")
+    return found.driver
+
+
+def survey() -> list[Registered]:
+    """Load every registered driver and report each."""
+    return [find(name) for name in names()]
+
+
+def _load(point: EntryPoint) -> Registered:
+    from leactl.driver.contract import Driver
+
+    source = f"{point.dist.name} {point.dist.version}" if point.dist else "unknown distribution"
+    try:
+        driver = point.load()
+    except Exception as error:  # noqa: BLE001 (a foreign plug-in may fail in any way; it must not take leactl with it)
+        return Registered(point.name, source, None, f"{type(error).__name__}: {error}")
+    if not (isinstance(driver, type) and issubclass(driver, Driver)):
+        return Registered(point.name, source, None, f"{point.value} is not a leactl Driver")
+    return Registered(point.name, source, driver)

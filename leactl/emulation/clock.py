@@ -1,0 +1,26 @@
+"""The emulated bench's time: it passes only while somebody waits, and everything that lives on the bench keeps step."""
+
+from collections.abc import Callable
+
+
+class EmulatedClock:
+    """A clock whose seconds are produced by the waiting itself; the same waits give the same run."""
+
+    def __init__(self) -> None:
+        self._time = 0.0
+        self._followers: list[Callable[[float], None]] = []
+
+    def follow(self, advance: Callable[[float], None]) -> None:
+        """Call `advance(time)` whenever time has passed."""
+        self._followers.append(advance)
+
+    def now(self) -> float:
+        """Emulated seconds since the bench was made."""
+        return self._time
+
+    def sleep_until(self, moment: float) -> None:
+        """Let time pass up to the moment."""
+        if moment > self._time:
+            self._time = moment
+            for advance in self._followers:
+                advance(moment)

@@ -1,0 +1,121 @@
+"""Emulated buses in the same process: python-can's and smbus2's own calls, answered at once by the devices' far ends.
+
+Synchronous and without threads: a frame is answered inside `send`, and emulated time passes inside `recv`.
+"""
+
+import errno
+from collections import deque
+from typing import Any
+
+import can
+
+from leactl.driver.far_end import CanEmulator, Frame, I2cEmulator
+from leactl.emulation.clock import EmulatedClock
+
+TICK_S = 1e-3
+
+
+class CanWire:
+    """The segment that emulated devices and any number of host connections share."""
+
+    def __init__(self, clock: EmulatedClock) -> None:
+        self.clock = clock
+        self.devices: list[CanEmulator] = []
+        self.hosts: list[EmulatedCanBus] = []
+        self.cut = False  # the cable is out: nothing arrives, on either side
+        clock.follow(self._pass_time)
+        self._due = float("-inf")
+
+    def attach(self, device: CanEmulator) -> None:
+        """Put a device on the segment."""
+        self.devices.append(device)
+
+    def from_host(self, frame: Frame, sender: "EmulatedCanBus") -> None:
+        """Deliver a host's frame, and what it makes the devices say."""
+        if self.cut:
+            return
+        now = self.clock.now()
+        answers: list[Frame] = []
+        for device in self.devices:
+            answers += device.receive(frame, now)
+        self._due = float("-inf")
+        for host in self.hosts:
+            if host is not sender:
+                host.arrived.append(frame)
+        self._to_hosts(answers)
+
+    def _pass_time(self, now: float) -> None:
+        if now < self._due:
+            return
+        frames: list[Frame] = []
+        for device in self.devices:
+            frames += device.tick(now)
+        self._due = min((device.due for device in self.devices), default=float("inf"))
+        if not self.cut:
+            self._to_hosts(frames)
+
+    def _to_hosts(self, frames: list[Frame]) -> None:
+        for host in self.hosts:
+            host.arrived.extend(frames)
+
+
+class EmulatedCanBus(can.BusABC):
+    """A python-can bus whose other end is a CanWire."""
+
+    def __init__(self, wire: CanWire) -> None:
+        self._wire = wire
+        self.arrived: deque[Frame] = deque()
+        super().__init__(channel="emulated")
+        self.channel_info = "emulated bench, in process"
+        wire.hosts.append(self)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send a frame; the devices have answered when this returns."""
+        self._wire.from_host(Frame(msg.arbitration_id, bytes(msg.data)), self)
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Take the oldest frame; where there is none, let emulated time pass until one comes or `timeout` is over."""
+        arrived, clock = self.arrived, self._wire.clock
+        if not arrived and timeout:
+            until = clock.now() + timeout
+            while not arrived and clock.now() < until:
+                clock.sleep_until(min(until, clock.now() + TICK_S))
+        if not arrived:
+            return None
+        identifier, data = arrived.popleft()
+        return can.Message(clock.now(), identifier, False, data=data)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        return self.recv(timeout), True
+
+    def shutdown(self) -> None:
+        """Leave the wire."""
+        if self in self._wire.hosts:
+            self._wire.hosts.remove(self)
+        super().shutdown()
+
+
+class EmulatedI2cBus:
+    """smbus2's block calls, answered by emulated devices; an absent address does not acknowledge."""
+
+    def __init__(self, clock: EmulatedClock) -> None:
+        self._clock = clock
+        self.devices: dict[int, I2cEmulator] = {}
+
+    def _device(self, address: int) -> I2cEmulator:
+        device = self.devices.get(address)
+        if device is None:
+            raise OSError(errno.EREMOTEIO, "Remote I/O error")
+        return device
+
+    def read_i2c_block_data(self, i2c_addr: int, register: int, length: int, force: Any = None) -> list[int]:
+        """Read a 16-bit register, most significant byte first."""
+        value = self._device(i2c_addr).read(register, self._clock.now())
+        return [value >> 8, value & 0xFF][:length]
+
+    def write_i2c_block_data(self, i2c_addr: int, register: int, data: list[int], force: Any = None) -> None:
+        """Write a 16-bit register, most significant byte first."""
+        self._device(i2c_addr).write(register, data[0] << 8 | data[1], self._clock.now())
+
+    def close(self) -> None:
+        """Let the bus go."""

@@ -1,0 +1,1 @@
+"""Elmo Gold servo drives over CANopen."""

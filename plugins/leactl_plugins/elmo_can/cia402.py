@@ -1,0 +1,46 @@
+"""The CiA 402 power drive state machine, seen from the host: statusword in, next controlword out."""
+
+from enum import StrEnum
+
+
+class State(StrEnum):
+    """States of the machine (CiA 402, 6.2)."""
+
+    NOT_READY = "not ready to switch on"
+    DISABLED = "switch on disabled"
+    READY = "ready to switch on"
+    SWITCHED_ON = "switched on"
+    ENABLED = "operation enabled"
+    QUICK_STOP = "quick stop active"
+    FAULT_REACTION = "fault reaction active"
+    FAULT = "fault"
+
+
+DISABLE_VOLTAGE = 0x0000
+QUICK_STOP = 0x0002
+SHUTDOWN = 0x0006
+SWITCH_ON = 0x0007
+ENABLE_OPERATION = 0x000F
+FAULT_RESET = 0x0080
+
+_MASK_4F = {0x00: State.NOT_READY, 0x40: State.DISABLED, 0x0F: State.FAULT_REACTION, 0x08: State.FAULT}
+_MASK_6F = {0x21: State.READY, 0x23: State.SWITCHED_ON, 0x27: State.ENABLED, 0x07: State.QUICK_STOP}
+_UP = {
+    State.DISABLED: SHUTDOWN,
+    State.READY: SWITCH_ON,
+    State.SWITCHED_ON: ENABLE_OPERATION,
+    State.ENABLED: ENABLE_OPERATION,
+}
+
+
+def state_of(statusword: int) -> State:
+    """State that a statusword tells."""
+    state = _MASK_6F.get(statusword & 0x6F)
+    if state is not None:
+        return state
+    return _MASK_4F.get(statusword & 0x4F, State.NOT_READY)
+
+
+def towards_enabled(state: State) -> int:
+    """Controlword that takes one transition towards operation enabled; no fault is ever reset by it."""
+    return _UP.get(state, DISABLE_VOLTAGE)

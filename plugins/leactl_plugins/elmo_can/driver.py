@@ -1,0 +1,393 @@
+"""Elmo Gold servo drive over CANopen (CiA 301, CiA 402): SYNC exchange of PDOs, set up by SDO, both heartbeats.
+
+Objects and defaults after Elmo's Gold EDS (CANedsGoldV005_0); the README of this plug-in lists the sources.
+"""
+
+import math
+import struct
+from typing import Any
+
+from leactl.driver.can_port import NMT_ID, CanPort
+from leactl.driver.clock import Clock
+from leactl.driver.contract import Confirmation, Driver, Mode, Row, StreamSpec
+from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
+from leactl.quantities import ChannelSpec
+from leactl_plugins.elmo_can import cia402, emergency
+from leactl_plugins.elmo_can.cia402 import State
+from leactl_plugins.elmo_can.sdo import Sdo
+from leactl_plugins.elmo_can.settings import ElmoSettings
+
+NMT_START, NMT_PRE_OPERATIONAL = 0x01, 0x80
+OPERATIONAL = 0x05
+MODES = {Mode.TORQUE_PROFILE: 4, Mode.ANGLE: 8, Mode.VELOCITY: 9, Mode.CURRENT: 10}
+CURRENT_MODES = (Mode.CURRENT, Mode.TORQUE_PROFILE)
+ENABLE_TIME_S = 2.0
+READ_BUS_VOLTAGE = bytes.fromhex("4079600000000000")
+NAN = math.nan
+
+_torque_demand = struct.Struct("<Hhb")
+_motion_demand = struct.Struct("<ii")
+_status = struct.Struct("<Hbhh")
+_motion = struct.Struct("<ii")
+
+
+class ElmoCan(Driver):
+    """One Elmo Gold drive; its PDO exchange is one SYNC a cycle."""
+
+    Settings = ElmoSettings
+    transport = "can"
+    summary = "Elmo Gold servo drive over CANopen (CiA 402)"
+
+    def __init__(self, name: str, role: str, settings: ElmoSettings, port: CanPort, clock: Clock) -> None:
+        self.name, self.role, self.settings = name, role, settings
+        self._port, self._clock = port, clock
+        self._node = settings.node
+        self._sdo = Sdo(port, settings.node, settings.sdo_timeout_s)
+        self._opened = False
+        self._angle_per_count = settings.sign * 2 * math.pi / settings.counts_per_turn
+        self._current_per_mille = NAN
+        self._mode, self._value, self._wanted = Mode.OFF, 0, False
+        self._enable_by = math.inf
+        self.state = State.NOT_READY
+        self.statusword = 0
+        self._shown_mode = 0
+        self._fresh = [False, False, False]
+        self._emergency = ""
+        self._heard = -math.inf
+        self._nmt_state = 0
+        self._fed = -math.inf
+        self._asked = -math.inf
+        self._rows: list[Row] = []
+        self._located = False  # the shaft's angle is known: no operation before that
+        self.values = [NAN] * len(self.loop_channels)
+
+    def safe_state(self, deadline_s: float) -> Confirmation:
+        """Take the drive out of operation, from any state, over a fresh connection if need be; never raises."""
+        self._wanted, self._mode, self._value = False, Mode.OFF, 0
+        until = self._clock.now() + deadline_s
+        trouble = "no time was left"
+        while self._clock.now() < until:
+            try:
+                if self._port.bus is None:
+                    self._port.reopen()
+                    self._attach()
+                self._send_demand(cia402.DISABLE_VOLTAGE)
+                self._port.sync()
+                self._sdo.write(0x6040, 0, "u16", cia402.DISABLE_VOLTAGE)
+                word = self._sdo.read(0x6041, 0, "u16")
+            except DeviceError as error:
+                trouble = str(error)
+                try:
+                    self._port.reopen()
+                except DeviceError as worse:
+                    trouble = str(worse)
+                    self._clock.sleep_until(min(until, self._clock.now() + 0.01))
+                continue
+            state = cia402.state_of(word)
+            if state not in (State.ENABLED, State.QUICK_STOP, State.FAULT_REACTION):
+                self.state, self.statusword = state, word
+                return Confirmation(True, f"{state}, statusword 0x{word:04X}")
+            trouble = f"still {state}, statusword 0x{word:04X}"
+        return Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble}")
+
+    def open(self) -> None:
+        """Identify the drive, read its scales, write and read back its dead-man, map its PDOs, start its node.
+
+        Raises
+        ------
+        DeviceError : the drive is absent, another one, or refuses a setting; `DeviceFault` where it is in fault.
+        """
+        self._port.open()
+        self._opened = True
+        self._attach()
+        self._check_identity()
+        self._leave_fault()
+        self._read_scales()
+        self._arm_dead_man()
+        self._nmt(NMT_PRE_OPERATIONAL)
+        self._map_pdos()
+        self._sdo.write(0x1017, 0, "u16", self.settings.producer_heartbeat_ms)
+        self._nmt(NMT_START)
+        self._heard = self._clock.now()
+
+    def close(self) -> None:
+        """Stop listening and let the bus go."""
+        if self._opened:
+            self._opened = False
+            for identifier in self._identifiers():
+                self._port.listen(identifier, None)
+            self._port.close()
+
+    # -- one cycle ---------------------------------------------------------------------------------------------------
+
+    @property
+    def loop_channels(self) -> tuple[ChannelSpec, ...]:
+        """Channels of `values`: references as sent, readings as received."""
+        label = f"{self.role} "
+        voltage = (ChannelSpec("vq", "q_axis_voltage", self.role, self.name, label + "q axis voltage"),)
+        return (
+            ChannelSpec("iq_ref", "q_axis_current_reference", self.role, self.name, label + "q axis current reference"),
+            ChannelSpec("omega_ref", "velocity_reference", self.role, self.name, label + "velocity reference"),
+            ChannelSpec("theta_ref", "angle_reference", self.role, self.name, label + "angle reference", dtype="f8"),
+            ChannelSpec("iq", "q_axis_current", self.role, self.name, label + "q axis current"),
+            ChannelSpec("omega", "velocity", self.role, self.name, label + "velocity"),
+            ChannelSpec("theta", "angle", self.role, self.name, label + "angle", dtype="f8"),
+            ChannelSpec("enabled", "drive_enabled", self.role, self.name, label + "drive follows its setpoint"),
+            *(voltage if self.settings.q_axis_voltage else ()),
+        )
+
+    @property
+    def streams(self) -> tuple[StreamSpec, ...]:
+        """The bus voltage, asked for by SDO at its own pace (0x6079 cannot be mapped)."""
+        channel = ChannelSpec("vbus", "bus_voltage", self.role, self.name, "DC link voltage")
+        return (StreamSpec(f"{self.name}_supply", (channel,)),)
+
+    @property
+    def engaged(self) -> bool:
+        """True once the drive reports operation enabled in the mode that was asked for."""
+        return self._wanted and self.state is State.ENABLED and self._shown_mode == MODES.get(self._mode)
+
+    def engage(self, mode: Mode) -> None:
+        """Begin to enter operation in this mode with zero demand; angle holds where the shaft is."""
+        if mode not in MODES:
+            raise InputError(f"{self.name}: mode '{mode}' is not one a drive can follow")
+        self._mode, self._wanted = mode, True
+        self._value = 0
+        self._located = False
+        self._enable_by = self._clock.now() + ENABLE_TIME_S
+
+    def release(self) -> None:
+        """Begin to leave operation; no current flows once the drive has left it."""
+        self._wanted, self._mode, self._value = False, Mode.OFF, 0
+
+    def command(self, value: float) -> None:
+        """Set the demand of the engaged mode (A, rad/s or rad) for the next cycle.
+
+        Raises
+        ------
+        InputError : not finite, or outside what the drive's object holds.
+        """
+        scale = self._current_per_mille if self._mode in CURRENT_MODES else self._angle_per_count
+        demand = value / scale
+        limit = 0x7FFF if self._mode in CURRENT_MODES else 0x7FFFFFFF
+        if not abs(demand) <= limit:
+            raise InputError(
+                f"{self.name}: a demand of {value:g} is outside what the drive can hold ({limit * abs(scale):g})"
+            )
+        self._value = round(demand)
+
+    def begin_cycle(self) -> None:
+        """Send this cycle's demand; it acts at the SYNC that follows."""
+        word = cia402.DISABLE_VOLTAGE
+        if self._wanted and self._located:
+            word = cia402.towards_enabled(self.state)
+            if self._mode is Mode.ANGLE and self.state is not State.ENABLED:
+                self._value = self._counts  # hold where the shaft is at the moment operation begins
+        self._fresh[0] = self._fresh[1] = self._fresh[2] = False
+        self._send_demand(word)
+
+    def end_cycle(self, deadline: float) -> None:
+        """Collect what the drive sampled at the SYNC; NaN where it did not come.
+
+        Raises
+        ------
+        DeviceFault : the drive is in fault, sent an emergency message, or left operation by itself.
+        NoAnswer : the drive's own heartbeat stayed away, or it did not enter operation in time.
+        """
+        complete = self._fresh
+        if not (complete[0] and complete[1]):
+            self._port.pump_until(lambda: complete[0] and complete[1], deadline)
+        values, enabled = self.values, self.engaged
+        mode = self._mode
+        values[0] = self._value * self._current_per_mille if mode in CURRENT_MODES else NAN
+        values[1] = self._value * self._angle_per_count if mode is Mode.VELOCITY else NAN
+        values[2] = self._value * self._angle_per_count if mode is Mode.ANGLE else NAN
+        if complete[0]:
+            values[3] = self._current * self._current_per_mille
+            values[6] = 1.0 if enabled else 0.0
+        else:
+            values[3] = values[6] = NAN
+        if complete[1]:
+            values[4] = self._speed * self._angle_per_count
+            values[5] = self._counts * self._angle_per_count
+        else:
+            values[4] = values[5] = NAN
+        if self.settings.q_axis_voltage is not None:
+            values[7] = self._voltage * self.settings.q_axis_voltage.scale_V if complete[2] else NAN
+        self._judge()
+
+    def feed(self) -> None:
+        """Send the host's heartbeat once a third of the consumer time has passed; ask for the bus voltage."""
+        now = self._clock.now()
+        if now - self._fed >= self.settings.consumer_heartbeat_ms / 3000:
+            self._port.send(0x700 + self.settings.host_node, bytes((OPERATIONAL,)))
+            self._fed = now
+        if now - self._asked >= self.settings.bus_voltage_period_s:
+            self._asked = now
+            self._port.send(0x600 + self._node, READ_BUS_VOLTAGE)
+
+    def take(self) -> list[Row]:
+        """Bus voltages that have come in since the last call."""
+        rows, self._rows = self._rows, []
+        return rows
+
+    def reset_fault(self) -> None:
+        """Reset a latched fault by the 0 -> 1 edge of bit 7 (CiA 402, transition 15: holding 0x80 never resets).
+
+        Raises
+        ------
+        DeviceFault : the drive is still in fault afterwards, its cause is still there.
+        """
+        self._sdo.write(0x6040, 0, "u16", 0x0000)
+        self._sdo.write(0x6040, 0, "u16", cia402.FAULT_RESET)
+        self._sdo.write(0x6040, 0, "u16", 0x0000)
+        word = self._sdo.read(0x6041, 0, "u16")
+        if cia402.state_of(word) in (State.FAULT, State.FAULT_REACTION):
+            raise DeviceFault(f"{self.name}: still in fault after a reset, {self._fault_text(word)}")
+        self._emergency = ""
+
+    # -- set-up ------------------------------------------------------------------------------------------------------
+
+    def _attach(self) -> None:
+        for identifier, listener in self._identifiers().items():
+            self._port.listen(identifier, listener)
+
+    def _identifiers(self) -> dict[int, Any]:
+        return {
+            0x080 + self._node: self._on_emergency,
+            0x180 + self._node: self._on_status,
+            0x280 + self._node: self._on_motion,
+            0x380 + self._node: self._on_voltage,
+            0x580 + self._node: self._on_sdo,
+            0x700 + self._node: self._on_heartbeat,
+        }
+
+    def _check_identity(self) -> None:
+        expected = self.settings.vendor_id
+        found = self._sdo.read(0x1018, 1, "u32")
+        if expected is not None and found != expected:
+            raise DeviceError(f"{self.name}: vendor 0x{found:08X} at node {self._node}, 0x{expected:08X} was expected")
+
+    def _leave_fault(self) -> None:
+        word = self._sdo.read(0x6041, 0, "u16")
+        if cia402.state_of(word) in (State.FAULT, State.FAULT_REACTION):
+            if not self.settings.reset_fault_at_start:
+                text = self._fault_text(word)
+                raise DeviceFault(f"{self.name}: in fault at start, {text}; mend it, or set reset_fault_at_start: true")
+            self.reset_fault()
+
+    def _fault_text(self, word: int) -> str:
+        code = self._sdo.read(0x603F, 0, "u16")
+        return f"statusword 0x{word:04X}, error 0x{code:04X} ({emergency.CODES.get(code, 'unnamed')})"
+
+    def _read_scales(self) -> None:
+        rated_current_ma = self._sdo.read(0x6075, 0, "u32")
+        rated_torque = self._sdo.read(0x6076, 0, "u32")
+        if rated_current_ma == 0:
+            raise DeviceError(f"{self.name}: rated current 0x6075 is 0 mA; the drive has not been tuned to a motor")
+        if rated_torque != rated_current_ma:
+            raise DeviceError(
+                f"{self.name}: rated torque 0x6076 is {rated_torque}, rated current 0x6075 {rated_current_ma}; equal"
+                " numbers were expected, so that per mille of torque are per mille of current"
+            )
+        q_per_mille = rated_current_ma * 1e-6 * self.settings.current_convention.to_q_axis
+        self._current_per_mille = self.settings.sign * q_per_mille
+
+    def _arm_dead_man(self) -> None:
+        """The drive itself must stop when the host falls silent; a start is refused where that does not stick."""
+        settings = self.settings
+        self._sdo.write_verified(0x6007, 0, "i16", settings.abort_option)
+        self._sdo.write_verified(0x1016, 1, "u32", settings.host_node << 16 | settings.consumer_heartbeat_ms)
+
+    def _map_pdos(self) -> None:
+        node = self._node
+        self._map(0x1400, 0x1600, 0x200 + node, (0x60400010, 0x60710010, 0x60600008))
+        self._map(0x1401, 0x1601, 0x300 + node, (0x607A0020, 0x60FF0020))
+        self._map(0x1800, 0x1A00, 0x180 + node, (0x60410010, 0x60610008, 0x60770010, 0x60780010))
+        self._map(0x1801, 0x1A01, 0x280 + node, (0x60640020, 0x606C0020))
+        voltage = self.settings.q_axis_voltage
+        if voltage is not None:
+            bits = 16 if voltage.type == "i16" else 32
+            self._map(0x1802, 0x1A02, 0x380 + node, (voltage.index << 16 | voltage.subindex << 8 | bits,))
+        if self.settings.torque_slope_per_mille_s is not None:
+            self._sdo.write_verified(0x6087, 0, "u32", self.settings.torque_slope_per_mille_s)
+
+    def _map(self, communication: int, mapping: int, identifier: int, entries: tuple[int, ...]) -> None:
+        """Remap one PDO in the order CiA 301 asks for: invalid, type, empty, entries, count, valid."""
+        self._sdo.write(communication, 1, "u32", 0x80000000 | identifier)
+        self._sdo.write(communication, 2, "u8", 1)
+        self._sdo.write(mapping, 0, "u8", 0)
+        for number, entry in enumerate(entries, start=1):
+            self._sdo.write(mapping, number, "u32", entry)
+        self._sdo.write(mapping, 0, "u8", len(entries))
+        self._sdo.write(communication, 1, "u32", identifier)
+
+    def _nmt(self, command: int) -> None:
+        self._port.send(NMT_ID, bytes((command, self._node)))
+
+    # -- frames ------------------------------------------------------------------------------------------------------
+
+    def _send_demand(self, word: int) -> None:
+        mode, value = self._mode, self._value
+        torque = value if mode in CURRENT_MODES else 0
+        self._port.send(0x200 + self._node, _torque_demand.pack(word, torque, MODES.get(mode, 0)))
+        if mode is Mode.ANGLE:
+            self._port.send(0x300 + self._node, _motion_demand.pack(value, 0))
+        elif mode is Mode.VELOCITY:
+            self._port.send(0x300 + self._node, _motion_demand.pack(self._counts, value))
+
+    _counts = _speed = _current = _voltage = 0
+
+    def _on_status(self, data: bytearray, _timestamp: float) -> None:
+        if len(data) == 7:
+            self.statusword, self._shown_mode, _torque, self._current = _status.unpack(data)
+            self.state = cia402.state_of(self.statusword)
+            self._fresh[0] = True
+
+    def _on_motion(self, data: bytearray, _timestamp: float) -> None:
+        if len(data) == 8:
+            self._counts, self._speed = _motion.unpack(data)
+            self._fresh[1] = self._located = True
+
+    def _on_voltage(self, data: bytearray, _timestamp: float) -> None:
+        voltage = self.settings.q_axis_voltage
+        if voltage is not None and len(data) == (2 if voltage.type == "i16" else 4):
+            self._voltage = int.from_bytes(data, "little", signed=True)
+            self._fresh[2] = True
+
+    def _on_sdo(self, data: bytearray, timestamp: float) -> None:
+        if data[:4] == b"\x43\x79\x60\x00":
+            self._rows.append(
+                Row(f"{self.name}_supply", self._clock.now(), (int.from_bytes(data[4:8], "little") * 1e-3,))
+            )
+        else:
+            self._sdo.on_frame(data, timestamp)
+
+    def _on_heartbeat(self, data: bytearray, _timestamp: float) -> None:
+        self._heard = self._clock.now()
+        self._nmt_state = data[0] & 0x7F if data else 0
+
+    def _on_emergency(self, data: bytearray, _timestamp: float) -> None:
+        if len(data) == 8 and emergency.code_of(data) != emergency.CODE_RESET:
+            self._emergency = emergency.describe(data)
+
+    def _judge(self) -> None:
+        if self._emergency:
+            raise DeviceFault(f"{self.name}: {self._emergency}")
+        if self.state in (State.FAULT, State.FAULT_REACTION):
+            raise DeviceFault(f"{self.name}: {self.state}, statusword 0x{self.statusword:04X}")
+        now = self._clock.now()
+        if now - self._heard > 3e-3 * self.settings.producer_heartbeat_ms + self.settings.consumer_heartbeat_ms * 1e-3:
+            raise NoAnswer(f"{self.name}: no heartbeat of node {self._node} for {now - self._heard:.3f} s")
+        if not self._wanted:
+            return
+        if self.engaged:
+            self._enable_by = -math.inf  # from here on, leaving operation is the drive's own doing
+        elif self._enable_by == -math.inf:
+            raise DeviceFault(
+                f"{self.name}: left operation by itself, {self.state}, statusword 0x{self.statusword:04X}"
+            )
+        elif now > self._enable_by:
+            raise NoAnswer(
+                f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {self.state}, 0x{self.statusword:04X}"
+            )

@@ -1,0 +1,337 @@
+"""The drive's far end of the wire: SDO server, PDOs on SYNC, NMT, heartbeats, emergencies, CiA 402 machine.
+
+Frames in, frames out; no transport, no threads. It shares with the driver only the standard's numbers.
+"""
+
+import math
+import struct
+
+from leactl.driver.far_end import Frame, Machine
+from leactl_plugins.elmo_can.dictionary import (
+    ABORT_INCOMPATIBLE,
+    ABORT_LENGTH,
+    ABORT_NO_OBJECT,
+    ABORT_NO_SUBINDEX,
+    ABORT_NOT_MAPPABLE,
+    ABORT_PDO_LENGTH,
+    ABORT_RANGE,
+    ABORT_READ_ONLY,
+    SIZES,
+    Abort,
+    Entry,
+    gold,
+)
+
+PRE_OPERATIONAL, OPERATIONAL, STOPPED = 0x7F, 0x05, 0x04
+_FOLLOW = {4: "current", 8: "angle", 9: "velocity", 10: "current"}
+_WORD = {"disabled": 0x0240, "ready": 0x0231, "on": 0x0233, "enabled": 0x0637, "quick": 0x0617, "fault": 0x0218}
+_ABORT_BAD_COMMAND = 0x05040001
+_FOREIGN_COB_MASK = 0x7FF
+
+
+class ElmoEmulator:
+    """One Gold drive at a node, turning a machine."""
+
+    def __init__(
+        self,
+        node: int,
+        machine: Machine,
+        *,
+        rated_current_ma: int,
+        counts_per_turn: int,
+        q_axis_per_ampere: float = math.sqrt(1.5),
+        voltage_object: tuple[int, int, str, float] | None = None,
+    ) -> None:
+        self.node = node
+        self._machine = machine
+        self._q_per_mille = rated_current_ma * 1e-6 * q_axis_per_ampere
+        self._counts_per_rad = counts_per_turn / (2 * math.pi)
+        self._entries: dict[tuple[int, int], Entry] = gold(node)
+        self._voltage = voltage_object
+        if voltage_object is not None:
+            self._entries[voltage_object[0], voltage_object[1]] = Entry(voltage_object[2], mappable=True)
+        self._values = {key: entry.default for key, entry in self._entries.items()}
+        self._values[0x6075, 0] = self._values[0x6076, 0] = rated_current_ma
+        self.nmt = PRE_OPERATIONAL
+        self.state = "disabled"
+        self.frozen = False  # a drive that has stopped answering
+        self._pending: dict[int, bytes] = {}
+        self._receive: list[tuple[int, int, list[tuple[tuple[int, int], int]]]] = []
+        self._transmit: list[tuple[int, int, list[tuple[tuple[int, int], int]]]] = []
+        self._next_heartbeat = math.inf
+        self._host_deadline = math.inf
+        self._booted = False
+        self._emergencies: list[Frame] = []
+        self._plan_pdos()
+
+    @property
+    def due(self) -> float:
+        """Time of the next heartbeat, or of the host's heartbeat running out."""
+        if not self._booted:
+            return -math.inf
+        return min(self._next_heartbeat, self._host_deadline)
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        """Take one frame from the bus and answer it."""
+        if self.frozen:
+            return []
+        identifier, data = frame
+        if identifier == 0x080 and self.nmt == OPERATIONAL:
+            return self._sync()
+        if identifier == 0x000 and len(data) == 2 and data[1] in (0, self.node):
+            return self._network(data[0], now)
+        if identifier == 0x600 + self.node and self.nmt != STOPPED and len(data) == 8:
+            return [Frame(0x580 + self.node, self._serve(data, now)), *self._flush()]
+        if self.nmt == OPERATIONAL and (identifier & 0x7F) == self.node and 0x200 <= identifier < 0x580:
+            return self._demand(identifier, data)
+        if 0x700 <= identifier < 0x780:
+            self._hear(identifier - 0x700, now)
+        return []
+
+    def tick(self, now: float) -> list[Frame]:
+        """Boot-up, heartbeats, and the reaction to a host that has fallen silent."""
+        if self.frozen:
+            self._next_heartbeat = self._host_deadline = math.inf
+            return []
+        frames = [] if self._booted else [Frame(0x700 + self.node, b"\x00")]
+        self._booted = True
+        if now >= self._host_deadline:
+            self._host_deadline = math.inf
+            self._lose_host()
+        if now >= self._next_heartbeat:
+            frames.append(Frame(0x700 + self.node, bytes((self.nmt,))))
+            period = self._values[0x1017, 0] * 1e-3
+            self._next_heartbeat = max(self._next_heartbeat + period, now)
+        return frames + self._flush()
+
+    def fault(self, code: int, own: int = 0, register: int = 0x01) -> None:
+        """Enter fault with an emergency message, as after a short circuit or an over-voltage."""
+        self._go("fault")
+        self._values[0x603F, 0] = code
+        self._values[0x1001, 0] = register
+        data = struct.pack("<HBB4x", code, register, own)
+        self._emergencies.append(Frame(0x080 + self.node, data))
+
+    # -- network -----------------------------------------------------------------------------------------------------
+
+    def _flush(self) -> list[Frame]:
+        frames, self._emergencies = self._emergencies, []
+        return frames
+
+    def _network(self, command: int, now: float) -> list[Frame]:
+        if command == 0x01:
+            self.nmt = OPERATIONAL
+        elif command == 0x02:
+            self.nmt = STOPPED
+        elif command == 0x80:
+            self.nmt = PRE_OPERATIONAL
+        elif command in (0x81, 0x82):
+            self._go("disabled")
+            self.nmt, self._booted = PRE_OPERATIONAL, False
+            return self.tick(now)
+        return []
+
+    def _hear(self, node: int, now: float) -> None:
+        """Monitoring starts at the first heartbeat received (301IG, chapter 14)."""
+        for sub in (1, 2):
+            value = self._values[0x1016, sub]
+            if value >> 16 & 0x7F == node and value & 0xFFFF:
+                self._host_deadline = now + (value & 0xFFFF) * 1e-3
+
+    def _lose_host(self) -> None:
+        option = self._values[0x6007, 0]
+        if option == 1:
+            self.fault(0x8130, register=0x11)
+            return
+        self._emergencies.append(Frame(0x080 + self.node, struct.pack("<HBB4x", 0x8130, 0x11, 0)))
+        if option in (2, 3):
+            self._go("disabled")
+
+    # -- SDO ---------------------------------------------------------------------------------------------------------
+
+    def _serve(self, data: bytes, now: float) -> bytes:
+        command, index, sub = struct.unpack_from("<BHB", data)
+        try:
+            if command == 0x40:
+                return self._upload(index, sub)
+            if command & 0xF3 == 0x23:
+                size = 4 - (command >> 2 & 3)
+                self._download(index, sub, data[4 : 4 + size], now)
+                return struct.pack("<BHB4x", 0x60, index, sub)
+            raise Abort(_ABORT_BAD_COMMAND)  # noqa: TRY301 (one place turns every refusal into a frame)
+        except Abort as abort:
+            return struct.pack("<BHBI", 0x80, index, sub, abort.code)
+
+    def _entry(self, index: int, sub: int) -> Entry:
+        entry = self._entries.get((index, sub))
+        if entry is None:
+            known = any(key[0] == index for key in self._entries)
+            raise Abort(ABORT_NO_SUBINDEX if known else ABORT_NO_OBJECT)
+        return entry
+
+    def _upload(self, index: int, sub: int) -> bytes:
+        kind = self._entry(index, sub).kind
+        size = SIZES[kind]
+        self._sample()
+        raw = self._values[index, sub].to_bytes(size, "little", signed=kind[0] == "i")
+        return struct.pack("<BHB", 0x43 | (4 - size) << 2, index, sub) + raw.ljust(4, b"\0")
+
+    def _download(self, index: int, sub: int, raw: bytes, now: float) -> None:
+        entry = self._entry(index, sub)
+        if not entry.writable:
+            raise Abort(ABORT_READ_ONLY)
+        if len(raw) != SIZES[entry.kind]:
+            raise Abort(ABORT_LENGTH)
+        value = int.from_bytes(raw, "little", signed=entry.kind[0] == "i")
+        if (entry.low is not None and value < entry.low) or (entry.high is not None and value > entry.high):
+            raise Abort(ABORT_RANGE)
+        self._check_special(index, sub, value)
+        previous = self._values[index, sub]
+        self._values[index, sub] = value
+        if index == 0x6040:
+            self._control(previous, value)
+        elif index == 0x1017:
+            self._next_heartbeat = now + value * 1e-3 if value else math.inf
+        elif index == 0x1016:
+            self._host_deadline = math.inf
+        elif 0x1400 <= index < 0x1C00:
+            self._plan_pdos()
+
+    def _check_special(self, index: int, sub: int, value: int) -> None:
+        if 0x1400 <= index <= 0x1403 or 0x1800 <= index <= 0x1803:
+            base = 0x200 if index < 0x1800 else 0x180
+            own = base + 0x100 * (index & 3) + self.node
+            if sub == 1 and value & _FOREIGN_COB_MASK != own:
+                raise Abort(ABORT_RANGE)
+        elif 0x1600 <= index <= 0x1603 or 0x1A00 <= index <= 0x1A03:
+            communication = index - 0x200
+            if not self._values[communication, 1] & 0x80000000:
+                raise Abort(ABORT_INCOMPATIBLE)
+            if sub and value:
+                target = self._entries.get((value >> 16, value >> 8 & 0xFF))
+                if target is None or not target.mappable or SIZES[target.kind] * 8 != value & 0xFF:
+                    raise Abort(ABORT_NOT_MAPPABLE)
+            elif sub == 0 and sum(self._values[index, slot] & 0xFF for slot in range(1, value + 1)) > 64:
+                raise Abort(ABORT_PDO_LENGTH)
+        elif index == 0x1016 and value & 0xFFFF:
+            other = self._values[0x1016, 3 - sub]
+            if other & 0xFFFF and other >> 16 == value >> 16:
+                raise Abort(ABORT_INCOMPATIBLE)
+
+    # -- PDO ---------------------------------------------------------------------------------------------------------
+
+    def _plan_pdos(self) -> None:
+        self._receive = self._plan(0x1400, 0x1600)
+        self._transmit = self._plan(0x1800, 0x1A00)
+        self._pending.clear()
+
+    def _plan(self, communication: int, mapping: int) -> list[tuple[int, int, list[tuple[tuple[int, int], int]]]]:
+        plan = []
+        for number in range(4):
+            identifier = self._values[communication + number, 1]
+            count = self._values[mapping + number, 0]
+            if identifier & 0x80000000 or not count:
+                continue
+            fields = []
+            for slot in range(1, count + 1):
+                entry = self._values[mapping + number, slot]
+                fields.append(((entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8))
+            plan.append((identifier & 0x7FF, self._values[communication + number, 2], fields))
+        return plan
+
+    def _demand(self, identifier: int, data: bytes) -> list[Frame]:
+        for known, kind, fields in self._receive:
+            if known == identifier:
+                if len(data) < sum(size for _key, size in fields):
+                    self._emergencies.append(Frame(0x080 + self.node, struct.pack("<HBB4x", 0x8210, 0x21, 0)))
+                elif kind >= 254:
+                    self._apply(fields, data)
+                    self._follow()
+                else:
+                    self._pending[identifier] = data
+        return self._flush()
+
+    def _apply(self, fields: list[tuple[tuple[int, int], int]], data: bytes) -> None:
+        position = 0
+        for key, size in fields:
+            signed = self._entries[key].kind[0] == "i"
+            value = int.from_bytes(data[position : position + size], "little", signed=signed)
+            position += size
+            previous, self._values[key] = self._values[key], value
+            if key == (0x6040, 0):
+                self._control(previous, value)
+
+    def _sync(self) -> list[Frame]:
+        if self._pending:
+            for identifier, _kind, fields in self._receive:
+                data = self._pending.pop(identifier, None)
+                if data is not None:
+                    self._apply(fields, data)
+            self._follow()
+        self._sample()
+        values = self._values
+        frames = []
+        for identifier, kind, fields in self._transmit:
+            if kind <= 240:
+                data = b"".join([(values[key] & (1 << 8 * size) - 1).to_bytes(size, "little") for key, size in fields])
+                frames.append(Frame(identifier, data))
+        return frames + self._flush() if self._emergencies else frames
+
+    # -- machine -----------------------------------------------------------------------------------------------------
+
+    def _sample(self) -> None:
+        current, velocity, angle = self._machine.read()
+        values = self._values
+        per_mille = max(-0x8000, min(0x7FFF, round(current / self._q_per_mille)))
+        values[0x6077, 0] = values[0x6078, 0] = per_mille
+        values[0x6064, 0] = round(angle * self._counts_per_rad)
+        values[0x606C, 0] = round(velocity * self._counts_per_rad)
+        values[0x6041, 0] = _WORD[self.state]
+        values[0x6061, 0] = values[0x6060, 0]
+        values[0x6079, 0] = max(0, round(self._machine.bus_voltage * 1e3))
+        if self._voltage is not None:
+            index, sub, kind, scale = self._voltage
+            limit = (1 << 8 * SIZES[kind] - 1) - 1
+            values[index, sub] = max(-limit - 1, min(limit, round(self._machine.voltage / scale)))
+
+    def _control(self, previous: int, word: int) -> None:
+        """One transition of the machine (402IG, controlword decode); an illegal word changes nothing."""
+        state = self.state
+        if state == "fault":
+            if word & 0x80 and not previous & 0x80:
+                self._values[0x603F, 0] = self._values[0x1001, 0] = 0
+                self._go("disabled")
+                self._emergencies.append(Frame(0x080 + self.node, bytes(8)))
+            return
+        if not word & 0x02:
+            self._go("disabled")
+        elif not word & 0x04:
+            self._go("quick" if state == "enabled" else "disabled")
+        elif not word & 0x01:
+            if state != "quick":
+                self._go("ready")
+        elif not word & 0x08:
+            self._go({"ready": "on", "enabled": "on"}.get(state, state))
+        elif state in ("on", "quick"):
+            self._go("enabled")
+        elif state == "ready":
+            self._go("on")  # bit 3 already set: transition 3 alone
+        self._follow()
+
+    def _go(self, state: str) -> None:
+        self.state = state
+        if state != "enabled":
+            self._machine.command("off", 0.0)
+
+    def _follow(self) -> None:
+        if self.state != "enabled":
+            return
+        values = self._values
+        mode = _FOLLOW.get(values[0x6060, 0])
+        if mode is None:
+            self._machine.command("off", 0.0)
+        elif mode == "current":
+            self._machine.command("current", values[0x6071, 0] * self._q_per_mille)
+        else:
+            target = values[0x607A, 0] if mode == "angle" else values[0x60FF, 0]
+            self._machine.command(mode, target / self._counts_per_rad)

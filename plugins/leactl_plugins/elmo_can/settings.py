@@ -1,0 +1,60 @@
+"""Settings of one Elmo drive in the bench file."""
+
+import math
+from enum import StrEnum
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from leactl.driver.contract import DriverSettings
+
+
+class CurrentConvention(StrEnum):
+    """What the drive means by its current; each is a fixed factor to the power-invariant q axis."""
+
+    AMPLITUDE = "amplitude"
+    POWER_INVARIANT = "power_invariant"
+    RMS = "rms"
+
+    @property
+    def to_q_axis(self) -> float:
+        """Power-invariant q-axis amperes per ampere that the drive reports."""
+        return {"amplitude": math.sqrt(1.5), "power_invariant": 1.0, "rms": math.sqrt(3.0)}[self.value]
+
+
+class VoltageObject(BaseModel):
+    """The mappable object that holds the q-axis voltage; it differs by firmware, so it is never assumed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    index: Annotated[int, Field(ge=0x2000, le=0x9FFF)]
+    subindex: Annotated[int, Field(ge=0, le=255)] = 0
+    type: Literal["i16", "i32"] = "i16"
+    scale_V: Annotated[float, Field(gt=0)]  # noqa: N815 (a unit keeps its letter)
+
+
+class ElmoSettings(DriverSettings):
+    """Everything that differs from drive to drive; scales come from the drive itself."""
+
+    node: Annotated[int, Field(ge=1, le=127)]
+    counts_per_turn: Annotated[int, Field(ge=4, le=2**28)]
+    sign: Literal[-1, 1] = 1
+    current_convention: CurrentConvention = CurrentConvention.AMPLITUDE
+    host_node: Annotated[int, Field(ge=1, le=127)] = 127
+    consumer_heartbeat_ms: Annotated[int, Field(ge=10, le=5000)] = 100
+    producer_heartbeat_ms: Annotated[int, Field(ge=5, le=5000)] = 50
+    abort_option: Literal[1, 2, 3] = 2
+    torque_slope_per_mille_s: Annotated[int, Field(ge=1, le=2**32 - 1)] | None = None
+    q_axis_voltage: VoltageObject | None = None
+    bus_voltage_period_s: Annotated[float, Field(ge=0.05, le=60)] = 1.0
+    sdo_timeout_s: Annotated[float, Field(gt=0, le=5)] = 0.3
+    reset_fault_at_start: bool = False
+    vendor_id: int | None = 0x9A
+
+    @model_validator(mode="after")
+    def _nodes_differ(self) -> "ElmoSettings":
+        if self.node == self.host_node:
+            raise ValueError(f"node and host_node are both {self.node}; the drive and the host need different ones")
+        if self.producer_heartbeat_ms >= 5 * self.consumer_heartbeat_ms:
+            raise ValueError("producer_heartbeat_ms is far above consumer_heartbeat_ms: a lost drive goes unnoticed")
+        return self

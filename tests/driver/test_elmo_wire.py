@@ -1,0 +1,256 @@
+"""The Elmo driver against the drive's far end: what goes over the wire, frame by frame."""
+
+import math
+import struct
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from leactl_plugins.elmo_can.cia402 import State, state_of
+
+from leactl.driver.contract import Mode
+from leactl.driver.far_end import Frame
+from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
+
+from .elmo_bench import ElmoBench, q_axis
+
+
+@pytest.fixture
+def bench():
+    bench = ElmoBench()
+    bench.drive.open()
+    return bench
+
+
+def controlwords(bench):
+    words = [struct.unpack_from("<H", data)[0] for data in bench.sent(0x201)]
+    return [word for word, before in zip(words, [None, *words], strict=False) if word != before]
+
+
+def test_enable_walks_one_transition_a_cycle(bench):
+    bench.drive.engage(Mode.CURRENT)
+    while not bench.drive.engaged:
+        bench.cycle()
+    assert controlwords(bench) == [0x0000, 0x0006, 0x0007, 0x000F]
+    assert bench.drive.statusword == 0x0637
+
+
+@pytest.mark.parametrize(
+    ("word", "state"),
+    [
+        (0x0250, State.DISABLED),
+        (0x0231, State.READY),
+        (0x0233, State.SWITCHED_ON),
+        (0x0637, State.ENABLED),
+        (0x0218, State.FAULT),
+        (0x0298, State.FAULT),
+        (0x0617, State.QUICK_STOP),
+        (0x02C0, State.DISABLED),
+    ],
+)
+def test_statuswords_seen_on_real_drives(word, state):
+    assert state_of(word) is state
+
+
+def test_current_is_per_mille_of_the_drives_own_rating_in_amplitude(bench):
+    bench.drive.engage(Mode.CURRENT)
+    while not bench.drive.engaged:
+        bench.cycle()
+    bench.drive.command(4.9)
+    bench.cycle()
+    values = bench.cycle()
+    assert bench.sent(0x201)[-1] == struct.pack("<Hhb", 0x000F, 358, 10)
+    assert values[0] == pytest.approx(q_axis(358))
+    assert values[3] == pytest.approx(q_axis(358))
+    assert abs(values[3] - 4.9) < q_axis(1) / 2
+
+
+def test_angle_mode_begins_where_the_shaft_is(bench):
+    bench.drive.engage(Mode.ANGLE)
+    while not bench.drive.engaged:
+        bench.cycle()
+    assert bench.shaft.following[0] == "angle"
+    assert bench.shaft.following[1] == pytest.approx(0.25, abs=2 * math.pi / 40000)
+
+
+def test_set_up_writes_and_reads_back_the_dead_man(bench):
+    sdo = bench.sent(0x601)
+    assert struct.pack("<BHBhxx", 0x2B, 0x6007, 0, 2) in sdo
+    assert struct.pack("<BHBI", 0x23, 0x1016, 1, 127 << 16 | 100) in sdo
+    assert struct.pack("<BHB4x", 0x40, 0x1016, 1) in sdo
+
+
+def test_remapping_order_is_invalid_type_empty_entries_count_valid(bench):
+    writes = [data for data in bench.sent(0x601) if data[1:3] in (b"\x00\x18", b"\x00\x1a") and data[0] != 0x40]
+    assert writes == [
+        bytes.fromhex("2300180181010080"),
+        bytes.fromhex("2f00180201000000"),
+        bytes.fromhex("2f001a0000000000"),
+        bytes.fromhex("23001a0110004160"),
+        bytes.fromhex("23001a0208006160"),
+        bytes.fromhex("23001a0310007760"),
+        bytes.fromhex("23001a0410007860"),
+        bytes.fromhex("2f001a0004000000"),
+        bytes.fromhex("2300180181010000"),
+    ]
+
+
+def test_host_heartbeat_is_sent_by_the_cycle_alone(bench):
+    assert bench.sent(0x77F) == []
+    bench.clock.sleep_until(bench.clock.now() + 1.0)
+    assert bench.sent(0x77F) == []
+    bench.drive._heard = bench.clock.now()
+    for _ in range(100):
+        bench.cycle()
+    assert 3 <= len(bench.sent(0x77F)) <= 4
+    assert set(bench.sent(0x77F)) == {b"\x05"}
+
+
+def test_a_silent_host_stops_the_drive(bench):
+    bench.drive.engage(Mode.CURRENT)
+    while not bench.drive.engaged:
+        bench.cycle()
+    bench.drive.command(5.0)
+    bench.cycle()
+    bench.cycle()
+    assert bench.shaft.following[0] == "current"
+    last = bench.clock.now()
+    while bench.shaft.following[0] != "off":
+        bench.clock.sleep_until(bench.clock.now() + 0.001)
+    assert bench.clock.now() - last <= 0.100 + 0.020
+
+
+def test_an_emergency_message_ends_the_cycle(bench):
+    bench.cycle()
+    bench.far.fault(0x3310, own=235)
+    with pytest.raises(DeviceFault, match=r"0x3310 \(over-voltage\).*drive code 235"):
+        bench.cycle()
+
+
+def test_a_drive_that_leaves_operation_is_never_enabled_again(bench):
+    bench.drive.engage(Mode.CURRENT)
+    while not bench.drive.engaged:
+        bench.cycle()
+    bench.far._go("disabled")
+    with pytest.raises(DeviceFault, match="left operation by itself"):
+        for _ in range(5):
+            bench.cycle()
+
+
+def test_a_frozen_drive_gives_nan_then_no_answer(bench):
+    bench.cycle()
+    bench.far.frozen = True
+    values = bench.cycle()
+    assert all(math.isnan(value) for value in values[3:7])
+    with pytest.raises(NoAnswer, match="heartbeat"):
+        for _ in range(1000):
+            bench.cycle()
+
+
+def test_a_fault_at_start_is_named_and_reset_only_on_request():
+    bench = ElmoBench()
+    bench.far.fault(0x7121)
+    with pytest.raises(DeviceFault, match="motor stuck"):
+        bench.drive.open()
+    bench = ElmoBench(reset_fault_at_start=True)
+    bench.far.fault(0x7121)
+    bench.drive.open()
+    words = [data[4:6] for data in bench.sent(0x601) if data[1:3] == b"\x40\x60"]
+    assert words == [b"\x00\x00", b"\x80\x00", b"\x00\x00"]
+
+
+def test_holding_the_reset_bit_never_resets():
+    bench = ElmoBench()
+    bench.far._values[0x6040, 0] = 0x80
+    bench.far.fault(0x7121)
+    bench.far._control(0x80, 0x80)
+    assert bench.far.state == "fault"
+    bench.far._control(0x00, 0x80)
+    assert bench.far.state == "disabled"
+
+
+def test_a_setting_that_does_not_stick_refuses_the_start():
+    bench = ElmoBench()
+    answer = bench.far._download
+    bench.far._download = lambda i, s, raw, now: None if i == 0x1016 else answer(i, s, raw, now)
+    with pytest.raises(DeviceError, match="0x1016:1 holds 0 after"):
+        bench.drive.open()
+
+
+def test_an_abort_names_object_and_code():
+    bench = ElmoBench()
+    del bench.far._entries[0x6007, 0]
+    with pytest.raises(DeviceError, match="0x6007:0 refused, abort 0x06020000"):
+        bench.drive.open()
+
+
+def test_an_absent_drive_is_named():
+    bench = ElmoBench()
+    bench.wire.cut = True
+    with pytest.raises(NoAnswer, match="node 1: no SDO answer"):
+        bench.drive.open()
+
+
+def test_demands_are_never_clipped(bench):
+    bench.drive.engage(Mode.CURRENT)
+    for value in (math.nan, math.inf, 1000.0):
+        with pytest.raises(InputError):
+            bench.drive.command(value)
+
+
+def test_safe_state_is_confirmed_by_the_drive(bench):
+    bench.drive.engage(Mode.CURRENT)
+    while not bench.drive.engaged:
+        bench.cycle()
+    found = bench.drive.safe_state(0.5)
+    assert found.safe
+    assert bench.shaft.following == ("off", 0.0)
+
+
+def test_safe_state_says_what_it_could_not_confirm(bench):
+    bench.wire.cut = True
+    before = bench.clock.now()
+    found = bench.drive.safe_state(0.5)
+    assert not found.safe
+    assert "no SDO answer" in found.detail
+    assert bench.clock.now() - before < 2.0
+
+
+def test_the_bus_voltage_comes_by_sdo_with_its_own_stamps(bench):
+    rows = []
+    for _ in range(2500):
+        bench.cycle()
+        rows += bench.drive.take()
+    assert [row.values for row in rows] == [(29.6,)] * 3
+    assert rows[1].time - rows[0].time == pytest.approx(1.0, abs=0.002)
+
+
+frames = st.builds(Frame, st.integers(0, 0x7FF), st.binary(max_size=8))
+
+
+@settings(max_examples=300)
+@given(st.lists(frames, max_size=30))
+def test_no_babble_from_the_bus_enables_a_drive(noise):
+    bench = ElmoBench()
+    bench.drive.open()
+    for frame in noise:
+        bench.port.bus.arrived.append(frame)
+        try:
+            bench.cycle()
+        except DeviceError:
+            break
+    assert bench.shaft.following[0] == "off"
+    assert all(struct.unpack_from("<H", data)[0] == 0 for data in bench.sent(0x201))
+
+
+@settings(max_examples=300)
+@given(
+    st.lists(
+        st.builds(Frame, st.sampled_from([0, 0x80, 0x201, 0x301, 0x601, 0x701]), st.binary(max_size=8)), max_size=30
+    )
+)
+def test_the_far_end_survives_any_frames(noise):
+    bench = ElmoBench()
+    for frame in noise:
+        for answer in bench.far.receive(frame, 0.0):
+            assert len(answer.data) <= 8
