@@ -41,6 +41,7 @@ class Row(NamedTuple):
     stream: str
     time: float
     values: Sequence[float]
+    fault: str = ""  # why a value is NaN, where the device knows
 
 
 class Mode(StrEnum):
@@ -138,4 +139,9 @@ class AnalogInput(Protocol):
     """A device that measures voltages and can set their zero."""
 
     def tare(self, samples: int) -> dict[str, float]:
-        """Take the present mean as zero; returns the offsets in the channels' units."""
+        """Take the mean of so many coming readings as zero; returns the new offsets by channel name.
+
+        Raises
+        ------
+        DeviceError : a reading fails or is saturated; the old zero stays.
+        """

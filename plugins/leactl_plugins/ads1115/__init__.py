@@ -1,0 +1,1 @@
+"""ADS1115 analog-to-digital converter over I2C."""

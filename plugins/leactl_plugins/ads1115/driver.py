@@ -1,0 +1,159 @@
+"""ADS1115 in single-shot mode: every conversion is started, waited for by its ready bit, and read exactly once.
+
+Single shot makes the age of each reading known and a repeated one impossible; in continuous mode the OS bit is no ready
+flag (TI SBAS444, section 9.6.3). Each input is a stream of its own, stamped at the middle of its conversion.
+"""
+
+import math
+from collections.abc import Sequence
+
+from leactl.driver.clock import Clock
+from leactl.driver.contract import Confirmation, Driver, Row, StreamSpec
+from leactl.driver.i2c_port import I2cPort
+from leactl.errors import DeviceError, DeviceFault, NoAnswer
+from leactl.quantities import ChannelSpec
+from leactl_plugins.ads1115.settings import MUX, RANGES_V, RATES_SPS, Ads1115Settings, Input
+
+CONVERSION, CONFIG = 0x00, 0x01
+START = 0x8000  # OS: start when written, idle when read
+SINGLE_SHOT = 0x0100
+COMPARATOR_OFF = 0x0003
+POWER_DOWN = 0x8583 & ~START  # the reset value, without starting a conversion
+RATE_TOLERANCE = 1.1  # the internal clock is good to 10 %
+WAKE_UP_S = 25e-6
+GIVE_UP_FACTOR = 4.0
+
+
+class _Converter:
+    """What one input needs while the loop runs, worked out once."""
+
+    def __init__(self, device: str, settings: Input, single: bool) -> None:
+        self.settings = settings
+        self.stream = device if single else f"{device}_{settings.name}"
+        code = RANGES_V[settings.range_V]
+        self.config = (
+            START
+            | MUX[settings.pins] << 12
+            | code << 9
+            | SINGLE_SHOT
+            | RATES_SPS.index(settings.rate_sps) << 5
+            | COMPARATOR_OFF
+        )
+        self.conversion_s = 1.0 / settings.rate_sps + WAKE_UP_S
+        self.per_count = settings.sign * settings.scale_per_V * settings.range_V / 32768
+        self.offset = settings.sign * settings.scale_per_V * settings.offset_V
+
+
+class Ads1115(Driver):
+    """One ADS1115 and the sensors at its inputs."""
+
+    Settings = Ads1115Settings
+    transport = "i2c"
+    summary = "ADS1115 16-bit converter over I2C (torque sensor, voltages)"
+
+    def __init__(self, name: str, role: str, settings: Ads1115Settings, port: I2cPort, clock: Clock) -> None:
+        self.name, self.role, self.settings = name, role, settings
+        self._port, self._clock, self._address = port, clock, settings.address
+        single = len(settings.inputs) == 1
+        self._converters = [_Converter(name, item, single) for item in settings.inputs]
+        self._turn = 0
+        self._started: float | None = None
+        self._opened = False
+
+    def safe_state(self, deadline_s: float) -> Confirmation:
+        """Nothing to do: it only measures."""
+        return Confirmation(True, "measures only")
+
+    def open(self) -> None:
+        """Meet the converter: configure it, and see its configuration come back.
+
+        Raises
+        ------
+        DeviceError : nothing acknowledges, or what answers keeps no configuration.
+        """
+        self._port.open()
+        self._opened = True
+        self._port.write(self._address, CONFIG, POWER_DOWN)
+        held = self._port.read(self._address, CONFIG)
+        if held & ~START != POWER_DOWN:
+            place = f"{self.name}: address 0x{self._address:02X}"
+            raise DeviceError(f"{place} holds 0x{held:04X} after 0x{POWER_DOWN:04X} was written; not an ADS1115?")
+
+    def close(self) -> None:
+        """Let the bus go."""
+        if self._opened:
+            self._opened = False
+            self._port.close()
+
+    @property
+    def streams(self) -> tuple[StreamSpec, ...]:
+        """One stream an input."""
+        specs = []
+        for converter in self._converters:
+            item = converter.settings
+            channel = ChannelSpec(item.name, item.quantity, item.role, self.name, item.name, item.location)
+            specs.append(StreamSpec(converter.stream, (channel,)))
+        return tuple(specs)
+
+    def take(self) -> Sequence[Row]:
+        """Read the conversion that is due, start the next; never waits.
+
+        Raises
+        ------
+        NoAnswer : not acknowledged, or a conversion that does not end.
+        """
+        started = self._started
+        if started is None:
+            self._start()
+            return ()
+        converter = self._converters[self._turn]
+        waited = self._clock.now() - started
+        if waited < converter.conversion_s / RATE_TOLERANCE:
+            return ()
+        if not self._port.read(self._address, CONFIG) & START:
+            if waited > GIVE_UP_FACTOR * converter.conversion_s:
+                raise NoAnswer(f"{self.name}: a conversion has not ended after {waited:.4f} s")
+            return ()
+        row = self._row(converter, self._port.read(self._address, CONVERSION), started)
+        self._turn = (self._turn + 1) % len(self._converters)
+        self._start()
+        return (row,)
+
+    def tare(self, samples: int) -> dict[str, float]:
+        """Take the mean of so many coming readings of every torque input as zero; the new offsets by channel name.
+
+        Raises
+        ------
+        DeviceError : a reading fails or is saturated; the old zero stays.
+        """
+        sums = {converter.stream: 0.0 for converter in self._torque()}
+        if not sums:
+            return {}
+        left = dict.fromkeys(sums, samples)
+        while any(left.values()):
+            self._clock.sleep_until(self._clock.now() + self._converters[self._turn].conversion_s)
+            for row in self.take():
+                if row.fault:
+                    raise DeviceFault(f"{self.name}: cannot tare, {row.fault}")
+                if left.get(row.stream, 0):
+                    sums[row.stream] += row.values[0]
+                    left[row.stream] -= 1
+        for converter in self._torque():
+            converter.offset += sums[converter.stream] / samples
+        return {converter.settings.name: converter.offset for converter in self._torque()}
+
+    def _torque(self) -> list[_Converter]:
+        return [converter for converter in self._converters if converter.settings.quantity == "torque"]
+
+    def _start(self) -> None:
+        self._port.write(self._address, CONFIG, self._converters[self._turn].config)
+        self._started = self._clock.now()
+
+    def _row(self, converter: _Converter, raw: int, started: float) -> Row:
+        count = raw - 0x10000 if raw & 0x8000 else raw
+        stamp = started + converter.conversion_s / 2
+        if count in (0x7FFF, -0x8000):
+            item = converter.settings
+            fault = f"input {item.name} is saturated at {'+' if count > 0 else '-'}{item.range_V} V"
+            return Row(converter.stream, stamp, (math.nan,), fault)
+        return Row(converter.stream, stamp, (count * converter.per_count - converter.offset,))

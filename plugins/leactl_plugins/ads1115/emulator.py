@@ -1,0 +1,60 @@
+"""The converter's far end of the wire: registers as in the data sheet (TI SBAS444), voltages from a bench."""
+
+from collections.abc import Callable
+
+CONVERSION, CONFIG, LOW, HIGH = range(4)
+_OS, _SINGLE = 0x8000, 0x0100
+_FULL_SCALE = (6.144, 4.096, 2.048, 1.024, 0.512, 0.256, 0.256, 0.256)
+_RATE = (8, 16, 32, 64, 128, 250, 475, 860)
+_PAIRS = ((0, 1), (0, 3), (1, 3), (2, 3))
+
+
+class Ads1115Emulator:
+    """One ADS1115; `pins(number)` gives the voltage at a pin now, `noise()` one conversion's input noise in volts."""
+
+    def __init__(
+        self, pins: Callable[[int], float], noise: Callable[[], float] = lambda: 0.0, clock_error: float = 0.0
+    ):
+        self._pins, self._noise = pins, noise
+        self._period_factor = 1.0 / (1.0 + clock_error)
+        self._registers = [0x0000, 0x8583, 0x8000, 0x7FFF]
+        self._ends: float | None = None
+        self._sampled = 0
+
+    def read(self, register: int, now: float) -> int:
+        """Read a register."""
+        self._finish(now)
+        if register == CONFIG:
+            return self._registers[CONFIG] & ~_OS | (_OS if self._ends is None else 0)
+        return self._registers[register & 3]
+
+    def write(self, register: int, value: int, now: float) -> None:
+        """Write a register; the conversion register ignores it."""
+        self._finish(now)
+        if register == CONVERSION:
+            return
+        self._registers[register & 3] = value & 0xFFFF
+        if register == CONFIG and (value & _OS or not value & _SINGLE) and self._ends is None:
+            self._begin(now)
+
+    def _begin(self, now: float) -> None:
+        config = self._registers[CONFIG]
+        self._sampled = self._convert(config)
+        self._ends = now + self._period_factor / _RATE[config >> 5 & 7] + 25e-6
+
+    def _finish(self, now: float) -> None:
+        while self._ends is not None and now >= self._ends:
+            self._registers[CONVERSION] = self._sampled
+            ended, self._ends = self._ends, None
+            if not self._registers[CONFIG] & _SINGLE:
+                self._begin(ended)
+
+    def _convert(self, config: int) -> int:
+        mux = config >> 12 & 7
+        if mux < 4:
+            plus, minus = _PAIRS[mux]
+            volts = self._pins(plus) - self._pins(minus)
+        else:
+            volts = self._pins(mux - 4)
+        count = round((volts + self._noise()) / _FULL_SCALE[config >> 9 & 7] * 32768)
+        return max(-0x8000, min(0x7FFF, count)) & 0xFFFF

@@ -1,0 +1,65 @@
+"""Settings of one ADS1115 and of the sensors at its inputs."""
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from leactl.driver.contract import DriverSettings
+from leactl.quantities import ROLES, UNITS
+
+MUX = {"A0-A1": 0, "A0-A3": 1, "A1-A3": 2, "A2-A3": 3, "A0": 4, "A1": 5, "A2": 6, "A3": 7}
+RANGES_V = {6.144: 0, 4.096: 1, 2.048: 2, 1.024: 3, 0.512: 4, 0.256: 5}
+RATES_SPS = (8, 16, 32, 64, 128, 250, 475, 860)
+
+
+class Input(BaseModel):
+    """One input and the sensor behind it: value = sign x scale_per_V x (voltage - offset_V)."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    quantity: str
+    role: str
+    location: str = ""
+    pins: Literal["A0-A1", "A0-A3", "A1-A3", "A2-A3", "A0", "A1", "A2", "A3"]
+    range_V: float = 4.096  # noqa: N815 (a unit keeps its letter)
+    rate_sps: Literal[8, 16, 32, 64, 128, 250, 475, 860] = 860
+    offset_V: Annotated[float, Field(ge=-6.144, le=6.144)] = 0.0  # noqa: N815
+    scale_per_V: Annotated[float, Field(gt=0)]  # noqa: N815
+    sign: Literal[-1, 1] = 1
+
+    @field_validator("quantity")
+    @classmethod
+    def _known_quantity(cls, value: str) -> str:
+        if value not in UNITS:
+            raise ValueError(f"not a quantity of the vocabulary; known: {', '.join(sorted(UNITS))}")
+        return value
+
+    @field_validator("range_V")
+    @classmethod
+    def _known_range(cls, value: float) -> float:
+        if value not in RANGES_V:
+            raise ValueError(f"expected one of {', '.join(map(str, RANGES_V))} V")
+        return value
+
+    @field_validator("role")
+    @classmethod
+    def _known_role(cls, value: str) -> str:
+        if value not in ROLES:
+            raise ValueError(f"expected one of {', '.join(ROLES)}")
+        return value
+
+
+class Ads1115Settings(DriverSettings):
+    """Address and inputs; several inputs are converted in turn."""
+
+    address: Literal[0x48, 0x49, 0x4A, 0x4B] = 0x48
+    inputs: Annotated[tuple[Input, ...], Field(min_length=1, max_length=8)]
+
+    @field_validator("inputs")
+    @classmethod
+    def _names_differ(cls, value: tuple[Input, ...]) -> tuple[Input, ...]:
+        names = [item.name for item in value]
+        if len(set(names)) != len(names):
+            raise ValueError(f"two inputs share a name among {', '.join(names)}")
+        return value
