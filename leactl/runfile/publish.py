@@ -9,7 +9,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from leactl.errors import InputError
+from leactl.errors import InputError, LeactlError
+
+
+class NotWritten(LeactlError):
+    """A file could not be written; whatever stood in its place before still does."""
 
 
 @contextmanager
@@ -59,6 +63,8 @@ def temporary(target: Path) -> Iterator[Path]:
     path = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
     try:
         yield path
+    except OSError as fault:
+        raise NotWritten(f"{target}: cannot be written: {' '.join(str(fault).split())}") from fault
     finally:
         path.unlink(missing_ok=True)
 

@@ -118,7 +118,10 @@ class Run:
     def steps(self) -> list[Step]:
         """The parts of the run, in the order in which they were recorded."""
         rows = self._table("steps", layout.TABLES["steps"])
-        return [Step(*row[:4], self._parameters(index, row[4])) for index, row in enumerate(rows)]
+        return [
+            Step(name, start, stop, settle, self._parameters(index, text))
+            for index, (name, start, stop, settle, text) in enumerate(rows)
+        ]
 
     @property
     def events(self) -> list[Event]:

@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 
 from leactl.runfile import layout
+from leactl.runfile.space import reserve, trim
 
 Row = Mapping[str, Any]
 
@@ -40,6 +41,7 @@ def repack(
     tables : the rows of `/steps` and `/events`.
     """
     with h5py.File(target, "x", libver="latest") as clean:
+        reserve(clean, 0)
         for name in source.attrs:
             clean.attrs[name] = source.attrs[name]
         clean.attrs["status"] = status
@@ -48,8 +50,13 @@ def repack(
         streams = clean.create_group("streams")
         for name, count in rows.items():
             copy_stream(source["streams"][name], streams.create_group(name, track_order=True), count)
+        reserve(
+            clean,
+            sum(len(as_text(cell)) * 4 + 64 for table in tables.values() for row in table for cell in row.values()),
+        )
         for name, columns in layout.TABLES.items():
             write_table(clean.create_group(name), columns, tables.get(name, ()))
+    trim(target)
 
 
 def copy_setup_and_sources(source: Any, clean: Any) -> None:
@@ -60,7 +67,9 @@ def copy_setup_and_sources(source: Any, clean: Any) -> None:
             setup.attrs[name] = source["setup"].attrs[name]
     for name in layout.SOURCES:
         if f"{name}/source" in source:
-            write_source(clean, name, layout.plain(source[f"{name}/source"][()]))
+            text = layout.plain(source[f"{name}/source"][()])
+            reserve(clean, text_bytes(text))
+            write_source(clean, name, text)
 
 
 def write_source(file: Any, name: str, text: str) -> None:
@@ -87,7 +96,9 @@ def copy_column(source: Any, target: Any, rows: int) -> Any:
     sha = hashlib.sha256()
     for start in range(0, rows, layout.BLOCK_ROWS):
         block = layout.little_endian(source[start : min(start + layout.BLOCK_ROWS, rows)])
+        reserve(dataset.file, block.nbytes)
         dataset[start : start + len(block)] = block
+        dataset.flush()
         sha.update(block.tobytes())
     for key, value in layout.attributes(source).items():
         dataset.attrs[key] = value
@@ -111,6 +122,11 @@ def write_table(group: Any, columns: Mapping[str, int | None], rows: Sequence[Ro
 def as_text(value: Any) -> str:
     """A cell as text: step parameters become JSON."""
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)
+
+
+def text_bytes(text: str) -> int:
+    """Room for one string of variable length: UTF-8 takes four bytes at most, HDF5 some more to find it again."""
+    return 4 * len(text) + 64
 
 
 def one_line(text: str) -> str:

@@ -6,7 +6,6 @@ every flushed row readable; an orderly close repacks it. Appending never waits f
 
 import re
 import secrets
-import shutil
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,11 +21,13 @@ from leactl.errors import InputError, LeactlError, SafetyTrip, Stopped
 from leactl.quantities import ROLES, SETUPS, UNITS, ChannelSpec, accepted_units
 from leactl.runfile import layout
 from leactl.runfile.buffer import RowBuffer
-from leactl.runfile.publish import move_without_overwriting, refuse_existing, replacement
-from leactl.runfile.repack import as_text, one_line, repack
+from leactl.runfile.publish import NotWritten, move_without_overwriting, refuse_existing, replacement
+from leactl.runfile.repack import as_text, one_line, repack, text_bytes
+from leactl.runfile.space import reserve, trim
 
 LIVE_CHUNK_ROWS = 1 << 12
-RESERVE_BYTES = 1 << 20  # HDF5 needs room for its own tables: stop before the disk is full to the last byte
+LIVE_TABLE_ROWS = 16
+COLUMN_BYTES = 8192  # attributes and index of one dataset, generously
 
 
 class RecordingFailed(LeactlError):
@@ -95,10 +96,14 @@ class RunWriter:
 
     def append_row(self, stream: str, time: float, values: Sequence[float]) -> None:
         """Add one row; a few microseconds, whatever the disk does."""
+        if self.closed:
+            raise self._ended()
         self._buffers[stream].append_row(time, values)
 
     def append(self, stream: str, times: np.ndarray[Any, Any], block: np.ndarray[Any, Any]) -> None:
         """Add rows: `times` (n,) and `block` (n, channels)."""
+        if self.closed:
+            raise self._ended()
         self._buffers[stream].append(times, block)
 
     def step(self, name: str, start: float, stop: float, settle: float, parameters: Mapping[str, Any]) -> None:
@@ -142,53 +147,62 @@ class RunWriter:
             return
         if error is None:
             self.close("complete")
-        elif isinstance(error, RecordingFailed):
-            self._abandon()
         else:
             stopped = isinstance(error, Stopped | KeyboardInterrupt)
             status = "tripped" if isinstance(error, SafetyTrip) else "stopped" if stopped else "failed"
             self.close(status, str(error) or type(error).__name__)
 
     def _write_pending(self) -> None:
+        tables = {name: rows[self._tables_written[name] :] for name, rows in self._tables.items()}
         taken = {name: buffer.take() for name, buffer in self._buffers.items()}
-        self._require_room(sum(rows.nbytes for rows in taken.values()))
+        self._reserve(taken, tables)
         for name, rows in taken.items():
             if len(rows):
                 write_rows(self._file["streams"][name], self._columns[name], self._written[name], rows)
                 self._written[name] += len(rows)
-        for name, rows_of_table in self._tables.items():
-            pending = rows_of_table[self._tables_written[name] :]
+        for name, pending in tables.items():
             if pending:
                 write_live_table(self._file[name], layout.TABLES[name], self._tables_written[name], pending)
                 self._tables_written[name] += len(pending)
 
-    def _require_room(self, pending: int) -> None:
-        free = shutil.disk_usage(self.path.parent).free
-        if free < pending + RESERVE_BYTES:
-            raise OSError(f"{free} bytes are free, {pending + RESERVE_BYTES} are needed")
+    def _reserve(self, taken: Mapping[str, np.ndarray[Any, Any]], tables: Mapping[str, Sequence[Any]]) -> None:
+        """Take room for the rows, for a chunk that each column may begin, and for the tables' fixed-length text."""
+        size = sum(rows.nbytes + 8 * LIVE_CHUNK_ROWS * rows.shape[1] for rows in taken.values() if len(rows))
+        for name, rows in tables.items():
+            size += (len(rows) + LIVE_TABLE_ROWS) * sum(width or 8 for width in layout.TABLES[name].values())
+        try:
+            reserve(self._file, size)
+        except OSError:
+            self._file.close()  # nothing failed inside HDF5 yet: the file closes in order
+            raise
 
     def _repack(self, status: str, reason: str) -> None:
+        trim(self.path)
         with h5py.File(self.path, "r") as live, replacement(self.path) as target:
             repack(live, target, status=status, reason=reason, rows=self._written, tables=self._tables)
 
     def _on_disk(self, action: Callable[[], None]) -> None:
         """Do something with the file; where the disk refuses, let go of the file and say so in one line."""
         if self.closed:
-            raise RecordingFailed(f"{self.path}: the recording has ended; start a new run")
+            raise self._ended()
         try:
             action()
         # HDF5 reports a full disk as OSError while writing and as RuntimeError while flushing or closing
-        except (OSError, RuntimeError) as fault:
+        except (OSError, RuntimeError, NotWritten) as fault:
             self._abandon()
             hint = "free space on the disk, then run: leactl runs recover"
             raise RecordingFailed(f"{self.path}: recording failed: {one_line(str(fault))}; {hint}") from fault
 
+    def _ended(self) -> RecordingFailed:
+        return RecordingFailed(f"{self.path}: the recording has ended; start a new run")
+
     def _abandon(self) -> None:
         self.closed = True
-        try:
-            self._file.close()
-        except (OSError, RuntimeError):
-            return  # the caller reports why the disk refused; the flushed rows are in the file
+        if self._file:  # closing after a failed write crashes inside HDF5: keep it open, for good
+            KEPT_OPEN.append(self._file)
+
+
+KEPT_OPEN: list[Any] = []
 
 
 def faults_of(info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> list[str]:
@@ -236,6 +250,13 @@ def faults_of_channel(place: str, spec: ChannelSpec) -> list[str]:
 def create(partial: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> Any:
     """Create everything a run will need, since SWMR mode allows no new objects, and switch SWMR on."""
     file = h5py.File(partial, "x", libver="latest")
+    try:
+        columns = sum(1 + len(specs) for specs in streams.values())
+        reserve(file, columns * COLUMN_BYTES + sum(text_bytes(text) for text in info.sources.values()))
+    except OSError:
+        file.close()
+        partial.unlink()
+        raise
     for name in layout.ROOT_ATTRIBUTES:
         file.attrs[name] = layout.storable(value) if isinstance(value := root_value(name, info), str) else value
     setup = file.create_group("setup")
@@ -249,10 +270,10 @@ def create(partial: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelS
     live = {"shape": (0,), "maxshape": (None,), "chunks": (LIVE_CHUNK_ROWS,), "fillvalue": np.nan}
     for stream, specs in streams.items():
         layout.create_stream(group, stream, list(specs), **live)
-    for table, columns in layout.TABLES.items():
-        for column, width in columns.items():
+    for table, widths in layout.TABLES.items():
+        for column, width in widths.items():
             dtype = "<f8" if width is None else h5py.string_dtype("utf-8", width)
-            file.create_dataset(f"{table}/{column}", (0,), dtype=dtype, maxshape=(None,), chunks=(16,))
+            file.create_dataset(f"{table}/{column}", (0,), dtype=dtype, maxshape=(None,), chunks=(LIVE_TABLE_ROWS,))
     file.swmr_mode = True
     return file
 

@@ -1,0 +1,150 @@
+"""Export a run to CSV, MATLAB or Parquet for people who do not read HDF5; the run file stays the record.
+
+One file per stream where the format knows one table, one file in all for MATLAB. Nothing is overwritten or left half
+written.
+"""
+
+import csv
+import re
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from leactl.errors import InputError
+from leactl.runfile.publish import new_file, refuse_existing
+from leactl.runfile.reader import Run
+
+Format = Literal["csv", "mat", "parquet"]
+FIELD_LENGTH = 63  # MATLAB's longest name
+
+
+def export(run_path: Path, fmt: str, out: Path) -> list[Path]:
+    """Write a run into the directory `out` as `<run>.<stream>.csv`, `<run>.<stream>.parquet` or `<run>.mat`.
+
+    Returns
+    -------
+    The files written.
+
+    Raises
+    ------
+    InputError : unknown format, a run that cannot be read, a file that exists, or pyarrow missing for Parquet.
+    """
+    if fmt not in get_args(Format):
+        raise InputError(f"format {fmt!r} is none of {', '.join(get_args(Format))}")
+    with Run.open(run_path) as run:
+        writers = WRITERS[fmt](run)
+        targets = {out / f"{run_path.stem}{suffix}": write for suffix, write in writers.items()}
+        for target in targets:
+            refuse_existing(target)
+        out.mkdir(parents=True, exist_ok=True)
+        with ExitStack() as published:  # all files are written before the first takes its name
+            for target, write in targets.items():
+                write(published.enter_context(new_file(target)))
+    return list(targets)
+
+
+Writer = Callable[[Path], None]
+
+
+def csv_writers(run: Run) -> dict[str, Writer]:
+    """One CSV per stream."""
+
+    def write(stream: str, target: Path) -> None:
+        with target.open("x", encoding="utf-8", newline="") as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow(["time [s]", *(f"{spec.name} [{spec.units}]" for spec in run.streams[stream])])
+            for block in run.blocks(stream, rows=1 << 14):
+                table.writerows(zip(*(numerals(column) for column in block.values()), strict=True))
+
+    return {f".{stream}.csv": partial(write, stream) for stream in run.streams}
+
+
+def numerals(column: np.ndarray[Any, Any]) -> Iterator[str]:
+    """Shortest digits that read back as the same value: float32 needs nine at most."""
+    return (f"{value:.9g}" if column.itemsize < 8 else repr(value) for value in column.tolist())
+
+
+def parquet_writers(run: Run) -> dict[str, Writer]:
+    """One Parquet file per stream, units and the run's attributes as metadata."""
+    try:
+        import pyarrow as arrow
+        from pyarrow import parquet
+    except ImportError as fault:
+        raise InputError("Parquet needs pyarrow: pip install 'leactl[parquet]'") from fault
+
+    def write(stream: str, target: Path) -> None:
+        fields = [arrow.field("time", arrow.float64(), metadata={"units": "s"})]
+        for spec in run.streams[stream]:
+            metadata = {key: value for key, value in spec._asdict().items() if value and key not in ("name", "dtype")}
+            fields.append(arrow.field(spec.name, arrow.from_numpy_dtype(spec.dtype), metadata=metadata))
+        schema = arrow.schema(fields, metadata={key: str(value) for key, value in run.attributes.items()})
+        with parquet.ParquetWriter(target, schema) as table:
+            for block in run.blocks(stream):
+                native = [column.astype(column.dtype.newbyteorder("=")) for column in block.values()]
+                table.write_table(arrow.table([*map(arrow.array, native)], schema=schema))
+
+    return {f".{stream}.parquet": partial(write, stream) for stream in run.streams}
+
+
+def mat_writers(run: Run) -> dict[str, Writer]:
+    """One MATLAB file: structs `run`, `setup`, `streams.<stream>.<channel>`, `steps`, `events`."""
+    from scipy.io import savemat
+
+    def write(target: Path) -> None:
+        content = {
+            "run": struct({**run.attributes}),
+            "setup": struct({**run.setup}),
+            "streams": struct({stream: mat_stream(run, stream) for stream in run.streams}),
+            "steps": [struct({**vars(step), "parameters": str(step.parameters)}) for step in run.steps],
+            "events": [struct(vars(event)) for event in run.events],
+        }
+        with target.open("xb") as file:
+            savemat(file, content, long_field_names=True, do_compression=True, oned_as="column")
+
+    return {".mat": write}
+
+
+def mat_stream(run: Run, stream: str) -> dict[str, Any]:
+    """One stream as a struct of channels, each with its values and what they are."""
+    columns: dict[str, Any] = {"time": run.time(stream)}
+    values = {name: np.concatenate(parts) for name, parts in collected(run, stream).items()}
+    for spec in run.streams[stream]:
+        about = {key: value for key, value in spec._asdict().items() if value and key != "dtype"}
+        columns[spec.name] = struct({"values": values[spec.name], **about})
+    return struct(columns)
+
+
+def collected(run: Run, stream: str) -> dict[str, list[np.ndarray[Any, Any]]]:
+    """All blocks of a stream, by column."""
+    columns: dict[str, list[np.ndarray[Any, Any]]] = {
+        spec.name: [np.empty(0, spec.dtype)] for spec in run.streams[stream]
+    }
+    for block in run.blocks(stream):
+        for name in columns:
+            columns[name].append(block[name])
+    return columns
+
+
+def struct(fields: dict[str, Any]) -> dict[str, Any]:
+    """The fields under names that MATLAB takes: letters, digits and underscores, a letter first, no two alike."""
+    named: dict[str, Any] = {}
+    for name, value in fields.items():
+        plain = re.sub(r"\W", "_", name, flags=re.ASCII)
+        plain = (plain if plain[:1].isalpha() else f"x{plain}")[:FIELD_LENGTH]
+        suffix = 2
+        while plain in named:
+            plain = f"{plain[: FIELD_LENGTH - 4]}_{suffix}"
+            suffix += 1
+        named[plain] = value
+    return named
+
+
+WRITERS: dict[str, Callable[[Run], dict[str, Writer]]] = {
+    "csv": csv_writers,
+    "mat": mat_writers,
+    "parquet": parquet_writers,
+}

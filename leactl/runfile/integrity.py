@@ -1,0 +1,166 @@
+"""Verify, recover and annotate run files; the measured values themselves are never changed.
+
+`recover` writes a copy next to the original, `annotate` replaces the file only after every checksum has held.
+"""
+
+import shutil
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from leactl.errors import InputError
+from leactl.runfile import layout
+from leactl.runfile.checks import faults_of_streams, whole_rows
+from leactl.runfile.opening import faults_of_links, open_run_file
+from leactl.runfile.publish import new_file, refuse_existing, replacement
+from leactl.runfile.reader import Run
+from leactl.runfile.repack import repack, text_bytes, write_table
+from leactl.runfile.space import reserve, trim
+
+
+def verify(path: Path) -> list[str]:
+    """Everything that is wrong with a run file, one line each; empty where all is well.
+
+    Foreign files carry no checksums; that alone is no finding.
+    """
+    try:
+        file, live = open_run_file(path)
+    except InputError as fault:
+        return fault.faults
+    with file:
+        try:
+            findings = [*unfinished(file, live), *missing_attributes(file), *faults_of_links(file)]
+            findings += faults_of_streams(file.get("streams", {}), unfinished=False)
+            return [f"{path}: {finding}" for finding in [*findings, *wrong_checksums(file)]]
+        except (OSError, RuntimeError, KeyError) as fault:
+            return [f"{path}: damaged: {' '.join(str(fault).split())}"]
+
+
+def unfinished(file: Any, live: bool) -> list[str]:
+    """Whether the recording came to its orderly end."""
+    status = layout.plain(file.attrs.get("status", ""))
+    if live or status == layout.RECORDING:
+        return ["incomplete recording: still being written or left by a kill; run: leactl runs recover"]
+    if status and status not in layout.STATUSES:
+        return [f"status {status!r} is none of {', '.join(layout.STATUSES)}"]
+    return []
+
+
+def missing_attributes(file: Any) -> list[str]:
+    """Attributes that the format asks for and the file does not have."""
+    wanted: list[tuple[str, Any, tuple[str, ...]]] = [("", file, layout.ROOT_ATTRIBUTES)]
+    if "mechanical" not in layout.attributes(file.get("setup", file)):
+        wanted.append(("/setup", file.get("setup", file), ("mechanical",)))
+    for place, dataset in layout.datasets(file.get("streams", {}), "/streams"):
+        if not place.endswith("/time"):
+            wanted.append((place, dataset, layout.CHANNEL_ATTRIBUTES))
+    return [
+        f"{place or '/'}: no attribute {name!r}"
+        for place, node, names in wanted
+        for name in names
+        if name not in node.attrs
+    ]
+
+
+def wrong_checksums(file: Any) -> list[str]:
+    """Datasets whose values are not those that were stored at close."""
+    findings = []
+    stored = {place: layout.plain(dataset.attrs.get("sha256", "")) for place, dataset in layout.datasets(file)}
+    for place, expected in stored.items():
+        if not expected:
+            if any(stored.values()):
+                findings.append(f"{place}: no checksum, though other datasets have one")
+            continue
+        try:
+            found = layout.digest(file[place])
+        except (OSError, RuntimeError) as fault:
+            findings.append(f"{place}: cannot be read: {' '.join(str(fault).split())}")
+            continue
+        if found != expected:
+            findings.append(f"{place}: checksum mismatch: values give {found[:12]}..., stored {expected[:12]}...")
+    return findings
+
+
+def recover(path: Path) -> Path:
+    """Write a clean copy of a run that was cut off, as `<stem>.recovered.h5`; the original stays.
+
+    Columns are cut to the shortest whole row, the status becomes `recovered`.
+
+    Raises
+    ------
+    InputError : not a run file, a run that ended in order, or a copy that exists already.
+    """
+    target = path.with_name(f"{path.stem}.recovered.h5")
+    refuse_existing(target)
+    file, live = open_run_file(path)
+    with file:
+        streams = file.get("streams", {})
+        uneven = faults_of_streams(streams, unfinished=False)
+        if not (live or uneven or layout.plain(file.attrs.get("status", "")) == layout.RECORDING):
+            raise InputError(f"{path}: the recording ended in order; there is nothing to recover")
+        if faults := [*faults_of_links(file), *faults_of_streams(streams, unfinished=True)]:
+            raise InputError([f"{path}: {fault}" for fault in faults])
+        with new_file(target) as clean:
+            repack(
+                file,
+                clean,
+                status="recovered",
+                reason=f"recovered from {path.name}, whose recording was cut off",
+                rows={name: whole_rows(group) for name, group in streams.items()},
+                tables=recorded_tables(file),
+            )
+    return target
+
+
+def recorded_tables(file: Any) -> dict[str, list[dict[str, Any]]]:
+    """Rows of `/steps` and `/events` that every column has."""
+    tables = {}
+    for name, columns in layout.TABLES.items():
+        group = file.get(name, {})
+        cells = [read_cells(group, column) for column in columns]
+        tables[name] = [dict(zip(columns, row, strict=True)) for row in zip(*cells, strict=False)]
+    return tables
+
+
+def read_cells(group: Mapping[str, Any], column: str) -> list[Any]:
+    """One column of a table; empty where it is absent."""
+    if column not in group:
+        return []
+    dataset = group[column]
+    return layout.texts(dataset) if layout.is_text(dataset) else list(dataset[:].tolist())
+
+
+def annotate(path: Path, text: str, author: str = "") -> None:
+    """Add a note under `/notes`; the file is replaced in one step once every checksum has held.
+
+    Raises
+    ------
+    InputError : not a run file, one that is still being written, or a checksum that does not hold.
+    """
+    with Run.open(path) as run:
+        if run.unfinished:
+            raise InputError(f"{path}: still being written or left by a kill; close or recover it first")
+        notes = [vars(note) for note in run.notes]
+    notes.append({"time": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}", "author": author, "text": text})
+    before = checksums(path)
+    with replacement(path) as copy:
+        shutil.copy2(path, copy)
+        with h5py.File(copy, "r+", libver="latest") as file:
+            if "notes" in file:
+                del file["notes"]
+            reserve(file, sum(text_bytes(cell) for note in notes for cell in note.values()))
+            write_table(file.create_group("notes"), layout.NOTES, notes)
+        trim(copy)
+        if checksums(copy) != before:
+            raise InputError(f"{path}: the copy with the note does not hold the same values; the file is as it was")
+
+
+def checksums(path: Path) -> dict[str, str]:
+    """Checksum of every dataset but the notes, taken from the values; refuses values that are not the stored ones."""
+    with h5py.File(path, "r") as file:
+        if findings := wrong_checksums(file):
+            raise InputError([f"{path}: {finding}" for finding in findings])
+        return {place: layout.digest(item) for place, item in layout.datasets(file) if not place.startswith("/notes/")}

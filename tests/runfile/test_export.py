@@ -1,0 +1,72 @@
+"""Exports hold the same values, never overwrite and never leave half a file."""
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+from scipy.io import loadmat
+
+from leactl.errors import InputError
+from leactl.runfile.export import export
+from leactl.runfile.reader import Run
+
+
+def test_csv_reads_back_exactly(complete: Path, tmp_path: Path):
+    written = export(complete, "csv", tmp_path / "out")
+    assert sorted(path.name for path in written) == [f"{complete.stem}.camera.csv", f"{complete.stem}.loop.csv"]
+    loop = next(path for path in written if "loop" in path.name)
+    with loop.open(newline="") as file:
+        header, *rows = csv.reader(file)
+    assert header == ["time [s]", "iq [A]", "theta [rad]", "a_torque [N*m]"]
+    with Run.open(complete) as run:
+        current = run.channel("q_axis_current")
+    np.testing.assert_array_equal([float(row[0]) for row in rows], current.time)
+    np.testing.assert_array_equal(np.array([row[1] for row in rows], "f4").astype("f8"), current.values)
+    assert rows[500][3] == "nan"
+
+
+def test_mat_holds_structs(complete: Path, tmp_path: Path):
+    (written,) = export(complete, "mat", tmp_path)
+    content = loadmat(written, simplify_cells=True)
+    assert content["run"]["run_id"] == complete.stem
+    assert content["streams"]["loop"]["iq"]["units"] == "A"
+    assert content["streams"]["loop"]["theta"]["values"][2] == 1.0
+    assert content["steps"][0]["name"] == "hold"
+    assert content["setup"]["mechanical"] == "coupled"
+
+
+def test_parquet_holds_units(complete: Path, tmp_path: Path):
+    written = export(complete, "parquet", tmp_path)
+    table = parquet.read_table(next(path for path in written if "loop" in path.name))
+    assert table.num_rows == 1000
+    assert table.schema.field("a_torque").metadata[b"units"] == b"N*m"
+    assert table.schema.metadata[b"run_id"].decode() == complete.stem
+    assert table["theta"][3].as_py() == 1.5
+
+
+def test_parquet_without_pyarrow_says_what_to_install(complete: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(InputError, match=r"leactl\[parquet\]"):
+        export(complete, "parquet", tmp_path)
+
+
+@pytest.mark.parametrize("fmt", ["csv", "mat", "parquet"])
+def test_an_existing_export_is_kept(complete: Path, tmp_path: Path, fmt: str):
+    out = tmp_path / "out"
+    kept = export(complete, fmt, out)[-1]
+    for path in out.iterdir():
+        if path != kept:
+            path.unlink()
+    kept.write_text("mine")
+    with pytest.raises(InputError, match="exists already"):
+        export(complete, fmt, out)
+    assert list(out.iterdir()) == [kept]
+    assert kept.read_text() == "mine"
+
+
+def test_an_unknown_format_is_refused(complete: Path, tmp_path: Path):
+    with pytest.raises(InputError, match="csv, mat, parquet"):
+        export(complete, "xlsx", tmp_path)
