@@ -1,0 +1,47 @@
+"""Limits of a bench: what may be commanded, what may be measured, and how old a reading may be."""
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class Limits(BaseModel):
+    """The `limits:` block of a bench file; every one is required, none defaults to infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    current_A: Positive  # noqa: N815 (a unit keeps its letter)
+    velocity_rad_s: Positive
+    torque_Nm: Positive  # noqa: N815
+    bus_voltage_low_V: Annotated[float, Field(ge=0, allow_inf_nan=False)]  # noqa: N815
+    bus_voltage_high_V: Positive  # noqa: N815
+    age_s: Positive
+    winding_temperature_degC: Annotated[float, Field(gt=25, le=200)]  # noqa: N815
+
+    @model_validator(mode="after")
+    def _low_below_high(self) -> "Limits":
+        if self.bus_voltage_low_V >= self.bus_voltage_high_V:
+            raise ValueError(
+                f"bus_voltage_low_V {self.bus_voltage_low_V:g} V is not below bus_voltage_high_V"
+                f" {self.bus_voltage_high_V:g} V"
+            )
+        return self
+
+    def of(self, quantity: str) -> tuple[float, float] | None:
+        """Lowest and highest value a quantity may have; None where nothing limits it."""
+        symmetric = {
+            "q_axis_current": self.current_A,
+            "q_axis_current_reference": self.current_A,
+            "velocity": self.velocity_rad_s,
+            "velocity_reference": self.velocity_rad_s,
+            "torque": self.torque_Nm,
+        }.get(quantity)
+        if symmetric is not None:
+            return -symmetric, symmetric
+        if quantity == "bus_voltage":
+            return self.bus_voltage_low_V, self.bus_voltage_high_V
+        if quantity == "winding_temperature":
+            return -40.0, self.winding_temperature_degC
+        return None

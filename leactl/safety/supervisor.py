@@ -1,0 +1,222 @@
+"""The one supervisor: every setpoint passes through it to a device, every sample on its way to the file.
+
+It holds the only references to the drives that the runner may command. A trip latches; every end brings all devices to
+their safe state in a fixed order, and says what could not be confirmed.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from leactl.driver.clock import Clock
+from leactl.driver.contract import Confirmation, Driver, Mode, MotionDevice, Row
+from leactl.errors import InputError, SafetyTrip
+from leactl.quantities import UNITS, ChannelSpec
+from leactl.safety.limits import Limits
+from leactl.safety.winding import WindingEstimate
+
+SAFE_STATE_S = 1.0
+SETPOINT_QUANTITY = {
+    Mode.CURRENT: "q_axis_current_reference",
+    Mode.TORQUE_PROFILE: "q_axis_current_reference",
+    Mode.VELOCITY: "velocity_reference",
+}
+
+
+class Axis(NamedTuple):
+    """A drive under supervision: the device as a driver and as a motion device, and its winding's estimate."""
+
+    driver: Driver
+    motion: MotionDevice
+    winding: WindingEstimate
+
+
+@dataclass
+class _Watch:
+    """One limited value of a device's exchange, and when it was last a number."""
+
+    index: int
+    label: str
+    unit: str
+    low: float
+    high: float
+    seen: float
+
+
+@dataclass
+class _Guarded:
+    axis: Axis
+    watches: list[_Watch]
+    current: int  # where the q-axis current stands among the values
+    mode: Mode = Mode.OFF
+    reference: float = 0.0
+    advanced: float = field(default=-math.inf)
+
+
+class Supervisor:
+    """Limits, age, winding temperature, latch, and the orderly end."""
+
+    def __init__(self, limits: Limits, axes: Mapping[str, Axis], others: Sequence[Driver], clock: Clock) -> None:
+        self._limits, self._clock, self._others = limits, clock, list(others)
+        self.tripped: str = ""
+        now = clock.now()
+        self._axes = {role: self._guard(axis, now) for role, axis in axes.items()}
+        self._own: dict[str, list[_Watch]] = {}
+        for device in (*[axis.driver for axis in axes.values()], *others):
+            for stream in device.streams:
+                self._own[stream.name] = self._watches(stream.channels, now)
+
+    def _guard(self, axis: Axis, now: float) -> _Guarded:
+        channels = axis.motion.loop_channels
+        current = next(i for i, channel in enumerate(channels) if channel.quantity == "q_axis_current")
+        return _Guarded(axis, self._watches(channels, now), current, advanced=now)
+
+    def _watches(self, channels: Sequence[ChannelSpec], now: float) -> list[_Watch]:
+        watches = []
+        for index, channel in enumerate(channels):
+            bounds = self._limits.of(channel.quantity)
+            if bounds is not None and not channel.quantity.endswith("_reference"):
+                label = f"{channel.role} {channel.quantity}"
+                watches.append(_Watch(index, label, channel.unit, *bounds, seen=now))
+        return watches
+
+    # -- commands ----------------------------------------------------------------------------------------------------
+
+    def engage(self, role: str, mode: Mode) -> None:
+        """Let a drive enter operation with zero demand.
+
+        Raises
+        ------
+        SafetyTrip : a trip is latched.
+        """
+        self._refuse_when_tripped()
+        guarded = self._axes[role]
+        guarded.mode, guarded.reference = mode, 0.0
+        guarded.axis.motion.engage(mode)
+
+    def release(self, role: str) -> None:
+        """Let a drive leave operation; always allowed."""
+        guarded = self._axes[role]
+        guarded.mode, guarded.reference = Mode.OFF, 0.0
+        guarded.axis.motion.release()
+
+    def command(self, role: str, value: float) -> None:
+        """Pass a setpoint on, in the unit of the engaged mode.
+
+        Raises
+        ------
+        SafetyTrip : a trip is latched, or the setpoint is outside the limits; nothing is passed on.
+        """
+        self._refuse_when_tripped()
+        guarded = self._axes[role]
+        quantity = SETPOINT_QUANTITY.get(guarded.mode)
+        bounds = self._limits.of(quantity) if quantity else (-math.inf, math.inf)
+        if bounds is None or not bounds[0] <= value <= bounds[1]:
+            self.trip(f"{role} {quantity or 'setpoint'} of {value:g} is outside the limits {bounds}")
+        if guarded.mode in (Mode.CURRENT, Mode.TORQUE_PROFILE):
+            guarded.reference = value
+        guarded.axis.motion.command(value)
+
+    def _refuse_when_tripped(self) -> None:
+        if self.tripped:
+            raise SafetyTrip(self.tripped)
+
+    # -- samples -----------------------------------------------------------------------------------------------------
+
+    def check(self, now: float) -> None:
+        """Judge the exchange that has just ended.
+
+        Raises
+        ------
+        SafetyTrip : a value is outside its limits, a channel is too old, or a winding estimate is too hot.
+        """
+        self._refuse_when_tripped()
+        oldest = now - self._limits.age_s
+        for role, guarded in self._axes.items():
+            values = guarded.axis.motion.values
+            self._judge(guarded.watches, values, now, oldest)
+            measured = abs(values[guarded.current])
+            asked = abs(guarded.reference)
+            heating = measured if measured > asked else asked  # NaN compares false: the reference counts then
+            winding = guarded.axis.winding.advance(now - guarded.advanced, heating)
+            guarded.advanced = now
+            if not winding < self._limits.winding_temperature_degC:
+                limit = self._limits.winding_temperature_degC
+                self.trip(f"{role} winding estimate of {winding:.1f} degC reached the limit of {limit:g} degC")
+        for watches in self._own.values():
+            for watch in watches:
+                if watch.seen < oldest:
+                    self._too_old(watch, now)
+
+    def receive(self, row: Row) -> None:
+        """Judge a sample of a device's own stream.
+
+        Raises
+        ------
+        SafetyTrip : the value is outside its limits, or the device names a fault such as saturation.
+        """
+        self._refuse_when_tripped()
+        if row.fault:
+            self.trip(row.fault)
+        self._judge(self._own[row.stream], row.values, row.time, -math.inf)
+
+    def _judge(self, watches: list[_Watch], values: Sequence[float], now: float, oldest: float) -> None:
+        for watch in watches:
+            value = values[watch.index]
+            if watch.low <= value <= watch.high:
+                watch.seen = now
+            elif value == value:
+                bound = watch.low if value < watch.low else watch.high
+                self.trip(f"{watch.label} of {value:.4g} {watch.unit} passed the limit of {bound:g} {watch.unit}")
+            elif watch.seen < oldest:
+                self._too_old(watch, now)
+
+    def _too_old(self, watch: _Watch, now: float) -> None:
+        age = now - watch.seen
+        self.trip(f"{watch.label}: no reading for {age:.3f} s, {self._limits.age_s:g} s are allowed")
+
+    def trip(self, cause: str) -> None:
+        """Latch a trip and end the run; the first cause stays.
+
+        Raises
+        ------
+        SafetyTrip : always.
+        """
+        self.tripped = self.tripped or cause
+        raise SafetyTrip(self.tripped)
+
+    def temperatures(self) -> dict[str, float]:
+        """Winding estimate of each actuator [degC]."""
+        return {role: guarded.axis.winding.winding for role, guarded in self._axes.items()}
+
+    # -- the end -----------------------------------------------------------------------------------------------------
+
+    def make_safe(self) -> dict[str, Confirmation]:
+        """Bring every device to its safe state: test drive, load drive, then the rest; never raises."""
+        drives = [self._axes[role].axis.driver for role in ("test", "load") if role in self._axes]
+        outcome: dict[str, Confirmation] = {}
+        for device in (*drives, *self._others):
+            name = getattr(device, "name", type(device).__name__)
+            try:
+                outcome[name] = device.safe_state(SAFE_STATE_S)
+            except Exception as error:  # noqa: BLE001 (a broken driver must not keep the others from being made safe)
+                outcome[name] = Confirmation(False, f"{type(error).__name__}: {error}")
+        return outcome
+
+
+def check_setpoints(limits: Limits, peaks: Mapping[tuple[str, str], float]) -> None:
+    """Refuse a plan whose peaks are outside the limits, before anything moves.
+
+    Raises
+    ------
+    InputError : one line for each setpoint that is.
+    """
+    faults = []
+    for (role, quantity), peak in peaks.items():
+        bounds = limits.of(quantity)
+        if bounds is not None and not abs(peak) <= bounds[1]:
+            unit = UNITS[quantity]
+            faults.append(f"{role} {quantity}: {peak:g} {unit} is above the bench limit of {bounds[1]:g} {unit}")
+    if faults:
+        raise InputError(faults)
