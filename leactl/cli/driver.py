@@ -1,0 +1,66 @@
+"""`leactl driver`: which drivers are there, what they take, and whether they keep the contract."""
+
+import json
+
+import typer
+
+app = typer.Typer(help="List, explain and check driver plug-ins.", no_args_is_help=True, rich_markup_mode=None)
+AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
+
+
+@app.command("list")
+def list_drivers(as_json: bool = AS_JSON) -> None:
+    """List every registered driver, broken ones included."""
+    from leactl.driver import registry
+
+    found = registry.survey()
+    if as_json:
+        rows = [
+            {
+                "name": item.name,
+                "source": item.source,
+                "transport": item.driver.transport if item.driver else None,
+                "summary": item.driver.summary if item.driver else None,
+                "error": item.error or None,
+            }
+            for item in found
+        ]
+        typer.echo(json.dumps({"drivers": rows}))
+        return
+    for item in found:
+        text = f"{item.driver.transport:<7} {item.driver.summary}" if item.driver else f"broken  {item.error}"
+        typer.echo(f"{item.name:<14} {text}")
+
+
+@app.command()
+def info(name: str, as_json: bool = AS_JSON) -> None:
+    """Explain one driver's settings: name, type, default and range of each."""
+    from leactl.driver import registry
+
+    driver = registry.load(name)
+    schema = driver.Settings.model_json_schema()
+    if as_json:
+        described = {"name": name, "transport": driver.transport, "summary": driver.summary, "settings": schema}
+        typer.echo(json.dumps(described))
+        return
+    typer.echo(f"{name}: {driver.summary} (bus: {driver.transport})")
+    for field, body in schema["properties"].items():
+        needed = "required" if field in schema.get("required", ()) else f"default {body.get('default')}"
+        kind = body.get("type") or body.get("$ref", "").rpartition("/")[2] or "choice"
+        bounds = [f"{word} {body[key]}" for key, word in (("minimum", ">="), ("maximum", "<=")) if key in body]
+        typer.echo(f"  {field:<26} {kind:<9} {needed:<14} {' '.join(bounds)}".rstrip())
+
+
+@app.command()
+def check(name: str, as_json: bool = AS_JSON) -> None:
+    """Run the conformance checks that need no hardware over one driver; exit status 2 where one fails."""
+    from leactl.driver import conformance, registry
+    from leactl.errors import InputError
+
+    faults = conformance.faults_of(registry.load(name))
+    if as_json:
+        typer.echo(json.dumps({"name": name, "passed": not faults, "faults": faults}))
+    if faults:
+        raise InputError([f"driver '{name}': {fault}" for fault in faults])
+    if not as_json:
+        typer.echo(f"{name}: keeps the driver contract")

@@ -1,0 +1,45 @@
+"""What every driver must keep, checked without hardware: settings, units, and an end that is safe from any state."""
+
+import inspect
+from types import UnionType
+from typing import Any
+
+from leactl.driver.contract import Confirmation, Driver, DriverSettings
+
+UNIT_SUFFIXES = ("_A", "_V", "_s", "_ms", "_rad", "_rad_s", "_Nm", "_degC", "_Hz", "_W", "_ohm", "_sps", "_per_V")
+DIMENSIONLESS = ("sign", "node", "host_node", "counts_per_turn", "address", "abort_option", "vendor_id", "type")
+
+
+def faults_of(driver: type[Driver]) -> list[str]:
+    """Every way in which a driver breaks the contract; empty where it keeps it."""
+    faults = []
+    for attribute, kind in (("summary", str), ("transport", str), ("Settings", type)):
+        if not isinstance(getattr(driver, attribute, None), kind):
+            faults.append(f"{attribute} is missing")
+    if faults:
+        return faults
+    if driver.transport not in ("can", "i2c", "serial", "none"):
+        faults.append(f"transport '{driver.transport}' is none of can, i2c, serial, none")
+    if not issubclass(driver.Settings, DriverSettings):
+        return [*faults, "Settings does not derive from DriverSettings"]
+    config = driver.Settings.model_config
+    if config.get("extra") != "forbid" or not config.get("frozen"):
+        faults.append("Settings must be frozen and forbid unknown keys")
+    for name, field in driver.Settings.model_fields.items():
+        if _is_number(field.annotation) and not name.endswith(UNIT_SUFFIXES) and name not in DIMENSIONLESS:
+            faults.append(f"setting {name} is a number whose name carries no unit")
+    members = [name for name, member in vars(driver).items() if inspect.isfunction(member) and name[:2] != "__"]
+    if not members or members[0] != "safe_state":
+        faults.append("safe_state is not the first method a reader meets")
+    annotation = inspect.signature(driver.safe_state).return_annotation
+    if annotation not in (Confirmation, "Confirmation"):
+        faults.append("safe_state does not answer a Confirmation")
+    if not inspect.getdoc(driver):
+        faults.append("the class has no docstring")
+    return faults
+
+
+def _is_number(annotation: Any) -> bool:
+    if isinstance(annotation, UnionType):
+        return any(_is_number(part) for part in annotation.__args__)
+    return annotation in (int, float)

@@ -1,0 +1,78 @@
+"""The registry and the conformance suite, over every registered driver and over a broken one."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from leactl.driver import conformance, registry
+from leactl.driver.contract import Driver
+from leactl.errors import InputError
+
+
+@pytest.mark.parametrize("name", registry.names())
+def test_every_registered_driver_keeps_the_contract(name):
+    assert conformance.faults_of(registry.load(name)) == []
+
+
+def test_a_driver_that_breaks_the_contract_is_told_how():
+    class Settings(registry.load("ads1115").Settings):
+        gain: float = 1.0
+
+    class Careless(Driver):
+        transport = "telepathy"
+        summary = "careless"
+
+        def close(self): ...
+
+        def safe_state(self, deadline_s): ...
+
+    Careless.Settings = Settings
+    faults = "; ".join(conformance.faults_of(Careless))
+    for words in ("telepathy", "gain is a number", "first method", "Confirmation"):
+        assert words in faults
+
+
+def test_an_unknown_driver_lists_the_known():
+    with pytest.raises(InputError, match="known: ads1115, elmo_can"):
+        registry.load("elmo")
+
+
+@pytest.fixture
+def broken_plugin(tmp_path):
+    folder = tmp_path / "broken-1.0.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
+    (folder / "entry_points.txt").write_text("[leactl.drivers]\nbroken = broken_plugin:Driver\n")
+    (tmp_path / "broken_plugin.py").write_text("raise RuntimeError('made for another world')\n")
+    return tmp_path
+
+
+def leactl(*arguments, **environment):
+    command = [sys.executable, "-c", "from leactl.cli.main import main; main()", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, env=environment or None, check=False)
+
+
+def test_a_broken_plugin_is_reported_and_harms_nothing(broken_plugin):
+    listed = leactl("driver", "list", "--json", PYTHONPATH=str(broken_plugin), PATH="/usr/bin:/bin")
+    assert listed.returncode == 0
+    rows = {row["name"]: row for row in json.loads(listed.stdout)["drivers"]}
+    assert "made for another world" in rows["broken"]["error"]
+    assert rows["elmo_can"]["error"] is None
+    info = leactl("driver", "info", "broken", PYTHONPATH=str(broken_plugin), PATH="/usr/bin:/bin")
+    assert info.returncode == 2
+    assert info.stderr.startswith("leactl: driver 'broken' of broken 1.0 cannot be used")
+
+
+def test_info_shows_units_defaults_and_ranges():
+    shown = leactl("driver", "info", "elmo_can")
+    assert shown.returncode == 0
+    line = next(line for line in shown.stdout.splitlines() if "consumer_heartbeat_ms" in line)
+    assert line.split() == ["consumer_heartbeat_ms", "integer", "default", "100", ">=", "10", "<=", "5000"]
+
+
+def test_check_answers_in_json_and_by_exit_status():
+    checked = leactl("driver", "check", "ads1115", "--json")
+    assert (checked.returncode, json.loads(checked.stdout)["passed"]) == (0, True)
+    assert leactl("driver", "check", "nothing").returncode == 2
