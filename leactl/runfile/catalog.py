@@ -4,11 +4,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from leactl.errors import InputError
 from leactl.runfile import layout
-from leactl.runfile.opening import open_run_file
+from leactl.runfile.opening import open_run_file, reading
 
 
 @dataclass(frozen=True)
@@ -40,20 +41,17 @@ def summary(path: Path) -> Summary:
     size = path.stat().st_size
     try:
         file, _ = open_run_file(path)
-    except InputError as fault:
-        return Summary(path, size, fault=str(fault))
-    try:
-        with file:
+        with file, reading(path):
             root = layout.attributes(file)
             keys = ("run_id", "protocol", "actuator", "condition", "status", "created")
             known = {key: str(root.get(key, "")) for key in keys}
             return Summary(path, size, **known, duration=duration(file))
-    except (OSError, RuntimeError, KeyError, AttributeError) as fault:
-        return Summary(path, size, fault=f"{path}: damaged: {' '.join(str(fault).split())}")
+    except InputError as fault:
+        return Summary(path, size, fault=str(fault))
 
 
 def duration(file: Any) -> float:
     """The last stamp of any stream."""
-    last = [group["time"][-1:] for group in file.get("streams", {}).values() if "time" in group]
-    stamps = np.concatenate([*last, np.zeros(1)])
+    groups = [group for group in file.get("streams", {}).values() if isinstance(group, h5py.Group)]
+    stamps = np.concatenate([*(group["time"][-1:] for group in groups if "time" in group), np.zeros(1)])
     return float(stamps[np.isfinite(stamps)].max())

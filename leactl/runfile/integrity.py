@@ -14,7 +14,7 @@ import h5py
 from leactl.errors import InputError
 from leactl.runfile import layout
 from leactl.runfile.checks import faults_of_streams, whole_rows
-from leactl.runfile.opening import faults_of_links, open_run_file
+from leactl.runfile.opening import faults_of_links, open_run_file, reading
 from leactl.runfile.publish import new_file, refuse_existing, replacement
 from leactl.runfile.reader import Run
 from leactl.runfile.repack import repack, text_bytes, write_table
@@ -32,7 +32,12 @@ def verify(path: Path) -> list[str]:
         return fault.faults
     with file:
         try:
-            findings = [*unfinished(file, live), *missing_attributes(file), *faults_of_links(file)]
+            findings = [
+                *unfinished(file, live),
+                *missing_attributes(file),
+                *faults_of_links(file),
+                *uneven_tables(file),
+            ]
             findings += faults_of_streams(file.get("streams", {}), unfinished=False)
             return [f"{path}: {finding}" for finding in [*findings, *wrong_checksums(file)]]
         except (OSError, RuntimeError, KeyError) as fault:
@@ -63,6 +68,17 @@ def missing_attributes(file: Any) -> list[str]:
         for name in names
         if name not in node.attrs
     ]
+
+
+def uneven_tables(file: Any) -> list[str]:
+    """Tables whose columns are missing or of different lengths."""
+    findings = []
+    for name, columns in layout.TABLES.items():
+        if name in file:
+            lengths = {column: len(file[name][column]) if column in file[name] else None for column in columns}
+            if len(set(lengths.values())) > 1:
+                findings.append(f"/{name}: columns of different lengths: {lengths}")
+    return findings
 
 
 def wrong_checksums(file: Any) -> list[str]:
@@ -96,7 +112,7 @@ def recover(path: Path) -> Path:
     target = path.with_name(f"{path.stem}.recovered.h5")
     refuse_existing(target)
     file, live = open_run_file(path)
-    with file:
+    with file, reading(path):
         streams = file.get("streams", {})
         uneven = faults_of_streams(streams, unfinished=False)
         if not (live or uneven or layout.plain(file.attrs.get("status", "")) == layout.RECORDING):
@@ -160,7 +176,7 @@ def annotate(path: Path, text: str, author: str = "") -> None:
 
 def checksums(path: Path) -> dict[str, str]:
     """Checksum of every dataset but the notes, taken from the values; refuses values that are not the stored ones."""
-    with h5py.File(path, "r") as file:
+    with h5py.File(path, "r") as file, reading(path):
         if findings := wrong_checksums(file):
             raise InputError([f"{path}: {finding}" for finding in findings])
         return {place: layout.digest(item) for place, item in layout.datasets(file) if not place.startswith("/notes/")}

@@ -3,6 +3,8 @@
 A file left by a kill, or one still being written, opens only in HDF5's SWMR reading mode; a foreign or cut file never.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +37,16 @@ def open_run_file(path: Path) -> tuple[Any, bool]:
         file.close()
         raise InputError([f"{path}: {fault}" for fault in faults])
     return file, live
+
+
+@contextmanager
+def reading(path: Path, place: str = "") -> Iterator[None]:
+    """Turn what HDF5 says of damaged data into one line with file and place."""
+    try:
+        yield
+    except (OSError, RuntimeError, KeyError) as fault:
+        where = f"{path}: {place}" if place else f"{path}"
+        raise InputError(f"{where}: damaged: {' '.join(str(fault).split())}") from fault
 
 
 def why(fault: OSError) -> str:

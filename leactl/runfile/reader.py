@@ -18,7 +18,7 @@ from leactl.errors import InputError, MissingChannel
 from leactl.quantities import ChannelSpec
 from leactl.runfile import layout
 from leactl.runfile.checks import faults_of_streams, whole_rows
-from leactl.runfile.opening import faults_of_links, open_run_file
+from leactl.runfile.opening import faults_of_links, open_run_file, reading
 
 Array = npt.NDArray[np.float64]
 
@@ -96,13 +96,11 @@ class Run:
         place = Path(path)
         file, live = open_run_file(place)
         try:
-            return cls(place, file, live)
+            with reading(place):
+                return cls(place, file, live)
         except InputError:
             file.close()
             raise
-        except (OSError, RuntimeError, KeyError) as fault:
-            file.close()
-            raise InputError(f"{place}: damaged: {' '.join(str(fault).split())}") from fault
 
     @property
     def status(self) -> str:
@@ -136,7 +134,8 @@ class Run:
     def source(self, name: str) -> str | None:
         """The YAML text of the `protocol`, the `bench` or the `model` as it was used; None where the file has none."""
         place = f"{name}/source"
-        return str(layout.plain(self._file[place][()])) if place in self._file else None
+        with reading(self.path, place):
+            return str(layout.plain(self._file[place][()])) if place in self._file else None
 
     def has(self, quantity: str, role: str = "test") -> bool:
         """Whether the run has a channel of this quantity and role."""
@@ -211,12 +210,8 @@ class Run:
         )
 
     def _column(self, stream: str, name: str, start: int, stop: int) -> npt.NDArray[Any]:
-        try:
+        with reading(self.path, f"/streams/{stream}/{name}"):
             values: npt.NDArray[Any] = self._streams[stream][name][start:stop]
-        except (OSError, RuntimeError) as fault:
-            raise InputError(
-                f"{self.path}: /streams/{stream}/{name}: damaged: {' '.join(str(fault).split())}"
-            ) from fault
         return values
 
     def _parameters(self, index: int, text: str) -> dict[str, Any]:
@@ -230,10 +225,13 @@ class Run:
 
     def _table(self, name: str, columns: dict[str, int | None]) -> list[tuple[Any, ...]]:
         """Rows of parallel arrays, cut to the shortest; empty where the file has none."""
-        group = self._file.get(name, {})
-        if any(column not in group for column in columns):
+        if name not in self._file:
             return []
-        cells = [layout.texts(group[c]) if layout.is_text(group[c]) else group[c][()].tolist() for c in columns]
+        with reading(self.path, f"/{name}"):
+            group = self._file[name]
+            if lacking := [column for column in columns if column not in group]:
+                raise InputError(f"{self.path}: /{name}: no {', '.join(lacking)}")
+            cells = [layout.texts(group[c]) if layout.is_text(group[c]) else group[c][()].tolist() for c in columns]
         return list(zip(*cells, strict=False))
 
 

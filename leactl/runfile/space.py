@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 RESERVE = 1 << 20  # HDF5's own tables, some kB a column, and then some
-END_OF_FILE = slice(28, 36)  # in superblock versions 2 and 3 (HDF5 file format 3.0, II.A)
+# where each version of the superblock keeps the end of the file (HDF5 file format 3.0, II.A)
+END_OF_FILE = {0: slice(40, 48), 2: slice(28, 36), 3: slice(28, 36)}
+VERSION_AT, OFFSET_SIZE_AT = 8, {0: 13, 2: 9, 3: 9}
 
 
 def reserve(file: Any, size: int) -> None:
@@ -35,6 +37,10 @@ def reserve(file: Any, size: int) -> None:
 def trim(path: Path) -> None:
     """Give back what was reserved and not used, after the file is closed."""
     with path.open("r+b") as raw:
-        end = int.from_bytes(raw.read(END_OF_FILE.stop)[END_OF_FILE], "little")
+        head = raw.read(48)
+        version = head[VERSION_AT]
+        if version not in END_OF_FILE or head[OFFSET_SIZE_AT[version]] != 8:
+            return  # the reserve stays: wasted, not wrong
+        end = int.from_bytes(head[END_OF_FILE[version]], "little")
         if 0 < end < os.fstat(raw.fileno()).st_size:
             raw.truncate(end)

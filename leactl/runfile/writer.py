@@ -4,12 +4,8 @@ The live file is uncompressed and in HDF5's single-writer/multiple-reader mode, 
 every flushed row readable; an orderly close repacks it. Appending never waits for the disk: `flush` may run elsewhere.
 """
 
-import re
-import secrets
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -18,12 +14,15 @@ import h5py
 import numpy as np
 
 from leactl.errors import InputError, LeactlError, SafetyTrip, Stopped
-from leactl.quantities import ROLES, SETUPS, UNITS, ChannelSpec, accepted_units
+from leactl.quantities import ChannelSpec
 from leactl.runfile import layout
 from leactl.runfile.buffer import RowBuffer
+from leactl.runfile.description import RunInfo, faults_of, new_run_id
 from leactl.runfile.publish import NotWritten, move_without_overwriting, refuse_existing, replacement
 from leactl.runfile.repack import as_text, one_line, repack, text_bytes
 from leactl.runfile.space import reserve, trim
+
+__all__ = ["RecordingFailed", "RunInfo", "RunWriter", "new_run_id"]
 
 LIVE_CHUNK_ROWS = 1 << 12
 LIVE_TABLE_ROWS = 16
@@ -32,30 +31,6 @@ COLUMN_BYTES = 8192  # attributes and index of one dataset, generously
 
 class RecordingFailed(LeactlError):
     """The disk took no more data; what was flushed before stays readable."""
-
-
-@dataclass(frozen=True)
-class RunInfo:
-    """What is known of a run before it starts; it becomes the root attributes."""
-
-    run_id: str
-    protocol: str
-    bench: str
-    actuator: str
-    condition: str
-    operator: str
-    simulated: bool
-    mechanical: str
-    software: str
-    created: str  # ISO 8601, UTC
-    sources: Mapping[str, str] = field(default_factory=dict)  # "protocol", "bench", "model": YAML as used
-    setup: Mapping[str, float | str] = field(default_factory=dict)  # drive_gain, load_mass, ...: over the model file's
-
-
-def new_run_id(protocol: str, when: datetime) -> str:
-    """A name that sorts by time and never repeats: `20261120T101530Z-torque-constant-7f3a`."""
-    slug = re.sub(r"[^a-z0-9]+", "-", protocol.lower()).strip("-") or "run"
-    return f"{when.astimezone(UTC):%Y%m%dT%H%M%SZ}-{slug}-{secrets.token_hex(2)}"
 
 
 class RunWriter:
@@ -108,12 +83,13 @@ class RunWriter:
 
     def step(self, name: str, start: float, stop: float, settle: float, parameters: Mapping[str, Any]) -> None:
         """Note which part of the run did what."""
-        row = {"name": name, "start": start, "stop": stop, "settle": settle, "parameters": dict(parameters)}
-        self._tables["steps"].append(row)
+        times = {"start": float(start), "stop": float(stop), "settle": float(settle)}
+        self._tables["steps"].append({"name": str(name), **times, "parameters": dict(parameters)})
 
     def event(self, time: float, level: str, source: str, message: str) -> None:
         """Note something that happened."""
-        self._tables["events"].append({"time": time, "level": level, "source": source, "message": message})
+        row = {"time": float(time), "level": str(level), "source": str(source), "message": str(message)}
+        self._tables["events"].append(row)
 
     def flush_if_due(self, monotonic_now: float) -> bool:
         """Flush where the last flush is longer ago than `flush_s`; says whether it did."""
@@ -150,7 +126,10 @@ class RunWriter:
         else:
             stopped = isinstance(error, Stopped | KeyboardInterrupt)
             status = "tripped" if isinstance(error, SafetyTrip) else "stopped" if stopped else "failed"
-            self.close(status, str(error) or type(error).__name__)
+            try:
+                self.close(status, str(error) or type(error).__name__)
+            except RecordingFailed as second:  # what ended the run matters more than the disk
+                error.add_note(str(second))
 
     def _write_pending(self) -> None:
         tables = {name: rows[self._tables_written[name] :] for name, rows in self._tables.items()}
@@ -205,48 +184,6 @@ class RunWriter:
 KEPT_OPEN: list[Any] = []
 
 
-def faults_of(info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> list[str]:
-    """Everything that would make the file break its own format."""
-    faults = []
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", info.run_id):
-        faults.append(f"run_id: {info.run_id!r} is no file name; use letters, digits, '.', '_' and '-'")
-    if info.mechanical not in SETUPS:
-        faults.append(f"mechanical: {info.mechanical!r} is none of {', '.join(SETUPS)}")
-    faults += [
-        f"sources: {name!r} is none of {', '.join(layout.SOURCES)}" for name in info.sources.keys() - {*layout.SOURCES}
-    ]
-    seen: dict[tuple[str, str, str], str] = {}
-    for stream, specs in streams.items():
-        names = [spec.name for spec in specs]
-        for spec in specs:
-            place = f"streams/{stream}/{spec.name}"
-            faults += faults_of_channel(place, spec)
-            if names.count(spec.name) > 1:
-                faults.append(f"{place}: the name occurs twice in its stream")
-            known = seen.setdefault((spec.quantity, spec.role, spec.location), place)
-            if known != place:
-                faults.append(f"{place}: same quantity, role and location as {known}; give each a location")
-    return faults
-
-
-def faults_of_channel(place: str, spec: ChannelSpec) -> list[str]:
-    """What is wrong with one channel's description."""
-    faults = []
-    if any(not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", part) for part in place.split("/")) or spec.name == "time":
-        faults.append(f"{place}: not a usable name for a channel")
-    if spec.quantity not in UNITS:
-        return [*faults, f"{place}: quantity {spec.quantity!r} is not in the vocabulary"]
-    if spec.unit not in accepted_units(spec.quantity):
-        faults.append(f"{place}: unit {spec.unit!r} is none of {', '.join(accepted_units(spec.quantity))}")
-    if spec.role not in ROLES:
-        faults.append(f"{place}: role {spec.role!r} is none of {', '.join(ROLES)}")
-    if spec.sampling not in ("instant", "mean"):
-        faults.append(f"{place}: sampling {spec.sampling!r} is neither instant nor mean")
-    if np.dtype(spec.dtype).kind != "f":
-        faults.append(f"{place}: dtype {spec.dtype!r} cannot hold NaN for a missed sample; use f4 or f8")
-    return faults
-
-
 def create(partial: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> Any:
     """Create everything a run will need, since SWMR mode allows no new objects, and switch SWMR on."""
     file = h5py.File(partial, "x", libver="latest")
@@ -295,9 +232,9 @@ def write_rows(stream: Any, channels: Sequence[str], written: int, rows: np.ndar
     columns = [*zip(channels, rows.T[1:], strict=True), ("time", rows[:, 0])]
     for name, values in columns:
         dataset = stream[name]
-        dataset.resize((written + len(rows),))
+        extend(dataset, written + len(rows))
         with np.errstate(over="ignore"):  # beyond float32 becomes inf
-            dataset[written:] = values.astype(dataset.dtype)
+            dataset[written : written + len(rows)] = values.astype(dataset.dtype)
         dataset.flush()
 
 
@@ -307,10 +244,16 @@ def write_live_table(
     """Append to `/steps` or `/events`, cutting text to what a fixed-length string holds."""
     for column, width in columns.items():
         dataset = group[column]
-        dataset.resize((written + len(rows),))
+        extend(dataset, written + len(rows))
         values = [row[column] if width is None else fitted(row[column], width) for row in rows]
-        dataset[written:] = np.array(values, dataset.dtype)
+        dataset[written : written + len(rows)] = np.array(values, dataset.dtype)
         dataset.flush()
+
+
+def extend(dataset: Any, rows: int) -> None:
+    """Make room for so many rows in all; never shrink, which SWMR forbids, where a flush was interrupted half way."""
+    if len(dataset) < rows:
+        dataset.resize((rows,))
 
 
 def fitted(value: Any, width: int) -> bytes:
