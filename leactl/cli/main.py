@@ -5,7 +5,7 @@ import sys
 import typer
 
 from leactl import __version__
-from leactl.cli import driver, motor
+from leactl.cli import driver, motor, runs
 from leactl.errors import InputError, LeactlError
 
 app = typer.Typer(
@@ -18,6 +18,7 @@ app = typer.Typer(
 )
 app.add_typer(driver.app, name="driver")
 app.add_typer(motor.app, name="motor")
+app.add_typer(runs.app, name="runs")
 
 
 def _show_version(wanted: bool) -> None:

@@ -1,14 +1,13 @@
 """The registry and the conformance suite, over every registered driver and over a broken one."""
 
 import json
-import subprocess
-import sys
 
 import pytest
 
 from leactl.driver import conformance, registry
 from leactl.driver.contract import Driver
 from leactl.errors import InputError
+from tests.cli.terminal import leactl
 
 
 @pytest.mark.parametrize("name", registry.names())
@@ -47,11 +46,6 @@ def broken_plugin(tmp_path):
     (folder / "entry_points.txt").write_text("[leactl.drivers]\nbroken = broken_plugin:Driver\n")
     (tmp_path / "broken_plugin.py").write_text("raise RuntimeError('made for another world')\n")
     return tmp_path
-
-
-def leactl(*arguments, **environment):
-    command = [sys.executable, "-c", "from leactl.cli.main import main; main()", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, env=environment or None, check=False)
 
 
 def test_a_broken_plugin_is_reported_and_harms_nothing(broken_plugin):

@@ -1,0 +1,114 @@
+"""`leactl runs`: list, show, verify, recover, annotate and export run files."""
+
+import json
+from pathlib import Path
+
+import typer
+
+app = typer.Typer(help="List, show, verify and mend run files.", no_args_is_help=True, rich_markup_mode=None)
+AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
+
+
+@app.command("list")
+def list_runs(directory: Path = typer.Argument(Path("runs")), as_json: bool = AS_JSON) -> None:
+    """List the runs of a directory, oldest first."""
+    from dataclasses import asdict
+
+    from leactl.runfile.catalog import list_runs as catalog
+
+    found = catalog(directory)
+    if as_json:
+        typer.echo(json.dumps({"runs": [asdict(item) | {"path": str(item.path)} for item in found]}))
+        return
+    for item in found:
+        if item.fault:
+            typer.echo(f"{item.path.name}  unreadable: {item.fault}")
+        else:
+            words = f"{item.run_id:<44} {item.status:<10} {item.duration:9.1f} s  {item.actuator} {item.condition}"
+            typer.echo(words.rstrip())
+
+
+@app.command()
+def show(run: Path, as_json: bool = AS_JSON) -> None:
+    """Show what a run holds: attributes, streams with units, steps, events and notes."""
+    from leactl.runfile.reader import Run
+
+    with Run.open(run) as found:
+        about = {name: str(value) for name, value in found.attributes.items()} | {"mechanical": found.mechanical}
+        streams = {
+            name: {
+                "rows": found.rows[name],
+                "channels": [
+                    {"name": c.name, "quantity": c.quantity, "role": c.role, "units": c.unit} for c in channels
+                ],
+            }
+            for name, channels in found.streams.items()
+        }
+        steps, events, notes = found.steps, found.events, found.notes
+    if as_json:
+        answer = {
+            "attributes": about,
+            "streams": streams,
+            "steps": len(steps),
+            "events": [vars(event) for event in events],
+            "notes": [vars(note) for note in notes],
+        }
+        typer.echo(json.dumps(answer))
+        return
+    for name, value in about.items():
+        typer.echo(f"{name:<16} {value}".rstrip())
+    for name, stream in streams.items():
+        typer.echo(f"stream {name}: {stream['rows']} rows")
+        for channel in found.streams[name]:
+            typer.echo(f"  {channel.name:<12} {channel.role:<6} {channel.quantity:<26} {channel.unit}")
+    typer.echo(f"{len(steps)} steps, {len(events)} events")
+    for event in events:
+        typer.echo(f"  {event.time:10.3f} s  {event.level:<8} {event.source}: {event.message}")
+    for note in notes:
+        typer.echo(f"note {note.time} {note.author}: {note.text}")
+
+
+@app.command()
+def verify(run: Path, as_json: bool = AS_JSON) -> None:
+    """Check format, completeness and checksums; exit status 2 where something is wrong."""
+    from leactl.errors import InputError
+    from leactl.runfile.integrity import verify as findings_of
+
+    findings = findings_of(run)
+    if as_json:
+        typer.echo(json.dumps({"run": str(run), "findings": findings}))
+    if findings:
+        raise InputError(findings)
+    if not as_json:
+        typer.echo(f"{run}: complete, checksums match")
+
+
+@app.command()
+def recover(run: Path, as_json: bool = AS_JSON) -> None:
+    """Write a clean copy of a run whose recording was cut off; the original stays."""
+    from leactl.runfile.integrity import recover as clean_copy
+
+    written = clean_copy(run)
+    typer.echo(json.dumps({"run": str(written), "status": "recovered"}) if as_json else str(written))
+
+
+@app.command()
+def annotate(run: Path, text: str, author: str = typer.Option("", help="Who says so.")) -> None:
+    """Add a note to a run; its data stay as they are, and that is checked."""
+    from leactl.runfile.integrity import annotate as add_note
+
+    add_note(run, text, author)
+
+
+@app.command()
+def export(
+    run: Path,
+    to: str = typer.Option("csv", "--format", help="csv, mat or parquet."),
+    out: Path = typer.Option(Path(), help="Directory for the files."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Write a run's streams as CSV, MAT or Parquet; nothing is overwritten."""
+    from leactl.runfile.export import export as write_files
+
+    files = [str(path) for path in write_files(run, to, out)]
+    typer.echo(json.dumps({"files": files}) if as_json else "\n".join(files))

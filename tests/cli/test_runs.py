@@ -1,0 +1,79 @@
+"""`leactl runs` at the command line, on a run that was written to the end and on one that was not."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from leactl.quantities import ChannelSpec
+from leactl.runfile.description import RunInfo
+from leactl.runfile.writer import RunWriter
+
+from .terminal import leactl
+
+CHANNELS = [
+    ChannelSpec("iq", "q_axis_current", "test", "drive"),
+    ChannelSpec("torque", "torque", "test", "sensor"),
+]
+
+
+@pytest.fixture
+def run(tmp_path):
+    info = RunInfo(
+        run_id="20261121T100000Z-torque-constant-0001",
+        protocol="torque-constant",
+        bench="emulated",
+        actuator="lea-1",
+        condition="design",
+        operator="",
+        simulated=True,
+        mechanical="coupled",
+        software="leactl 0.1.0",
+        created="2026-11-21T10:00:00Z",
+    )
+    writer = RunWriter(tmp_path, info, {"loop": CHANNELS})
+    writer.append("loop", np.arange(4) * 0.02, np.arange(8.0).reshape(4, 2))
+    writer.step("level", 0.0, 0.06, 0.02, {"current_A": 4.9})
+    writer.close("complete")
+    return tmp_path / f"{info.run_id}.h5"
+
+
+def test_list_and_show_answer_in_text_and_json(run):
+    listed = leactl("runs", "list", run.parent)
+    assert "torque-constant-0001" in listed.stdout
+    assert json.loads(leactl("runs", "list", run.parent, "--json").stdout)["runs"][0]["status"] == "complete"
+    shown = json.loads(leactl("runs", "show", run, "--json").stdout)
+    assert shown["streams"]["loop"]["rows"] == 4
+    assert "q_axis_current" in leactl("runs", "show", run).stdout
+
+
+def test_verify_is_silent_about_nothing(run):
+    assert leactl("runs", "verify", run).returncode == 0
+    whole = run.read_bytes()
+    run.write_bytes(whole[: len(whole) // 2])
+    cut = leactl("runs", "verify", run)
+    assert cut.returncode == 2
+    assert cut.stderr.startswith("leactl: ")
+    assert "Traceback" not in cut.stderr
+
+
+def test_a_note_is_added_and_the_data_still_verify(run):
+    assert leactl("runs", "annotate", run, "bearing squeaked", "--author", "jg").returncode == 0
+    assert "bearing squeaked" in leactl("runs", "show", run).stdout
+    assert leactl("runs", "verify", run).returncode == 0
+
+
+def test_export_never_overwrites(run, tmp_path):
+    out = tmp_path / "csv"
+    first = leactl("runs", "export", run, "--out", out, "--json")
+    (path,) = json.loads(first.stdout)["files"]
+    assert Path(path).read_text().splitlines(keepends=True)[0] == "time [s],iq [A],torque [N*m]\n"
+    assert leactl("runs", "export", run, "--out", out).returncode == 2
+
+
+@pytest.mark.parametrize("command", ["show", "verify", "recover"])
+def test_a_missing_file_is_one_line_and_status_2(tmp_path, command):
+    answer = leactl("runs", command, tmp_path / "nothing.h5")
+    assert answer.returncode == 2
+    assert len(answer.stderr.splitlines()) == 1
