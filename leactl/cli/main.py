@@ -5,7 +5,7 @@ import sys
 import typer
 
 from leactl import __version__
-from leactl.cli import driver, motor, runs
+from leactl.cli import bench, driver, motor, runs
 from leactl.errors import InputError, LeactlError
 
 app = typer.Typer(
@@ -16,6 +16,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
+app.add_typer(bench.app, name="bench")
 app.add_typer(driver.app, name="driver")
 app.add_typer(motor.app, name="motor")
 app.add_typer(runs.app, name="runs")

@@ -6,7 +6,22 @@ from typing import Any
 
 from leactl.driver.contract import Confirmation, Driver, DriverSettings
 
-UNIT_SUFFIXES = ("_A", "_V", "_s", "_ms", "_rad", "_rad_s", "_Nm", "_degC", "_Hz", "_W", "_ohm", "_sps", "_per_V")
+UNIT_SUFFIXES = (
+    "_A",
+    "_mA",
+    "_V",
+    "_s",
+    "_ms",
+    "_rad",
+    "_rad_s",
+    "_Nm",
+    "_degC",
+    "_Hz",
+    "_W",
+    "_ohm",
+    "_sps",
+    "_per_V",
+)
 DIMENSIONLESS = ("sign", "node", "host_node", "counts_per_turn", "address", "abort_option", "vendor_id", "type")
 
 

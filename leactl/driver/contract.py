@@ -12,6 +12,8 @@ from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 from pydantic import BaseModel, ConfigDict
 
 from leactl.driver.clock import Clock
+from leactl.driver.far_end import CanEmulator, I2cEmulator, Physics
+from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 
 
@@ -80,6 +82,16 @@ class Driver(ABC):
     @abstractmethod
     def close(self) -> None:
         """Let the device go; harmless when it was never opened or is closed already."""
+
+    @classmethod
+    def far_end(cls, settings: Any, role: str, physics: Physics) -> CanEmulator | tuple[int, I2cEmulator]:
+        """The device's emulator on an emulated bench; with its address where the bus is I2C.
+
+        Raises
+        ------
+        InputError : this device has no emulator.
+        """
+        raise InputError(f"{cls.__name__} has no emulator; it cannot stand on an emulated bench")
 
     @property
     def streams(self) -> tuple[StreamSpec, ...]:

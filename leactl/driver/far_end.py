@@ -4,6 +4,7 @@ An emulator knows frames or bytes and time, no transport: frames in, frames out.
 plain readings, so that the same emulator turns the emulated bench or a stand-in of a test.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 
@@ -54,3 +55,18 @@ class I2cEmulator(Protocol):
 
     def write(self, register: int, value: int, now: float) -> None:
         """Write a register."""
+
+
+class Physics(Protocol):
+    """The bench behind the wires, as a device's far end sees it."""
+
+    def machine(self, role: str) -> Machine:
+        """What the drive of this role turns."""
+
+    def reading(self, quantity: str, role: str) -> Callable[[], float]:
+        """A function that gives this quantity as the bench has it now, sensor noise included.
+
+        Raises
+        ------
+        InputError : the bench has no such quantity.
+        """

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver, Row, StreamSpec
+from leactl.driver.far_end import I2cEmulator, Physics
 from leactl.driver.i2c_port import I2cPort
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
 from leactl.quantities import ChannelSpec
@@ -84,6 +85,23 @@ class Ads1115(Driver):
         if self._opened:
             self._opened = False
             self._port.close()
+
+    @classmethod
+    def far_end(cls, settings: Ads1115Settings, role: str, physics: Physics) -> tuple[int, I2cEmulator]:
+        """A converter whose pins carry what the sensors at its inputs make of the bench's quantities."""
+        from leactl_plugins.ads1115.emulator import Ads1115Emulator
+
+        sensors = {}
+        for item in settings.inputs:
+            sensors[int(item.pins[1])] = (physics.reading(item.quantity, item.role), item)
+
+        def pins(number: int) -> float:
+            if number not in sensors:
+                return 0.0
+            read, item = sensors[number]
+            return read() / (item.sign * item.scale_per_V) + item.offset_V
+
+        return settings.address, Ads1115Emulator(pins)
 
     @property
     def streams(self) -> tuple[StreamSpec, ...]:

@@ -10,6 +10,7 @@ from typing import Any
 from leactl.driver.can_port import NMT_ID, CanPort
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver, Mode, Row, StreamSpec
+from leactl.driver.far_end import CanEmulator, Physics
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.elmo_can import cia402, emergency
@@ -117,6 +118,21 @@ class ElmoCan(Driver):
             for identifier in self._identifiers():
                 self._port.listen(identifier, None)
             self._port.close()
+
+    @classmethod
+    def far_end(cls, settings: ElmoSettings, role: str, physics: Physics) -> CanEmulator:
+        """A drive at this node, rated as the settings' emulation says, that turns the bench's machine."""
+        from leactl_plugins.elmo_can.emulator import ElmoEmulator
+
+        voltage = settings.q_axis_voltage
+        return ElmoEmulator(
+            settings.node,
+            physics.machine(role),
+            rated_current_ma=settings.emulated_rated_current_mA,
+            counts_per_turn=settings.counts_per_turn,
+            q_axis_per_ampere=settings.current_convention.to_q_axis,
+            voltage_object=(voltage.index, voltage.subindex, voltage.type, voltage.scale_V) if voltage else None,
+        )
 
     # -- one cycle ---------------------------------------------------------------------------------------------------
 

@@ -49,6 +49,8 @@ class ElmoSettings(DriverSettings):
     bus_voltage_period_s: Annotated[float, Field(ge=0.05, le=60)] = 1.0
     sdo_timeout_s: Annotated[float, Field(gt=0, le=5)] = 0.3
     reset_fault_at_start: bool = False
+    # what the emulated drive holds in 0x6075; a real drive's own value is read from it. 13.7 A continuous / sqrt(3/2)
+    emulated_rated_current_mA: Annotated[int, Field(ge=1, le=1_000_000)] = 11186  # noqa: N815
     vendor_id: int | None = 0x9A
 
     @model_validator(mode="after")
