@@ -1,0 +1,108 @@
+"""A bench with its devices open: one exchange a cycle with all drives, own streams beside it, one way to close."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus
+from leactl.bench.wiring import Wiring
+from leactl.driver import registry
+from leactl.driver.can_port import CanPort
+from leactl.driver.contract import Driver, MotionDevice, Row
+from leactl.driver.i2c_port import I2cPort
+from leactl.errors import DeviceError
+from leactl.quantities import ChannelSpec
+
+
+class Bench:
+    """The devices of a bench file on a wiring; `open` before use, `close` in any case."""
+
+    def __init__(self, file: BenchFile, devices: Sequence[CheckedDevice], wiring: Wiring) -> None:
+        self.file, self.clock = file, wiring.clock
+        ports: dict[str, Any] = {name: _port(name, bus, wiring) for name, bus in file.buses.items()}
+        self.drivers: dict[str, Driver] = {}
+        self.drives: dict[str, Driver] = {}
+        self._motion: list[MotionDevice] = []
+        synchronised: dict[str, CanPort] = {}
+        for device in devices:
+            entry = device.entry
+            port = ports[entry.bus] if entry.bus else None
+            driver = registry.load(entry.driver)(device.name, entry.role, device.settings, port, self.clock)
+            self.drivers[device.name] = driver
+            if isinstance(driver, MotionDevice):
+                self.drives[entry.role] = driver
+                self._motion.append(driver)
+                if isinstance(port, CanPort) and entry.bus:
+                    synchronised[entry.bus] = port
+        self._sync = [port.sync for port in synchronised.values()]
+        self._asynchronous = [driver for driver in self.drivers.values() if driver.streams]
+        self.loop_channels: tuple[ChannelSpec, ...] = tuple(c for drive in self._motion for c in drive.loop_channels)
+
+    @property
+    def others(self) -> list[Driver]:
+        """Devices that are no drives."""
+        return [driver for driver in self.drivers.values() if driver not in self.drives.values()]
+
+    def streams(self) -> dict[str, tuple[ChannelSpec, ...]]:
+        """Every stream of the bench and its channels."""
+        own = {spec.name: spec.channels for driver in self._asynchronous for spec in driver.streams}
+        return {"loop": self.loop_channels, **own} if self.loop_channels else own
+
+    def open(self) -> None:
+        """Open every device in the file's order; where one fails, those before it are closed again.
+
+        Raises
+        ------
+        DeviceError : with the device's name.
+        """
+        for name, driver in self.drivers.items():
+            try:
+                driver.open()
+            except DeviceError as error:
+                self.close()
+                text = str(error)
+                raise type(error)(text if text.startswith(f"{name}:") else f"{name}: {text}") from None
+
+    def close(self) -> None:
+        """Let every device go."""
+        for driver in self.drivers.values():
+            driver.close()
+
+    def exchange(self, deadline: float) -> list[float]:
+        """One cycle with all drives: demands out, SYNC, readings in; the values of `loop_channels` in order.
+
+        Raises
+        ------
+        DeviceError : a drive or its bus failed.
+        """
+        for drive in self._motion:
+            drive.begin_cycle()
+        for sync in self._sync:
+            sync()
+        row: list[float] = []
+        for drive in self._motion:
+            drive.end_cycle(deadline)
+            row += drive.values
+        return row
+
+    def take(self) -> list[Row]:
+        """Rows of all streams with clocks of their own.
+
+        Raises
+        ------
+        DeviceError : a device or its bus failed.
+        """
+        rows: list[Row] = []
+        for driver in self._asynchronous:
+            rows += driver.take()
+        return rows
+
+    def feed(self) -> None:
+        """Send the host's sign of life to every drive; only the control loop calls this, after a supervised cycle."""
+        for drive in self._motion:
+            drive.feed()
+
+
+def _port(name: str, bus: CanBus | I2cBus, wiring: Wiring) -> CanPort | I2cPort:
+    if isinstance(bus, CanBus):
+        return CanPort(wiring.can(name, bus), wiring.clock, name)
+    return I2cPort(wiring.i2c(name, bus), name)

@@ -1,0 +1,56 @@
+"""Where buses and time come from: the machine's own here; an emulated bench brings another wiring of the same shape."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Protocol
+
+from leactl.bench.benchfile import CanBus, I2cBus
+from leactl.driver.clock import Clock, MonotonicClock
+from leactl.driver.i2c_port import SmBus
+
+if TYPE_CHECKING:
+    import can
+
+
+class Wiring(Protocol):
+    """Factories of connections, and the clock that goes with them."""
+
+    @property
+    def clock(self) -> Clock:
+        """The bench's clock."""
+
+    def can(self, name: str, bus: CanBus) -> "Callable[[], can.BusABC]":
+        """How to connect to a CAN bus."""
+
+    def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
+        """How to connect to an I2C bus."""
+
+
+class MachineWiring:
+    """The buses of this machine."""
+
+    def __init__(self) -> None:
+        self.clock: Clock = MonotonicClock()
+
+    def can(self, name: str, bus: CanBus) -> "Callable[[], can.BusABC]":
+        """Connect through any of python-can's interfaces."""
+
+        def connect() -> "can.BusABC":
+            import can
+
+            options: dict[str, Any] = dict(bus.options)
+            if bus.interface not in ("udp_multicast", "virtual"):
+                options.setdefault("bitrate", bus.bitrate)
+            return can.Bus(channel=bus.channel, interface=bus.interface, **options)
+
+        return connect
+
+    def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
+        """Connect through smbus2."""
+
+        def connect() -> SmBus:
+            from smbus2 import SMBus
+
+            connected: SmBus = SMBus(bus.number)
+            return connected
+
+        return connect

@@ -1,0 +1,139 @@
+"""An emulated bench behind a bench file: the plant, the devices' far ends, and a wiring that leads to them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import can
+
+from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus
+from leactl.driver import registry
+from leactl.driver.i2c_port import SmBus
+from leactl.emulation.actuator import Actuator
+from leactl.emulation.clock import EmulatedClock
+from leactl.emulation.effects import make_effect
+from leactl.emulation.noise import Noise
+from leactl.emulation.parameters import ActuatorParameters, BenchParameters
+from leactl.emulation.rig import Rig
+from leactl.emulation.wires import CanWire, EmulatedCanBus, EmulatedI2cBus
+from leactl.errors import InputError
+from leactl.model.motor import load_motor
+
+
+class EmulatedMachine:
+    """An actuator of the rig as its drive's sensors report it, noise included."""
+
+    def __init__(self, actuator: Actuator, rig: Rig, noise: Noise, current_noise: float, velocity_noise: float) -> None:
+        self._actuator, self._rig, self._noise = actuator, rig, noise
+        self._current_noise, self._velocity_noise = current_noise, velocity_noise
+        self.command = actuator.command
+
+    def read(self) -> tuple[float, float, float]:
+        """Current [A], velocity [rad/s] and angle [rad] now."""
+        actuator, noise = self._actuator, self._noise
+        current = actuator.current + self._current_noise * noise()
+        return current, actuator.velocity + self._velocity_noise * noise(), actuator.angle
+
+    @property
+    def voltage(self) -> float:
+        """q-axis voltage [V]."""
+        return self._actuator.voltage
+
+    @property
+    def bus_voltage(self) -> float:
+        """DC link voltage [V]."""
+        return self._rig.bus_voltage
+
+
+class EmulatedBench:
+    """Physics of a bench file in one set-up and condition, and the wiring that reaches it in lock-step."""
+
+    def __init__(
+        self, file: BenchFile, devices: Sequence[CheckedDevice], setup: str, condition: str, seed: int | None = None
+    ) -> None:
+        emulated = file.emulated
+        if emulated is None:
+            raise InputError(f"bench '{file.name}' is a real bench; it has no `emulated:` block")
+        if condition not in emulated.conditions and emulated.conditions and condition:
+            known = ", ".join(emulated.conditions)
+            raise InputError(f"condition '{condition}' is not one of the emulated bench's: {known}")
+        self.clock = EmulatedClock()
+        under = emulated.conditions.get(condition, {})
+        number = emulated.seed if seed is None else seed
+        test = _parameters(file, "test", under | emulated.test)
+        load = _parameters(file, "load", under | emulated.load)
+        effects = [make_effect(str(entry.get("name")), _without_name(entry)) for entry in emulated.effects]
+        self.rig = Rig(setup, test, load, BenchParameters.from_mapping(emulated.bench), number, effects)
+        self.clock.follow(self.rig.advance)
+        self._file, self._settings, self._number = file, emulated, number
+        self._streams_of_noise = 1
+        self.machines = {role: self._machine(role) for role in ("test", "load")}
+        self.wires = {name: CanWire(self.clock) for name, bus in file.buses.items() if isinstance(bus, CanBus)}
+        self.i2c_buses = {
+            name: EmulatedI2cBus(self.clock) for name, bus in file.buses.items() if isinstance(bus, I2cBus)
+        }
+        self.far_ends: dict[str, Any] = {}
+        for device in devices:
+            self._place(device)
+
+    def can(self, name: str, bus: CanBus) -> Callable[[], can.BusABC]:
+        """How to connect to an emulated CAN bus."""
+        return lambda: EmulatedCanBus(self.wires[name])
+
+    def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
+        """How to connect to an emulated I2C bus."""
+        return lambda: self.i2c_buses[name]
+
+    def machine(self, role: str) -> EmulatedMachine:
+        """What the drive of this role turns."""
+        if role not in self.machines:
+            raise InputError(f"an emulated drive turns 'test' or 'load', not '{role}'")
+        return self.machines[role]
+
+    def reading(self, quantity: str, role: str) -> Callable[[], float]:
+        """A function that gives this quantity as its sensor has it now."""
+        rig, noise = self.rig, self._fresh_noise()
+        if quantity == "torque" and role == "test":
+            spread = self._settings.torque_noise_Nm
+            return lambda: rig.shaft_torque + spread * noise()
+        plain: Mapping[str, Callable[[], float]] = {
+            "line_current": lambda: rig.line_current,
+            "line_voltage": lambda: rig.line_voltage,
+            "bus_voltage": lambda: rig.bus_voltage,
+        }
+        if quantity not in plain:
+            raise InputError(f"the emulated bench has no {quantity} of '{role}' for an analogue sensor")
+        return plain[quantity]
+
+    def _fresh_noise(self) -> Noise:
+        self._streams_of_noise += 1
+        return Noise(self._number, self._streams_of_noise)
+
+    def _machine(self, role: str) -> EmulatedMachine:
+        settings = self._settings
+        actuator = self.rig.actuators[role]
+        return EmulatedMachine(
+            actuator, self.rig, self._fresh_noise(), settings.current_noise_A, settings.velocity_noise_rad_s
+        )
+
+    def _place(self, device: CheckedDevice) -> None:
+        entry = device.entry
+        far_end: Any = registry.load(entry.driver).far_end(device.settings, entry.role, self)
+        if entry.bus in self.wires:
+            self.wires[entry.bus].attach(far_end)
+        elif entry.bus in self.i2c_buses:
+            address, far_end = far_end
+            self.i2c_buses[entry.bus].devices[address] = far_end
+        self.far_ends[device.name] = far_end
+
+
+def _without_name(entry: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in entry.items() if key != "name"}
+
+
+def _parameters(file: BenchFile, role: str, changes: Mapping[str, Any]) -> ActuatorParameters:
+    """The motor's parameters with the bench file's own over them."""
+    name = file.motors.get("test" if role == "test" else "load", file.motors["test"])
+    motor, _document = load_motor(name)
+    whole = motor.model_dump(exclude={"name", "winding", "limits"})
+    thermal = whole["thermal"] | dict(changes.get("thermal", {}))
+    return ActuatorParameters.from_mapping(whole | dict(changes) | {"thermal": thermal})

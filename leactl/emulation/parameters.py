@@ -1,0 +1,139 @@
+"""Parameters of the emulated plant: one actuator, its thermal network, and the bench around two of them.
+
+SI throughout, temperatures in degC, q axis, power-invariant transform. The defaults are the LEA of the paper; every
+field can be given, and a mapping that does not describe a plant is refused with every fault named.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from typing import Any, Self
+
+from leactl.errors import InputError
+
+
+def bounded(default: float, low: float, high: float = math.inf) -> Any:
+    """A number of a frozen dataclass with its range, both ends allowed."""
+    return field(default=default, metadata={"low": low, "high": high})
+
+
+def _positive(default: float) -> Any:
+    return bounded(default, 1e-12)
+
+
+def _not_negative(default: float) -> Any:
+    return bounded(default, 0.0)
+
+
+class Checked:
+    """Checks its numbers where it is made, and is made from a mapping as a YAML file gives it."""
+
+    def __post_init__(self) -> None:
+        faults: list[str] = []
+        for item in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, item.name)
+            faults += _number_faults(item.name, value, item.metadata)
+        if faults:
+            raise InputError(faults)
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any]) -> Self:
+        """Make from names and values; names left out keep their defaults.
+
+        Raises
+        ------
+        InputError : a name is unknown, or a value is no number, not finite or out of range; one line each.
+        """
+        known = {item.name: item for item in fields(cls)}  # type: ignore[arg-type]
+        faults: list[str] = []
+        values: dict[str, Any] = {}
+        for name, value in mapping.items():
+            if name not in known:
+                faults.append(f"{name}: unknown parameter; known are {', '.join(known)}")
+                continue
+            nested = known[name].default_factory
+            if nested is not MISSING and is_dataclass(nested) and not isinstance(value, Checked):
+                if not isinstance(value, Mapping):
+                    faults.append(f"{name}: found {value!r}, expected parameters by name")
+                    continue
+                try:
+                    value = nested.from_mapping(value)
+                except InputError as error:
+                    faults += [f"{name}.{fault}" for fault in error.faults]
+                    continue
+            own = _number_faults(name, value, known[name].metadata)
+            faults += own
+            values[name] = value
+        if faults:
+            raise InputError(faults)
+        return cls(**values)
+
+
+def _number_faults(name: str, value: object, metadata: Mapping[str, Any]) -> list[str]:
+    if "low" not in metadata:
+        return []
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return [f"{name}: found {value!r}, expected a number"]
+    if not math.isfinite(value):
+        return [f"{name}: {value} is not finite; give a number"]
+    if not metadata["low"] <= value <= metadata["high"]:
+        return [f"{name}: {value} is outside {metadata['low']:g} to {metadata['high']:g}"]
+    return []
+
+
+@dataclass(frozen=True)
+class ThermalParameters(Checked):
+    """Two thermal nodes, winding and housing, against the ambient."""
+
+    winding_ambient_resistance: float = _positive(5.6)  # K/W
+    winding_housing_resistance: float = _positive(0.3)  # K/W
+    housing_ambient_resistance: float = _positive(1.7)  # K/W
+    winding_capacitance: float = _positive(22.9)  # J/K
+    housing_capacitance: float = _positive(469.1)  # J/K
+
+
+@dataclass(frozen=True)
+class ActuatorParameters(Checked):
+    """One actuator on its q axis."""
+
+    winding: str = "wye"
+    pole_pairs: int = bounded(41, 1, 1000)
+    phase_resistance: float = _positive(0.264)  # ohm, at reference_temperature
+    resistance_coefficient: float = bounded(0.004, 0.0, 0.1)  # 1/K
+    reference_temperature: float = bounded(25.0, -273.0, 1000.0)  # degC
+    phase_inductance: float = _positive(128e-6)  # H
+    torque_constant: float = _positive(0.49)  # N*m/A
+    back_emf_constant: float = _positive(0.49)  # V*s/rad
+    rotor_inertia: float = _positive(0.0024)  # kg*m^2
+    viscous_damping: float = _not_negative(0.0238)  # N*m*s/rad
+    coulomb_friction: float = _not_negative(0.208)  # N*m
+    thermal: ThermalParameters = field(default_factory=ThermalParameters)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.winding not in ("wye", "delta"):
+            raise InputError(f"winding: found {self.winding!r}, expected wye or delta")
+
+    def resistance(self, temperature: float) -> float:
+        """Phase resistance at a winding temperature [ohm]."""
+        rise = temperature - self.reference_temperature
+        return self.phase_resistance * (1.0 + self.resistance_coefficient * rise)
+
+
+@dataclass(frozen=True)
+class BenchParameters(Checked):
+    """What stands around the two actuators: supply, drives, filters, shaft."""
+
+    bus_voltage: float = _positive(29.6)  # V
+    current_loop_bandwidth: float = _positive(450.0)  # Hz, first order
+    velocity_filter_bandwidth: float = _positive(250.0)  # Hz, first order
+    torque_filter_bandwidth: float = _positive(265.0)  # Hz, first order
+    shaft_stiffness: float = _positive(6000.0)  # N*m/rad, between test and load actuator
+    shaft_damping_ratio: float = bounded(0.025, 0.0, 1.0)  # of critical, with both rotors loose
+    peak_current: float = _positive(45.0)  # A, q axis, of each drive
+    speed_limit: float = _positive(40.0)  # rad/s, of the position servo
+    position_gain: float = _positive(38.0)  # 1/s
+    velocity_gain: float = _positive(200.0)  # 1/s, proportional, of an unloaded rotor
+    velocity_integral: float = _not_negative(1000.0)  # 1/s^2
+    ambient_temperature: float = bounded(25.0, -100.0, 200.0)  # degC
+    friction_heat: bool = False  # the paper leaves it out; where True it warms the housing
