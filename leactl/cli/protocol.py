@@ -1,0 +1,103 @@
+"""`leactl protocol`: protocol files."""
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from leactl.protocol.plan import Plan
+
+app = typer.Typer(help="List, show, check and expand protocols.", no_args_is_help=True, rich_markup_mode=None)
+AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
+SET = typer.Option([], "--set", metavar="NAME=VALUE", help="Value of a parameter; a list as [1, 2]. May be repeated.")
+CONDITION = typer.Option("", "--condition", metavar="LABEL", help="Take the protocol's parameters of this condition.")
+BENCH = typer.Option("", "--bench", help="Check the setpoints against this bench's limits.")
+
+
+@app.command("list")
+def list_protocols(as_json: bool = AS_JSON) -> None:
+    """List the protocols that ship with leactl."""
+    from leactl.protocol.protocolfile import load, names
+
+    plans = [load(name) for name in names()]
+    if as_json:
+        rows = [{"name": p.name, "title": p.title, "setup": p.setup, "duration_s": p.duration_s} for p in plans]
+        typer.echo(json.dumps({"protocols": rows}))
+        return
+    for plan in plans:
+        typer.echo(f"{plan.name:<18} {plan.setup:<8} {_duration(plan.duration_s):>10}  {plan.title}")
+
+
+@app.command()
+def show(name: str, as_json: bool = AS_JSON) -> None:
+    """Show a protocol's file as it is written, to copy and change."""
+    from leactl.protocol.protocolfile import load
+
+    plan = load(name)
+    typer.echo(json.dumps({**_head(plan), "text": plan.text}) if as_json else plan.text, nl=as_json)
+
+
+@app.command()
+def check(protocol: str, as_json: bool = AS_JSON) -> None:
+    """Check a protocol by name or path: every fault with file, line and column."""
+    from leactl.protocol.protocolfile import load
+
+    plan = load(protocol)
+    if as_json:
+        typer.echo(json.dumps({**_head(plan), "peaks": _peaks(plan), "actions": len(plan.actions)}))
+        return
+    typer.echo(f"{plan.name}: {len(plan.actions)} actions, {_duration(plan.duration_s)}, no faults")
+
+
+@app.command()
+def plan(
+    protocol: str,
+    overrides: list[str] = SET,
+    condition: str = CONDITION,
+    bench: str = BENCH,
+    as_json: bool = AS_JSON,
+) -> None:
+    """Print the expanded timeline with duration and peak values; nothing moves."""
+    from leactl.protocol.protocolfile import load, read_overrides
+
+    expanded = load(protocol, read_overrides(overrides), condition)
+    if bench:
+        from leactl.bench.benchfile import load as load_bench
+        from leactl.safety.supervisor import check_setpoints
+
+        check_setpoints(load_bench(bench)[0].limits, expanded.peaks())
+    if as_json:
+        rows = [row._asdict() for row in expanded.timeline()]
+        typer.echo(json.dumps({**_head(expanded), "peaks": _peaks(expanded), "timeline": rows}))
+        return
+    typer.echo(f"{expanded.name}: {expanded.title}".rstrip(": "))
+    for name, value in expanded.parameters.items():
+        typer.echo(f"  {name} = {value}")
+    typer.echo(f"{'start/s':>10} {'last/s':>9} {'settle/s':>9}  {'step':<10}  setpoints")
+    for row in expanded.timeline():
+        times = f"{row.start_s:10.3f} {row.duration_s:9.3f} {row.settle_s:9.3f}"
+        typer.echo(f"{times}  {row.name:<10}  {row.setpoints}".rstrip())
+    typer.echo(f"duration {_duration(expanded.duration_s)} ({expanded.duration_s:.3f} s)")
+    for peak in _peaks(expanded):
+        typer.echo(f"peak {peak['role']} {peak['quantity']} {peak['value']:g} {peak['unit']}")
+
+
+def _head(found: "Plan") -> dict[str, Any]:
+    keys = ("name", "title", "setup", "analysis", "rate_Hz", "record_Hz", "condition", "duration_s")
+    return {**{key: getattr(found, key) for key in keys}, "parameters": dict(found.parameters)}
+
+
+def _peaks(found: "Plan") -> list[dict[str, Any]]:
+    from leactl.quantities import UNITS
+
+    return [
+        {"role": role, "quantity": quantity, "value": value, "unit": UNITS[quantity]}
+        for (role, quantity), value in found.peaks().items()
+    ]
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}"

@@ -1,0 +1,200 @@
+"""Steps to actions: walk the steps in order, keep track of what each role follows, and write the timeline."""
+
+import math
+from collections.abc import Callable
+
+from leactl.errors import InputError
+from leactl.protocol import sweeps, trajectory
+from leactl.protocol.plan import Prompt, Record, Samples, Tare, WaitUntil
+from leactl.protocol.schema import divides
+from leactl.protocol.setpointkeys import Spelling
+from leactl.protocol.signals import Csv, Signal
+from leactl.protocol.steps import HoldStep, RampStep, SetStep, Step, WaitStep
+from leactl.protocol.timeline import Timeline
+from leactl.quantities import UNITS
+
+
+def expand(timeline: Timeline, steps: tuple[Step, ...], pass_number: int = 1) -> None:
+    """Write the steps' actions; faults are noted in the timeline.
+
+    `pass_number` counts the passes of all repeats around these steps and becomes the parameter `repeat` of their holds.
+
+    Raises
+    ------
+    InputError : the whole has become too much.
+    """
+    for step in steps:
+        if step.kind == "repeat":
+            times = step.content.times if step.content is not None else 1
+            timeline.foresee(step, times * len(step.inner))
+            for number in range(1, times + 1):
+                timeline.charge(step)
+                expand(timeline, step.inner, (pass_number - 1) * times + number)
+        elif step.content is None:
+            timeline.charge(step)
+            timeline.whole = False
+            timeline.modes_known = timeline.modes_known and step.kind != "mode"
+        else:
+            _WRITERS[step.kind](timeline, step, pass_number)
+
+
+def _mode(timeline: Timeline, step: Step, _pass_number: int) -> None:
+    modes = {role: mode for role in ("test", "load") if (mode := getattr(step.content, role)) is not None}
+    if not modes:
+        timeline.complain(step, (), "a mode for test, load or both was expected")
+    timeline.engage(step, modes)
+
+
+def _set(timeline: Timeline, step: Step, pass_number: int) -> None:
+    content: SetStep = step.content
+    spelling = timeline.spelling(step, content.role, content)
+    if spelling is not None:
+        value = content.given(spelling, "setpoint") * content.sign
+        told = _told(timeline, content.role, spelling, value, pass_number)
+        timeline.hold(step, "set", (0.0, 0.0), content.role, value, told)
+
+
+def _ramp(timeline: Timeline, step: Step, pass_number: int) -> None:
+    content: RampStep = step.content
+    spelling = timeline.spelling(step, content.role, content)
+    if spelling is None:
+        return
+    rate = content.given(spelling, "rate")
+    if (rate is None) == (content.duration_s is None):
+        timeline.complain(step, "duration_s", f"either duration_s or {spelling.rate} was expected")
+        return
+    value = content.given(spelling, "to_setpoint") * content.sign
+    before = timeline.known_setpoint(step, content.role, spelling.key("to_setpoint"))
+    if before is not None:
+        duration_s = content.duration_s or abs(value - before) / rate
+        where = {"role": content.role, "repeat": pass_number}
+        timeline.ramp(step, content.role, (before, value), duration_s, where)
+
+
+def _hold(timeline: Timeline, step: Step, pass_number: int) -> None:
+    content: HoldStep = step.content
+    timeline.check_times(step, ("settle_s", "duration_s"), content.duration_s, content.settle_s)
+    times = content.duration_s, content.settle_s
+    setpoints = [key for key in ("current_A", "velocity_rad_s", "angle_rad") if getattr(content, key) is not None]
+    if not setpoints:
+        timeline.segment(step, content.name, times[0], {}, {"repeat": pass_number}, times[1])
+        return
+    if content.role is None:
+        timeline.complain(step, "role", "is required and missing where a setpoint is given")
+        return
+    spelling = timeline.spelling(step, content.role, content)
+    if spelling is not None:
+        value = content.given(spelling, "setpoint") * content.sign
+        told = _told(timeline, content.role, spelling, value, pass_number)
+        timeline.hold(step, content.name, times, content.role, value, told)
+
+
+def _told(timeline: Timeline, role: str, spelling: Spelling, value: float, pass_number: int) -> dict[str, float | str]:
+    direction = timeline.roles[role].goes_to(value)
+    return {spelling.setpoint: value, "direction": direction, "role": role, "repeat": pass_number}
+
+
+def _signal(timeline: Timeline, step: Step, pass_number: int) -> None:
+    content: Signal = step.content
+    spelling = timeline.spelling(step, content.role, content)
+    faults = list(content.faults(timeline.rate_hz))
+    for key, message in faults:
+        timeline.complain(step, key, message)
+    if spelling is None or faults:
+        return
+    made = step.location, spelling.setpoint
+    if made not in timeline.signals:
+        samples = _samples(timeline, step, spelling)
+        if samples is None:
+            return
+        timeline.signals[made] = samples
+    samples = timeline.signals[made]
+    duration = len(samples.values) * samples.period
+    if content.settle_s >= duration:
+        timeline.complain(step, "settle_s", f"{content.settle_s:g} s: less than {duration:g} s was expected")
+    keys = content.model_dump(exclude_none=True, exclude={"role", "settle_s", "duration_s"})
+    told = {key: value for key, value in keys.items() if isinstance(value, float | int | str)}
+    told |= {"role": content.role, "repeat": pass_number}
+    timeline.segment(step, content.kind, duration, {content.role: samples}, told, content.settle_s)
+    timeline.roles[content.role].goes_to(float(samples.values[-1]))
+
+
+def _samples(timeline: Timeline, step: Step, spelling: Spelling) -> Samples | None:
+    """Sample a signal at the loop's rate, once for all passes."""
+    import numpy as np
+
+    content = step.content
+    period = 1 / timeline.rate_hz
+    if isinstance(content, Csv):
+        try:
+            times, column = trajectory.read(timeline.folder / content.path, content.column, spelling)
+        except InputError as error:
+            for fault in error.faults:
+                timeline.complain(step, "column" if fault.startswith("column ") else "path", fault)
+            return None
+        count = math.floor(float(times[-1]) * timeline.rate_hz + 1e-6) + 1
+        timeline.charge(step, steps=0, samples=count)
+        values = np.interp(np.arange(count) * period, times, column)
+    else:
+        count = round(content.duration_s * timeline.rate_hz)
+        if count < 1:
+            timeline.complain(step, "duration_s", f"{content.duration_s:g} s: at least {period:g} s was expected")
+            return None
+        timeline.charge(step, steps=0, samples=count)
+        try:
+            values = content.values(np.arange(count) * period, spelling)
+        except ValueError as error:
+            timeline.complain(step, (), str(error))
+            return None
+    values.setflags(write=False)
+    return Samples(period, values)
+
+
+def _wait_until(timeline: Timeline, step: Step, _pass_number: int) -> None:
+    content: WaitStep = step.content
+    unit = UNITS.get(content.quantity)
+    if unit is None:
+        timeline.complain(step, "quantity", f"{content.quantity!r}: one of {', '.join(UNITS)} was expected")
+    elif content.unit != unit:
+        timeline.complain(step, "unit", f"{content.unit!r}: {content.quantity} is in {unit}")
+    low = -math.inf if content.above is None else content.above
+    high = math.inf if content.below is None else content.below
+    if math.isinf(low) and math.isinf(high):
+        timeline.complain(step, "below", "below, above or both were expected")
+    if low > high:
+        timeline.complain_of_either(step, ("below", "above"), f"no value is below {high:g} and above {low:g}")
+    timeline.add(step, WaitUntil(content.quantity, content.role, low, high, content.timeout_s))
+
+
+def _record(timeline: Timeline, step: Step, _pass_number: int) -> None:
+    rate = step.content.rate_Hz
+    if rate and not divides(rate, timeline.rate_hz):
+        timeline.complain(
+            step, "rate_Hz", f"{rate:g} Hz: a whole part of rate_Hz ({timeline.rate_hz:g} Hz) was expected"
+        )
+    timeline.add(step, Record(rate))
+
+
+def _tare(timeline: Timeline, step: Step, _pass_number: int) -> None:
+    timeline.add(step, Tare(step.content.samples))
+
+
+def _prompt(timeline: Timeline, step: Step, _pass_number: int) -> None:
+    if not step.content.isprintable():
+        timeline.complain(step, (), "a text of one printable line was expected")
+    timeline.add(step, Prompt(step.content))
+
+
+_WRITERS: dict[str, Callable[[Timeline, Step, int], None]] = {
+    "mode": _mode,
+    "set": _set,
+    "ramp": _ramp,
+    "hold": _hold,
+    "sweep": sweeps.sweep,
+    "grid": sweeps.grid,
+    "signal": _signal,
+    "wait_until": _wait_until,
+    "record": _record,
+    "tare": _tare,
+    "prompt": _prompt,
+}

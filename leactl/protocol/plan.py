@@ -1,0 +1,275 @@
+"""A plan: every action of a protocol in order, with numbers in place of names; what the runner executes.
+
+Setpoints are absolute and SI, in the unit of the mode that the role is in. A role that a segment does not name keeps
+its setpoint; engaging a role brings its setpoint to zero, except in angle mode, which holds the shaft where it is.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+from leactl.driver.contract import Mode
+from leactl.quantities import UNITS
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+SETPOINT_QUANTITY = {
+    Mode.CURRENT: "q_axis_current_reference",
+    Mode.TORQUE_PROFILE: "q_axis_current_reference",
+    Mode.VELOCITY: "velocity_reference",
+    Mode.ANGLE: "angle_reference",
+}
+
+
+class Profile(Protocol):
+    """A setpoint over the time since its segment's start."""
+
+    def at(self, time: float) -> float:
+        """The setpoint at this time; before the start and after the end, the nearest one."""
+
+    @property
+    def low(self) -> float:
+        """The lowest setpoint."""
+
+    @property
+    def high(self) -> float:
+        """The highest setpoint."""
+
+
+@dataclass(frozen=True)
+class Constant:
+    """One setpoint throughout."""
+
+    value: float
+
+    def at(self, time: float) -> float:
+        """The setpoint."""
+        return self.value
+
+    @property
+    def low(self) -> float:
+        """The setpoint."""
+        return self.value
+
+    @property
+    def high(self) -> float:
+        """The setpoint."""
+        return self.value
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """From one setpoint to another at a constant rate."""
+
+    start: float
+    stop: float
+    duration: float
+
+    def at(self, time: float) -> float:
+        """The setpoint on the straight line; exact at both ends."""
+        if time >= self.duration:
+            return self.stop
+        if time <= 0:
+            return self.start
+        value = self.start + (self.stop - self.start) * (time / self.duration)
+        return min(max(value, self.low), self.high)
+
+    @property
+    def low(self) -> float:
+        """The lower end."""
+        return min(self.start, self.stop)
+
+    @property
+    def high(self) -> float:
+        """The upper end."""
+        return max(self.start, self.stop)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Setpoints at a constant period, each held until the next."""
+
+    period: float
+    values: "NDArray[np.float64]"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Samples) and self.period == other.period and self._listed == other._listed
+
+    __hash__ = None  # type: ignore[assignment]  # an array has none
+
+    def at(self, time: float) -> float:
+        """The latest sample; a loop that is early by a millionth of a period still takes the sample it is due."""
+        index = int(time / self.period + 1e-6)
+        return float(self.values[min(max(index, 0), len(self.values) - 1)])
+
+    @cached_property
+    def low(self) -> float:
+        """The lowest sample."""
+        return float(self.values.min())
+
+    @cached_property
+    def high(self) -> float:
+        """The highest sample."""
+        return float(self.values.max())
+
+    @property
+    def _listed(self) -> bytes:
+        return self.values.tobytes()
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Setpoints over a duration, which is 0 for a jump; the first `settle_s` are left out by analyses."""
+
+    name: str
+    duration_s: float
+    settle_s: float
+    setpoints: Mapping[str, Profile]  # role: profile
+    parameters: Mapping[str, float | str]
+
+
+@dataclass(frozen=True)
+class Engage:
+    """Bring roles into modes; `Mode.OFF` releases."""
+
+    modes: Mapping[str, Mode]
+
+
+@dataclass(frozen=True)
+class WaitUntil:
+    """Wait until low <= value <= high, infinite where a side is open, and give up after the timeout."""
+
+    quantity: str
+    role: str
+    low: float
+    high: float
+    timeout_s: float
+
+
+@dataclass(frozen=True)
+class Tare:
+    """Take the mean of so many readings as the zero of every sensor that can be tared."""
+
+    samples: int
+
+
+@dataclass(frozen=True)
+class Prompt:
+    """Ask the operator to do something and to confirm it."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Record:
+    """Record at this rate from here on; 0 pauses."""
+
+    rate_Hz: float  # noqa: N815 (a unit keeps its letter)
+
+
+Action = Segment | Engage | WaitUntil | Tare | Prompt | Record
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """Bounds, infinite where open, that a result of the analysis must keep."""
+
+    result: str
+    low: float
+    high: float
+    unit: str
+
+
+class Row(NamedTuple):
+    """One line of the timeline."""
+
+    start_s: float
+    name: str
+    duration_s: float
+    settle_s: float
+    setpoints: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A checked protocol, expanded."""
+
+    name: str
+    title: str
+    setup: str
+    analysis: str  # "" where the protocol names none
+    rate_Hz: float  # noqa: N815
+    record_Hz: float  # noqa: N815
+    parameters: Mapping[str, Any]  # as resolved: --set over condition over default
+    condition: str
+    actions: tuple[Action, ...]
+    acceptance: tuple[Acceptance, ...]
+    text: str  # the protocol file, byte for byte
+
+    @property
+    def duration_s(self) -> float:
+        """Sum of the segments; waits, prompts, taring and enabling take the time they take."""
+        return math.fsum(action.duration_s for action in self.actions if isinstance(action, Segment))
+
+    def peaks(self) -> dict[tuple[str, str], float]:
+        """Largest magnitude of each setpoint, by role and quantity."""
+        peaks: dict[tuple[str, str], float] = {}
+        for action, modes in self._with_modes():
+            if not isinstance(action, Segment):
+                continue
+            for role, profile in action.setpoints.items():
+                key = role, SETPOINT_QUANTITY[modes[role]]
+                peaks[key] = max(peaks.get(key, 0.0), abs(profile.low), abs(profile.high))
+        return peaks
+
+    def timeline(self) -> list[Row]:
+        """One row an action, each starting where the one before ends."""
+        rows = []
+        start = 0.0
+        for action, modes in self._with_modes():
+            if isinstance(action, Segment):
+                shown = [f"{role} {_shown(profile, modes[role])}" for role, profile in action.setpoints.items()]
+                rows.append(Row(start, action.name, action.duration_s, action.settle_s, ", ".join(shown)))
+                start += action.duration_s
+            else:
+                rows.append(Row(start, _NAMES[type(action)], 0.0, 0.0, _told(action)))
+        return rows
+
+    def _with_modes(self) -> Iterator[tuple[Action, dict[str, Mode]]]:
+        modes: dict[str, Mode] = {}
+        for action in self.actions:
+            if isinstance(action, Engage):
+                modes.update(action.modes)
+            yield action, modes
+
+
+_NAMES: dict[type, str] = {Engage: "mode", WaitUntil: "wait_until", Tare: "tare", Prompt: "prompt", Record: "record"}
+
+
+def _shown(profile: Profile, mode: Mode) -> str:
+    unit = UNITS[SETPOINT_QUANTITY[mode]]
+    if isinstance(profile, Ramp):
+        return f"{profile.start:g} -> {profile.stop:g} {unit}"
+    if profile.low == profile.high:
+        return f"{profile.low:g} {unit}"
+    return f"{profile.low:g} .. {profile.high:g} {unit}"
+
+
+def _told(action: Action) -> str:
+    match action:
+        case Engage(modes):
+            return ", ".join(f"{role} {mode.value}" for role, mode in modes.items())
+        case WaitUntil(quantity, role, low, high, timeout_s):
+            return f"{role} {quantity} in {low:g} .. {high:g} {UNITS[quantity]}, at most {timeout_s:g} s"
+        case Tare(samples):
+            return f"{samples} samples"
+        case Prompt(text):
+            return text
+        case Record(rate_hz):
+            return f"{rate_hz:g} Hz" if rate_hz else "paused"
+        case _:
+            return ""

@@ -1,0 +1,174 @@
+"""Protocol files: find by name or path, check whole, and expand with parameters put in.
+
+name: torque-constant
+title: Torque over q-axis current while the load actuator holds position
+setup: coupled                  # free | locked | coupled | heated
+analysis: torque-constant       # may be left out
+rate_Hz: 50                     # control loop
+record_Hz: 50                   # default rate_Hz; must divide it
+parameters: {hold_s: 5.5}       # `$hold_s` below, as a whole value, takes it; --set hold_s=3 goes over it
+conditions: {loaded: {hold_s: 8}}
+steps: [...]                    # see steps.py
+acceptance:
+  - {result: torque_constant, low: 0.4, high: 0.6, unit: N*m/A}
+"""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from types import MappingProxyType
+
+from pydantic import ValidationError
+
+from leactl import yamlfile
+from leactl.errors import InputError
+from leactl.protocol import steps
+from leactl.protocol.expansion import expand
+from leactl.protocol.parameters import Substituted, resolve, substitute
+from leactl.protocol.plan import Acceptance, Plan
+from leactl.protocol.schema import Head, Limit, divides
+from leactl.protocol.timeline import Timeline
+
+NO_OVERRIDES: Mapping[str, str] = MappingProxyType({})
+
+
+def names() -> list[str]:
+    """Names of the protocols that ship with leactl."""
+    return sorted(path.stem for path in _shipped().glob("*.yaml"))
+
+
+def locate(name_or_path: str) -> Path:
+    """The file of a shipped protocol, or the path itself.
+
+    Raises
+    ------
+    InputError : no shipped protocol has this name and it is no path to a .yaml.
+    """
+    if name_or_path in names():
+        return _shipped() / f"{name_or_path}.yaml"
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        raise InputError(f"protocol '{name_or_path}' is not known; known: {', '.join(names())}, or a path to a .yaml")
+    return path
+
+
+def read_overrides(given: Sequence[str]) -> dict[str, str]:
+    """Texts by parameter from `name=value` as it stands on the command line; the last of a name counts.
+
+    `seed` is left out: it belongs to the emulated bench of a run, and no protocol has it.
+
+    Raises
+    ------
+    InputError : one line for each that is no `name=value`.
+    """
+    faults = [f"--set {item}: name=value was expected" for item in given if not item.partition("=")[1]]
+    if faults:
+        raise InputError(faults)
+    pairs = (item.partition("=") for item in given)
+    return {name.strip(): value.strip() for name, _equals, value in pairs if name.strip() != "seed"}
+
+
+def load(name_or_path: str, overrides: Mapping[str, str] = NO_OVERRIDES, condition: str = "") -> Plan:
+    """Read, check and expand a protocol, by its shipped name or from a file.
+
+    Parameters
+    ----------
+    overrides : texts by parameter as they stand on the command line; a list begins with `[`.
+    condition : any label; where the protocol has parameters under it, they go over the defaults.
+
+    Raises
+    ------
+    InputError : no such protocol, or faults in it, all at once with file, line and column.
+    """
+    path = locate(name_or_path)
+    return expanded(yamlfile.load(path), path.parent, overrides, condition)
+
+
+def expanded(document: yamlfile.Document, folder: Path, overrides: Mapping[str, str], condition: str) -> Plan:
+    """Check and expand a protocol that has been read; CSV files are looked for in the folder.
+
+    Raises
+    ------
+    InputError : faults in it, all at once.
+    """
+    if not isinstance(document.data, dict):
+        raise InputError(document.fault((), f"a mapping with keys of {', '.join(Head.model_fields)} was expected"))
+    faults: list[str] = []
+    resolved = resolve(document, overrides, condition, faults)
+    filled = substitute(document, resolved, faults)
+    head = _head(filled, faults)
+    rate_hz = head.rate_Hz if head is not None else _number(filled.data.get("rate_Hz"))
+    raw = filled.data.get("steps")
+    timeline = Timeline(filled, rate_hz, folder)
+    if isinstance(raw, list):
+        checked = steps.read(filled, raw, ("steps",), faults)
+        timeline.faults.update(dict.fromkeys(faults))
+        try:
+            expand(timeline, checked)
+        except InputError as error:
+            timeline.faults.update(dict.fromkeys(error.faults))
+        faults = list(timeline.faults)
+    if faults or head is None or resolved is None:
+        raise InputError(_in_order(document.name, faults))
+    return Plan(
+        name=head.name,
+        title=head.title,
+        setup=head.setup,
+        analysis=head.analysis,
+        rate_Hz=head.rate_Hz,
+        record_Hz=head.record_Hz or head.rate_Hz,
+        parameters=resolved.values,
+        condition=condition,
+        actions=tuple(timeline.actions),
+        acceptance=tuple(_bounds(limit) for limit in head.acceptance),
+        text=document.text,
+    )
+
+
+def _shipped() -> Path:
+    return Path(str(resources.files("leactl_protocols")))
+
+
+def _head(document: Substituted, faults: list[str]) -> Head | None:
+    try:
+        head = Head.model_validate(document.data)
+    except ValidationError as error:
+        faults.extend(document.explain(error))
+        return None
+    if head.record_Hz is not None and not divides(head.record_Hz, head.rate_Hz):
+        message = f"{head.record_Hz:g} Hz: a whole part of rate_Hz ({head.rate_Hz:g} Hz) was expected"
+        faults.append(document.fault(("record_Hz",), message))
+    for number, limit in enumerate(head.acceptance):
+        bounds = _bounds(limit)
+        if limit.low is None and limit.high is None:
+            faults.append(document.fault(("acceptance", number), "low, high or both were expected"))
+        elif bounds.low > bounds.high:
+            faults.append(
+                document.fault(("acceptance", number, "low"), f"{limit.low:g} is above high ({limit.high:g})")
+            )
+    return head
+
+
+def _bounds(limit: Limit) -> Acceptance:
+    low = -math.inf if limit.low is None else limit.low
+    high = math.inf if limit.high is None else limit.high
+    return Acceptance(limit.result, low, high, limit.unit)
+
+
+def _number(found: object) -> float:
+    """A rate to judge the steps by where another key of the head is at fault."""
+    usable = isinstance(found, int | float) and not isinstance(found, bool) and 0 < found <= 10_000
+    return float(found) if usable else 1000.0  # type: ignore[arg-type]
+
+
+def _in_order(name: str, faults: list[str]) -> list[str]:
+    """Faults by their place in the file; those of the command line stay in front."""
+    mark = re.compile(re.escape(name) + r":(\d+):(\d+)  ")
+
+    def place(fault: str) -> tuple[int, ...]:
+        found = mark.match(fault)
+        return (int(found[1]), int(found[2])) if found else (0, 0)
+
+    return sorted(dict.fromkeys(faults), key=place)

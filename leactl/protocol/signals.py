@@ -1,0 +1,270 @@
+"""Signals: setpoints that are sampled at the control loop's rate, each held until the next.
+
+    kind        keys besides role, kind, duration_s, offset_*, settle_s
+    step        from_current_A (or as the mode asks), to_current_A, at_s; no offset
+    sine        amplitude_*, frequency_Hz, phase_rad
+    chirp       amplitude_*, from_Hz, to_Hz, spacing: linear | log
+    multisine   amplitude_*, frequencies_Hz or from_Hz, to_Hz and count; phases: schroeder | random, seed
+    noise       std_*, cutoff_Hz, order, seed
+    csv         path, column; see trajectory.py; no duration and no offset
+
+The amplitude of a multisine is the peak of the whole sum over its duration. The standard deviation of noise is that of
+the filtered signal over its duration; the Butterworth filter starts at rest, so that noise begins without a jump. Noise
+and random phases come from their seed alone: a signal inside a `repeat` is the same each time.
+"""
+# ruff: noqa: N815 (a unit keeps its letter)
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import Field, TypeAdapter
+
+from leactl.protocol.schema import Amount, Driven, Duration, Frequency, Rest, Role, Seed, Setpoint
+from leactl.protocol.setpointkeys import Spelling
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+MAX_TERMS = 200_000_000  # samples times frequencies of a multisine: a few seconds of work
+
+
+class Signal(Driven):
+    """What every signal has."""
+
+    kind: str
+    role: Role
+    settle_s: Rest = 0.0
+
+    def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
+        """Keys that do not go with the loop's rate, and why."""
+        yield from ()
+
+    def values(self, times: "Array", spelling: Spelling) -> "Array":
+        """Setpoints at these times.
+
+        Raises
+        ------
+        ValueError : the signal cannot be made of these numbers.
+        """
+        raise NotImplementedError
+
+    def _below_half(self, rate_hz: float, *keys: str) -> Iterator[tuple[str, str]]:
+        for key in keys:
+            value = getattr(self, key)
+            if value is not None and not value < rate_hz / 2:
+                yield key, f"{value:g} Hz: less than half of rate_Hz ({rate_hz / 2:g} Hz) was expected"
+
+
+class StepSignal(Signal):
+    """A jump at `at_s`."""
+
+    kind: Literal["step"]
+    needs = ("from_setpoint", "to_setpoint")
+    from_current_A: Setpoint | None = None
+    from_velocity_rad_s: Setpoint | None = None
+    from_angle_rad: Setpoint | None = None
+    to_current_A: Setpoint | None = None
+    to_velocity_rad_s: Setpoint | None = None
+    to_angle_rad: Setpoint | None = None
+    at_s: Rest
+    duration_s: Duration
+
+    def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
+        """The jump must lie inside."""
+        if not self.at_s < self.duration_s:
+            yield "at_s", f"{self.at_s:g} s: less than duration_s ({self.duration_s:g} s) was expected"
+
+    def values(self, times: "Array", spelling: Spelling) -> "Array":
+        """One level before the jump, the other from it on."""
+        import numpy as np
+
+        before, after = self.given(spelling, "from_setpoint"), self.given(spelling, "to_setpoint")
+        values: Array = np.where(times < self.at_s - 1e-9, before, after)
+        return values
+
+
+class Offset(Signal):
+    """A signal around an offset, zero where none is given."""
+
+    takes = ("offset",)
+    duration_s: Duration
+    offset_A: Setpoint | None = None
+    offset_rad_s: Setpoint | None = None
+    offset_rad: Setpoint | None = None
+
+    def values(self, times: "Array", spelling: Spelling) -> "Array":
+        """Offset and what goes on around it."""
+        values: Array = self.around(times, spelling) + float(self.given(spelling, "offset") or 0.0)
+        return values
+
+    def around(self, times: "Array", spelling: Spelling) -> "Array":
+        """The signal without its offset."""
+        raise NotImplementedError
+
+
+class Amplitude(Offset):
+    """A signal with an amplitude, the largest distance from its offset."""
+
+    needs = ("amplitude",)
+    amplitude_A: Amount | None = None
+    amplitude_rad_s: Amount | None = None
+    amplitude_rad: Amount | None = None
+
+
+class Sine(Amplitude):
+    """One frequency."""
+
+    kind: Literal["sine"]
+    frequency_Hz: Frequency
+    phase_rad: Setpoint = 0.0
+
+    def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
+        """The loop must be fast enough."""
+        yield from self._below_half(rate_hz, "frequency_Hz")
+
+    def around(self, times: "Array", spelling: Spelling) -> "Array":
+        """A sine that begins at its phase."""
+        import numpy as np
+
+        wave: Array = np.sin(2 * math.pi * self.frequency_Hz * times + self.phase_rad)
+        return float(self.given(spelling, "amplitude")) * wave
+
+
+class Chirp(Amplitude):
+    """A frequency that glides, in equal steps or in equal ratios."""
+
+    kind: Literal["chirp"]
+    from_Hz: Frequency
+    to_Hz: Frequency
+    spacing: Literal["linear", "log"] = "linear"
+
+    def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
+        """The loop must be fast enough."""
+        yield from self._below_half(rate_hz, "from_Hz", "to_Hz")
+
+    def around(self, times: "Array", spelling: Spelling) -> "Array":
+        """A sine whose phase is the integral of the frequency."""
+        import numpy as np
+
+        first, last, total = self.from_Hz, self.to_Hz, self.duration_s
+        logarithm = math.log(last / first)
+        if self.spacing == "linear" or abs(logarithm) < 1e-9:
+            cycles = first * times + (last - first) * times**2 / (2 * total)
+        else:
+            cycles = first * total / logarithm * np.expm1(logarithm * times / total)
+        wave: Array = np.sin(2 * math.pi * cycles)
+        return float(self.given(spelling, "amplitude")) * wave
+
+
+class Multisine(Amplitude):
+    """Many frequencies of one amplitude at once."""
+
+    kind: Literal["multisine"]
+    frequencies_Hz: Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=1000)] | None = None
+    from_Hz: Frequency | None = None
+    to_Hz: Frequency | None = None
+    count: Annotated[int, Field(strict=True, ge=2, le=1000)] | None = None
+    phases: Literal["schroeder", "random"] = "schroeder"
+    seed: Seed = 0
+
+    def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
+        """Either way of naming the frequencies, and a loop that is fast enough."""
+        band = (self.from_Hz, self.to_Hz, self.count)
+        if (self.frequencies_Hz is None) == (None in band) and any(item is not None for item in band):
+            yield "from_Hz", "from_Hz, to_Hz and count together, or frequencies_Hz alone, were expected"
+            return
+        if self.frequencies_Hz is None and None in band:
+            yield "frequencies_Hz", "frequencies_Hz, or from_Hz, to_Hz and count, were expected"
+            return
+        yield from self._below_half(rate_hz, "from_Hz", "to_Hz")
+        for frequency in self.frequencies_Hz or ():
+            if not frequency < rate_hz / 2:
+                expected = f"less than half of rate_Hz ({rate_hz / 2:g} Hz) was expected"
+                yield "frequencies_Hz", f"{frequency:g} Hz: {expected}"
+        if round(self.duration_s * rate_hz) * len(self._frequencies()) > MAX_TERMS:
+            yield (
+                "duration_s",
+                f"{self.duration_s:g} s of {len(self._frequencies())} frequencies is too much to compute",
+            )
+
+    def _frequencies(self) -> list[float]:
+        if self.frequencies_Hz is not None:
+            return list(self.frequencies_Hz)
+        first, last, count = self.from_Hz, self.to_Hz, self.count
+        assert first is not None
+        assert last is not None
+        assert count is not None
+        return [first + (last - first) * index / (count - 1) for index in range(count)]
+
+    def around(self, times: "Array", spelling: Spelling) -> "Array":
+        """The sum, scaled to its peak; Schroeder's phases (1970) keep that peak low for a flat spectrum."""
+        import numpy as np
+
+        frequencies = self._frequencies()
+        if self.phases == "schroeder":
+            phases = [-math.pi * k * (k + 1) / len(frequencies) for k in range(len(frequencies))]
+        else:
+            phases = list(np.random.default_rng(self.seed).uniform(0, 2 * math.pi, len(frequencies)))
+        total: Array = np.zeros(len(times))
+        for frequency, phase in zip(frequencies, phases, strict=True):
+            total += np.cos(2 * math.pi * frequency * times + phase)
+        peak = float(np.abs(total).max())
+        if not peak > 1e-12:
+            raise ValueError("the sum is zero at every sample")
+        return float(self.given(spelling, "amplitude")) / peak * total
+
+
+class Noise(Offset):
+    """Gaussian noise behind a Butterworth low pass."""
+
+    kind: Literal["noise"]
+    needs = ("std",)
+    std_A: Amount | None = None
+    std_rad_s: Amount | None = None
+    std_rad: Amount | None = None
+    cutoff_Hz: Frequency
+    order: Annotated[int, Field(strict=True, ge=1, le=60)]
+    seed: Seed
+
+    def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
+        """The loop must be fast enough."""
+        yield from self._below_half(rate_hz, "cutoff_Hz")
+
+    def around(self, times: "Array", spelling: Spelling) -> "Array":
+        """Filtered in second-order sections: a single polynomial of order 35 is unstable in double precision."""
+        import numpy as np
+        from scipy.signal import butter, sosfilt
+
+        if len(times) < 2:
+            raise ValueError("two samples or more were expected")
+        rate_hz = 1 / float(times[1] - times[0])
+        sections = butter(self.order, self.cutoff_Hz, fs=rate_hz, output="sos")
+        with np.errstate(all="ignore"):
+            filtered: Array = sosfilt(sections, np.random.default_rng(self.seed).standard_normal(len(times)))
+            spread = float(filtered.std())
+            scaled = filtered * (float(self.given(spelling, "std")) / spread)
+        if not (spread > 1e-12 and np.isfinite(scaled).all()):
+            raise ValueError("nothing is left behind the filter; a higher cutoff_Hz, lower order or longer duration_s")
+        return scaled
+
+
+class Csv(Signal):
+    """A trajectory from a file, relative to the protocol's folder."""
+
+    kind: Literal["csv"]
+    path: Annotated[str, Field(min_length=1, max_length=500)]
+    column: Annotated[str, Field(min_length=1, max_length=100)] | None = None
+
+
+SIGNALS: dict[str, TypeAdapter[Any]] = {
+    "step": TypeAdapter(StepSignal),
+    "sine": TypeAdapter(Sine),
+    "chirp": TypeAdapter(Chirp),
+    "multisine": TypeAdapter(Multisine),
+    "noise": TypeAdapter(Noise),
+    "csv": TypeAdapter(Csv),
+}

@@ -1,0 +1,236 @@
+"""The steps a protocol is written in. Each is a mapping of one key, the kind, to what it needs.
+
+    mode: {test: current, load: angle}     off | current | torque_profile | velocity | angle
+    set: {role: test, current_A: 5}        a jump
+    ramp: {role: test, to_current_A: 5, duration_s: 1}        or rate_A_s in place of duration_s
+    hold: {role: test, current_A: 5, duration_s: 5.5, settle_s: 0.5}       without a setpoint everything stays
+    sweep: {role: test, levels_A: [1, 2], hold_s: 5.5, visit: both, overshoot_A: 0.5, repeats: 6}
+    grid: {axes: [{role: load, levels_rad_s: [1, 2]}, {role: test, levels_A: [1, 2]}], hold_s: 3.5}
+    signal: {role: test, kind: sine, amplitude_A: 1, frequency_Hz: 2, duration_s: 10}      see signals.py
+    wait_until: {quantity: velocity, role: test, below: 0.1, unit: rad/s, timeout_s: 5}
+    tare: {samples: 500}
+    prompt: Lock the shaft
+    record: {rate_Hz: 1000}                0 pauses
+    repeat: {times: 3, steps: [...]}
+
+`wait_until` compares the value itself, not its magnitude: for standstill give `above: -0.1` as well.
+`sign: -1` mirrors a step, setpoints and the order in which they are visited alike.
+"""
+# ruff: noqa: N815 (a unit keeps its letter)
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from leactl.driver.contract import Mode
+from leactl.protocol.parameters import Substituted
+from leactl.protocol.schema import Amount, Block, Count, Driven, Duration, Levels, Rate, Rest, Role, Setpoint, Sign
+from leactl.protocol.signals import SIGNALS
+from leactl.yamlfile import Location
+
+
+class ModeStep(Block):
+    """Engage roles in modes, or release them."""
+
+    test: Mode | None = None
+    load: Mode | None = None
+
+
+class TareStep(Block):
+    """Zero the sensors; before a drive is engaged, unless the load at standstill is meant to be left out."""
+
+    samples: Annotated[int, Field(strict=True, ge=1, le=1_000_000)]
+
+
+class SetStep(Driven):
+    """Jump to a setpoint."""
+
+    needs = ("setpoint",)
+    role: Role
+    current_A: Setpoint | None = None
+    velocity_rad_s: Setpoint | None = None
+    angle_rad: Setpoint | None = None
+    sign: Sign = 1
+
+
+class RampStep(Driven):
+    """Move the setpoint at a constant rate."""
+
+    needs = ("to_setpoint",)
+    takes = ("rate",)
+    role: Role
+    to_current_A: Setpoint | None = None
+    to_velocity_rad_s: Setpoint | None = None
+    to_angle_rad: Setpoint | None = None
+    duration_s: Duration | None = None
+    rate_A_s: Rate | None = None
+    rate_rad_s2: Rate | None = None
+    rate_rad_s: Rate | None = None
+    sign: Sign = 1
+
+
+class HoldStep(Driven):
+    """Stay at a setpoint; `name` tells analyses what the hold is for where it is not a level."""
+
+    takes = ("setpoint",)
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]*$", max_length=40)] = "hold"
+    role: Role | None = None
+    current_A: Setpoint | None = None
+    velocity_rad_s: Setpoint | None = None
+    angle_rad: Setpoint | None = None
+    duration_s: Duration
+    settle_s: Rest = 0.0
+    sign: Sign = 1
+
+
+class SweepStep(Driven):
+    """Hold level after level, as often as `repeats` says.
+
+    `both` rises through the levels, turns at top + overshoot, falls through them and turns at bottom - overshoot; it
+    begins with that lower turn where the setpoint is not below the levels yet. Without an overshoot the top level is
+    itself the turn and is held once. With a rate, the way to a level is a ramp of its own before the hold. `pause_s`
+    rests at zero after every repeat but the last.
+    """
+
+    needs = ("levels",)
+    takes = ("overshoot", "rate")
+    role: Role
+    levels_A: Levels | None = None
+    levels_rad_s: Levels | None = None
+    levels_rad: Levels | None = None
+    hold_s: Duration
+    settle_s: Rest = 0.0
+    visit: Literal["up", "down", "both", "as_given"] = "as_given"
+    overshoot_A: Amount | None = None
+    overshoot_rad_s: Amount | None = None
+    overshoot_rad: Amount | None = None
+    turn_s: Duration = 0.5
+    rate_A_s: Rate | None = None
+    rate_rad_s2: Rate | None = None
+    rate_rad_s: Rate | None = None
+    repeats: Count = 1
+    pause_s: Rest = 0.0
+    sign: Sign = 1
+
+
+class Axis(Driven):
+    """One axis of a grid; with a rate, the way between its levels is a ramp of its own before the hold."""
+
+    needs = ("levels",)
+    takes = ("rate",)
+    role: Role
+    levels_A: Levels | None = None
+    levels_rad_s: Levels | None = None
+    levels_rad: Levels | None = None
+    rate_A_s: Rate | None = None
+    rate_rad_s2: Rate | None = None
+    rate_rad_s: Rate | None = None
+
+
+class GridStep(Block):
+    """Hold every combination of levels, the first axis outermost.
+
+    `rest_s` rests after every row (one pass through the last axis) but the last: currents and velocities at zero,
+    angles where they are.
+    """
+
+    axes: Annotated[tuple[Axis, ...], Field(min_length=1, max_length=2)]
+    hold_s: Duration
+    settle_s: Rest = 0.0
+    repeats: Count = 1
+    rest_s: Rest = 0.0
+
+
+class WaitStep(Block):
+    """Wait for a measured value; the unit must be the vocabulary's, so that a value in another one is caught."""
+
+    quantity: str
+    role: Literal["test", "load", "bench"]
+    below: Setpoint | None = None
+    above: Setpoint | None = None
+    unit: str
+    timeout_s: Duration
+
+
+class RecordStep(Block):
+    """Record at another rate from here on."""
+
+    rate_Hz: Annotated[float, Field(strict=True, ge=0, le=10_000)]
+
+
+class RepeatStep(Block):
+    """Do the steps again and again."""
+
+    times: Count
+    steps: Annotated[list[Any], Field(min_length=1)]
+
+
+Text = Annotated[str, Field(min_length=1, max_length=500)]
+KINDS: dict[str, TypeAdapter[Any]] = {
+    "mode": TypeAdapter(ModeStep),
+    "set": TypeAdapter(SetStep),
+    "ramp": TypeAdapter(RampStep),
+    "hold": TypeAdapter(HoldStep),
+    "sweep": TypeAdapter(SweepStep),
+    "grid": TypeAdapter(GridStep),
+    "wait_until": TypeAdapter(WaitStep),
+    "tare": TypeAdapter(TareStep),
+    "prompt": TypeAdapter(Text),
+    "record": TypeAdapter(RecordStep),
+    "repeat": TypeAdapter(RepeatStep),
+}
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step, and where it stands in the file."""
+
+    location: Location
+    kind: str  # of an unknown one, what was probably meant
+    content: Any  # the kind's block; None where it is faulty
+    inner: tuple["Step", ...] = ()  # of a repeat
+
+
+def read(document: Substituted, raw: list[Any], place: Location, faults: list[str]) -> tuple[Step, ...]:
+    """Check each step on its own; a faulty one stays in the sequence without content, so that the others are judged."""
+    return tuple(_read_one(document, item, (*place, index), faults) for index, item in enumerate(raw))
+
+
+def _read_one(document: Substituted, raw: Any, place: Location, faults: list[str]) -> Step:
+    known = ", ".join(sorted([*KINDS, "signal"]))
+    if not isinstance(raw, Mapping) or len(raw) != 1:
+        faults.append(document.fault(place, f"a mapping of one key was expected, one of {known}"))
+        return Step(place, "unknown", None)
+    kind, given = next(iter(raw.items()))
+    inside = (*place, kind)
+    adapter = _signal(document, given, inside, faults) if kind == "signal" else KINDS.get(kind)
+    if adapter is None:
+        if kind != "signal":
+            close = get_close_matches(kind, [*KINDS, "signal"], n=1)
+            faults.append(
+                document.fault(inside, f"no such step; {close[0] if close else f'one of {known}'} was expected")
+            )
+            kind = close[0] if close else "unknown"
+        return Step(inside, kind, None)
+    try:
+        content = adapter.validate_python(given)
+    except ValidationError as error:
+        faults.extend(document.explain(error, inside))
+        content = None
+    inner: tuple[Step, ...] = ()
+    if kind == "repeat" and isinstance(given, Mapping) and isinstance(given.get("steps"), list):
+        inner = read(document, given["steps"], (*inside, "steps"), faults)
+    return Step(inside, kind, content, inner)
+
+
+def _signal(document: Substituted, given: Any, place: Location, faults: list[str]) -> TypeAdapter[Any] | None:
+    known = ", ".join(SIGNALS)
+    kind = given.get("kind") if isinstance(given, Mapping) else None
+    if not isinstance(kind, str) or kind not in SIGNALS:
+        shown = f"{kind!r}: " if isinstance(kind, str) else ""
+        faults.append(document.fault((*place, "kind"), f"{shown}one of {known} was expected"))
+        return None
+    return SIGNALS[kind]

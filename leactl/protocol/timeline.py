@@ -1,0 +1,197 @@
+"""The timeline while it is being written: what each role follows at this point, and how much has been asked for.
+
+Every action is charged before it is kept, so a protocol that multiplies itself is refused while it is still small.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from leactl.driver.contract import Mode
+from leactl.errors import InputError
+from leactl.protocol.parameters import Substituted
+from leactl.protocol.plan import Action, Constant, Engage, Profile, Ramp, Samples, Segment
+from leactl.protocol.schema import MAX_ACTIONS, MAX_DURATION_S, MAX_SAMPLES, Driven
+from leactl.protocol.setpointkeys import SPELLINGS, Spelling
+from leactl.protocol.steps import Step
+from leactl.yamlfile import Location
+
+
+@dataclass
+class Followed:
+    """What a role follows at a point of the protocol."""
+
+    mode: Mode = Mode.OFF
+    setpoint: float | None = None  # None: not known, as the angle at which a drive was engaged
+    direction: str = "rising"  # of the last change
+
+    def goes_to(self, value: float) -> str:
+        """Take a new setpoint; returns the direction, which stays as it was where the setpoint does."""
+        before = self.setpoint
+        if before is not None and value != before:
+            self.direction = "rising" if value > before else "falling"
+        self.setpoint = value
+        return self.direction
+
+
+@dataclass
+class Timeline:
+    """Actions so far, roles as they stand, and faults."""
+
+    document: Substituted
+    rate_hz: float
+    folder: Path  # of the protocol file
+    actions: list[Action] = field(default_factory=list)
+    roles: dict[str, Followed] = field(default_factory=lambda: {"test": Followed(), "load": Followed()})
+    faults: dict[str, None] = field(default_factory=dict)  # in order, each once
+    signals: dict[tuple[Location, str], Samples] = field(default_factory=dict)
+    modes_known: bool = True  # False behind a faulty `mode` step
+    whole: bool = True  # False behind any faulty step
+    _steps: int = 0
+    _samples: int = 0
+    _duration_s: float = 0.0
+
+    # -- faults and bounds --------------------------------------------------------------------------------------------
+
+    def complain(self, step: Step, keys: str | tuple[str | int, ...], message: str) -> None:
+        """Note a fault of this step, at a key or a path of keys in it."""
+        path = (keys,) if isinstance(keys, str) else keys
+        self.faults.setdefault(self.document.fault((*step.location, *path), message))
+
+    def complain_of_either(self, step: Step, keys: tuple[str, str], message: str) -> None:
+        """Note a fault between two keys, at the one where a parameter was changed if it was at one only."""
+        first, second = ((*step.location, key) in self.document.changed for key in keys)
+        self.complain(step, keys[1] if second and not first else keys[0], message)
+
+    def charge(self, step: Step, steps: int = 1, duration_s: float = 0.0, samples: int = 0) -> None:
+        """Count what a step asks for.
+
+        Raises
+        ------
+        InputError : the whole has become too much.
+        """
+        self.foresee(step, steps, duration_s, samples)
+        self._steps += steps
+        self._duration_s += duration_s
+        self._samples += samples
+
+    def foresee(self, step: Step, steps: int, duration_s: float = 0.0, samples: int = 0) -> None:
+        """Refuse what a step is going to ask for at the least, before any of it is made.
+
+        Raises
+        ------
+        InputError : the whole would become too much.
+        """
+        for found, bound, what in (
+            (self._steps + steps, MAX_ACTIONS, "actions"),
+            (self._duration_s + duration_s, MAX_DURATION_S, "s of duration"),
+            (self._samples + samples, MAX_SAMPLES, "samples of signals"),
+        ):
+            if found > bound:
+                message = f"the protocol reaches more than {bound:.0f} {what} here"
+                raise InputError(self.document.fault(step.location, message))
+
+    def check_times(self, step: Step, keys: tuple[str, str], hold_s: float, settle_s: float) -> None:
+        """A hold must be seen by the loop and outlast its settle window."""
+        if settle_s >= hold_s:
+            message = f"a settle window of {settle_s:g} s leaves nothing of {hold_s:g} s; less was expected"
+            self.complain_of_either(step, keys, message)
+        if hold_s < (1 - 1e-9) / self.rate_hz:
+            self.complain(step, keys[1], f"{hold_s:g} s: at least one cycle ({1 / self.rate_hz:g} s) was expected")
+
+    # -- roles --------------------------------------------------------------------------------------------------------
+
+    def spelling(self, step: Step, role: str, block: Driven, under: tuple[str | int, ...] = ()) -> Spelling | None:
+        """How the role's setpoints are spelled at this point; None where the block says it otherwise, with faults."""
+        if not self.modes_known:
+            return None
+        mode = self.roles[role].mode
+        if mode is Mode.OFF:
+            self.complain(step, (*under, "role"), f"{role} is off at this point; a mode step before it was expected")
+            return None
+        spelling = SPELLINGS[mode]
+        fits = True
+        for stem in (*block.needs, *block.takes):
+            key = spelling.key(stem)
+            others = {other.key(stem) for other in SPELLINGS.values()} - {key}
+            strange = [other for other in sorted(others) if getattr(block, other) is not None]
+            for other in strange:
+                value = getattr(block, other)
+                shown = f"{value:g}: " if isinstance(value, float) else ""
+                message = f"{shown}{role} is in {mode} mode at this point; {key} was expected"
+                self.complain(step, (*under, other), message)
+            missing = stem in block.needs and not strange and getattr(block, key) is None
+            if missing:
+                self.complain(step, (*under, key), f"is required and missing ({role} is in {mode} mode at this point)")
+            fits = fits and not strange and not missing
+        return spelling if fits else None
+
+    def known_setpoint(self, step: Step, role: str, why: str | tuple[str | int, ...]) -> float | None:
+        """Where a ramp begins; a fault where that is not known."""
+        before = self.roles[role].setpoint
+        if before is None and self.whole:
+            known = f"the {self.roles[role].mode} of {role} is not known before its first setpoint"
+            self.complain(step, why, f"{known}; a set or hold before it was expected")
+        return before
+
+    # -- actions ------------------------------------------------------------------------------------------------------
+
+    def add(self, step: Step, action: Action) -> None:
+        """Keep an action that is no segment."""
+        self.charge(step)
+        self.actions.append(action)
+
+    def engage(self, step: Step, modes: Mapping[str, Mode]) -> None:
+        """Bring roles into modes: setpoint zero, except that an angle stays where it is, wherever that is."""
+        for role, mode in modes.items():
+            self.roles[role] = Followed(mode, None if mode in (Mode.OFF, Mode.ANGLE) else 0.0)
+        self.add(step, Engage(dict(modes)))
+
+    def segment(
+        self,
+        step: Step,
+        name: str,
+        duration_s: float,
+        setpoints: Mapping[str, Profile],
+        parameters: Mapping[str, float | str],
+        settle_s: float = 0.0,
+    ) -> None:
+        """Keep a segment."""
+        self.charge(step, duration_s=duration_s)
+        self.actions.append(Segment(name, duration_s, settle_s, dict(setpoints), dict(parameters)))
+
+    def hold(
+        self,
+        step: Step,
+        name: str,
+        times: tuple[float, float],
+        role: str,
+        value: float,
+        parameters: Mapping[str, float | str],
+    ) -> None:
+        """Keep a segment at one setpoint; times are duration and settle window."""
+        self.roles[role].goes_to(value)
+        self.segment(step, name, times[0], {role: Constant(value)}, parameters, times[1])
+
+    def ramp(
+        self,
+        step: Step,
+        role: str,
+        ends: tuple[float, float],
+        duration_s: float,
+        parameters: Mapping[str, float | str],
+    ) -> None:
+        """Keep a ramp from one setpoint to another."""
+        self.roles[role].goes_to(ends[1])
+        self.segment(step, "ramp", duration_s, {role: Ramp(*ends, duration_s)}, parameters)
+
+    def approach(
+        self, step: Step, role: str, value: float, rate: float | None, parameters: Mapping[str, float | str]
+    ) -> bool:
+        """Keep a ramp where a rate is given and there is a way to go; False where it is not known from where."""
+        if rate is None or self.roles[role].setpoint == value:
+            return True
+        before = self.known_setpoint(step, role, SPELLINGS[self.roles[role].mode].rate)
+        if before is not None:
+            self.ramp(step, role, (before, value), abs(value - before) / rate, parameters)
+        return before is not None

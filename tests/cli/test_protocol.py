@@ -1,0 +1,121 @@
+"""`leactl protocol` as a person's shell sees it."""
+
+import json
+from importlib import resources
+
+import pytest
+
+from tests.cli.terminal import leactl
+
+MINE = """\
+name: mine
+title: Two levels
+setup: locked
+rate_Hz: 50
+parameters: {levels_A: [1, 2], hold_s: 3}
+conditions: {hot: {hold_s: 4}}
+steps:
+  - mode: {test: current}
+  - sweep: {role: test, levels_A: $levels_A, hold_s: $hold_s, settle_s: 0.5}
+  - mode: {test: off}
+"""
+
+
+@pytest.fixture
+def mine(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(MINE)
+    return path
+
+
+def test_list():
+    done = leactl("protocol", "list")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert [line.split()[0] for line in done.stdout.splitlines()] == ["friction", "torque-constant"]
+    rows = json.loads(leactl("protocol", "list", "--json").stdout)["protocols"]
+    assert [(row["name"], row["setup"]) for row in rows] == [("friction", "free"), ("torque-constant", "coupled")]
+
+
+def test_show_prints_the_file_as_it_is():
+    text = (resources.files("leactl_protocols") / "friction.yaml").read_text()
+    assert leactl("protocol", "show", "friction").stdout == text
+    assert json.loads(leactl("protocol", "show", "friction", "--json").stdout)["text"] == text
+
+
+def test_check(mine):
+    done = leactl("protocol", "check", mine)
+    assert (done.returncode, done.stdout) == (0, "mine: 4 actions, 0:00:06, no faults\n")
+    answer = json.loads(leactl("protocol", "check", mine, "--json").stdout)
+    assert answer["duration_s"] == 6
+    assert answer["peaks"] == [{"role": "test", "quantity": "q_axis_current_reference", "value": 2.0, "unit": "A"}]
+
+
+def test_check_tells_every_fault_at_its_place(mine):
+    mine.write_text(MINE.replace("hold_s: $hold_s", "hold_ms: 3").replace("{test: off}", "{test: of}"))
+    done = leactl("protocol", "check", mine)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.splitlines() == [
+        f"leactl: {mine}:9:55  steps[1].sweep.hold_ms: 3: unknown key; hold_s was expected",
+        f"leactl: {mine}:10:18  steps[2].mode.test: 'of': input should be 'off', 'current', 'torque_profile',"
+        " 'velocity' or 'angle'",
+    ]
+
+
+def test_plan_prints_the_timeline_duration_and_peaks(mine):
+    done = leactl("protocol", "plan", mine, "--condition", "hot", "--set", "levels_A=[1, -2.5]", "--set", "seed=3")
+    assert done.returncode == 0
+    assert done.stdout.splitlines() == [
+        "mine: Two levels",
+        "  levels_A = [1, -2.5]",
+        "  hold_s = 4",
+        "   start/s    last/s  settle/s  step        setpoints",
+        "     0.000     0.000     0.000  mode        test current",
+        "     0.000     4.000     0.500  hold        test 1 A",
+        "     4.000     4.000     0.500  hold        test -2.5 A",
+        "     8.000     0.000     0.000  mode        test off",
+        "duration 0:00:08 (8.000 s)",
+        "peak test q_axis_current_reference 2.5 A",
+    ]
+
+
+def test_plan_as_json(mine):
+    answer = json.loads(leactl("protocol", "plan", mine, "--json").stdout)
+    assert answer["parameters"] == {"levels_A": [1, 2], "hold_s": 3}
+    assert answer["timeline"][1] == {
+        "start_s": 0.0, "name": "hold", "duration_s": 3.0, "settle_s": 0.5, "setpoints": "test 1 A"
+    }  # fmt: skip
+
+
+def test_plan_is_checked_against_a_bench(mine):
+    assert leactl("protocol", "plan", mine, "--bench", "emulated").returncode == 0
+    done = leactl("protocol", "plan", mine, "--bench", "emulated", "--set", "levels_A=[1, -45]")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "leactl: test q_axis_current_reference: 45 A is above the bench limit of 30 A\n"
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (
+            "hold_s=-1",
+            ":9:54  steps[1].sweep.hold_s: -1: input should be greater than 0 ($hold_s from --set hold_s=-1)",
+        ),
+        ("hold=1", "--set hold=1: no such parameter; known: levels_A, hold_s"),
+        ("hold_s", "--set hold_s: name=value was expected"),
+        ("hold_s=.nan", "--set hold_s=.nan: nan: a finite number was expected, as in the default 3"),
+    ],
+)
+def test_a_value_that_cannot_be_used(mine, given, words):
+    done = leactl("protocol", "plan", mine, "--set", given)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
+    assert words in done.stderr
+
+
+@pytest.mark.parametrize("command", ["show", "check", "plan"])
+def test_a_protocol_that_is_not_known(command):
+    done = leactl("protocol", command, "torque")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == (
+        "leactl: protocol 'torque' is not known; known: friction, torque-constant, or a path to a .yaml\n"
+    )

@@ -1,0 +1,112 @@
+"""The protocols that ship: what they ask of the bench, and that the physics they were written for holds."""
+
+import math
+
+import pytest
+
+from leactl.driver.contract import Mode
+from leactl.protocol import protocolfile
+from leactl.protocol.plan import Engage, Ramp, Tare
+from tests.protocol.writing import levels, segments
+
+KT = 0.49  # N*m/A
+PRELOADS = {"unloaded": (0.0182, 0.2419), "design": (0.0238, 0.208), "loaded": (0.0255, 0.3037)}  # b, f
+
+
+@pytest.mark.parametrize("name", protocolfile.names())
+def test_every_shipped_protocol_is_in_order(name):
+    found = protocolfile.load(name)
+    assert found.name == name
+    assert found.title
+    assert found.analysis
+    modes = {}
+    for action in found.actions:
+        if isinstance(action, Engage):
+            modes |= action.modes
+    assert set(modes.values()) == {Mode.OFF}
+
+
+def test_torque_constant():
+    found = protocolfile.load("torque-constant")
+    assert found.setup == "coupled"
+    assert isinstance(found.actions[0], Tare)
+    assert found.actions[1] == Engage({"test": Mode.CURRENT, "load": Mode.ANGLE})
+    holds = [s for s in segments(found) if s.name == "hold"]
+    for level in (4.9, 9.8, 14.7, 19.6, 24.5):
+        for direction in ("rising", "falling"):
+            asked = {"current_A": level, "direction": direction, "role": "test"}
+            visits = [s.parameters["repeat"] for s in holds if asked.items() <= s.parameters.items()]
+            assert visits == [1, 2, 3, 4, 5, 6]
+    assert {(s.duration_s, s.settle_s) for s in holds} == {(5.5, 0.5)}
+    assert [s.duration_s for s in segments(found) if s.name == "pause"] == [60] * 5
+    assert found.peaks() == {("test", "q_axis_current_reference"): 28.5}
+    assert segments(found)[-1].setpoints["test"].at(math.inf) == 0
+    assert [(limit.result, limit.low, limit.unit) for limit in found.acceptance] == [("r_squared", 0.99, "1")]
+
+
+def test_torque_constant_moves_the_current_at_one_rate_only():
+    found = protocolfile.load("torque-constant", {"rate_A_s": "5"})
+    at = 0.0
+    for segment in segments(found):
+        profile = segment.setpoints["test"]
+        assert profile.at(0) == at
+        if isinstance(profile, Ramp):
+            assert abs(profile.stop - profile.start) == pytest.approx(5 * segment.duration_s)
+        at = profile.at(segment.duration_s)
+
+
+def test_torque_constant_turns_further_than_sticking_hides():
+    found = protocolfile.load("torque-constant")
+    # two rotors in series, each hiding up to f/Kt on either side
+    hidden = max(4 * friction / KT for _damping, friction in PRELOADS.values())
+    assert 4.9 - min(levels(found, "turn")) > hidden
+    assert max(levels(found, "turn")) - 24.5 > hidden
+
+
+@pytest.mark.parametrize(("condition", "ends"), [("", (0.6, 0.74)), ("design", (0.6, 0.74)), ("loaded", (0.76, 0.89))])
+def test_friction(condition, ends):
+    found = protocolfile.load("friction", condition=condition)
+    assert found.setup == "free"
+    assert not found.acceptance
+    held = levels(found)
+    assert sorted({abs(level) for level in held}) == pytest.approx(
+        [ends[0] + n * (ends[1] - ends[0]) / 4 for n in range(5)]
+    )
+    assert all(held.count(level) == 5 for level in held)
+    assert {-level for level in held} == set(held)
+    assert {(s.duration_s, s.settle_s) for s in segments(found) if s.name == "hold"} == {(10, 5)}
+
+
+def test_friction_comes_to_every_level_from_a_shaft_that_turns_faster():
+    before = 0.0
+    for segment in segments(protocolfile.load("friction")):
+        level = segment.setpoints["test"].at(0)
+        if segment.name == "hold":
+            assert abs(level) < abs(before)
+            assert level * before > 0
+        before = level
+
+
+@pytest.mark.parametrize(("preload", "condition"), [("unloaded", ""), ("design", ""), ("loaded", "loaded")])
+def test_friction_breaks_loose_turns_at_every_level_and_keeps_below_the_limit(preload, condition):
+    damping, friction = PRELOADS[preload]
+    found = protocolfile.load("friction", condition=condition)
+    speeds = [(KT * abs(level) - friction) / damping for level in levels(found) + levels(found, "start")]
+    assert min(speeds) > 2
+    assert max(speeds) < 40
+    assert all(KT * abs(level) > 1.5 * friction for level in levels(found, "start"))
+
+
+def test_the_text_is_kept_byte_for_byte(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_bytes(b"name: mine\r\nsetup: free\r\nrate_Hz: 50\r\nsteps: [{hold: {duration_s: 1}}]  # \xc3\xa9\r\n")
+    assert protocolfile.load(str(path)).text.encode() == path.read_bytes()
+
+
+def test_a_trajectory_lies_beside_its_protocol(tmp_path):
+    (tmp_path / "walk.csv").write_text("time_s,current_A\n0,1\n1,2\n")
+    (tmp_path / "walk.yaml").write_text(
+        "name: walk\nsetup: free\nrate_Hz: 50\nsteps:\n"
+        "  - mode: {test: current}\n  - signal: {role: test, kind: csv, path: walk.csv}\n"
+    )
+    assert protocolfile.load(str(tmp_path / "walk.yaml")).peaks() == {("test", "q_axis_current_reference"): 2.0}
