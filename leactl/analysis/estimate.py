@@ -1,0 +1,114 @@
+"""What an analysis answers: estimates with 95 % intervals, notes a reader must know, and the points behind a plot."""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from leactl.errors import InputError
+
+NAN = math.nan
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One number with its standard uncertainty and its 95 % interval; NaN where it has none."""
+
+    name: str
+    value: float
+    std: float
+    low: float
+    high: float
+    units: str
+    actuator: str = ""
+    condition: str = ""
+
+    def as_json(self, with_group: bool = False) -> dict[str, Any]:
+        """The row as JSON takes it: what is not finite becomes null."""
+        numbers = {"value": self.value, "std": self.std, "low": self.low, "high": self.high}
+        row: dict[str, Any] = {"name": self.name}
+        row |= {key: float(number) if math.isfinite(number) else None for key, number in numbers.items()}
+        row["units"] = self.units
+        return row | {"actuator": self.actuator, "condition": self.condition} if with_group else row
+
+
+@dataclass(frozen=True)
+class Series:
+    """Points of one kind."""
+
+    label: str
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Points of an experiment and the fitted lines through them, each from end to end."""
+
+    x_label: str
+    y_label: str
+    points: tuple[Series, ...]
+    lines: tuple[Series, ...]
+    actuator: str = ""
+    condition: str = ""
+
+
+@dataclass(frozen=True)
+class Result:
+    """Answer of one experiment, from one run or several."""
+
+    experiment: str
+    runs: tuple[str, ...]  # paths as they were given
+    results: tuple[Estimate, ...]
+    notes: tuple[str, ...] = ()
+    plots: tuple[Plot, ...] = ()
+
+    @property
+    def groups(self) -> list[tuple[str, str]]:
+        """Every (actuator, condition) with results, in order."""
+        return list(dict.fromkeys((item.actuator, item.condition) for item in self.results))
+
+    def find(self, name: str, actuator: str | None = None, condition: str | None = None) -> Estimate:
+        """The one estimate of this name, of an actuator and under a condition where there are several.
+
+        Raises
+        ------
+        InputError : there is none, or there are several.
+        """
+        found = [
+            item
+            for item in self.results
+            if item.name == name and actuator in (None, item.actuator) and condition in (None, item.condition)
+        ]
+        if not found:
+            raise InputError(f"{self.experiment} has no result '{name}'{self._asked(actuator, condition)}")
+        if len(found) > 1:
+            groups = ", ".join(f"{item.actuator}/{item.condition}" for item in found)
+            raise InputError(f"{self.experiment} has '{name}' {len(found)} times: {groups}; ask for one of them")
+        return found[0]
+
+    def as_json(self) -> dict[str, Any]:
+        """The answer as `--json` prints it; rows carry actuator and condition where there is more than one group."""
+        several = len(self.groups) > 1
+        return {
+            "experiment": self.experiment,
+            "runs": list(self.runs),
+            "results": [item.as_json(several) for item in self.results],
+            "notes": list(self.notes),
+        }
+
+    def _asked(self, actuator: str | None, condition: str | None) -> str:
+        asked = " of ".join(repr(part) for part in (condition, actuator) if part is not None)
+        known = dict.fromkeys(item.name for item in self.results)
+        return f"{' for ' + asked if asked else ''}; it has {', '.join(known)}"
+
+
+def listed(items: Iterable[object], most: int = 4) -> str:
+    """A list short enough for one line."""
+    every = [str(item) for item in items]
+    return ", ".join(every[:most]) + (f" and {len(every) - most} more" if len(every) > most else "")
+
+
+def tally(reasons: Mapping[str, list[str]], place: str) -> list[str]:
+    """One note for each reason why something was left out, with how often and where."""
+    return [f"{place}: left out {len(what)}: {reason} ({listed(what)})" for reason, what in reasons.items()]

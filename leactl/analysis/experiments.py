@@ -1,0 +1,142 @@
+"""Find the analysis that a run asks for and apply it; experiment `torque-constant` is the module `torque_constant`.
+
+A module of this package with a function `analyze(runs, **options) -> Result` is an experiment; adding one adds a file.
+"""
+
+import importlib
+import inspect
+import pkgutil
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import leactl.analysis
+from leactl import yamlfile
+from leactl.analysis.estimate import Estimate, Plot, Result
+from leactl.errors import InputError
+from leactl.runfile.reader import Run
+
+Analysis = Callable[..., Result]
+
+
+def names() -> list[str]:
+    """Experiments that can be analysed."""
+    return sorted(module.replace("_", "-") for module in _modules() if _analysis_in(module) is not None)
+
+
+def analysis_of(experiment: str, place: str) -> Analysis:
+    """The function that analyses an experiment.
+
+    Raises
+    ------
+    InputError : there is none; `place` opens the message.
+    """
+    module = experiment.replace("-", "_")
+    if module in _modules() and (function := _analysis_in(module)) is not None:
+        return function
+    asked = f"analysis '{experiment}' is not known" if experiment else "the run names no analysis"
+    raise InputError(f"{place}: {asked}; known: {', '.join(names())}")
+
+
+def experiment_of(run: Run) -> str:
+    """What a run is to be analysed as: `analysis` of its protocol, else the protocol's name.
+
+    A protocol text that cannot be read counts as none, since the run may come from elsewhere; empty where nothing says.
+    """
+    text = run.source("protocol")
+    try:
+        data = yamlfile.parse(text).data if text is not None else None
+    except InputError:
+        data = None
+    named = data.get("analysis") if isinstance(data, dict) else None
+    return named if isinstance(named, str) and named else str(run.attributes.get("protocol", ""))
+
+
+def analyze_runs(paths: Sequence[Path | str], **options: Any) -> Result:
+    """Analyse runs of one experiment: one set of results for each actuator and condition, repeats combined.
+
+    Options that are None count as not given.
+
+    Raises
+    ------
+    InputError : files that are no runs, of different experiments, given twice, or that cannot answer.
+    """
+    with ExitStack() as opened:
+        runs = [opened.enter_context(Run.open(path)) for path in paths]
+        if not runs:
+            raise InputError("no run to analyse; give one run file or more")
+        refuse_repeated(runs)
+        asked = {run.path: experiment_of(run) for run in runs}
+        first = asked[runs[0].path]
+        for run in runs[1:]:
+            if asked[run.path] != first:
+                raise InputError(
+                    f"{run.path}: its analysis is '{asked[run.path]}', that of {runs[0].path} is '{first}'; "
+                    "give runs of one experiment"
+                )
+        analyze = analysis_of(first, str(runs[0].path))
+        given = {name: value for name, value in options.items() if value is not None}
+        refuse_unknown(first, analyze, given)
+        groups: dict[tuple[str, str], list[Run]] = {}
+        for run in runs:
+            key = str(run.attributes.get("actuator", "")), str(run.attributes.get("condition", ""))
+            groups.setdefault(key, []).append(run)
+        answers = {key: analyze(members, **given) for key, members in groups.items()}
+        return combined(first, runs, answers)
+
+
+def combined(experiment: str, runs: Sequence[Run], answers: dict[tuple[str, str], Result]) -> Result:
+    """One answer from that of each group; notes say whose they are where there is more than one."""
+    results: list[Estimate] = []
+    plots: list[Plot] = []
+    notes = [note for run in runs for note in remarks_on(run)]
+    shared = set.intersection(*(set(answer.notes) for answer in answers.values()))
+    notes += [note for note in next(iter(answers.values())).notes if note in shared]
+    for (actuator, condition), answer in answers.items():
+        whose = f"{' '.join(filter(None, (actuator, condition))) or 'unnamed'}: " if len(answers) > 1 else ""
+        results += [replace(item, actuator=actuator, condition=condition) for item in answer.results]
+        plots += [replace(item, actuator=actuator, condition=condition) for item in answer.plots]
+        notes += [whose + note for note in answer.notes if note not in shared]
+    return Result(experiment, tuple(str(run.path) for run in runs), tuple(results), tuple(notes), tuple(plots))
+
+
+def remarks_on(run: Run) -> list[str]:
+    """What a reader must know of a run that did not come to its end."""
+    if run.status in ("complete", ""):
+        return []
+    reason = str(run.attributes.get("status_reason", ""))
+    why = f" ({reason})" if reason else ""
+    return [f"{run.path}: status is '{run.status}'{why}; analysed as far as its steps go"]
+
+
+def refuse_repeated(runs: Sequence[Run]) -> None:
+    """Refuse a run that is there twice, under one path or two: it would count as a repeat of itself."""
+    seen: dict[str, Path] = {}
+    for run in runs:
+        identity = str(run.attributes.get("run_id", "")) or str(run.path.resolve())
+        if identity in seen:
+            raise InputError(f"{run.path}: the same run as {seen[identity]}; give each run once")
+        seen[identity] = run.path
+
+
+def refuse_unknown(experiment: str, analyze: Analysis, options: dict[str, Any]) -> None:
+    """Refuse options that the analysis does not have."""
+    known = [name for name in inspect.signature(analyze).parameters if name != "runs"]
+    for name in options:
+        if name not in known:
+            has = ", ".join("--" + item.replace("_", "-") for item in known) or "none"
+            raise InputError(f"{experiment} has no option --{name.replace('_', '-')}; it has {has}")
+
+
+def _modules() -> list[str]:
+    """Modules of this package."""
+    return [module.name for module in pkgutil.iter_modules(leactl.analysis.__path__)]
+
+
+def _analysis_in(module: str) -> Analysis | None:
+    """What a module of this package analyses with; None where it serves others."""
+    loaded = importlib.import_module(f"{leactl.analysis.__name__}.{module}")
+    function: Analysis | None = getattr(loaded, "analyze", None)
+    return function

@@ -1,0 +1,227 @@
+"""Viscous damping and Coulomb friction of a free rotor: Kt i = b w + f sgn(w) at steady velocity.
+
+Paper, section "Friction and Damping". The torque that the current makes is regressed on velocity, not the other way
+round: a mean current is known to a part in a thousand, a mean velocity far better. Both b and f are in proportion to
+the torque constant, which comes from the model that the run carries or from the caller.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl import yamlfile
+from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, tally
+from leactl.analysis.levels import Levels, gather, require_levels
+from leactl.analysis.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
+from leactl.analysis.regression import Array
+from leactl.errors import InputError, NotIdentifiable
+from leactl.runfile.reader import Run
+
+CURRENT, VELOCITY = "q_axis_current", "velocity"
+DIRECTIONS = {"forward": 1.0, "backward": -1.0}
+STANDSTILL = 0.01  # rad/s (m/s): slower does not count as turning
+CREEPING = 0.02  # of the fastest level: nor does this
+STEADY = 0.05  # of the mean: how far the means of the quarters of a settled part may lie apart
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueConstants:
+    """The torque constant of each run [N*m/A], what is known of its uncertainty, and where it is from."""
+
+    values: Array
+    relative_std: float
+    note: str
+
+
+def analyze(
+    runs: Sequence[Run], *, torque_constant: float | None = None, torque_constant_std: float | None = None
+) -> Result:
+    """Fit the torque of the current over steady velocity, both directions together and each alone.
+
+    `viscous_damping` [N*m*s/rad], `coulomb_friction` [N*m], `offset` [N*m] where both directions are there (mean over
+    the runs; a zero error of current), `r_squared`, and the same for each direction alone as `_forward`, `_backward`.
+
+    Parameters
+    ----------
+    runs : of one actuator under one condition, free, whose steps `hold` its current at two levels or more.
+    torque_constant : [N*m/A], in place of the one in the runs' model.
+    torque_constant_std : [N*m/A], its standard uncertainty, which then is part of that of b and f.
+
+    Raises
+    ------
+    MissingChannel : a run has no velocity or no q-axis current of the test actuator.
+    NotIdentifiable : no torque constant, fewer than two levels at which the rotor turned, or too few points.
+    InputError : a torque constant that is no positive number.
+    """
+    place = f"{place_of(runs)}: friction"
+    constants = torque_constants(runs, torque_constant, torque_constant_std)
+    notes = expect_setup(runs, ("free",), "friction of whatever else is on the shaft is counted in")
+    levels = steady(runs, gather(runs, (CURRENT, VELOCITY), notes), place, notes)
+    sign = np.sign(levels.value[VELOCITY])
+    torque = constants.values[levels.run] * levels.value[CURRENT]
+    unit = "N" if levels.units[VELOCITY] == "m/s" else "N*m"
+    notes.append(constants.note)
+
+    each = {name: alone(levels, torque, direction, place) for name, direction in DIRECTIONS.items()}
+    if len(np.unique(sign)) == 2:
+        line = together(levels, torque, sign, place)
+        results = line_results(line, "", unit, constants.relative_std)
+        for name, found in each.items():
+            if isinstance(found, NotIdentifiable):
+                notes.append(f"{name} levels alone give no line: {str(found).removeprefix(place + ': ')}")
+            else:
+                results += line_results(found, f"_{name}", unit, constants.relative_std, DIRECTIONS[name])
+    else:
+        direction = float(sign[0])
+        name = next(name for name, value in DIRECTIONS.items() if value == direction)
+        found = each[name]
+        if isinstance(found, NotIdentifiable):
+            raise found
+        line = found
+        results = line_results(line, "", unit, constants.relative_std, direction)
+        notes.append(f"the rotor turned {name} only: a zero error of the current is part of coulomb_friction")
+    columns = regressors(levels, sign)
+    slope, _ = line.fit.combined(line.weights("viscous_damping"))
+    noise = np.hypot(constants.values[levels.run] * levels.std[CURRENT], slope * levels.std[VELOCITY])
+    notes += remarks(columns, torque, levels, noise, unit, place)
+    paths = tuple(str(run.path) for run in runs)
+    plot = plot_of(levels, torque, line, sign, unit)
+    names = ("viscous_damping", "coulomb_friction", "offset", "r_squared")
+    results.sort(key=lambda item: next(k for k, name in enumerate(names) if item.name.startswith(name)))
+    return Result("friction", paths, tuple(results), tuple(notes), (plot,))
+
+
+def torque_constants(runs: Sequence[Run], given: float | None, std: float | None) -> TorqueConstants:
+    """The torque constant to use for each run: the given one, else that of the model it carries.
+
+    Raises
+    ------
+    NotIdentifiable : none is given and a run has none.
+    InputError : a value or an uncertainty that makes no sense.
+    """
+    if given is not None and not (math.isfinite(given) and given > 0.0):
+        raise InputError(f"torque constant {given:g}: a positive number in N*m/A was expected")
+    if std is not None and not (math.isfinite(std) and std >= 0.0):
+        raise InputError(f"standard uncertainty of the torque constant {std:g}: zero or more in N*m/A was expected")
+    values = np.array([given if given is not None else of_model(run) for run in runs])
+    shown = ", ".join(f"{value:g}" for value in np.unique(values))
+    source = "as given" if given is not None else "from the model in the run"
+    relative = (std or 0.0) / float(values.mean())
+    doubt = f"its standard uncertainty of {relative:.2%} is in theirs" if std else "its uncertainty is not in theirs"
+    note = f"torque constant {shown} N*m/A, {source}; viscous damping and Coulomb friction scale with it, {doubt}"
+    return TorqueConstants(values, relative, note)
+
+
+def of_model(run: Run) -> float:
+    """The torque constant in the model that a run carries [N*m/A]."""
+    text = run.source("model")
+    data = yamlfile.parse(text, f"{run.path}:/model/source").data if text is not None else None
+    found = data.get("torque_constant") if isinstance(data, dict) else None
+    if isinstance(found, int | float) and not isinstance(found, bool) and found > 0:
+        return float(found)
+    what = "no model" if text is None else f"a model whose torque_constant is {found!r}"
+    raise NotIdentifiable(f"{run.path}: found {what}; a torque constant is needed, give --torque-constant")
+
+
+def steady(runs: Sequence[Run], levels: Levels, place: str, notes: list[str]) -> Levels:
+    """Only the levels at which the rotor turned steadily with its current; the others are named in the notes.
+
+    The means of four quarters of each settled part are compared, not of two halves: a rotor that stops late moves the
+    last quarter more than the second half.
+
+    Raises
+    ------
+    NotIdentifiable : fewer than two distinct levels are left.
+    """
+    velocity, current = levels.value[VELOCITY], levels.value[CURRENT]
+    least = max(STANDSTILL, CREEPING * float(np.max(np.abs(velocity))))
+    quarters = levels.quarters[VELOCITY]
+    uneven = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1) > STEADY * np.abs(velocity)
+    reasons = {
+        "the rotor did not turn": np.abs(velocity) < least,
+        "the velocity was not steady": uneven,
+        "the rotor turned against its current": velocity * current < 0.0,
+    }
+    kept = np.ones(len(levels), np.bool_)
+    left_out: dict[tuple[int, str], list[str]] = {}
+    for reason, applies in reasons.items():
+        for index in np.flatnonzero(applies & kept):
+            left_out.setdefault((int(levels.run[index]), reason), []).append(str(levels.holds[index]))
+        kept &= ~applies
+    for (number, reason), holds in sorted(left_out.items()):
+        notes += tally({reason: holds}, f"{runs[number].path}")
+    distinct = len(np.unique(np.round(levels.setpoint[kept], 9)))
+    if distinct < 2:
+        why = "; ".join(f"{len(holds)} holds: {reason}" for (_, reason), holds in left_out.items())
+        raise NotIdentifiable(
+            f"{place}: found {distinct} levels of current at which the rotor turned steadily"
+            f"{f' ({why})' if why else ''}; two or more are needed"
+        )
+    return levels.where(kept)
+
+
+def regressors(levels: Levels, sign: Array) -> dict[str, Array]:
+    """Velocity, and its sign where both are there."""
+    columns = {"viscous_damping": levels.value[VELOCITY]}
+    return columns | {"coulomb_friction": sign} if len(np.unique(sign)) == 2 else columns
+
+
+def together(levels: Levels, torque: Array, sign: Array, place: str) -> LineFit:
+    """Both directions with one b, one f and an offset for each run; the slope needs two levels in one direction."""
+    faults = []
+    for direction in DIRECTIONS.values():
+        own = levels.where(sign == direction)
+        try:
+            require_levels(place, "velocity", own.setpoint, own.value[VELOCITY], own.std[VELOCITY])
+        except NotIdentifiable as fault:
+            faults.append(fault)
+    if len(faults) == len(DIRECTIONS):
+        raise faults[0]
+    return fit_lines(regressors(levels, sign), torque, levels, place)
+
+
+def alone(levels: Levels, torque: Array, direction: float, place: str) -> LineFit | NotIdentifiable:
+    """The line of one direction, or why there is none."""
+    of_it = np.sign(levels.value[VELOCITY]) == direction
+    if not of_it.any():
+        return NotIdentifiable(f"{place}: found no level at which the rotor turned that way")
+    own = levels.where(of_it)
+    velocity = own.value[VELOCITY]
+    try:
+        require_levels(place, "velocity", own.setpoint, velocity, own.std[VELOCITY])
+        return fit_lines({"viscous_damping": velocity}, torque[of_it], own, place)
+    except NotIdentifiable as fault:
+        return fault
+
+
+def line_results(
+    line: LineFit, suffix: str, unit: str, relative_std: float, direction: float | None = None
+) -> list[Estimate]:
+    """Estimates of one fit; of a direction alone, its intercept is the friction."""
+    per_velocity = "N*s/m" if unit == "N" else "N*m*s/rad"
+    fit, one_way = line.fit, direction is not None
+    friction = (direction or 0.0) * line.mean_intercept if one_way else line.weights("coulomb_friction")
+    damping = fit.estimate(f"viscous_damping{suffix}", per_velocity, line.weights("viscous_damping"), relative_std)
+    found = [damping, fit.estimate(f"coulomb_friction{suffix}", unit, friction, relative_std)]
+    if not one_way:
+        found.append(fit.estimate("offset", unit, line.mean_intercept, relative_std))
+    return [*found, Estimate(f"r_squared{suffix}", fit.r_squared, NAN, NAN, NAN, "1")]
+
+
+def plot_of(levels: Levels, torque: Array, line: LineFit, sign: Array, unit: str) -> Plot:
+    """Torque of the current over velocity by direction, and the fitted lines."""
+    velocity = levels.value[VELOCITY]
+    intercept = float(line.fit.coefficients @ line.mean_intercept)
+    slopes = dict(zip(line.slopes, line.fit.coefficients, strict=False))
+    points, lines = [], []
+    for label, direction in DIRECTIONS.items():
+        of_it = sign == direction
+        if of_it.any():
+            points.append(Series(label, tuple(velocity[of_it].tolist()), tuple(torque[of_it].tolist())))
+            ends = np.array([velocity[of_it].min(), velocity[of_it].max()])
+            fitted = slopes["viscous_damping"] * ends + direction * slopes.get("coulomb_friction", 0.0) + intercept
+            lines.append(Series(label, tuple(ends.tolist()), tuple(fitted.tolist())))
+    label = "rad/s" if unit == "N*m" else "m/s"
+    return Plot(f"velocity [{label}]", f"torque of the current [{unit}]", tuple(points), tuple(lines))

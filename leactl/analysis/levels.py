@@ -1,0 +1,214 @@
+"""Held levels of runs: the mean of each channel over the settled part of each hold, with its standard error.
+
+Channels live in streams with clocks of their own; each is averaged on its own stamps. Every hold gives one point, so a
+level that is repeated gives one point a repeat.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.analysis.estimate import tally
+from leactl.errors import InputError, NotIdentifiable
+from leactl.runfile.reader import Channel, Run
+
+Array = npt.NDArray[np.float64]
+
+DIRECTIONS = {"rising": 1, "falling": -1}
+FEWEST_SAMPLES = 3
+LEAST_COVERED = 0.5  # of a settled part, for a hold that the end of the recording cut
+MISSING_SHARE = 0.01  # of the samples, above which a note says so
+RESOLVED = 10.0  # spread of the levels over the standard error of one: noise in them then lowers a slope by 1 % at most
+WINDOW = 5.0  # lags summed, in integrated autocorrelation times (Sokal 1997, section 3)
+
+
+@dataclass(frozen=True)
+class Hold:
+    """One held setpoint."""
+
+    setpoint: float  # A
+    direction: int  # 1 reached by rising, -1 by falling, 0 not said
+    start: float  # s, of the settled part
+    stop: float  # s
+
+    def __str__(self) -> str:
+        return f"{self.setpoint:g} A at {self.start:.1f} s"
+
+
+@dataclass(frozen=True)
+class Mean:
+    """Mean of a channel over a part of a run."""
+
+    value: float
+    std: float  # standard error of the mean, with autocorrelation
+    samples: int
+    missing: int
+    quarters: tuple[float, ...]  # means of the four quarters of the part, to judge whether it is steady
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """Settled means of every hold of some runs; element k of each array belongs to one hold."""
+
+    run: npt.NDArray[np.int64]
+    setpoint: Array
+    direction: npt.NDArray[np.int64]
+    value: Mapping[str, Array]  # by quantity
+    std: Mapping[str, Array]
+    quarters: Mapping[str, Array]  # (holds, 4)
+    holds: tuple[Hold, ...]
+    units: Mapping[str, str]
+
+    def __len__(self) -> int:
+        return len(self.run)
+
+    def where(self, kept: npt.NDArray[np.bool_]) -> "Levels":
+        """Only some of the holds."""
+        return replace(
+            self,
+            run=self.run[kept],
+            setpoint=self.setpoint[kept],
+            direction=self.direction[kept],
+            value={name: column[kept] for name, column in self.value.items()},
+            std={name: column[kept] for name, column in self.std.items()},
+            quarters={name: column[kept] for name, column in self.quarters.items()},
+            holds=tuple(hold for hold, keep in zip(self.holds, kept, strict=True) if keep),
+        )
+
+
+def held_levels(run: Run) -> list[Hold]:
+    """Holds of the test actuator's current, in order: steps named `hold` with `current_A` in their parameters."""
+    found = []
+    for step in run.steps:
+        setpoint = step.parameters.get("current_A")
+        numeric = isinstance(setpoint, int | float) and not isinstance(setpoint, bool) and math.isfinite(setpoint)
+        if step.name == "hold" and numeric and step.parameters.get("role", "test") == "test":
+            direction = DIRECTIONS.get(str(step.parameters.get("direction", "")), 0)
+            found.append(Hold(float(setpoint), direction, step.start + step.settle, step.stop))  # type: ignore[arg-type]
+    return found
+
+
+def gather(runs: Sequence[Run], quantities: Sequence[str], notes: list[str]) -> Levels:
+    """Settled means of channels of the test actuator over every hold; what is left out goes into the notes.
+
+    Raises
+    ------
+    MissingChannel : a run lacks one of the quantities.
+    NotIdentifiable : a run has no hold with data.
+    InputError : the runs measure one quantity in different units.
+    """
+    rows: list[tuple[int, Hold, list[Mean]]] = []
+    units: dict[str, str] = {}
+    for number, run in enumerate(runs):
+        channels = [run.channel(quantity, role="test") for quantity in quantities]
+        for channel in channels:
+            if units.setdefault(channel.quantity, channel.units) != channel.units:
+                known = units[channel.quantity]
+                raise InputError(f"{run.path}: {channel.quantity} in {channel.units}, in {known} in the runs before")
+        rows += _rows_of(run, number, channels, notes)
+    columns = {quantity: [means[index] for _, _, means in rows] for index, quantity in enumerate(quantities)}
+    return Levels(
+        run=np.array([number for number, _, _ in rows]),
+        setpoint=np.array([hold.setpoint for _, hold, _ in rows]),
+        direction=np.array([hold.direction for _, hold, _ in rows]),
+        value={name: np.array([mean.value for mean in means]) for name, means in columns.items()},
+        std={name: np.array([mean.std for mean in means]) for name, means in columns.items()},
+        quarters={name: np.array([mean.quarters for mean in means]) for name, means in columns.items()},
+        holds=tuple(hold for _, hold, _ in rows),
+        units=units,
+    )
+
+
+def _rows_of(
+    run: Run, number: int, channels: Sequence[Channel], notes: list[str]
+) -> list[tuple[int, Hold, list[Mean]]]:
+    holds = held_levels(run)
+    left_out: dict[str, list[str]] = {}
+    rows = []
+    for hold in holds:
+        means = [settled_mean(channel, hold.start, hold.stop) for channel in channels]
+        lacking = [channel.quantity for channel, mean in zip(channels, means, strict=True) if mean is None]
+        if lacking:
+            left_out.setdefault(f"too little {' and '.join(lacking)} in the settled part", []).append(str(hold))
+        else:
+            rows.append((number, hold, [mean for mean in means if mean is not None]))
+    notes += tally(left_out, f"{run.path}")
+    if not rows:
+        what = f"{len(holds)} holds, none with data" if holds else "no step named 'hold' with current_A"
+        raise NotIdentifiable(f"{run.path}: found {what}; two held levels or more are needed")
+    for index, channel in enumerate(channels):
+        missing = sum(means[index].missing for _, _, means in rows)
+        share = missing / (missing + sum(means[index].samples for _, _, means in rows))
+        if share > MISSING_SHARE:
+            notes.append(
+                f"{run.path}: {share:.1%} of the samples of {channel.quantity} in the settled parts are missing"
+            )
+    return rows
+
+
+def settled_mean(channel: Channel, start: float, stop: float) -> Mean | None:
+    """Mean of the samples taken from start to before stop [s]; None with too few or where the record ends too soon.
+
+    A sample that is itself a mean, over the interval that ends at its stamp, counts where the whole interval is inside.
+    """
+    first, last = (int(k) for k in np.searchsorted(channel.time, (start, stop), side="left"))
+    if channel.sampling == "mean":
+        first, last = first + 1, int(np.searchsorted(channel.time, stop, side="right"))
+    values, time = channel.values[first:last], channel.time[first:last]
+    good = np.isfinite(values)
+    samples = int(good.sum())
+    if samples < FEWEST_SAMPLES or np.ptp(time[good]) < LEAST_COVERED * (stop - start):
+        return None
+    quarter = np.minimum(((time[good] - start) / (stop - start) * 4).astype(np.int64), 3)
+    counts = np.bincount(quarter, minlength=4)
+    with np.errstate(invalid="ignore"):
+        quarters = np.bincount(quarter, values[good], minlength=4) / counts
+    value = float(values[good].mean())
+    return Mean(value, standard_error(values), samples, len(values) - samples, tuple(quarters.tolist()))
+
+
+def standard_error(values: Array) -> float:
+    """Standard error of the mean of an evenly sampled record, with its autocorrelation; NaN samples are gaps.
+
+    sqrt(variance * tau / n), tau being one plus twice the sum of the autocorrelation up to five tau (Sokal, Monte Carlo
+    Methods in Statistical Mechanics, 1997, section 3), never under one.
+    """
+    good = np.isfinite(values)
+    samples = int(good.sum())
+    if samples < 2:
+        return math.nan
+    deviation = np.where(good, values - values[good].mean(), 0.0)
+    power = float(deviation @ deviation)
+    if power <= 1e-30 * samples * float(np.nanmax(np.abs(values))) ** 2:
+        return 0.0
+    size = 1 << (2 * len(values) - 1).bit_length()
+    spectrum = np.fft.rfft(deviation, size)
+    correlation = np.fft.irfft(np.abs(spectrum) ** 2, size)[: len(values)] / power
+    tau = 2.0 * np.cumsum(correlation) - 1.0
+    enough = np.flatnonzero(np.arange(len(tau)) >= WINDOW * tau)
+    found = float(tau[enough[0]]) if len(enough) else len(values) / WINDOW
+    return math.sqrt(power / (samples - 1) * max(found, 1.0) / samples)
+
+
+def require_levels(place: str, what: str, setpoints: Array, means: Array, errors: Array) -> None:
+    """Refuse levels that no slope can be found from; `what` names the quantity that is regressed on.
+
+    Raises
+    ------
+    NotIdentifiable : fewer than two distinct setpoints, or means that lie no further apart than noise.
+    """
+    distinct = np.unique(np.round(setpoints, 9))
+    if len(distinct) < 2:
+        raise NotIdentifiable(
+            f"{place}: found one level of current ({distinct[0]:g} A in {len(setpoints)} holds); "
+            "two distinct levels or more are needed"
+        )
+    spread, error = float(np.std(means)), math.sqrt(float(np.mean(errors**2)))
+    if spread <= RESOLVED * error:
+        raise NotIdentifiable(
+            f"{place}: the {what} of {len(means)} holds is spread by {spread:.2g}, its means are known to {error:.2g}; "
+            f"levels {RESOLVED:g} times further apart than that are needed"
+        )

@@ -1,0 +1,167 @@
+"""Ordinary least squares with Student t intervals, and tests of whether the scatter is all there is.
+
+Draper & Smith, Applied Regression Analysis, 3rd ed.: estimates and intervals in chapter 5, lack of fit in section 2.1.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.analysis.estimate import Estimate
+from leactl.errors import NotIdentifiable
+
+Array = npt.NDArray[np.float64]
+
+CONFIDENCE = 0.95
+RANK_TOLERANCE = 1e-9  # of the largest singular value, columns scaled to length one
+DEPARTS_BELOW = 0.01  # probability under which groups depart from the fit by more than scatter
+EXACT = 1e-24  # share of the response's sum of squares that rounding leaves
+
+
+def t_quantile(dof: float) -> float:
+    """Half width of the 95 % interval in standard errors, Student's t."""
+    from scipy.special import stdtrit  # scipy.stats takes half a second to import
+
+    return float(stdtrit(min(dof, 1e9), 0.5 + CONFIDENCE / 2))
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A least-squares fit: response = design @ coefficients + residuals."""
+
+    coefficients: Array
+    unscaled: Array  # (X'X)^-1: covariance of the coefficients at unit variance
+    residuals: Array
+    variance: float  # of one point, in the response's unit squared
+    dof: float  # that the variance rests on
+    r_squared: float
+
+    def combined(self, weights: Array) -> tuple[float, float]:
+        """Value and standard error of a linear combination of the coefficients."""
+        variance = self.variance * float(weights @ self.unscaled @ weights)
+        return float(weights @ self.coefficients), math.sqrt(max(variance, 0.0))
+
+    def estimate(self, name: str, units: str, weights: Array, relative_std: float = 0.0) -> Estimate:
+        """A linear combination of the coefficients with its 95 % interval.
+
+        `relative_std` is the relative standard uncertainty of a factor on the value that the residuals do not show; it
+        adds in squares, at the effective degrees of freedom of Welch and Satterthwaite (GUM, G.4.1).
+        """
+        value, own = self.combined(weights)
+        std = math.hypot(own, relative_std * value)
+        dof = self.dof * (std / own) ** 4 if own > 1e-9 * std else math.inf
+        half = t_quantile(dof) * std
+        return Estimate(name, value, std, value - half, value + half, units)
+
+
+@dataclass(frozen=True)
+class Departure:
+    """How far the means of groups lie from a fit, against the scatter within groups."""
+
+    probability: float  # of as much from scatter alone
+    variance: float  # of one point, judged by the group means
+    dof: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether scatter within the groups does not explain it."""
+        return self.probability < DEPARTS_BELOW
+
+
+def least_squares(design: Array, response: Array, place: str) -> Fit:
+    """Fit with every point at the same weight; `place` opens the message of a failure.
+
+    Raises
+    ------
+    NotIdentifiable : columns that are not independent, or no degree of freedom left for the scatter.
+    """
+    points, unknowns = design.shape
+    if points <= unknowns:
+        raise NotIdentifiable(
+            f"{place}: {points} points for {unknowns} unknowns leave no degree of freedom; "
+            f"{unknowns + 1} points or more are needed"
+        )
+    length = _lengths(design)
+    scaled = design / length
+    if _rank(scaled) < unknowns:
+        raise NotIdentifiable(f"{place}: {points} points do not tell {unknowns} unknowns apart; more levels are needed")
+    q, r = np.linalg.qr(scaled)
+    inverse = np.linalg.inv(r) / length[:, np.newaxis]
+    coefficients = inverse @ (q.T @ response)
+    residuals = response - design @ coefficients
+    rest, dof = float(residuals @ residuals), points - unknowns
+    about_mean = float(np.sum((response - response.mean()) ** 2))
+    r_squared = 1.0 - rest / about_mean if about_mean > 0.0 else math.nan
+    return Fit(coefficients, inverse @ inverse.T, residuals, rest / dof, dof, r_squared)
+
+
+def departure(design: Array, response: Array, extra: Array) -> Departure | None:
+    """F test of columns that the design lacks; None where the points leave nothing to test or fit exactly.
+
+    With one column a level it is the test of lack of fit.
+    """
+    points, unknowns = design.shape
+    full = np.hstack([design, extra])
+    full = full / _lengths(full)
+    rank = _rank(full)
+    if rank <= unknowns or rank >= points:
+        return None
+    narrow, wide = _rest(design / _lengths(design), response), _rest(full, response)
+    if narrow <= EXACT * float(response @ response):
+        return None
+    from scipy.special import fdtrc
+
+    lack, scatter = (narrow - wide) / (rank - unknowns), wide / (points - rank)
+    ratio = lack / scatter if scatter > 0.0 else math.inf
+    probability = float(fdtrc(rank - unknowns, points - rank, ratio)) if math.isfinite(ratio) else 0.0
+    return Departure(probability, lack, rank - unknowns)
+
+
+def judged_by_levels(fit: Fit, found: Departure | None) -> Fit:
+    """The fit with its uncertainty from the scatter of level means about it, where they clearly depart from it.
+
+    What belongs to a level (a sensor's curve, the place on the circumference) comes back in every repeat, so repeats do
+    not average it out and their number must not narrow the interval.
+    """
+    if found is None or not found.clear or found.variance <= fit.variance:
+        return fit
+    return replace(fit, variance=found.variance, dof=found.dof)
+
+
+def excess_over(fit: Fit, expected: Array) -> float:
+    """Scatter about the fit over what the standard errors of the points explain; 0 unless clearly more.
+
+    Clearly: more than twice, and with a probability under 0.001 by chi squared.
+    """
+    from scipy.special import chdtrc
+
+    rest, mean = float(fit.residuals @ fit.residuals), float(np.mean(expected**2))
+    dof = len(fit.residuals) - len(fit.coefficients)
+    if mean <= 0.0:
+        return 0.0
+    ratio = math.sqrt(rest / dof / mean)
+    return ratio if ratio > 2.0 and chdtrc(dof, rest / mean) < 1e-3 else 0.0
+
+
+def one_column_each(labels: npt.NDArray[np.generic]) -> Array:
+    """Columns of ones and zeros, one for each distinct label."""
+    columns: Array = (labels[:, np.newaxis] == np.unique(labels)[np.newaxis, :]).astype(np.float64)
+    return columns
+
+
+def _lengths(columns: Array) -> Array:
+    length: Array = np.sqrt(np.sum(columns**2, axis=0))
+    length[length == 0.0] = 1.0
+    return length
+
+
+def _rank(scaled: Array) -> int:
+    singular = np.linalg.svd(scaled, compute_uv=False)
+    return int(np.sum(singular > RANK_TOLERANCE * singular[0]))
+
+
+def _rest(scaled: Array, response: Array) -> float:
+    solution = np.linalg.lstsq(scaled, response, rcond=RANK_TOLERANCE)[0]
+    return float(np.sum((response - scaled @ solution) ** 2))

@@ -1,0 +1,28 @@
+"""`leactl analyze`: fit the parameters that runs were made for."""
+
+import json
+from pathlib import Path
+
+import typer
+
+
+def analyze(
+    runs: list[Path] = typer.Argument(metavar="RUN...", help="Run files of one experiment; repeats are combined."),
+    as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
+    torque_constant: float | None = typer.Option(
+        None, metavar="N*m/A", help="Torque constant for friction, in place of the one in the run's model."
+    ),
+    torque_constant_std: float | None = typer.Option(
+        None, metavar="N*m/A", help="Its standard uncertainty, to be part of those of the results."
+    ),
+) -> None:
+    """Fit the parameters that runs were made for, with 95 % intervals, by actuator and condition."""
+    from leactl.analysis.experiments import analyze_runs
+
+    result = analyze_runs(runs, torque_constant=torque_constant, torque_constant_std=torque_constant_std)
+    if as_json:
+        typer.echo(json.dumps(result.as_json(), allow_nan=False))
+        return
+    from leactl.report.terminal import print_result
+
+    print_result(result)

@@ -1,0 +1,129 @@
+"""Results as text: a table for each actuator and condition with the paper's figures, the notes, and a plot.
+
+Plain text without colours, so that a pipe and a log take it as a terminal does. Where the stream cannot show a
+character, ASCII takes its place.
+"""
+
+import io
+import math
+import shutil
+import sys
+import textwrap
+from collections.abc import Mapping
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from leactl import yamlfile
+from leactl.analysis.estimate import Estimate, Result
+from leactl.report.plot import draw
+
+ASCII = str.maketrans({"±": "+-", "…": "..."})
+WIDEST = 100  # characters; a plot gains nothing beyond
+SMALLEST = 40
+
+
+def print_result(result: Result, plot: bool = True) -> None:
+    """Print the answer as wide as the terminal, 80 columns into a pipe."""
+    width = shutil.get_terminal_size((80, 24)).columns
+    sys.stdout.write(render(result, width, sys.stdout.encoding or "ascii", plot))
+
+
+def render(result: Result, width: int = 80, encoding: str = "utf-8", plot: bool = True) -> str:
+    """The whole answer, for a stream of this width and encoding."""
+    unicode = shows_all(encoding)
+    width = min(max(width, SMALLEST), WIDEST)
+    parts = [wrapped(f"{result.experiment}, {len(result.runs)} run{'s' * (len(result.runs) > 1)}:", result.runs, width)]
+    for group in result.groups:
+        title = ", ".join(filter(None, group))
+        parts.append("\n".join(filter(None, (title, table(result, group)))))
+        drawn = [item for item in result.plots if plot and (item.actuator, item.condition) == group]
+        parts += ["\n".join(draw(item, width, ascii_only=not unicode)) for item in drawn]
+    if result.notes:
+        parts.append("\n".join(wrapped("note:", [note], width) for note in result.notes))
+    text = "\n\n".join(part for part in parts if part) + "\n"
+    return text if unicode else text.translate(ASCII).encode(encoding, "replace").decode(encoding)
+
+
+def shows_all(encoding: str) -> bool:
+    """Whether a stream of this encoding takes what the table and the plot are drawn with."""
+    try:
+        "±⣿│┤└─┴".encode(encoding)
+    except (UnicodeEncodeError, LookupError):
+        return False
+    return encoding.lower().replace("-", "").replace("_", "").startswith("utf")
+
+
+def table(result: Result, group: tuple[str, str]) -> str:
+    """Estimates of one actuator under one condition; below each the paper's figure where there is one."""
+    from rich.console import Console
+    from rich.table import Table
+
+    rows = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), highlight=False)
+    for heading in ("", "value", "95 % interval", "units"):
+        rows.add_column(heading, no_wrap=True)
+    paper = figures(result.experiment)
+    known = paper.get("any", {}) | paper.get(group[1], {})
+    parent = ""
+    for item in result.results:
+        if (item.actuator, item.condition) != group:
+            continue
+        child = bool(parent) and item.name.startswith(f"{parent}_")
+        parent = parent if child else item.name
+        name = f"  {item.name.removeprefix(parent + '_')}" if child else item.name
+        rows.add_row(name, value_text(item), interval_text(item), item.units if item.units != "1" else "")
+        if item.name in known:
+            place = f"  paper, {group[1]}" if group[1] in paper else "  paper"
+            rows.add_row(place, str(known[item.name]), "", "")
+    written = io.StringIO()
+    # as wide as the table needs: a number that is cut or folded is worse than a long line
+    Console(file=written, width=1000, no_color=True, markup=False, emoji=False).print(rows)
+    return "\n".join(line.rstrip() for line in written.getvalue().splitlines())
+
+
+@cache
+def figures(experiment: str) -> Mapping[str, Any]:
+    """The paper's figures of an experiment by condition, `any` for every one; empty where it has none."""
+    entry = resources.files("leactl.report") / "paper" / f"{experiment}.yaml"
+    if not entry.is_file():
+        return {}
+    found: Mapping[str, Any] = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data
+    return found
+
+
+def value_text(item: Estimate) -> str:
+    """Value and standard uncertainty, both to the second significant digit of the uncertainty (GUM, 7.2.6)."""
+    if not math.isfinite(item.std):
+        return bare(item.value)
+    return f"{number(item.value, item.std)} ± {number(item.std, item.std)}"
+
+
+def interval_text(item: Estimate) -> str:
+    """The 95 % interval to the digits of the value; empty where there is none."""
+    if not (math.isfinite(item.low) and math.isfinite(item.high)):
+        return ""
+    return f"{number(item.low, item.std)} .. {number(item.high, item.std)}"
+
+
+def number(value: float, std: float) -> str:
+    """A value to the second significant digit of its uncertainty."""
+    if std <= 0.0 or not math.isfinite(value):
+        return f"{value:.6g}"
+    exponent = math.floor(math.log10(float(f"{std:.1e}")))
+    if exponent < -8:
+        return f"{value:.{max(math.floor(math.log10(abs(value) or std)) - exponent + 1, 1)}e}"
+    return f"{round(value, 1 - exponent):.{max(1 - exponent, 0)}f}"
+
+
+def bare(value: float) -> str:
+    """A value without uncertainty: four decimals, or as many as tell it from one."""
+    if not math.isfinite(value):
+        return "not known"
+    digits = next((n for n in range(4, 12) if value == 1.0 or float(f"{value:.{n}f}") != 1.0), 12)
+    return f"{value:.{digits}f}"
+
+
+def wrapped(head: str, items: Any, width: int) -> str:
+    """Items after a head, on as many lines as they need; long words such as paths stay whole."""
+    text = f"{head} {', '.join(items)}"
+    return textwrap.fill(text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
