@@ -5,7 +5,7 @@ work from any state, as often as it is called.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
@@ -150,10 +150,8 @@ class MotionDevice(CyclicDevice, Protocol):
 class AnalogInput(Protocol):
     """A device that measures voltages and can set their zero."""
 
-    def tare(self, samples: int) -> dict[str, float]:
-        """Take the mean of so many coming readings as zero; returns the new offsets by channel name.
+    def tare(self, means: Mapping[str, float]) -> dict[str, float]:
+        """Take these mean readings, by stream, as zero from now on; returns the new offsets by channel name.
 
-        Raises
-        ------
-        DeviceError : a reading fails or is saturated; the old zero stays.
+        The control loop averages the readings itself, since a drive would stop were it left alone meanwhile.
         """

@@ -101,6 +101,10 @@ class Supervisor:
         guarded.mode, guarded.reference = Mode.OFF, 0.0
         guarded.axis.motion.release()
 
+    def engaged(self, role: str) -> bool:
+        """True once the drive itself reports that it follows its setpoint."""
+        return self._axes[role].axis.motion.engaged
+
     def command(self, role: str, value: float) -> None:
         """Pass a setpoint on, in the unit of the engaged mode.
 

@@ -5,13 +5,13 @@ flag (TI SBAS444, section 9.6.3). Each input is a stream of its own, stamped at 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver, Row, StreamSpec
 from leactl.driver.far_end import I2cEmulator, Physics
 from leactl.driver.i2c_port import I2cPort
-from leactl.errors import DeviceError, DeviceFault, NoAnswer
+from leactl.errors import DeviceError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.ads1115.settings import MUX, RANGES_V, RATES_SPS, Ads1115Settings, Input
 
@@ -137,31 +137,12 @@ class Ads1115(Driver):
         self._start()
         return (row,)
 
-    def tare(self, samples: int) -> dict[str, float]:
-        """Take the mean of so many coming readings of every torque input as zero; the new offsets by channel name.
-
-        Raises
-        ------
-        DeviceError : a reading fails or is saturated; the old zero stays.
-        """
-        sums = {converter.stream: 0.0 for converter in self._torque()}
-        if not sums:
-            return {}
-        left = dict.fromkeys(sums, samples)
-        while any(left.values()):
-            self._clock.sleep_until(self._clock.now() + self._converters[self._turn].conversion_s)
-            for row in self.take():
-                if row.fault:
-                    raise DeviceFault(f"{self.name}: cannot tare, {row.fault}")
-                if left.get(row.stream, 0):
-                    sums[row.stream] += row.values[0]
-                    left[row.stream] -= 1
-        for converter in self._torque():
-            converter.offset += sums[converter.stream] / samples
-        return {converter.settings.name: converter.offset for converter in self._torque()}
-
-    def _torque(self) -> list[_Converter]:
-        return [converter for converter in self._converters if converter.settings.quantity == "torque"]
+    def tare(self, means: Mapping[str, float]) -> dict[str, float]:
+        """Take these mean readings, by stream, as zero from now on; the new offsets by channel name."""
+        tared = [converter for converter in self._converters if converter.stream in means]
+        for converter in tared:
+            converter.offset += means[converter.stream]
+        return {converter.settings.name: converter.offset for converter in tared}
 
     def _start(self) -> None:
         self._port.write(self._address, CONFIG, self._converters[self._turn].config)
