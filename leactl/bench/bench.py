@@ -9,8 +9,10 @@ from leactl.driver import registry
 from leactl.driver.can_port import CanPort
 from leactl.driver.contract import Driver, MotionDevice, Row
 from leactl.driver.i2c_port import I2cPort
-from leactl.errors import DeviceError
+from leactl.errors import DeviceError, InputError
 from leactl.quantities import ChannelSpec
+
+OPENING_SAFE_S = 0.5
 
 
 class Bench:
@@ -29,13 +31,19 @@ class Bench:
             driver = registry.load(entry.driver)(device.name, entry.role, device.settings, port, self.clock)
             self.drivers[device.name] = driver
             if isinstance(driver, MotionDevice):
+                if entry.role in self.drives:
+                    raise InputError(f"bench '{file.name}': two drives in the role '{entry.role}'")
                 self.drives[entry.role] = driver
                 self._motion.append(driver)
                 if isinstance(port, CanPort) and entry.bus:
                     synchronised[entry.bus] = port
         self._sync = [port.sync for port in synchronised.values()]
         self._asynchronous = [driver for driver in self.drivers.values() if driver.streams]
-        self.loop_channels: tuple[ChannelSpec, ...] = tuple(c for drive in self._motion for c in drive.loop_channels)
+        self.loop_channels: tuple[ChannelSpec, ...] = tuple(
+            channel._replace(name=f"{channel.role}_{channel.name}")
+            for drive in self._motion
+            for channel in drive.loop_channels
+        )
 
     @property
     def others(self) -> list[Driver]:
@@ -48,16 +56,20 @@ class Bench:
         return {"loop": self.loop_channels, **own} if self.loop_channels else own
 
     def open(self) -> None:
-        """Open every device in the file's order; where one fails, those before it are closed again.
+        """Open every device in the file's order; where one fails, those before it are made safe and closed again.
 
         Raises
         ------
         DeviceError : with the device's name.
         """
+        opened: list[Driver] = []
         for name, driver in self.drivers.items():
             try:
                 driver.open()
+                opened.append(driver)
             except DeviceError as error:
+                for before in opened:
+                    before.safe_state(OPENING_SAFE_S)
                 self.close()
                 text = str(error)
                 raise type(error)(text if text.startswith(f"{name}:") else f"{name}: {text}") from None

@@ -1,5 +1,6 @@
 """Bench files: devices on buses in roles, their limits, and what an emulated bench is made of."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -112,6 +113,27 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
     if faults:
         raise InputError(faults)
     return bench, [device for device in checked if device is not None], document
+
+
+def put_elsewhere(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus]:
+    """CAN buses as `NAME=INTERFACE:CHANNEL` puts them, for one process or one run.
+
+    Raises
+    ------
+    InputError : not of this form, or no CAN bus of the bench.
+    """
+    changed: dict[str, CanBus] = {}
+    for word in words:
+        name, _, place = word.partition("=")
+        interface, _, channel = place.partition(":")
+        bus = bench.buses.get(name)
+        if not isinstance(bus, CanBus) or not interface:
+            known = ", ".join(key for key, value in bench.buses.items() if isinstance(value, CanBus)) or "none"
+            raise InputError(
+                f"--bus {word}: NAME=INTERFACE:CHANNEL was expected, with a CAN bus of the bench ({known})"
+            )
+        changed[name] = bus.model_copy(update={"interface": interface, "channel": channel})
+    return changed
 
 
 def _check(

@@ -1,0 +1,105 @@
+"""What this machine offers a bench: interpreter, packages, plug-ins, buses with their permissions, room on the disk."""
+
+import os
+import platform
+import shutil
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+
+from leactl.driver import registry
+
+LEAST_PYTHON = (3, 11)
+LEAST_FREE_BYTES = 2 << 30  # some 100 h at 50 Hz, or 3 h at 1 kHz
+CAN_TYPE = "280"  # ARPHRD_CAN in /sys/class/net/*/type
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at; `needed` where leactl does not work without it."""
+
+    subject: str
+    fine: bool
+    needed: bool
+    found: str
+    mend: str = ""
+
+
+def examine(root: Path = Path("/")) -> list[Finding]:
+    """Look at everything; buses and devices are looked for under `root`."""
+    return [*_python(), *_packages(), *_plugins(), *_can(root), *_i2c(root), *_serial(root), *_disk()]
+
+
+def _python() -> Iterator[Finding]:
+    fine = sys.version_info >= LEAST_PYTHON
+    mend = "" if fine else "sudo apt install python3.11 python3.11-venv"
+    yield Finding("python", fine, True, f"{platform.python_version()} on {platform.machine()}", mend)
+
+
+def _packages() -> Iterator[Finding]:
+    for requirement in requires("leactl") or ():
+        extra = "extra ==" in requirement
+        if extra and "parquet" not in requirement:
+            continue
+        name = requirement.partition(";")[0].rstrip().partition(">")[0].strip()
+        try:
+            yield Finding(f"package {name}", True, not extra, version(name))
+        except PackageNotFoundError:
+            mend = "pip install 'leactl[parquet]'" if extra else f"pip install {name}"
+            yield Finding(f"package {name}", False, not extra, "not installed", mend)
+
+
+def _plugins() -> Iterator[Finding]:
+    for item in registry.survey():
+        fine = item.driver is not None
+        mend = "" if fine else f"pip install --force-reinstall {item.source.partition(' ')[0]}, or remove it"
+        yield Finding(f"driver {item.name}", fine, False, item.source if fine else item.error, mend)
+
+
+def _can(root: Path) -> Iterator[Finding]:
+    folder = root / "sys/class/net"
+    links = sorted(folder.iterdir()) if folder.is_dir() else []
+    found = [link for link in links if _text(link / "type") == CAN_TYPE]
+    if not found:
+        mend = "connect an adapter, then: sudo ip link set can0 up type can bitrate 1000000"
+        yield Finding("CAN", False, False, "no SocketCAN interface", mend)
+    for link in found:
+        state = _text(link / "operstate")
+        fine = state in ("up", "unknown")
+        mend = "" if fine else f"sudo ip link set {link.name} up type can bitrate 1000000"
+        yield Finding(f"CAN {link.name}", fine, False, state, mend)
+
+
+def _i2c(root: Path) -> Iterator[Finding]:
+    found = sorted((root / "dev").glob("i2c-*"))
+    if not found:
+        mend = "sudo modprobe i2c-dev; on a Raspberry Pi also: sudo raspi-config nonint do_i2c 0"
+        yield Finding("I2C", False, False, "no /dev/i2c-*", mend)
+    yield from (_usable(f"I2C {path.name}", path, "i2c") for path in found)
+
+
+def _serial(root: Path) -> Iterator[Finding]:
+    for pattern in ("ttyUSB*", "ttyACM*"):
+        yield from (_usable(f"serial {path.name}", path, "dialout") for path in sorted((root / "dev").glob(pattern)))
+
+
+def _usable(subject: str, path: Path, group: str) -> Finding:
+    fine = os.access(path, os.R_OK | os.W_OK)
+    mend = "" if fine else f"sudo usermod -aG {group} $USER, then log in again"
+    return Finding(subject, fine, False, "readable and writable" if fine else "no permission", mend)
+
+
+def _disk() -> Iterator[Finding]:
+    free = shutil.disk_usage(Path.cwd()).free
+    fine = free >= LEAST_FREE_BYTES
+    mend = "" if fine else "free space here, or give runs another directory with --out"
+    yield Finding("disk", fine, False, f"{free / 1e9:.1f} GB free in {Path.cwd()}", mend)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="ascii").strip()
+    except OSError:
+        return ""

@@ -1,0 +1,25 @@
+"""`leactl doctor`: what this machine has and lacks, and the command that mends it."""
+
+import json
+
+import typer
+
+
+def doctor(as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout.")) -> None:
+    """Check Python, packages, plug-ins, buses, permissions and disk; status 2 where something needed is missing."""
+    from dataclasses import asdict
+
+    from leactl.bench.machine import examine
+
+    findings = examine()
+    wrong = [finding for finding in findings if finding.needed and not finding.fine]
+    if as_json:
+        typer.echo(json.dumps({"fine": not wrong, "findings": [asdict(finding) for finding in findings]}))
+    else:
+        for finding in findings:
+            mark = "ok     " if finding.fine else "MISSING" if finding.needed else "absent "
+            typer.echo(f"{mark} {finding.subject}: {finding.found}")
+            if finding.mend:
+                typer.echo(f"        mend: {finding.mend}")
+    if wrong:
+        raise typer.Exit(2)
