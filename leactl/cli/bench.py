@@ -1,10 +1,10 @@
-"""`leactl bench`: bench files."""
+"""`leactl bench`: bench files, their latch, and an emulated bench for drivers in other processes."""
 
 import json
 
 import typer
 
-app = typer.Typer(help="List and check bench files.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(help="List, check, reset and serve benches.", no_args_is_help=True, rich_markup_mode=None)
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 
 
@@ -32,3 +32,60 @@ def check(bench: str, as_json: bool = AS_JSON) -> None:
         typer.echo(f"  {device.name:<16} {device.entry.driver:<10} {device.entry.bus or '-':<6} {device.entry.role}")
     for name, value in found.limits.model_dump().items():
         typer.echo(f"  limit {name:<26} {value:g}")
+
+
+@app.command()
+def reset(
+    bench: str,
+    yes: bool = typer.Option(False, "--yes", help="Do not ask."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """State why a bench is tripped and, once confirmed, release it."""
+    from leactl.bench.benchfile import load
+    from leactl.runner import latch
+
+    name = load(bench)[0].name
+    trip = latch.latched(name)
+    if trip is None:
+        typer.echo(json.dumps({"bench": name, "tripped": False}) if as_json else f"{name}: not tripped")
+        return
+    said = f"{name}: tripped {trip.time}: {trip.cause} (run {trip.run})"
+    typer.echo(said, err=True)
+    if not yes and not typer.confirm("The cause is mended and the bench may move again?", err=True):
+        raise typer.Exit(4)
+    latch.release(name)
+    cause = {"cause": trip.cause, "time": trip.time, "run": trip.run}
+    typer.echo(json.dumps({"bench": name, "tripped": False, "released": cause}) if as_json else f"{name}: released")
+
+
+@app.command()
+def serve(
+    bench: str = typer.Argument("emulated", help="An emulated bench, by name or as a .yaml."),
+    bus: list[str] = typer.Option(
+        [], metavar="NAME=INTERFACE:CHANNEL", help="Put a bus elsewhere; can0=pty for slcan."
+    ),
+    setup: str = typer.Option("coupled", help="free, locked, coupled or heated."),
+    condition: str = typer.Option("", help="One of the bench's conditions."),
+    seed: int = typer.Option(None, min=0, help="Seed instead of the bench file's."),
+) -> None:
+    """Serve an emulated bench on real buses, by the wall clock, until Ctrl-C."""
+    from leactl.bench.benchfile import load, put_elsewhere
+    from leactl.emulation.emulated_bench import EmulatedBench
+    from leactl.emulation.serving import real_buses
+    from leactl.emulation.serving import serve as serve_until
+    from leactl.emulation.slcan import SlcanAdapter
+    from leactl.runner.signals import listening
+
+    file, devices, _document = load(bench)
+    emulated = EmulatedBench(file, devices, setup, condition, seed)
+    changed = put_elsewhere(file, bus)
+    opened = real_buses(file, changed)
+    for name, (placed, real) in opened.items():
+        place = f"slcan on {real.path}" if isinstance(real, SlcanAdapter) else f"{placed.interface} {placed.channel}"
+        typer.echo(f"{name}: {place}")
+    sides = {name: real for name, (_placed, real) in opened.items()}
+    typer.echo("serving; Ctrl-C ends it")
+    with listening() as stop:
+        unserved = serve_until(file, emulated, sides, lambda: bool(stop.cause))
+    for name in unserved:
+        typer.echo(f"{name}: was not served; I2C needs the kernel's i2c-stub", err=True)

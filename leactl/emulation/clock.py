@@ -1,13 +1,18 @@
 """The emulated bench's time: it passes only while somebody waits, and everything that lives on the bench keeps step."""
 
+import time
 from collections.abc import Callable
 
 
 class EmulatedClock:
-    """A clock whose seconds are produced by the waiting itself; the same waits give the same run."""
+    """A clock whose seconds are produced by the waiting itself; the same waits give the same run.
 
-    def __init__(self) -> None:
+    With `realtime` it produces them no faster than the wall clock.
+    """
+
+    def __init__(self, realtime: bool = False) -> None:
         self._time = 0.0
+        self._wall = time.monotonic() if realtime else None
         self._followers: list[Callable[[float], None]] = []
 
     def follow(self, advance: Callable[[float], None]) -> None:
@@ -21,6 +26,8 @@ class EmulatedClock:
     def sleep_until(self, moment: float) -> None:
         """Let time pass up to the moment."""
         if moment > self._time:
+            if self._wall is not None:
+                time.sleep(max(0.0, self._wall + moment - time.monotonic()))
             self._time = moment
             for advance in self._followers:
                 advance(moment)

@@ -48,7 +48,13 @@ class EmulatedBench:
     """Physics of a bench file in one set-up and condition, and the wiring that reaches it in lock-step."""
 
     def __init__(
-        self, file: BenchFile, devices: Sequence[CheckedDevice], setup: str, condition: str, seed: int | None = None
+        self,
+        file: BenchFile,
+        devices: Sequence[CheckedDevice],
+        setup: str,
+        condition: str,
+        seed: int | None = None,
+        realtime: bool = False,
     ) -> None:
         emulated = file.emulated
         if emulated is None:
@@ -56,7 +62,7 @@ class EmulatedBench:
         if condition not in emulated.conditions and emulated.conditions and condition:
             known = ", ".join(emulated.conditions)
             raise InputError(f"condition '{condition}' is not one of the emulated bench's: {known}")
-        self.clock = EmulatedClock()
+        self.clock = EmulatedClock(realtime)
         under = emulated.conditions.get(condition, {})
         number = emulated.seed if seed is None else seed
         test = _parameters(file, "test", under | emulated.test)
