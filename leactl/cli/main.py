@@ -1,12 +1,17 @@
 """The entry point: commands found by noun, errors as one line each on stderr, the documented exit statuses."""
 
+import os
 import sys
+from typing import NoReturn
+
+# matrices here are small: a thread pool costs each process a second core and gains nothing; set it to override
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import typer
 
 from leactl import __version__
-from leactl.cli import bench, driver, motor, runs
-from leactl.errors import InputError, LeactlError
+from leactl.cli import analyze, bench, demo, doctor, driver, motor, protocol, run, runs
+from leactl.errors import InputError, LeactlError, Stopped
 
 app = typer.Typer(
     name="leactl",
@@ -16,10 +21,15 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
+app.command("analyze")(analyze.analyze)
 app.add_typer(bench.app, name="bench")
 app.add_typer(driver.app, name="driver")
 app.add_typer(motor.app, name="motor")
+app.add_typer(protocol.app, name="protocol")
 app.add_typer(runs.app, name="runs")
+app.command("run")(run.run)
+app.command("demo")(demo.demo)
+app.command("doctor")(doctor.doctor)
 
 
 def _show_version(wanted: bool) -> None:
@@ -36,13 +46,25 @@ def root(
 
 
 def main() -> None:
-    """Run the command line; a known error is one line on stderr and its exit status."""
+    """Run the command line; an error is one line on stderr and its exit status, an unforeseen one keeps its trace."""
     try:
         app()
     except InputError as error:
-        for fault in error.faults:
-            print(f"leactl: {fault}", file=sys.stderr)
-        sys.exit(error.exit_status)
+        _end(error.faults, error.exit_status)
     except LeactlError as error:
-        print(f"leactl: {error}", file=sys.stderr)
-        sys.exit(error.exit_status)
+        _end([str(error)], error.exit_status)
+    except BrokenPipeError:  # whoever read stdout has gone; a second attempt at exit would only repeat the complaint
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(LeactlError.exit_status)
+    except KeyboardInterrupt:
+        _end(["stopped"], Stopped.exit_status)
+    except Exception as error:
+        if os.environ.get("LEACTL_TRACE"):
+            raise
+        _end([f"internal error: {type(error).__name__}: {error}; LEACTL_TRACE=1 shows where"], LeactlError.exit_status)
+
+
+def _end(lines: list[str], status: int) -> NoReturn:
+    for line in lines:
+        print(f"leactl: {line}", file=sys.stderr)
+    sys.exit(status)

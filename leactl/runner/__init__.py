@@ -1,1 +1,1 @@
-"""One loop that executes a plan on a bench: pacing, the safety gate, recording, an orderly end."""
+"""Executes a plan on a bench: one loop for pacing, supervision and recording, and one orderly end for all of them."""

@@ -3,7 +3,9 @@
 import subprocess
 import sys
 
+COMMAND = [sys.executable, "-c", "from leactl.cli.main import main; main()"]
 
-def leactl(*arguments, **environment):
-    command = [sys.executable, "-c", "from leactl.cli.main import main; main()", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, env=environment or None, check=False)
+
+def leactl(*arguments, input=None, **environment):
+    command = [*COMMAND, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, input=input, env=environment or None, check=False)

@@ -1,0 +1,43 @@
+"""`leactl demo`: the main job on the emulated bench, from protocol to figures beside the paper's."""
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import typer
+
+PROTOCOLS = ("torque-constant", "friction")
+
+
+def demo(
+    out: Path = typer.Option(Path("leactl-demo"), help="Directory of the run files."),
+    seed: int = typer.Option(1, min=0, help="Seed of the emulated bench."),
+    as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
+) -> None:
+    """Characterise an emulated actuator: torque constant and friction in three preloads, beside the paper's figures."""
+    from leactl.analysis.experiments import analyze_runs
+    from leactl.cli.run import finish, perform
+    from leactl.report.terminal import print_result
+    from leactl.runner.request import prepare
+
+    began = time.monotonic()
+    results, files = [], []
+    for protocol in PROTOCOLS:
+        paths = []
+        for condition in ("unloaded", "design", "loaded"):
+            print(f"{protocol}, {condition} ...", file=sys.stderr, flush=True)
+            request = prepare(protocol, "emulated", [f"seed={seed}"], "demo", condition, "", out, realtime=False)
+            outcome = perform(request)
+            finish(outcome, [])
+            paths.append(outcome.path)
+        results.append(analyze_runs(paths))
+        files += paths
+    if as_json:
+        answer = {"results": [result.as_json() for result in results], "files": [str(path) for path in files]}
+        typer.echo(json.dumps(answer))
+        return
+    for result in results:
+        print_result(result, plot=False)
+    typer.echo("\n".join(["", *(f"wrote {path}" for path in files)]))
+    typer.echo(f"{time.monotonic() - began:.0f} s in all; look closer: leactl analyze {files[1]}")

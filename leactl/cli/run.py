@@ -1,0 +1,79 @@
+"""`leactl run`: execute a protocol on a bench and record the run."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from leactl.runner.session import Outcome, Request
+
+
+def run(
+    protocol: str = typer.Argument(help="Name of a shipped protocol, or a path to a .yaml."),
+    bench: str = typer.Option("emulated", help="Name of a shipped bench, or a path to a .yaml."),
+    settings: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Set a parameter; seed=N on emulated."),
+    actuator: str = typer.Option("", help="Which actuator is on the bench: its serial number or any label."),
+    condition: str = typer.Option("", help="Condition of the run: unloaded, design, loaded or any label."),
+    operator: str = typer.Option("", help="Who runs the bench."),
+    out: Path = typer.Option(Path("runs"), help="Directory of the run file."),
+    realtime: bool = typer.Option(False, "--realtime", help="Keep wall time on an emulated bench."),
+    served: bool = typer.Option(False, "--served", help="Meet an emulated bench that another process serves."),
+    bus: list[str] = typer.Option([], metavar="NAME=INTERFACE:CHANNEL", help="Put a CAN bus elsewhere."),
+    as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
+) -> None:
+    """Run a protocol on a bench; status 3 is a safety trip, 4 a stop, 5 a device, 6 an acceptance limit not met."""
+    from leactl.runner.request import prepare
+
+    request = prepare(protocol, bench, settings, actuator, condition, operator, out, realtime, served, bus)
+    outcome = perform(request)
+    answer: dict[str, Any] = {
+        "run": str(outcome.path),
+        "status": outcome.status,
+        "reason": outcome.reason,
+        "duration_s": round(outcome.duration_s, 6),
+        "safe": {name: {"confirmed": c.safe, "detail": c.detail} for name, c in outcome.safe.items()},
+        "acceptance": [],
+    }
+    unmet: list[str] = []
+    if outcome.error is None and request.plan.acceptance:
+        from leactl.runner.acceptance import judge
+
+        answer["acceptance"], unmet = judge(request.plan, outcome.path)
+    if as_json:
+        typer.echo(json.dumps(answer))
+    else:
+        typer.echo(f"{outcome.path}  {outcome.status}, {outcome.duration_s:.1f} s of bench time")
+    finish(outcome, unmet)
+
+
+def perform(request: "Request") -> "Outcome":
+    """Execute a request with the live view on stderr."""
+    from rich.console import Console
+
+    from leactl.errors import InputError
+    from leactl.protocol.plan import Prompt
+    from leactl.report.live import live_view
+    from leactl.runner.operators import at_the_terminal, granted
+    from leactl.runner.session import execute
+
+    console = Console(stderr=True)
+    emulated = request.bench.emulated is not None
+    prompts = any(isinstance(action, Prompt) for action in request.plan.actions)
+    if prompts and not emulated and not sys.stdin.isatty():
+        raise InputError(f"protocol '{request.plan.name}' asks the operator, and stdin is no terminal")
+    return execute(request, granted if emulated else at_the_terminal, lambda progress: live_view(progress, console))
+
+
+def finish(outcome: "Outcome", unmet: list[str]) -> None:
+    """End with the exit status of the error that ended the run, or of an acceptance limit."""
+    from leactl.errors import AcceptanceFailed
+
+    if outcome.error is not None:
+        for note in getattr(outcome.error, "__notes__", ()):
+            print(f"leactl: {note}", file=sys.stderr)
+        raise outcome.error
+    if unmet:
+        raise AcceptanceFailed("; ".join(unmet))

@@ -1,0 +1,98 @@
+"""The live view of a run in a terminal: step, progress, time left, and the newest value of every channel.
+
+It draws from a thread of its own four times a second and only reads what the loop has left for it.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from leactl.quantities import ChannelSpec
+from leactl.runner.progress import Progress
+
+FRAMES_PER_S = 4
+SHORT = {"q_axis_": "", "_reference": " ref", "drive_enabled": "enabled", "_": " "}
+
+
+@contextmanager
+def live_view(progress: Progress, console: Console) -> Iterator[None]:
+    """Show a run while the block lasts; a console that is no terminal shows nothing."""
+    if not console.is_terminal:
+        yield
+        return
+    with Live(
+        console=console,
+        get_renderable=lambda: draw(progress, console.width),
+        refresh_per_second=FRAMES_PER_S,
+        transient=True,
+        redirect_stdout=False,
+        redirect_stderr=False,
+    ):
+        yield
+
+
+def draw(progress: Progress, width: int) -> RenderableType:
+    """One frame for a terminal of this width."""
+    left = progress.left_s
+    head = Table.grid(expand=True, padding=(0, 1))
+    head.add_column(ratio=1, no_wrap=True, overflow="ellipsis")
+    head.add_column(justify="right", no_wrap=True)
+    head.add_row(Text(progress.title, style="bold"), f"{duration(progress.done_s)} of {duration(progress.total_s)}")
+    shown = f"{progress.share:.0%}" + (f", {duration(left)} left" if math.isfinite(left) else "")
+    head.add_row(progress.step or "starting", shown)
+    bar = ProgressBar(total=1.0, completed=progress.share, width=min(width, 120))
+    parts: list[RenderableType] = [head, bar, _channels(progress, width)]
+    if progress.prompt:
+        parts.append(Text(f"{progress.prompt}  [Enter to go on]", style="bold yellow"))
+    return Group(*parts)
+
+
+def duration(seconds: float) -> str:
+    """`75` as `1:15`, `4000` as `1:06:40`."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+
+
+def _channels(progress: Progress, width: int) -> Table:
+    """Values in as many columns as fit, one block a role."""
+    cells = []
+    for stream, channels in progress.streams.items():
+        values = progress.values if stream == "loop" else progress.own.get(stream, ())
+        cells += _cells(channels, values)
+    cells += [(f"{role} winding estimate", f"{value:.1f} degC") for role, value in progress.temperatures.items()]
+    columns = max(1, width // 40)
+    table = Table.grid(expand=False, padding=(0, 2))
+    for _ in range(columns):
+        table.add_column(no_wrap=True, overflow="ellipsis", max_width=22)
+        table.add_column(justify="right", no_wrap=True, min_width=13)
+    rows = -(-len(cells) // columns)
+    for row in range(rows):
+        line: list[Any] = []
+        for name, value in cells[row::rows]:
+            line += [Text(name, style="dim"), value]
+        table.add_row(*line)
+    return table
+
+
+def _cells(channels: Sequence[ChannelSpec], values: Sequence[float]) -> list[tuple[str, str]]:
+    cells = []
+    for place, channel in enumerate(channels):
+        value = values[place] if place < len(values) else math.nan
+        if channel.quantity.endswith("_reference") and math.isnan(value):
+            continue
+        cells.append((f"{channel.role} {_shortened(channel.quantity, SHORT)}", f"{value:.3f} {channel.unit}"))
+    return cells
+
+
+def _shortened(text: str, words: Mapping[str, str]) -> str:
+    for long, short in words.items():
+        text = text.replace(long, short)
+    return text

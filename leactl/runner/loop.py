@@ -1,0 +1,222 @@
+"""The control loop: setpoints through the supervisor, one exchange, samples to the file and the judge, sign of life.
+
+Every cycle is the same whatever the plan asks for, so that nothing moves, waits or is asked without being supervised,
+and the heartbeat that keeps the drives alive is sent after a supervised cycle and nowhere else.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+from leactl.bench.bench import Bench
+from leactl.driver.contract import AnalogInput, Mode
+from leactl.errors import DeviceError, InputError
+from leactl.protocol.plan import Action, Engage, Plan, Profile, Prompt, Record, Segment, Tare, WaitUntil
+from leactl.runfile.writer import RunWriter
+from leactl.runner.progress import Progress
+from leactl.runner.recorder import Flush
+from leactl.runner.signals import StopRequest
+from leactl.safety.supervisor import Supervisor
+
+ANSWER_SHARE = 0.6  # of a period that the drives' answers may take
+LEAST_ANSWER_S = 0.002
+
+Operator = Callable[[str], Callable[[], bool]]
+"""Asks for something to be done; what it returns says whether the operator has confirmed it."""
+
+
+class Loop:
+    """Executes the actions of a plan, one cycle after the other."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        bench: Bench,
+        supervisor: Supervisor,
+        writer: RunWriter,
+        flush: Flush,
+        stop: StopRequest,
+        progress: Progress,
+        operator: Operator,
+    ) -> None:
+        self._plan, self._bench, self._supervisor, self._writer = plan, bench, supervisor, writer
+        self._flush, self._stop, self._progress, self._operator = flush, stop, progress, operator
+        self._clock = bench.clock
+        self._period = 1.0 / plan.rate_Hz
+        self._answer_s = max(ANSWER_SHARE * self._period, LEAST_ANSWER_S)
+        self._start = self._next = self._clock.now()
+        self._newest: dict[str, Sequence[float]] = {}
+        self._row: list[float] = []
+        self._every, self._phase = round(plan.rate_Hz / plan.record_Hz), 0
+        self._planned = 0.0
+        self.overruns = 0
+        self.cycles = 0
+
+    @property
+    def time(self) -> float:
+        """Start of the next cycle [s since the run's start]."""
+        return self._next - self._start
+
+    def run(self) -> None:
+        """Execute the whole plan.
+
+        Raises
+        ------
+        SafetyTrip, Stopped, DeviceError, RecordingFailed : whatever ended it early.
+        """
+        self._cycle()
+        for action in self._plan.actions:
+            self._perform(action)
+        self._cycle()
+
+    def _perform(self, action: Action) -> None:
+        match action:
+            case Segment():
+                self._move(action)
+            case Engage():
+                self._engage(action.modes)
+            case WaitUntil():
+                self._wait_until(action)
+            case Tare():
+                self._tare(action.samples)
+            case Prompt():
+                self._prompt(action.text)
+            case Record():
+                self._every = round(self._plan.rate_Hz / action.rate_Hz) if action.rate_Hz else 0
+                self._phase = 0
+
+    # -- one cycle ---------------------------------------------------------------------------------------------------
+
+    def _cycle(self) -> None:
+        """Exchange, record, judge, feed, and wait for the next cycle's start."""
+        self._stop.check()
+        bench, supervisor, writer, start = self._bench, self._supervisor, self._writer, self._start
+        began = self._next
+        row = self._row = bench.exchange(began + self._answer_s)
+        if self._every and self._phase % self._every == 0 and row:
+            writer.append_row("loop", began - start, row)
+        self._phase += 1
+        for reading in bench.take():
+            writer.append_row(reading.stream, reading.time - start, reading.values)
+            self._newest[reading.stream] = reading.values
+            supervisor.receive(reading)
+        supervisor.check(self._clock.now())
+        bench.feed()
+        self._flush.after_cycle()
+        self.cycles += 1
+        progress = self._progress
+        progress.values, progress.own = row, self._newest
+        self._pace(began)
+
+    def _pace(self, began: float) -> None:
+        due, now = began + self._period, self._clock.now()
+        if now > due + self._period:  # a cycle is lost: go on from here, never two cycles in a row to catch up
+            self.overruns += 1
+            if self.overruns in (1, 10, 100, 1000):
+                late = now - due
+                self._note("warning", "runner", f"cycle late by {late * 1e3:.1f} ms; {self.overruns} so far")
+            due = now
+        self._clock.sleep_until(due)
+        self._next = due
+
+    def _note(self, level: str, source: str, message: str) -> None:
+        self._writer.event(self._clock.now() - self._start, level, source, message)
+
+    # -- actions -----------------------------------------------------------------------------------------------------
+
+    def _move(self, segment: Segment) -> None:
+        """Follow setpoints; the step is noted with the time it really took, even where it is cut short."""
+        began = self.time
+        self._progress.step = segment.name
+        setpoints = list(segment.setpoints.items())
+        try:
+            if segment.duration_s <= 0.0:
+                self._command(setpoints, 0.0)
+                return
+            last = segment.duration_s - 0.5 * self._period
+            while True:
+                into = self.time - began
+                if into >= last:
+                    break
+                self._command(setpoints, into)
+                self._progress.done_s = self._planned + into
+                self._cycle()
+            self._command(setpoints, segment.duration_s)
+        finally:
+            if segment.duration_s > 0.0:
+                self._writer.step(segment.name, began, self.time, segment.settle_s, segment.parameters)
+        self._planned += segment.duration_s
+        self._progress.temperatures = self._supervisor.temperatures()
+
+    def _command(self, setpoints: list[tuple[str, Profile]], into: float) -> None:
+        for role, profile in setpoints:
+            self._supervisor.command(role, profile.at(into))
+
+    def _engage(self, modes: Mapping[str, Mode]) -> None:
+        """Bring drives into operation or out of it; each takes one transition a cycle."""
+        for role, mode in modes.items():
+            if role not in self._bench.drives:
+                raise InputError(f"the protocol engages the {role} drive; bench '{self._bench.file.name}' has none")
+            if mode is Mode.OFF:
+                self._supervisor.release(role)
+            else:
+                self._supervisor.engage(role, mode)
+        self._progress.step = "modes " + ", ".join(f"{role} {mode}" for role, mode in modes.items())
+        self._note("info", "runner", self._progress.step)
+        engaged = [role for role, mode in modes.items() if mode is not Mode.OFF]
+        self._cycle()
+        while not all(self._supervisor.engaged(role) for role in engaged):  # the driver itself gives up in time
+            self._cycle()
+        self._cycle()
+
+    def _wait_until(self, action: WaitUntil) -> None:
+        self._progress.step = f"wait for {action.role} {action.quantity}"
+        end = self.time + action.timeout_s
+        while not action.low <= self._reading(action.quantity, action.role) <= action.high:
+            if self.time >= end:
+                raise DeviceError(
+                    f"{action.role} {action.quantity} is {self._reading(action.quantity, action.role):.4g} after"
+                    f" {action.timeout_s:g} s; {action.low:g} to {action.high:g} was waited for"
+                )
+            self._cycle()
+
+    def _reading(self, quantity: str, role: str) -> float:
+        """Newest value of a quantity; NaN, which no comparison holds for, where there is none yet."""
+        for stream, channels in self._bench.streams().items():
+            for place, channel in enumerate(channels):
+                if (channel.quantity, channel.role) == (quantity, role):
+                    values = self._row if stream == "loop" else self._newest.get(stream, ())
+                    return values[place] if place < len(values) else math.nan
+        raise InputError(f"bench '{self._bench.file.name}' measures no {quantity} of role '{role}'")
+
+    def _tare(self, samples: int) -> None:
+        """Average the torque readings of so many samples and take the means as zero."""
+        self._progress.step = "tare"
+        devices = {
+            driver: [spec.name for spec in driver.streams if any(c.quantity == "torque" for c in spec.channels)]
+            for driver in self._bench.drivers.values()
+            if isinstance(driver, AnalogInput)
+        }
+        gathered: dict[str, list[float]] = {name: [] for names in devices.values() for name in names}
+        if not gathered:
+            raise InputError(f"bench '{self._bench.file.name}' has no torque sensor to tare")
+        self._newest.clear()
+        while min(len(values) for values in gathered.values()) < samples:
+            self._cycle()
+            for name, values in gathered.items():
+                if name in self._newest:
+                    values.append(self._newest.pop(name)[0])
+        for driver, names in devices.items():
+            if names:
+                offsets = driver.tare({name: sum(gathered[name]) / len(gathered[name]) for name in names})
+                shown = ", ".join(f"{name} {offset:.6g}" for name, offset in offsets.items())
+                self._note("info", "runner", f"tared: new offsets {shown} N*m")
+
+    def _prompt(self, text: str) -> None:
+        """Ask the operator, and keep the loop going until the answer."""
+        self._progress.step = self._progress.prompt = text
+        self._note("info", "operator", f"asked: {text}")
+        confirmed = self._operator(text)
+        while not confirmed():
+            self._cycle()
+        self._progress.prompt = ""
+        self._note("info", "operator", "confirmed")

@@ -1,0 +1,34 @@
+"""How far a run is, for whoever shows it: written by the loop, read at any time from another thread."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from leactl.quantities import ChannelSpec
+
+
+@dataclass
+class Progress:
+    """A run as it stands; plain values only, so that a reader needs no lock."""
+
+    title: str
+    total_s: float
+    streams: Mapping[str, tuple[ChannelSpec, ...]]
+    values: Sequence[float] = ()  # of stream "loop"
+    own: Mapping[str, Sequence[float]] = field(default_factory=dict)  # newest row of every other stream
+    temperatures: dict[str, float] = field(default_factory=dict)
+    step: str = ""
+    prompt: str = ""
+    done_s: float = 0.0
+    began: float = field(default_factory=time.monotonic)
+
+    @property
+    def share(self) -> float:
+        """Part of the plan that is done."""
+        return min(1.0, self.done_s / self.total_s) if self.total_s > 0 else 0.0
+
+    @property
+    def left_s(self) -> float:
+        """Wall seconds that are left at the pace so far; NaN before there is a pace."""
+        share = self.share
+        return (time.monotonic() - self.began) * (1 - share) / share if share > 0 else float("nan")

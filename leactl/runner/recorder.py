@@ -1,0 +1,66 @@
+"""Brings rows to the disk beside the loop: in a thread where the loop keeps wall time, inline where it makes time."""
+
+import threading
+import time
+
+from leactl.runfile.writer import RecordingFailed, RunWriter
+
+FLUSH_S = 0.5  # half of what a kill may cost (run-format: 1 s)
+
+
+class InlineFlush:
+    """Flush from within the loop, twice a second of wall time."""
+
+    def __init__(self, writer: RunWriter) -> None:
+        self._writer = writer
+        self._due = time.monotonic()
+
+    def after_cycle(self) -> None:
+        """Flush where it is due.
+
+        Raises
+        ------
+        RecordingFailed : the disk takes no more.
+        """
+        if time.monotonic() >= self._due:
+            self._writer.flush()
+            self._due = time.monotonic() + FLUSH_S
+
+    def stop(self) -> None:
+        """Nothing goes on by itself."""
+
+
+class ThreadedFlush:
+    """Flush from a thread, so that a slow disk cannot hold up the loop."""
+
+    def __init__(self, writer: RunWriter) -> None:
+        self._writer = writer
+        self._ended = threading.Event()
+        self._failure: RecordingFailed | None = None
+        self._thread = threading.Thread(target=self._run, name="leactl-flush", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._ended.wait(FLUSH_S):
+            try:
+                self._writer.flush()
+            except RecordingFailed as failure:
+                self._failure = failure
+                return
+
+    def after_cycle(self) -> None:
+        """Tell the loop of a failure.
+
+        Raises
+        ------
+        RecordingFailed : the disk takes no more.
+        """
+        if self._failure is not None:
+            raise self._failure
+
+    def stop(self) -> None:
+        """End the thread; the writer's own lock keeps a flush that is under way whole."""
+        self._ended.set()
+
+
+Flush = InlineFlush | ThreadedFlush

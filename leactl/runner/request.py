@@ -1,0 +1,67 @@
+"""From the words of a command line to a checked request: every fault is found before a device is touched."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from leactl.bench import benchfile
+from leactl.errors import InputError
+from leactl.protocol import protocolfile
+from leactl.runner.session import Request
+
+MOST_SEED = 2**63 - 1
+
+
+def prepare(
+    protocol: str,
+    bench: str,
+    settings: Sequence[str],
+    actuator: str,
+    condition: str,
+    operator: str,
+    directory: Path,
+    realtime: bool,
+    served: bool = False,
+    buses: Sequence[str] = (),
+) -> Request:
+    """Resolve and check what is to be run.
+
+    Raises
+    ------
+    InputError : a name, a file or a setting that cannot be used; one line a fault.
+    """
+    overrides = _settings(settings)
+    seed = _seed(overrides.pop("seed", None))
+    file, devices, document = benchfile.load(bench)
+    file = file.model_copy(update={"buses": file.buses | benchfile.put_elsewhere(file, buses)})
+    return Request(
+        plan=protocolfile.load(protocol, overrides, condition),
+        bench=file,
+        devices=devices,
+        bench_document=document,
+        directory=directory,
+        actuator=actuator,
+        operator=operator,
+        seed=seed,
+        realtime=realtime,
+        served=served,
+    )
+
+
+def _settings(words: Sequence[str]) -> dict[str, str]:
+    overrides: dict[str, str] = {}
+    for word in words:
+        name, equals, value = word.partition("=")
+        if not (name and equals):
+            raise InputError(f"--set {word}: name=value was expected")
+        if name in overrides:
+            raise InputError(f"--set {name}: given twice")
+        overrides[name] = value
+    return overrides
+
+
+def _seed(text: str | None) -> int | None:
+    if text is None:
+        return None
+    if not (text.isascii() and text.isdigit() and len(text) < 20 and int(text) <= MOST_SEED):
+        raise InputError(f"--set seed={text}: a whole number from 0 to {MOST_SEED} was expected")
+    return int(text)

@@ -1,0 +1,213 @@
+"""One run from checked inputs to a closed file: opens the bench, runs the loop, and ends in the same order always.
+
+The end does not depend on what caused it: devices safe first (by the supervisor: test drive, load drive, the rest),
+then the file closed with its status, then the devices let go, then a trip latched.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from leactl import __version__, yamlfile
+from leactl.bench.bench import Bench
+from leactl.bench.benchfile import BenchFile, CheckedDevice
+from leactl.bench.wiring import MachineWiring, Wiring
+from leactl.driver.contract import Confirmation, MotionDevice
+from leactl.errors import DeviceError, InputError, LeactlError, SafetyTrip, Stopped
+from leactl.model.motor import Motor, load_motor
+from leactl.protocol.plan import Engage, Plan
+from leactl.runfile.writer import RunInfo, RunWriter, new_run_id
+from leactl.runner import latch
+from leactl.runner.loop import Loop, Operator
+from leactl.runner.progress import Progress
+from leactl.runner.recorder import InlineFlush, ThreadedFlush
+from leactl.runner.signals import listening
+from leactl.safety.supervisor import Axis, Supervisor, check_setpoints
+from leactl.safety.winding import ThermalParameters, WindingEstimate
+
+Watch = Callable[[Progress], AbstractContextManager[object]]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to run, on what, and where the file goes; everything in it has been checked."""
+
+    plan: Plan
+    bench: BenchFile
+    devices: Sequence[CheckedDevice]
+    bench_document: yamlfile.Document
+    directory: Path
+    actuator: str = ""
+    operator: str = ""
+    seed: int | None = None
+    realtime: bool = False
+    served: bool = False  # the bench is emulated by another process, on real buses
+
+    @property
+    def in_process(self) -> bool:
+        """Whether the bench is emulated here."""
+        return self.bench.emulated is not None and not self.served
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended."""
+
+    path: Path
+    status: str
+    reason: str
+    error: BaseException | None
+    safe: Mapping[str, Confirmation]
+    duration_s: float
+    overruns: int
+
+
+def execute(request: Request, operator: Operator, watch: Watch) -> Outcome:
+    """Run a plan on a bench; the outcome carries the error that ended it, where there was one.
+
+    Raises
+    ------
+    InputError : plan and bench do not fit; nothing was touched.
+    SafetyTrip : the bench is latched; nothing was touched.
+    DeviceError : a device could not be opened; those that were are safe and closed.
+    RecordingFailed : the run file could not be made.
+    """
+    motors = _check(request)
+    latch.refuse_latched(request.bench.name)
+    with listening() as stop:
+        bench = Bench(request.bench, request.devices, _wiring(request))
+        _check_roles(request, bench)
+        supervisor = _supervisor(request, bench, motors)
+        bench.open()
+        try:
+            writer = RunWriter(request.directory, _info(request), bench.streams())
+        except LeactlError:
+            supervisor.make_safe()
+            bench.close()
+            raise
+        paced = request.realtime or not request.in_process
+        flush = ThreadedFlush(writer) if paced else InlineFlush(writer)
+        plan = request.plan
+        progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
+        loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator)
+        _introduce(request, writer)
+        error: BaseException | None = None
+        try:
+            with watch(progress):
+                loop.run()
+        except BaseException as caught:  # noqa: BLE001 (whatever ended the run, the bench is made safe before anything else)
+            error = caught
+        safe = supervisor.make_safe()
+        flush.stop()
+        error = _unconfirmed(error, safe)
+        status, reason = _status(error)
+        for name, confirmation in safe.items():
+            level = "info" if confirmation.safe else "error"
+            writer.event(loop.time, level, name, f"safe state: {confirmation.detail}")
+        try:
+            writer.close(status, reason)
+        except LeactlError as failure:
+            if error is None:
+                error, status, reason = failure, "failed", str(failure)
+            else:
+                error.add_note(str(failure))
+        bench.close()
+        if isinstance(error, SafetyTrip):
+            latch.latch(request.bench.name, reason, writer.path)
+    return Outcome(writer.path, status, reason, error, safe, loop.time, loop.overruns)
+
+
+def _check(request: Request) -> dict[str, Motor]:
+    """Refuse what cannot go well, before anything is touched; the motors by role."""
+    plan, bench = request.plan, request.bench
+    if bench.setup is not None and bench.setup != plan.setup:
+        raise InputError(f"protocol '{plan.name}' needs set-up '{plan.setup}'; bench '{bench.name}' is '{bench.setup}'")
+    if not request.in_process and (request.seed is not None or request.realtime):
+        raise InputError(f"bench '{bench.name}' is not emulated here: it takes no seed and always keeps wall time")
+    check_setpoints(bench.limits, plan.peaks())
+    test = load_motor(bench.motors["test"])[0]
+    return {"test": test, "load": load_motor(bench.motors["load"])[0] if "load" in bench.motors else test}
+
+
+def _check_roles(request: Request, bench: Bench) -> None:
+    wanted = {role for action in request.plan.actions if isinstance(action, Engage) for role in action.modes}
+    missing = sorted(wanted - bench.drives.keys())
+    if missing:
+        raise InputError(
+            f"protocol '{request.plan.name}' moves the {' and the '.join(missing)} drive;"
+            f" bench '{request.bench.name}' has {', '.join(sorted(bench.drives)) or 'none'}"
+        )
+
+
+def _wiring(request: Request) -> Wiring:
+    if not request.in_process:
+        return MachineWiring()
+    from leactl.emulation.emulated_bench import EmulatedBench
+
+    plan = request.plan
+    return EmulatedBench(
+        request.bench, request.devices, plan.setup, plan.condition, request.seed, realtime=request.realtime
+    )
+
+
+def _supervisor(request: Request, bench: Bench, motors: Mapping[str, Motor]) -> Supervisor:
+    axes = {}
+    for role, driver in bench.drives.items():
+        assert isinstance(driver, MotionDevice)
+        motor = motors[role]
+        thermal = ThermalParameters(
+            phase_resistance=motor.phase_resistance,
+            resistance_coefficient=motor.resistance_coefficient,
+            reference_temperature=motor.reference_temperature,
+            **motor.thermal.model_dump(),
+        )
+        axes[role] = Axis(driver, driver, WindingEstimate(thermal))
+    return Supervisor(request.bench.limits, axes, bench.others, bench.clock)
+
+
+def _info(request: Request) -> RunInfo:
+    plan, bench, now = request.plan, request.bench, datetime.now(UTC)
+    motor = load_motor(bench.motors["test"])[1]
+    return RunInfo(
+        run_id=new_run_id(plan.name, now),
+        protocol=plan.name,
+        bench=bench.name,
+        actuator=request.actuator,
+        condition=plan.condition,
+        operator=request.operator,
+        simulated=bench.emulated is not None,
+        mechanical=plan.setup,
+        software=f"leactl {__version__}",
+        created=now.isoformat(timespec="seconds"),
+        sources={"protocol": plan.text, "bench": request.bench_document.text, "model": motor.text},
+    )
+
+
+def _introduce(request: Request, writer: RunWriter) -> None:
+    """Note what the stored YAML texts do not tell: the parameters as resolved, and the seed."""
+    for name, value in request.plan.parameters.items():
+        writer.event(0.0, "info", "protocol", f"{name} = {value}")
+    if request.in_process and request.bench.emulated is not None:
+        seed = request.bench.emulated.seed if request.seed is None else request.seed
+        writer.event(0.0, "info", "emulation", f"seed = {seed}")
+
+
+def _unconfirmed(error: BaseException | None, safe: Mapping[str, Confirmation]) -> BaseException | None:
+    """A device that could not be confirmed safe is an error of its own, or part of the one there is."""
+    doubtful = [f"{name}: {confirmation.detail}" for name, confirmation in safe.items() if not confirmation.safe]
+    if not doubtful:
+        return error
+    text = "NOT CONFIRMED SAFE, switch off the supply: " + "; ".join(doubtful)
+    if error is None:
+        return DeviceError(text)
+    error.add_note(text)
+    return error
+
+
+def _status(error: BaseException | None) -> tuple[str, str]:
+    if error is None:
+        return "complete", ""
+    kind = "tripped" if isinstance(error, SafetyTrip) else "stopped" if isinstance(error, Stopped) else "failed"
+    return kind, str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -1,0 +1,40 @@
+"""Signals that ask a run to stop: a flag that the loop reads, so that they break neither it nor its end."""
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from leactl.errors import Stopped
+
+
+class StopRequest:
+    """Whether a person or the system wants the run to end."""
+
+    def __init__(self) -> None:
+        self.cause = ""
+
+    def note(self, number: int, _frame: object = None) -> None:
+        """Take a signal; the first one is the cause, later ones change nothing."""
+        self.cause = self.cause or f"stopped by {signal.Signals(number).name}"
+
+    def check(self) -> None:
+        """End the run where somebody asked for it.
+
+        Raises
+        ------
+        Stopped : with the cause.
+        """
+        if self.cause:
+            raise Stopped(self.cause)
+
+
+@contextmanager
+def listening() -> Iterator[StopRequest]:
+    """Take SIGINT, SIGTERM and SIGHUP until the block is left."""
+    request = StopRequest()
+    before = {number: signal.signal(number, request.note) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield request
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

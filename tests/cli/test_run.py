@@ -1,0 +1,180 @@
+"""`leactl run` as a shell sees it: streams, exit statuses, signals, kill -9, a full disk."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+
+import h5py
+import pytest
+
+from leactl.runfile.integrity import recover, verify
+from tests.cli.terminal import COMMAND, leactl
+from tests.runner.conftest import SPIN
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A directory with the protocol, and state of its own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "state"))
+    (tmp_path / "spin.yaml").write_text(SPIN)
+    return tmp_path
+
+
+def test_json_is_pure_and_names_the_run(here):
+    done = leactl("run", "spin.yaml", "--set", "seed=7", "--out", "runs", "--json")
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert answer["status"] == "complete"
+    assert verify(here / answer["run"]) == []
+    assert {name: device["confirmed"] for name, device in answer["safe"].items()} == {
+        "drive_test": True,
+        "drive_load": True,
+        "torque_sensor": True,
+    }
+
+
+def test_a_trip_is_status_3_and_the_reset_states_its_cause(here):
+    done = leactl("run", "spin.yaml", "--set", "current_A=2.5", "--set", "hold_s=2", "--json")
+    assert done.returncode == 3
+    assert json.loads(done.stdout)["status"] == "tripped"
+    assert done.stderr.startswith("leactl: test velocity of ")
+    again = leactl("run", "spin.yaml")
+    assert again.returncode == 3
+    assert "leactl bench reset emulated" in again.stderr
+    unsure = leactl("bench", "reset", "emulated", input="n\n")
+    assert unsure.returncode == 4
+    reset = leactl("bench", "reset", "emulated", "--yes")
+    assert reset.returncode == 0
+    assert "test velocity of" in reset.stderr
+    assert leactl("run", "spin.yaml").returncode == 0
+    assert leactl("bench", "reset", "emulated").stdout == "emulated: not tripped\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["no-such"], "no-such"),
+        (["spin.yaml", "--bench", "no-such"], "bench 'no-such' is not known; known: emulated, testbed"),
+        (["spin.yaml", "--set", "speed=1"], "speed"),
+        (["spin.yaml", "--set", "hold_s"], "--set hold_s: name=value was expected"),
+        (["spin.yaml", "--condition", "icy"], "condition 'icy'"),
+        (["spin.yaml", "--bench", "testbed", "--set", "seed=1"], "takes no seed"),
+    ],
+)
+def test_unusable_input_is_status_2_in_one_line(here, arguments, words):
+    done = leactl("run", *arguments)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert not (here / "runs").exists()
+
+
+def test_an_absent_bus_is_status_5_in_one_line(here):
+    done = leactl("run", "spin.yaml", "--bench", "testbed")
+    assert (done.returncode, done.stdout) == (5, "")
+    assert done.stderr.startswith("leactl: drive_test: bus 'can0': ")
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_an_acceptance_limit_that_is_not_met_is_status_6(here):
+    (here / "strict.yaml").write_text(
+        SPIN.replace("setup: free\n", "setup: free\nanalysis: friction\n").replace(
+            "steps:\n", 'acceptance:\n  - {result: r_squared, low: 1.5, unit: "1"}\nsteps:\n'
+        )
+    )
+    shipped = leactl("protocol", "show", "friction").stdout
+    text = shipped + "\nacceptance:\n  - {result: coulomb_friction, low: 5, unit: N*m}\n"
+    (here / "strict.yaml").write_text(text)
+    done = leactl("run", "strict.yaml", "--set", "trials=1", "--set", "hold_s=2", "--set", "settle_s=1", "--json")
+    assert done.returncode == 6, done.stderr
+    assert "acceptance: coulomb_friction is 0.2" in done.stderr
+    assert json.loads(done.stdout)["acceptance"][0]["met"] is False
+
+
+def start(*arguments):
+    return subprocess.Popen(
+        [*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
+    )
+
+
+def live_run(here, process):
+    """Path of the run once its first rows are on the disk."""
+    while process.poll() is None:
+        for path in (here / "runs").glob("*.h5"):
+            try:
+                with h5py.File(path, "r", swmr=True) as file:
+                    if len(file["streams/loop/time"]) > 5:
+                        return path
+            except OSError:
+                continue
+    raise AssertionError(process.communicate())
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_in_order_and_a_second_one_changes_nothing(here, number):
+    process = start("run", "spin.yaml", "--set", "hold_s=60", "--realtime", "--json")
+    path = live_run(here, process)
+    process.send_signal(number)
+    process.send_signal(number)
+    out, err = process.communicate(timeout=20)
+    assert process.returncode == 4, err
+    assert json.loads(out)["status"] == "stopped"
+    assert err == f"leactl: stopped by {number.name}\n"
+    assert verify(path) == []
+
+
+def test_kill_leaves_a_file_that_recovers(here):
+    process = start("run", "spin.yaml", "--set", "hold_s=60", "--realtime")
+    path = live_run(here, process)
+    process.kill()
+    process.communicate(timeout=20)
+    assert any("recording" in finding for finding in verify(path))
+    clean = recover(path)
+    with h5py.File(clean) as file:
+        assert len(file["streams/loop/time"]) > 5
+        assert file.attrs["status"] == "recovered"
+
+
+def test_a_full_disk_fails_the_run_and_keeps_what_was_flushed(here):
+    def small_disk():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4_000_000, 4_000_000))
+
+    done = subprocess.run(
+        [*COMMAND, "run", "spin.yaml", "--set", "hold_s=600", "--set", "current_A=0.7", "--json"],
+        capture_output=True,
+        text=True,
+        preexec_fn=small_disk,
+        check=False,
+    )
+    assert done.returncode == 1, done.stderr
+    assert "recording failed" in done.stderr
+    answer = json.loads(done.stdout)
+    assert answer["status"] == "failed"
+    assert all(device["confirmed"] for device in answer["safe"].values())
+    with h5py.File(here / answer["run"], "r", swmr=True) as file:
+        assert len(file["streams/loop/time"]) > 100
+
+
+def test_the_live_view_shows_step_progress_and_channels(here):
+    pexpect = pytest.importorskip("pexpect")
+    environment = os.environ | {"COLUMNS": "80", "LINES": "24", "TERM": "xterm-256color"}
+    child = pexpect.spawn(
+        sys.executable,
+        [*COMMAND[1:], "run", "spin.yaml", "--set", "hold_s=2", "--realtime"],
+        env=environment,
+        dimensions=(24, 80),
+        encoding="utf-8",
+        timeout=20,
+    )
+    child.expect("spin on emulated")
+    child.expect("test velocity")
+    child.expect(r"left")
+    child.expect("complete, 2")
+    child.expect(pexpect.EOF)
+    child.close()
+    assert child.exitstatus == 0
