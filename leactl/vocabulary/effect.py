@@ -1,0 +1,54 @@
+"""Definitions of effects, read from the files beside this one."""
+
+from functools import cache
+from importlib import resources
+
+from pydantic import BaseModel, ConfigDict
+
+from leactl import yamlfile
+from leactl.errors import InputError
+
+STRICT = ConfigDict(frozen=True, extra="forbid")
+
+
+class ParameterDefinition(BaseModel):
+    """One number of an effect: units as in run files, and the range in which it is met."""
+
+    model_config = STRICT
+    units: str
+    low: float
+    high: float
+    meaning: str
+
+
+class EffectDefinition(BaseModel):
+    """What an effect is, where it shows, what it is taken for, and which experiment shows it."""
+
+    model_config = STRICT
+    effect: str
+    meaning: str
+    parameters: dict[str, ParameterDefinition]
+    shows_in: str
+    confused_with: str
+    shown_by: str
+
+
+@cache
+def effect_names() -> tuple[str, ...]:
+    """Identifiers of all effects, sorted."""
+    folder = resources.files("leactl.vocabulary") / "effects"
+    return tuple(sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml")))
+
+
+@cache
+def effect_definition(name: str) -> EffectDefinition:
+    """The definition of one effect.
+
+    Raises
+    ------
+    InputError : no such effect; the known ones are named.
+    """
+    if name not in effect_names():
+        raise InputError(f"effect '{name}' is not known; known: {', '.join(effect_names())}")
+    text = (resources.files("leactl.vocabulary") / "effects" / f"{name}.yaml").read_text(encoding="utf-8")
+    return yamlfile.parse(text, f"{name}.yaml").validate(EffectDefinition)
