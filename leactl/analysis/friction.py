@@ -1,8 +1,8 @@
 """Viscous damping and Coulomb friction of a free rotor: Kt i = b w + f sgn(w) at steady velocity.
 
-Paper, section "Friction and Damping". The torque that the current makes is regressed on velocity, not the other way
-round: a mean current is known to a part in a thousand, a mean velocity far better. Both b and f are in proportion to
-the torque constant, which comes from the model that the run carries or from the caller.
+Paper, section "Friction and Damping". The current is set and the velocity follows, with all the scatter of the friction
+in it, so the setpoint is the instrument of the velocity (linefit.py). Both b and f are in proportion to the torque
+constant, which comes from the model that the run carries or from the caller.
 """
 
 import math
@@ -82,10 +82,9 @@ def analyze(
         line = found
         results = line_results(line, "", unit, constants.relative_std, direction)
         notes.append(f"the rotor turned {name} only: a zero error of the current is part of coulomb_friction")
-    columns = regressors(levels, sign)
-    slope, _ = line.fit.combined(line.weights("viscous_damping"))
-    noise = np.hypot(constants.values[levels.run] * levels.std[CURRENT], slope * levels.std[VELOCITY])
-    notes += remarks(columns, torque, levels, noise, unit, place)
+    damping = line.slope("viscous_damping")
+    noise = np.hypot(constants.values[levels.run] * levels.std[CURRENT], damping * levels.std[VELOCITY])
+    notes += remarks(line, noise, unit)
     paths = tuple(str(run.path) for run in runs)
     plot = plot_of(levels, torque, line, sign, unit)
     names = ("viscous_damping", "coulomb_friction", "offset", "r_squared")
@@ -201,11 +200,13 @@ def line_results(
 ) -> list[Estimate]:
     """Estimates of one fit; of a direction alone, its intercept is the friction."""
     per_velocity = "N*s/m" if unit == "N" else "N*m*s/rad"
-    fit, one_way = line.fit, direction is not None
-    friction = (direction or 0.0) * line.mean_intercept if one_way else line.weights("coulomb_friction")
-    damping = fit.estimate(f"viscous_damping{suffix}", per_velocity, line.weights("viscous_damping"), relative_std)
-    found = [damping, fit.estimate(f"coulomb_friction{suffix}", unit, friction, relative_std)]
-    if not one_way:
+    fit = line.fit
+    found = [line.estimate("viscous_damping", f"viscous_damping{suffix}", per_velocity, relative_std)]
+    if direction is not None:
+        intercept = direction * line.mean_intercept
+        found.append(fit.estimate(f"coulomb_friction{suffix}", unit, intercept, relative_std))
+    else:
+        found.append(line.estimate("coulomb_friction", "coulomb_friction", unit, relative_std))
         found.append(fit.estimate("offset", unit, line.mean_intercept, relative_std))
     return [*found, Estimate(f"r_squared{suffix}", fit.r_squared, NAN, NAN, NAN, "1")]
 

@@ -21,7 +21,7 @@ DIRECTIONS = {"rising": 1, "falling": -1}
 FEWEST_SAMPLES = 3
 LEAST_COVERED = 0.5  # of a settled part, for a hold that the end of the recording cut
 MISSING_SHARE = 0.01  # of the samples, above which a note says so
-RESOLVED = 10.0  # spread of the levels over the standard error of one: noise in them then lowers a slope by 1 % at most
+RESOLVED = 10.0  # spread of the levels over the standard error of one, for the setpoint to be a strong instrument
 WINDOW = 5.0  # lags summed, in integrated autocorrelation times (Sokal 1997, section 3)
 
 

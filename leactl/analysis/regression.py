@@ -1,6 +1,7 @@
-"""Ordinary least squares with Student t intervals, and tests of whether the scatter is all there is.
+"""Least squares with instruments and Student t intervals, and tests of whether the scatter is all there is.
 
 Draper & Smith, Applied Regression Analysis, 3rd ed.: estimates and intervals in chapter 5, lack of fit in section 2.1.
+Wooldridge, Introductory Econometrics, 5th ed., chapter 15: instruments for regressors that carry errors.
 """
 
 import math
@@ -17,6 +18,7 @@ Array = npt.NDArray[np.float64]
 CONFIDENCE = 0.95
 RANK_TOLERANCE = 1e-9  # of the largest singular value, columns scaled to length one
 DEPARTS_BELOW = 0.01  # probability under which groups depart from the fit by more than scatter
+POOLED_ABOVE = 0.25  # probability above which their departure counts as scatter (Bancroft & Han 1983 advise this much)
 EXACT = 1e-24  # share of the response's sum of squares that rounding leaves
 
 
@@ -32,11 +34,17 @@ class Fit:
     """A least-squares fit: response = design @ coefficients + residuals."""
 
     coefficients: Array
-    unscaled: Array  # (X'X)^-1: covariance of the coefficients at unit variance
+    unscaled: Array  # covariance of the coefficients at unit variance
+    projected: Array  # the part of the design that its instruments explain; the residuals are orthogonal to it
     residuals: Array
     variance: float  # of one point, in the response's unit squared
     dof: float  # that the variance rests on
     r_squared: float
+
+    @property
+    def explained(self) -> Array:
+        """The response that the projected design would have left with the same residuals."""
+        return self.projected @ self.coefficients + self.residuals
 
     def combined(self, weights: Array) -> tuple[float, float]:
         """Value and standard error of a linear combination of the coefficients."""
@@ -70,8 +78,11 @@ class Departure:
         return self.probability < DEPARTS_BELOW
 
 
-def least_squares(design: Array, response: Array, place: str) -> Fit:
-    """Fit with every point at the same weight; `place` opens the message of a failure.
+def least_squares(design: Array, response: Array, instruments: Array, place: str) -> Fit:
+    """Fit in two stages with every point at the same weight; `place` opens the message of a failure.
+
+    `instruments` has a column for each of the design's: the column itself where it is free of error, else one that goes
+    with it and not with its errors.
 
     Raises
     ------
@@ -83,8 +94,9 @@ def least_squares(design: Array, response: Array, place: str) -> Fit:
             f"{place}: {points} points for {unknowns} unknowns leave no degree of freedom; "
             f"{unknowns + 1} points or more are needed"
         )
-    length = _lengths(design)
-    scaled = design / length
+    projected = instruments @ np.linalg.lstsq(instruments, design, rcond=RANK_TOLERANCE)[0]
+    length = _lengths(projected)
+    scaled = projected / length
     if _rank(scaled) < unknowns:
         raise NotIdentifiable(f"{place}: {points} points do not tell {unknowns} unknowns apart; more levels are needed")
     q, r = np.linalg.qr(scaled)
@@ -94,7 +106,7 @@ def least_squares(design: Array, response: Array, place: str) -> Fit:
     rest, dof = float(residuals @ residuals), points - unknowns
     about_mean = float(np.sum((response - response.mean()) ** 2))
     r_squared = 1.0 - rest / about_mean if about_mean > 0.0 else math.nan
-    return Fit(coefficients, inverse @ inverse.T, residuals, rest / dof, dof, r_squared)
+    return Fit(coefficients, inverse @ inverse.T, projected, residuals, rest / dof, dof, r_squared)
 
 
 def departure(design: Array, response: Array, extra: Array) -> Departure | None:
@@ -119,15 +131,15 @@ def departure(design: Array, response: Array, extra: Array) -> Departure | None:
     return Departure(probability, lack, rank - unknowns)
 
 
-def judged_by_levels(fit: Fit, found: Departure | None) -> Fit:
-    """The fit with its uncertainty from the scatter of level means about it, where they clearly depart from it.
+def judged_by(fit: Fit, groups: Departure | None) -> Fit:
+    """The fit with its uncertainty from the scatter of group means about it, unless that is plainly mere scatter.
 
-    What belongs to a level (a sensor's curve, the place on the circumference) comes back in every repeat, so repeats do
-    not average it out and their number must not narrow the interval.
+    What belongs to a level (a sensor's curve, the place on the circumference) comes back in every repeat, and what
+    belongs to a run in all its levels: repeats do not average it out and their number must not narrow the interval.
     """
-    if found is None or not found.clear or found.variance <= fit.variance:
+    if groups is None or groups.probability > POOLED_ABOVE or groups.variance <= fit.variance:
         return fit
-    return replace(fit, variance=found.variance, dof=found.dof)
+    return replace(fit, variance=groups.variance, dof=groups.dof)
 
 
 def excess_over(fit: Fit, expected: Array) -> float:

@@ -52,15 +52,14 @@ def analyze(runs: Sequence[Run]) -> Result:
     else:
         notes.append("all levels were reached from one side or none is said: sticking friction is part of the offset")
     line = fit_lines(columns, torque, levels, place)
-    slope, _ = line.fit.combined(line.weights("torque_constant"))
-    expected = np.hypot(levels.std[TORQUE], slope * levels.std[CURRENT])
+    expected = np.hypot(levels.std[TORQUE], line.slope("torque_constant") * levels.std[CURRENT])
     unit = levels.units[TORQUE]
-    notes += remarks(columns, torque, levels, expected, unit, place)
+    notes += remarks(line, expected, unit)
 
-    results = [line.fit.estimate("torque_constant", f"{unit}/A", line.weights("torque_constant"))]
+    results = [line.estimate("torque_constant", "torque_constant", f"{unit}/A")]
     results += one_side_each(levels, place, notes) if both else []
     if both:
-        results.append(magnitude(line.fit.estimate("sticking_torque", unit, line.weights("sticking_torque"))))
+        results.append(magnitude(line.estimate("sticking_torque", "sticking_torque", unit)))
     results.append(line.fit.estimate("offset", unit, line.mean_intercept))
     results.append(Estimate("r_squared", line.fit.r_squared, NAN, NAN, NAN, "1"))
     paths = tuple(str(run.path) for run in runs)
@@ -112,7 +111,7 @@ def one_side_each(levels: Levels, place: str, notes: list[str]) -> list[Estimate
             notes.append(f"{name} levels alone give no slope: {str(fault).removeprefix(place + ': ')}")
             continue
         units = f"{levels.units[TORQUE]}/A"
-        found.append(line.fit.estimate(f"torque_constant_{name}", units, line.weights("slope")))
+        found.append(line.estimate("slope", f"torque_constant_{name}", units))
     return found
 
 
