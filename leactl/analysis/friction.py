@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl import yamlfile
+from leactl.analysis.carried_model import torque_constant_of_model
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, tally
 from leactl.analysis.levels import Levels, gather, require_levels
 from leactl.analysis.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
@@ -104,24 +104,13 @@ def torque_constants(runs: Sequence[Run], given: float | None, std: float | None
         raise InputError(f"torque constant {given:g}: a positive number in N*m/A was expected")
     if std is not None and not (math.isfinite(std) and std >= 0.0):
         raise InputError(f"standard uncertainty of the torque constant {std:g}: zero or more in N*m/A was expected")
-    values = np.array([given if given is not None else of_model(run) for run in runs])
+    values = np.array([given if given is not None else torque_constant_of_model(run) for run in runs])
     shown = ", ".join(f"{value:g}" for value in np.unique(values))
     source = "as given" if given is not None else "from the model in the run"
     relative = (std or 0.0) / float(values.mean())
     doubt = f"its standard uncertainty of {relative:.2%} is in theirs" if std else "its uncertainty is not in theirs"
     note = f"torque constant {shown} N*m/A, {source}; viscous damping and Coulomb friction scale with it, {doubt}"
     return TorqueConstants(values, relative, note)
-
-
-def of_model(run: Run) -> float:
-    """The torque constant in the model that a run carries [N*m/A]."""
-    text = run.source("model")
-    data = yamlfile.parse(text, f"{run.path}:/model/source").data if text is not None else None
-    found = data.get("torque_constant") if isinstance(data, dict) else None
-    if isinstance(found, int | float) and not isinstance(found, bool) and found > 0:
-        return float(found)
-    what = "no model" if text is None else f"a model whose torque_constant is {found!r}"
-    raise NotIdentifiable(f"{run.path}: found {what}; a torque constant is needed, give --torque-constant")
 
 
 def steady(runs: Sequence[Run], levels: Levels, place: str, notes: list[str]) -> Levels:
@@ -212,17 +201,18 @@ def line_results(
 
 
 def plot_of(levels: Levels, torque: Array, line: LineFit, sign: Array, unit: str) -> Plot:
-    """Torque of the current over velocity by direction, and the fitted lines."""
+    """Torque of the current over speed, both along the motion, so that the directions lie beside each other."""
     velocity = levels.value[VELOCITY]
     intercept = float(line.fit.coefficients @ line.mean_intercept)
-    slopes = dict(zip(line.slopes, line.fit.coefficients, strict=False))
+    coulomb = line.slope("coulomb_friction") if "coulomb_friction" in line.slopes else 0.0
     points, lines = [], []
     for label, direction in DIRECTIONS.items():
         of_it = sign == direction
         if of_it.any():
-            points.append(Series(label, tuple(velocity[of_it].tolist()), tuple(torque[of_it].tolist())))
-            ends = np.array([velocity[of_it].min(), velocity[of_it].max()])
-            fitted = slopes["viscous_damping"] * ends + direction * slopes.get("coulomb_friction", 0.0) + intercept
+            speed, along = direction * velocity[of_it], direction * torque[of_it]
+            points.append(Series(label, tuple(speed.tolist()), tuple(along.tolist())))
+            ends = np.array([speed.min(), speed.max()])
+            fitted = line.slope("viscous_damping") * ends + coulomb + direction * intercept
             lines.append(Series(label, tuple(ends.tolist()), tuple(fitted.tolist())))
     label = "rad/s" if unit == "N*m" else "m/s"
-    return Plot(f"velocity [{label}]", f"torque of the current [{unit}]", tuple(points), tuple(lines))
+    return Plot(f"speed [{label}]", f"torque of the current [{unit}]", tuple(points), tuple(lines))

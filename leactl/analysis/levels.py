@@ -5,7 +5,7 @@ level that is repeated gives one point a repeat.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -91,8 +91,15 @@ def held_levels(run: Run) -> list[Hold]:
     return found
 
 
-def gather(runs: Sequence[Run], quantities: Sequence[str], notes: list[str]) -> Levels:
+def gather(
+    runs: Sequence[Run],
+    quantities: Sequence[str],
+    notes: list[str],
+    read: Callable[[Run, str], Channel] = lambda run, quantity: run.channel(quantity, role="test"),
+) -> Levels:
     """Settled means of channels of the test actuator over every hold; what is left out goes into the notes.
+
+    `read` gives the channel of a quantity; one that judges the readings returns NaN for those not to be used.
 
     Raises
     ------
@@ -103,7 +110,7 @@ def gather(runs: Sequence[Run], quantities: Sequence[str], notes: list[str]) -> 
     rows: list[tuple[int, Hold, list[Mean]]] = []
     units: dict[str, str] = {}
     for number, run in enumerate(runs):
-        channels = [run.channel(quantity, role="test") for quantity in quantities]
+        channels = [read(run, quantity) for quantity in quantities]
         for channel in channels:
             if units.setdefault(channel.quantity, channel.units) != channel.units:
                 known = units[channel.quantity]
@@ -150,14 +157,9 @@ def _rows_of(
 
 
 def settled_mean(channel: Channel, start: float, stop: float) -> Mean | None:
-    """Mean of the samples taken from start to before stop [s]; None with too few or where the record ends too soon.
-
-    A sample that is itself a mean, over the interval that ends at its stamp, counts where the whole interval is inside.
-    """
-    first, last = (int(k) for k in np.searchsorted(channel.time, (start, stop), side="left"))
-    if channel.sampling == "mean":
-        first, last = first + 1, int(np.searchsorted(channel.time, stop, side="right"))
-    values, time = channel.values[first:last], channel.time[first:last]
+    """Mean of the samples taken from start to before stop [s]; None with too few or where the record ends too soon."""
+    part = span(channel, start, stop)
+    values, time = channel.values[part], channel.time[part]
     good = np.isfinite(values)
     samples = int(good.sum())
     if samples < FEWEST_SAMPLES or np.ptp(time[good]) < LEAST_COVERED * (stop - start):
@@ -168,6 +170,17 @@ def settled_mean(channel: Channel, start: float, stop: float) -> Mean | None:
         quarters = np.bincount(quarter, values[good], minlength=4) / counts
     value = float(values[good].mean())
     return Mean(value, standard_error(values), samples, len(values) - samples, tuple(quarters.tolist()))
+
+
+def span(channel: Channel, start: float, stop: float) -> slice:
+    """Where the samples taken from start to before stop [s] are.
+
+    A sample that is itself a mean, over the interval that ends at its stamp, counts where the whole interval is inside.
+    """
+    first, last = (int(k) for k in np.searchsorted(channel.time, (start, stop), side="left"))
+    if channel.sampling == "mean":
+        first, last = first + 1, int(np.searchsorted(channel.time, stop, side="right"))
+    return slice(first, max(first, last))
 
 
 def standard_error(values: Array) -> float:

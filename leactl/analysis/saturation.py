@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.levels import Hold
+from leactl.analysis.levels import Hold, span
 from leactl.runfile.reader import Channel
 
 Array = npt.NDArray[np.float64]
@@ -37,8 +37,7 @@ def saturated(channel: Channel, holds: Sequence[Hold]) -> tuple[float, list[Hold
 
 def settled_values(channel: Channel, hold: Hold) -> Array:
     """Readings in the settled part of a hold, without missed ones."""
-    first, last = np.searchsorted(channel.time, (hold.start, hold.stop))
-    values = channel.values[first:last]
+    values = channel.values[span(channel, hold.start, hold.stop)]
     return values[np.isfinite(values)]
 
 

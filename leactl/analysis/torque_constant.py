@@ -6,20 +6,32 @@ falling ones, so that torque = Kt i + c + s d with d = 1 rising and d = -1 falli
 s for torque constant, 2 to 3 % of it on the LEA.
 """
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from leactl.analysis.carried_model import torque_constant_of_model
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
-from leactl.analysis.levels import Levels, gather, held_levels, require_levels
+from leactl.analysis.levels import Levels, gather, held_levels, require_levels, span
 from leactl.analysis.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
 from leactl.analysis.regression import Array
+from leactl.analysis.repeats import without_repeats
 from leactl.analysis.saturation import saturated
-from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.errors import InputError, NotIdentifiable
+from leactl.runfile.reader import Channel, Run
 
 CURRENT, TORQUE = "q_axis_current", "torque"
 SIDES = {"rising": 1, "falling": -1}
+# q-axis current, power-invariant, is sqrt(3/2) times the amplitude of a phase and sqrt(3) times its rms value
+CONVENTIONS = {
+    math.sqrt(3 / 2): "the current may be a phase amplitude taken for q-axis current",
+    math.sqrt(2 / 3): "the current may be q-axis current taken for a phase amplitude",
+    math.sqrt(3): "the current may be a phase rms taken for q-axis current",
+    math.sqrt(1 / 3): "the current may be q-axis current taken for a phase rms",
+}
+CONVENTION_WITHIN = 0.02
 
 
 def analyze(runs: Sequence[Run]) -> Result:
@@ -35,13 +47,12 @@ def analyze(runs: Sequence[Run]) -> Result:
     Raises
     ------
     MissingChannel : a run has no torque or no q-axis current of the test actuator.
-    NotIdentifiable : fewer than two distinct levels, a torque channel that is saturated, or too few points.
+    NotIdentifiable : fewer than two distinct levels within the sensor's range, or too few points.
     """
     place = f"{place_of(runs)}: torque constant"
     notes = expect_setup(runs, ("coupled", "locked"), "a shaft that turns takes torque past the sensor")
-    for run in runs:
-        refuse_saturated(run)
-    levels = of_one_kind(gather(runs, (CURRENT, TORQUE), notes), notes)
+    every = gather(runs, (CURRENT, TORQUE), notes, lambda run, quantity: usable(run, quantity, notes))
+    levels = of_one_kind(every, notes)
     current, torque = levels.value[CURRENT], levels.value[TORQUE]
     require_levels(place, "current", levels.setpoint, current, levels.std[CURRENT])
 
@@ -55,6 +66,10 @@ def analyze(runs: Sequence[Run]) -> Result:
     expected = np.hypot(levels.std[TORQUE], line.slope("torque_constant") * levels.std[CURRENT])
     unit = levels.units[TORQUE]
     notes += remarks(line, expected, unit)
+    notes += [f"{run.path}: {what}" for run in runs for what in convention(run, line.slope("torque_constant"))]
+    notes.append(
+        "the uncertainties are those of scatter; an error in the calibration of torque or current is a factor on top"
+    )
 
     results = [line.estimate("torque_constant", "torque_constant", f"{unit}/A")]
     results += one_side_each(levels, place, notes) if both else []
@@ -66,19 +81,45 @@ def analyze(runs: Sequence[Run]) -> Result:
     return Result("torque-constant", paths, tuple(results), tuple(notes), (plot_of(levels, line),))
 
 
-def refuse_saturated(run: Run) -> None:
-    """Refuse a run whose torque sensor was at the end of its range in a hold.
+def usable(run: Run, quantity: str, notes: list[str]) -> Channel:
+    """A channel of the test actuator; of torque only what is no repeat and no end of range, the rest as missed.
 
     Raises
     ------
-    NotIdentifiable : it was, with the value and where.
+    NotIdentifiable : fewer than two levels lie within the sensor's range.
     """
-    value, holds = saturated(run.channel(TORQUE, role="test"), held_levels(run))
-    if holds:
-        raise NotIdentifiable(
-            f"{run.path}: torque of test is saturated at {value:g} in {len(holds)} holds ({listed(holds)}); "
-            "levels within the sensor's range are needed"
-        )
+    channel = run.channel(quantity, role="test")
+    if quantity != TORQUE:
+        return channel
+    holds = held_levels(run)
+    value, reached = saturated(channel, holds)
+    if reached:
+        where = f"torque of test is saturated at {value:g} in {len(reached)} holds ({listed(reached)})"
+        within = {round(hold.setpoint, 9) for hold in holds if hold not in reached}
+        if len(within) < 2:
+            raise NotIdentifiable(f"{run.path}: {where}; two levels or more within the sensor's range are needed")
+        notes.append(f"{run.path}: {where}, which do not count")
+        values = channel.values.copy()
+        for hold in reached:
+            values[span(channel, hold.start, hold.stop)] = NAN
+        channel = replace(channel, values=values)
+    channel, count = without_repeats(channel, holds)
+    if count:
+        notes.append(f"{run.path}: {count} readings of torque came again in place of new ones and count as missed")
+    return channel
+
+
+def convention(run: Run, found: float) -> list[str]:
+    """A note where the torque constant is off the model's by just what a wrong convention of current makes."""
+    try:
+        ratio = found / torque_constant_of_model(run)
+    except InputError:  # a foreign run may carry none, or none that can be read
+        return []
+    return [
+        f"the torque constant is {ratio:.3f} times that of the model in the run: {why}; check current_convention"
+        for factor, why in CONVENTIONS.items()
+        if abs(ratio / factor - 1.0) < CONVENTION_WITHIN
+    ]
 
 
 def of_one_kind(levels: Levels, notes: list[str]) -> Levels:

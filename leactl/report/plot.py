@@ -9,7 +9,7 @@ from leactl.analysis.estimate import Plot, Series
 MARKS = "ox+#%@"
 SEVERAL = "*"  # points of two kinds in one place
 MARGIN = 0.04  # of the range, free around the points
-TICKS = (6, 5)  # about so many along x and y
+TICKS = (6, 8)  # at most about so many along x and y
 # Braille, 2 x 4 dots a character, Unicode 3.0 chart U+2800: bit of the dot in column x, row y
 BRAILLE = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 
@@ -62,9 +62,10 @@ def draw(plot: Plot, width: int, height: int = 16, ascii_only: bool = False) -> 
         floor[canvas.column(value)] = "+" if ascii_only else "┴"
     names = [f"{mark} {series.label}" for mark, series in zip(MARKS, shown, strict=False)]
     names += [f"{SEVERAL} several"] if canvas.overlaps else []
-    legend = f"{plot.y_label} over {plot.x_label}:  {'   '.join(names)}"
+    labels, marks = f"{plot.y_label} over {plot.x_label}:", "   ".join(names)
+    legend = [f"{labels}  {marks}"] if len(labels) + 2 + len(marks) <= width else [labels[:width], marks[:width]]
     under = tick_line({canvas.column(value): text for value, text in x.ticks.items()}, columns)
-    return [legend[:width], *rows, f"{'':{gutter}} {corner}{''.join(floor)}", f"{'':{gutter}}  {under}".rstrip()]
+    return [*legend, *rows, f"{'':{gutter}} {corner}{''.join(floor)}", f"{'':{gutter}}  {under}".rstrip()]
 
 
 def pairs(series: Series) -> Iterator[tuple[float, float]]:

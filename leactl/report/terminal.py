@@ -5,7 +5,9 @@ character, ASCII takes its place.
 """
 
 import io
+import locale
 import math
+import os
 import shutil
 import sys
 import textwrap
@@ -26,7 +28,13 @@ SMALLEST = 40
 def print_result(result: Result, plot: bool = True) -> None:
     """Print the answer as wide as the terminal, 80 columns into a pipe."""
     width = shutil.get_terminal_size((80, 24)).columns
-    sys.stdout.write(render(result, width, sys.stdout.encoding or "ascii", plot))
+    sys.stdout.write(render(result, width, encoding_of_stdout(), plot))
+
+
+def encoding_of_stdout() -> str:
+    """What the terminal shows: under LC_ALL=C Python writes UTF-8 unasked, and the terminal may know ASCII alone."""
+    unasked = sys.flags.utf8_mode and not {"PYTHONUTF8", "PYTHONIOENCODING"} & os.environ.keys()
+    return locale.getencoding() if unasked else sys.stdout.encoding or "ascii"
 
 
 def render(result: Result, width: int = 80, encoding: str = "utf-8", plot: bool = True) -> str:
@@ -60,7 +68,7 @@ def table(result: Result, group: tuple[str, str]) -> str:
     from rich.table import Table
 
     rows = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), highlight=False)
-    for heading in ("", "value", "95 % interval", "units"):
+    for heading in ("", "value ± std", "95 % interval", "units"):
         rows.add_column(heading, no_wrap=True)
     paper = figures(result.experiment)
     known = paper.get("any", {}) | paper.get(group[1], {})

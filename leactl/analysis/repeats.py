@@ -1,0 +1,39 @@
+"""Readings that came again in place of new ones: a sensor that hangs, or a reader that was not answered.
+
+The run file's rule is NaN for a missed sample; a file made elsewhere may not keep it, and a value that stands while the
+level moves on drags the mean along. Only a channel with noise can tell: what it reads is hardly ever the same twice.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.analysis.levels import Hold, span
+from leactl.runfile.reader import Channel
+
+NOISY = 0.2  # share of readings equal to the one before, above which the resolution hides what repeats
+IMPROBABLE = 1e-9  # that noise alone makes so long a row of equal readings
+FEWEST = 5  # readings in such a row
+
+
+def without_repeats(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, int]:
+    """The channel with readings that came again as missed, and how many those are in the holds' settled parts."""
+    parts = [span(channel, hold.start, hold.stop) for hold in holds]
+    shares = [float(np.mean(np.diff(channel.values[part]) == 0.0)) for part in parts if part.stop - part.start > 1]
+    if not shares or (share := float(np.median(shares))) > NOISY:
+        return channel, 0
+    longest = max(FEWEST, math.ceil(math.log(IMPROBABLE) / math.log(share))) if share > 0.0 else FEWEST
+    again = repeats(channel.values, longest)
+    count = sum(int(again[part].sum()) for part in parts)
+    return replace(channel, values=np.where(again, np.nan, channel.values)), count
+
+
+def repeats(values: npt.NDArray[np.float64], longest: int) -> npt.NDArray[np.bool_]:
+    """Every reading but the first of each row of equal ones that has `longest` or more."""
+    new = np.concatenate([[True], np.diff(values) != 0.0])
+    starts = np.flatnonzero(new)
+    lengths = np.diff(np.append(starts, len(values)))
+    return np.asarray(~new & np.repeat(lengths >= longest, lengths))
