@@ -1,0 +1,152 @@
+"""Run files with known parameters, made from the equations alone: nothing here comes from the emulated bench.
+
+Each hold settles for half a second with readings that are far off, so that an analysis that takes them in shows.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from leactl.quantities import UNITS, ChannelSpec
+from leactl.runfile.reader import Run
+from leactl.runfile.writer import RunInfo, RunWriter
+
+TORQUE_LEVELS = (4.9, 9.8, 14.7, 19.6, 24.5)
+FRICTION_LEVELS = (0.6, 0.635, 0.67, 0.705, 0.74)
+HOLD_S, SETTLE_S = 2.5, 0.5
+FAR_OFF = 77.0
+
+
+@dataclass
+class Bench:
+    """Writes runs into a directory; `rng` makes their noise."""
+
+    directory: object
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(1))
+    count: int = 0
+
+    def run(
+        self,
+        experiment,
+        holds,
+        levels,
+        *,
+        rate_Hz=50,  # noqa: N803
+        noise=0.0,
+        mechanical="coupled",
+        actuator="a1",
+        condition="design",
+        torque_constant=0.49,
+        status="complete",
+        edit=None,
+        units=None,
+        protocol="",
+        role="test",
+    ):
+        """Write a run and return its path.
+
+        `holds` are (setpoint, direction), `levels` map a quantity to its value in each hold, `noise` is the standard
+        deviation of single readings, one for all or by quantity; `edit` may change the columns before they are written.
+        """
+        self.count += 1
+        specs = [
+            ChannelSpec(name, name, "test", "d", units=(units or {}).get(name, UNITS[name]), dtype="f8")
+            for name in levels
+        ]
+        per_hold = round(HOLD_S * rate_Hz)
+        time = np.arange(len(holds) * per_hold) / rate_Hz
+        columns = {}
+        for name, values in levels.items():
+            deviation = noise.get(name, 0.0) if isinstance(noise, dict) else noise
+            column = np.repeat(np.asarray(values, float), per_hold) + self.rng.normal(0.0, deviation, len(time))
+            column[np.arange(len(time)) % per_hold < SETTLE_S * rate_Hz] = FAR_OFF
+            columns[name] = column
+        if edit is not None:
+            edit(time, columns)
+        sources = {"protocol": protocol or f"name: x\nanalysis: {experiment}\n"}
+        if torque_constant is not None:
+            sources["model"] = f"torque_constant: {torque_constant}\n"
+        info = RunInfo(
+            run_id=f"20261120T101530Z-{experiment}-{self.count:04d}",
+            protocol=experiment,
+            bench="synthetic",
+            actuator=actuator,
+            condition=condition,
+            operator="",
+            simulated=True,
+            mechanical=mechanical,
+            software="",
+            created="2026-11-20T10:15:30Z",
+            sources=sources,
+        )
+        writer = RunWriter(self.directory, info, {"loop": specs})
+        writer.append("loop", time, np.column_stack(list(columns.values())))
+        for index, (setpoint, direction) in enumerate(holds):
+            told = {"current_A": setpoint, "role": role} | ({"direction": direction} if direction else {})
+            writer.step("hold", index * HOLD_S, (index + 1) * HOLD_S, SETTLE_S, told)
+        writer.close(status, "" if status == "complete" else "as the test says")
+        return writer.path
+
+    def torque(
+        self,
+        *,
+        kt=0.49,
+        sticking=0.2,
+        offset=0.05,
+        levels=TORQUE_LEVELS,
+        trials=3,
+        sides=("rising", "falling"),
+        scatter=0.0,
+        curve=0.0,
+        current_error=0.0,
+        **how,
+    ):
+        """A torque constant run: `scatter` moves single holds, `curve` what a level has in all its repeats [N*m]."""
+        holds = [
+            (level, side)
+            for _ in range(trials)
+            for side in sides
+            for level in (levels if side != "falling" else levels[::-1])
+        ]
+        current = np.array([level for level, _ in holds])
+        sign = np.array([{"rising": 1, "falling": -1}.get(side, 0) for _, side in holds])
+        cells = {hold: self.rng.normal(0.0, curve) for hold in dict.fromkeys(holds)}
+        torque = kt * current + sticking * sign + offset + self.rng.normal(0.0, scatter, len(holds))
+        torque += np.array([cells[hold] for hold in holds])
+        measured = current + self.rng.normal(0.0, current_error, len(holds))
+        return self.run("torque-constant", holds, {"q_axis_current": measured, "torque": torque}, **how)
+
+    def friction(
+        self,
+        *,
+        b=0.0238,
+        f=0.208,
+        zero_A=0.0,  # noqa: N803
+        kt=0.49,
+        levels=FRICTION_LEVELS,
+        trials=3,
+        signs=(1, -1),
+        scatter=0.0,
+        **how,
+    ):
+        """A friction run: `scatter` moves the friction of single holds [N*m], `zero_A` the reading of current."""
+        holds = [(sign * level, "") for _ in range(trials) for sign in signs for level in levels]
+        current = np.array([setpoint for setpoint, _ in holds])
+        drag = f + self.rng.normal(0.0, scatter, len(holds))
+        velocity = np.sign(current) * np.maximum(kt * np.abs(current) - drag, 0.0) / b
+        how = {"mechanical": "free"} | how
+        return self.run("friction", holds, {"q_axis_current": current + zero_A, "velocity": velocity}, **how)
+
+
+def analyzed(analyze, *paths, **options):
+    """The result of an analysis of these runs."""
+    runs = [Run.open(path) for path in paths]
+    try:
+        return analyze(runs, **options)
+    finally:
+        for run in runs:
+            run.close()
+
+
+def covered(estimate, truth):
+    return estimate.low <= truth <= estimate.high

@@ -1,0 +1,45 @@
+"""An end of range is told from noise, from a coarse sensor and from a level that is merely constant."""
+
+import numpy as np
+import pytest
+
+from leactl.analysis.levels import Hold
+from leactl.analysis.saturation import saturated
+from leactl.runfile.reader import Channel
+
+LEVELS = (2.0, 4.0, 6.0, 8.0)
+COUNT = 0.000375
+
+
+def record(noise, count, low=-np.inf, high=np.inf, seed=0):
+    """Four holds of one second at 200 readings a second through a sensor of this resolution and range."""
+    rng = np.random.default_rng(seed)
+    values = np.repeat(LEVELS, 200) + rng.normal(0.0, noise, 800)
+    values = np.clip(np.round(values / count) * count, low, high)
+    holds = [Hold(level, 0, float(k), k + 1.0) for k, level in enumerate(LEVELS)]
+    stamps = np.arange(800) / 200
+    return Channel(stamps, values, "torque", "test", "N*m", "", "", "", "instant", "loop"), holds
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.0001, 0.0005, 0.005, 0.2])
+def test_readings_within_the_range_are_never_taken_for_its_end(noise):
+    for seed in range(40):
+        assert saturated(*record(noise, COUNT, seed=seed))[1] == []
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.005, 0.2])
+def test_holds_at_the_end_of_the_range_are_found(noise):
+    channel, holds = record(noise, COUNT, high=7.0)
+    assert saturated(channel, holds) == (7.0, [holds[3]])
+    channel, holds = record(noise, COUNT, low=5.0)
+    assert saturated(channel, holds) == (5.0, holds[:2])
+
+
+def test_without_noise_two_levels_that_read_the_same_tell():
+    channel, holds = record(0.0, COUNT, high=5.0)
+    assert saturated(channel, holds) == (5.0, holds[2:])
+
+
+def test_a_mean_that_is_only_half_cut_off_is_found():
+    channel, holds = record(0.01, COUNT, high=8.0)
+    assert saturated(channel, holds) == (8.0, [holds[3]])
