@@ -13,6 +13,7 @@ Listener = Callable[[bytearray, float], None]
 
 SYNC_ID = 0x080
 NMT_ID = 0x000
+LATE_S = 0.01
 
 
 class CanPort:
@@ -31,6 +32,7 @@ class CanPort:
         self.name = name
         self.bus: can.BusABC | None = None
         self._listeners: dict[int, Listener] = {}
+        self._sent: dict[int, can.Message] = {}
         self._users = 0
 
     def open(self) -> None:
@@ -85,8 +87,13 @@ class CanPort:
         """
         if self.bus is None:
             raise DeviceError(f"bus '{self.name}': not open")
+        message = self._sent.get(identifier)
+        if message is None or message.data != data:  # a repeated frame needs no message of its own, a changed one does:
+            # the bus may still hold the one before
+            message = self._message(arbitration_id=identifier, data=data, is_extended_id=False)
+            self._sent[identifier] = message
         try:
-            self.bus.send(self._message(arbitration_id=identifier, data=data, is_extended_id=False))
+            self.bus.send(message)
         except (OSError, ValueError, _can_error()) as error:
             raise DeviceError(f"bus '{self.name}': cannot send 0x{identifier:03X}: {error}") from None
 
@@ -112,16 +119,31 @@ class CanPort:
             listener(message.data, message.timestamp)
         return True
 
-    def pump_until(self, arrived: Callable[[], bool], deadline: float) -> bool:
-        """Dispatch frames until `arrived()` or the deadline on the clock; a babbling bus cannot hold it longer."""
-        now = self.clock.now
-        while not arrived():
-            left = deadline - now()
-            if left <= 0:
-                while not arrived() and self.pump(0.0) and now() - deadline < 0.01:
-                    pass
-                return arrived()
+    def pump_before(self, deadline: float) -> bool:
+        """Dispatch one frame, waiting for it until the deadline; False where the wait is over.
+
+        What has come by the deadline is dispatched after it too, for 10 ms: a babbling bus cannot hold it longer.
+
+        Raises
+        ------
+        DeviceError : the bus is closed or gone.
+        """
+        left = deadline - self.clock.now()
+        if left > 0.0:
             self.pump(left)
+            return True
+        return left > -LATE_S and self.pump(0.0)
+
+    def pump_until(self, arrived: Callable[[], bool], deadline: float) -> bool:
+        """Dispatch frames until `arrived()` or the deadline; says which.
+
+        Raises
+        ------
+        DeviceError : the bus is closed or gone.
+        """
+        while not arrived():
+            if not self.pump_before(deadline):
+                return arrived()
         return True
 
     def sync(self) -> None:

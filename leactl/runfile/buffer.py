@@ -1,6 +1,7 @@
 """Rows on their way to the disk: the control loop fills one array while the writer empties the other."""
 
 import math
+import struct
 import threading
 from collections.abc import Sequence
 from typing import Any
@@ -15,6 +16,7 @@ class RowBuffer:
 
     def __init__(self, channels: int) -> None:
         self._channels = channels
+        self._row = struct.Struct(f"={channels + 1}d")  # half the time of numpy assignments
         self._rows = np.empty((START_ROWS, channels + 1))
         self._spare = np.empty_like(self._rows)
         self._count = 0
@@ -31,9 +33,7 @@ class RowBuffer:
             count = self._count
             if count == len(self._rows):
                 self._grow(count + 1)
-            row = self._rows[count]
-            row[1:] = values
-            row[0] = time
+            self._row.pack_into(self._rows, count * self._row.size, time, *values)  # type: ignore[arg-type]
             self._last = time
             self._count = count + 1
 

@@ -12,6 +12,7 @@ from typing import Any, Self
 
 import h5py
 import numpy as np
+from h5py import h5s
 
 from leactl.errors import InputError, LeactlError, SafetyTrip, Stopped
 from leactl.quantities import ChannelSpec
@@ -55,7 +56,6 @@ class RunWriter:
         self._flushed_at = float("-inf")
         self._disk = threading.Lock()
         self._buffers = {name: RowBuffer(len(specs)) for name, specs in streams.items()}
-        self._columns = {name: [spec.name for spec in specs] for name, specs in streams.items()}
         self._written = dict.fromkeys(streams, 0)
         self._tables: dict[str, list[dict[str, Any]]] = {name: [] for name in layout.TABLES}
         self._tables_written = dict.fromkeys(layout.TABLES, 0)
@@ -65,6 +65,9 @@ class RunWriter:
         try:
             directory.mkdir(parents=True, exist_ok=True)
             self._file = create(partial, info, streams)
+            self._datasets = {
+                name: opened_columns(self._file["streams"][name], specs) for name, specs in streams.items()
+            }
             move_without_overwriting(partial, self.path)
         except OSError as fault:
             raise RecordingFailed(f"{partial}: cannot create the run file: {one_line(str(fault))}") from fault
@@ -137,7 +140,7 @@ class RunWriter:
         self._reserve(taken, tables)
         for name, rows in taken.items():
             if len(rows):
-                write_rows(self._file["streams"][name], self._columns[name], self._written[name], rows)
+                write_rows(self._datasets[name], self._written[name], rows)
                 self._written[name] += len(rows)
         for name, pending in tables.items():
             if pending:
@@ -178,7 +181,7 @@ class RunWriter:
     def _abandon(self) -> None:
         self.closed = True
         if self._file:  # closing after a failed write crashes inside HDF5: keep it open, for good
-            KEPT_OPEN.append(self._file)
+            KEPT_OPEN.append((self._file, self._datasets))
 
 
 KEPT_OPEN: list[Any] = []
@@ -227,14 +230,23 @@ def root_value(name: str, info: RunInfo) -> Any:
     return start[name] if name in start else getattr(info, name)
 
 
-def write_rows(stream: Any, channels: Sequence[str], written: int, rows: np.ndarray[Any, Any]) -> None:
+def opened_columns(stream: Any, specs: Sequence[ChannelSpec]) -> list[Any]:
+    """Datasets of a stream as its rows have them: the stamps, then the channels."""
+    return [stream["time"], *(stream[spec.name] for spec in specs)]
+
+
+def write_rows(columns: Sequence[Any], written: int, rows: np.ndarray[Any, Any]) -> None:
     """Append rows, channels before time: once a stamp is in the file, so is its whole row."""
-    columns = [*zip(channels, rows.T[1:], strict=True), ("time", rows[:, 0])]
-    for name, values in columns:
-        dataset = stream[name]
+    memory = h5s.create_simple((len(rows),))
+    for place in [*range(1, len(columns)), 0]:
+        dataset = columns[place]
         extend(dataset, written + len(rows))
         with np.errstate(over="ignore"):  # beyond float32 becomes inf
-            dataset[written : written + len(rows)] = values.astype(dataset.dtype)
+            values = np.ascontiguousarray(rows[:, place], dataset.dtype)
+        # HDF5's own call: short blocks of many columns take h5py's slices three times as long
+        where = dataset.id.get_space()
+        where.select_hyperslab((written,), (len(rows),))
+        dataset.id.write(memory, where, values)
         dataset.flush()
 
 
@@ -252,8 +264,8 @@ def write_live_table(
 
 def extend(dataset: Any, rows: int) -> None:
     """Make room for so many rows in all; never shrink, which SWMR forbids, where a flush was interrupted half way."""
-    if len(dataset) < rows:
-        dataset.resize((rows,))
+    if dataset.id.shape[0] < rows:
+        dataset.id.set_extent((rows,))
 
 
 def fitted(value: Any, width: int) -> bytes:

@@ -17,11 +17,14 @@ from leactl.safety.limits import Limits
 from leactl.safety.winding import WindingEstimate
 
 SAFE_STATE_S = 1.0
+CURRENT_REFERENCE = "q_axis_current_reference"
 SETPOINT_QUANTITY = {
-    Mode.CURRENT: "q_axis_current_reference",
-    Mode.TORQUE_PROFILE: "q_axis_current_reference",
+    Mode.CURRENT: CURRENT_REFERENCE,
+    Mode.TORQUE_PROFILE: CURRENT_REFERENCE,
     Mode.VELOCITY: "velocity_reference",
 }
+UNLIMITED = (-math.inf, math.inf)
+NOTHING_PASSES = (math.nan, math.nan)
 
 
 class Axis(NamedTuple):
@@ -49,9 +52,17 @@ class _Guarded:
     axis: Axis
     watches: list[_Watch]
     current: int  # where the q-axis current stands among the values
-    mode: Mode = Mode.OFF
-    reference: float = 0.0
+    quantity: str = "setpoint"  # that the engaged mode sets
+    bounds: tuple[float, float] = UNLIMITED
+    reference: float = 0.0  # of a current, which heats
     advanced: float = field(default=-math.inf)
+
+    def turn_to(self, mode: Mode, limits: Limits) -> None:
+        """Take the limits of what this mode sets."""
+        quantity = SETPOINT_QUANTITY.get(mode)
+        self.quantity = quantity or "setpoint"
+        self.bounds = (limits.of(quantity) or NOTHING_PASSES) if quantity else UNLIMITED
+        self.reference = 0.0
 
 
 class Supervisor:
@@ -92,13 +103,13 @@ class Supervisor:
         """
         self._refuse_when_tripped()
         guarded = self._axes[role]
-        guarded.mode, guarded.reference = mode, 0.0
+        guarded.turn_to(mode, self._limits)
         guarded.axis.motion.engage(mode)
 
     def release(self, role: str) -> None:
         """Let a drive leave operation; always allowed."""
         guarded = self._axes[role]
-        guarded.mode, guarded.reference = Mode.OFF, 0.0
+        guarded.turn_to(Mode.OFF, self._limits)
         guarded.axis.motion.release()
 
     def engaged(self, role: str) -> bool:
@@ -114,11 +125,10 @@ class Supervisor:
         """
         self._refuse_when_tripped()
         guarded = self._axes[role]
-        quantity = SETPOINT_QUANTITY.get(guarded.mode)
-        bounds = self._limits.of(quantity) if quantity else (-math.inf, math.inf)
-        if bounds is None or not bounds[0] <= value <= bounds[1]:
-            self.trip(f"{role} {quantity or 'setpoint'} of {value:g} is outside the limits {bounds}")
-        if guarded.mode in (Mode.CURRENT, Mode.TORQUE_PROFILE):
+        low, high = guarded.bounds
+        if not low <= value <= high:
+            self.trip(f"{role} {guarded.quantity} of {value:g} is outside the limits {guarded.bounds}")
+        if guarded.quantity == CURRENT_REFERENCE:
             guarded.reference = value
         guarded.axis.motion.command(value)
 
@@ -136,17 +146,17 @@ class Supervisor:
         SafetyTrip : a value is outside its limits, a channel is too old, or a winding estimate is too hot.
         """
         self._refuse_when_tripped()
-        oldest = now - self._limits.age_s
+        oldest, limit = now - self._limits.age_s, self._limits.winding_temperature_degC
         for role, guarded in self._axes.items():
-            values = guarded.axis.motion.values
+            _, motion, estimate = guarded.axis
+            values = motion.values
             self._judge(guarded.watches, values, now, oldest)
             measured = abs(values[guarded.current])
             asked = abs(guarded.reference)
             heating = measured if measured > asked else asked  # NaN compares false: the reference counts then
-            winding = guarded.axis.winding.advance(now - guarded.advanced, heating)
+            winding = estimate.advance(now - guarded.advanced, heating)
             guarded.advanced = now
-            if not winding < self._limits.winding_temperature_degC:
-                limit = self._limits.winding_temperature_degC
+            if not winding < limit:
                 self.trip(f"{role} winding estimate of {winding:.1f} degC reached the limit of {limit:g} degC")
         for watches in self._own.values():
             for watch in watches:

@@ -24,11 +24,20 @@ class WindingEstimate:
     def __init__(
         self, parameters: ThermalParameters, ambient_degc: float = 25.0, start_degc: float | None = None
     ) -> None:
-        p = self._parameters = parameters
+        p = parameters
         self.ambient = ambient_degc
         self.winding = self.housing = ambient_degc if start_degc is None else start_degc
-        self._slope = p.phase_resistance * p.resistance_coefficient
-        self._cold = p.phase_resistance - self._slope * p.reference_temperature
+        slope = p.phase_resistance * p.resistance_coefficient
+        # worked out once, the estimate is advanced in every cycle: R = cold + slope T, conductances, 1 / capacitances
+        self._coefficients = (
+            p.phase_resistance - slope * p.reference_temperature,
+            slope,
+            1.0 / p.winding_housing_resistance,
+            1.0 / p.winding_ambient_resistance,
+            1.0 / p.housing_ambient_resistance,
+            1.0 / p.winding_capacitance,
+            1.0 / p.housing_capacitance,
+        )
         # an explicit step beyond a fraction of the fastest time constant would overshoot
         self._longest = 0.05 * p.winding_capacitance * p.winding_housing_resistance
 
@@ -37,16 +46,15 @@ class WindingEstimate:
 
         A current that is not a number counts as none was read: the caller passes the reference then.
         """
-        p = self._parameters
-        steps = max(1, math.ceil(duration / self._longest))
+        cold, slope, to_housing, to_ambient, housing_to_ambient, per_winding, per_housing = self._coefficients
+        steps = 1 if duration <= self._longest else math.ceil(duration / self._longest)
         h = duration / steps
         winding, housing, ambient = self.winding, self.housing, self.ambient
         square = current * current
         for _ in range(steps):
-            to_housing = (winding - housing) / p.winding_housing_resistance
-            heat = (self._cold + self._slope * winding) * square
-            lost = (winding - ambient) / p.winding_ambient_resistance
-            winding += h * (heat - lost - to_housing) / p.winding_capacitance
-            housing += h * (to_housing - (housing - ambient) / p.housing_ambient_resistance) / p.housing_capacitance
+            passed = (winding - housing) * to_housing
+            heat = (cold + slope * winding) * square
+            winding += h * (heat - (winding - ambient) * to_ambient - passed) * per_winding
+            housing += h * (passed - (housing - ambient) * housing_to_ambient) * per_housing
         self.winding, self.housing = winding, housing
         return winding

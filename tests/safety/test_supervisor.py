@@ -27,8 +27,8 @@ LEA = ThermalParameters(0.264, 0.004, 25.0, 5.6, 0.3, 1.7, 22.9, 469.1)
 
 
 class SupervisedBench(ElmoBench):
-    def __init__(self, limits=LIMITS):
-        super().__init__()
+    def __init__(self, limits=LIMITS, **settings):
+        super().__init__(**settings)
         self.drive.open()
         self.winding = WindingEstimate(LEA)
         axes = {"test": Axis(self.drive, self.drive, self.winding)}
@@ -78,10 +78,10 @@ def test_a_measured_velocity_past_its_limit_trips_in_the_same_cycle(bench):
         bench.supervised_cycle()
 
 
-def test_a_channel_without_readings_is_too_old_not_fine(bench):
+def test_a_channel_without_readings_is_too_old_not_fine():
+    bench = SupervisedBench(consumer_heartbeat_ms=1000)  # the drive's silence itself is noticed after the readings'
     bench.engage()
     bench.far.frozen = True
-    bench.drive.settings.__dict__["producer_heartbeat_ms"] = 4000
     with pytest.raises(SafetyTrip, match=r"no reading for 0\.50"):
         for _ in range(600):
             bench.supervised_cycle()

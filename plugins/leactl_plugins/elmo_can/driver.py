@@ -20,8 +20,11 @@ from leactl_plugins.elmo_can.settings import ElmoSettings
 
 NMT_START, NMT_PRE_OPERATIONAL = 0x01, 0x80
 OPERATIONAL = 0x05
-MODES = {Mode.TORQUE_PROFILE: 4, Mode.ANGLE: 8, Mode.VELOCITY: 9, Mode.CURRENT: 10}
+MODES = {Mode.OFF: 0, Mode.TORQUE_PROFILE: 4, Mode.ANGLE: 8, Mode.VELOCITY: 9, Mode.CURRENT: 10}
 CURRENT_MODES = (Mode.CURRENT, Mode.TORQUE_PROFILE)
+# by names of this module in what runs every cycle: an enum's attribute takes ten times as long (Python 3.11)
+ANGLE, VELOCITY, ENABLED = Mode.ANGLE, Mode.VELOCITY, State.ENABLED
+FAULTS = (State.FAULT, State.FAULT_REACTION)
 ENABLE_TIME_S = 2.0
 READ_BUS_VOLTAGE = bytes.fromhex("4079600000000000")
 NAN = math.nan
@@ -47,7 +50,11 @@ class ElmoCan(Driver):
         self._opened = False
         self._angle_per_count = settings.sign * 2 * math.pi / settings.counts_per_turn
         self._current_per_mille = NAN
-        self._mode, self._value, self._wanted = Mode.OFF, 0, False
+        voltage = settings.q_axis_voltage
+        self._voltage_scale = voltage.scale_V if voltage else None
+        self._longest_silence = 3e-3 * settings.producer_heartbeat_ms + 1e-3 * settings.consumer_heartbeat_ms
+        self._feed_period = settings.consumer_heartbeat_ms / 3000
+        self._turn_to(Mode.OFF)
         self._enable_by = math.inf
         self.state = State.NOT_READY
         self.statusword = 0
@@ -64,7 +71,7 @@ class ElmoCan(Driver):
 
     def safe_state(self, deadline_s: float) -> Confirmation:
         """Take the drive out of operation, from any state, over a fresh connection if need be; never raises."""
-        self._wanted, self._mode, self._value = False, Mode.OFF, 0
+        self._turn_to(Mode.OFF)
         until = self._clock.now() + deadline_s
         trouble = "no time was left"
         while self._clock.now() < until:
@@ -161,20 +168,19 @@ class ElmoCan(Driver):
     @property
     def engaged(self) -> bool:
         """True once the drive reports operation enabled in the mode that was asked for."""
-        return self._wanted and self.state is State.ENABLED and self._shown_mode == MODES.get(self._mode)
+        return self._wanted and self.state is ENABLED and self._shown_mode == self._mode_number
 
     def engage(self, mode: Mode) -> None:
         """Begin to enter operation in this mode with zero demand; angle holds where the shaft is."""
-        if mode not in MODES:
+        if mode not in MODES or mode is Mode.OFF:
             raise InputError(f"{self.name}: mode '{mode}' is not one a drive can follow")
-        self._mode, self._wanted = mode, True
-        self._value = 0
+        self._turn_to(mode)
         self._located = False
         self._enable_by = self._clock.now() + ENABLE_TIME_S
 
     def release(self) -> None:
         """Begin to leave operation; no current flows once the drive has left it."""
-        self._wanted, self._mode, self._value = False, Mode.OFF, 0
+        self._turn_to(Mode.OFF)
 
     def command(self, value: float) -> None:
         """Set the demand of the engaged mode (A, rad/s or rad) for the next cycle.
@@ -196,8 +202,8 @@ class ElmoCan(Driver):
         """Send this cycle's demand; it acts at the SYNC that follows."""
         word = cia402.DISABLE_VOLTAGE
         if self._wanted and self._located:
-            word = cia402.towards_enabled(self.state)
-            if self._mode is Mode.ANGLE and self.state is not State.ENABLED:
+            word = cia402.ENABLE_OPERATION if self.state is ENABLED else cia402.towards_enabled(self.state)
+            if self._mode is ANGLE and self.state is not ENABLED:
                 self._value = self._counts  # hold where the shaft is at the moment operation begins
         self._fresh[0] = self._fresh[1] = self._fresh[2] = False
         self._send_demand(word)
@@ -210,32 +216,31 @@ class ElmoCan(Driver):
         DeviceFault : the drive is in fault, sent an emergency message, or left operation by itself.
         NoAnswer : the drive's own heartbeat stayed away, or it did not enter operation in time.
         """
-        complete = self._fresh
-        if not (complete[0] and complete[1]):
-            self._port.pump_until(lambda: complete[0] and complete[1], deadline)
-        values, enabled = self.values, self.engaged
-        mode = self._mode
+        fresh, values, port = self._fresh, self.values, self._port
+        while not (fresh[0] and fresh[1]) and port.pump_before(deadline):
+            pass
+        mode, engaged = self._mode, self.engaged
         values[0] = self._value * self._current_per_mille if mode in CURRENT_MODES else NAN
-        values[1] = self._value * self._angle_per_count if mode is Mode.VELOCITY else NAN
-        values[2] = self._value * self._angle_per_count if mode is Mode.ANGLE else NAN
-        if complete[0]:
+        values[1] = self._value * self._angle_per_count if mode is VELOCITY else NAN
+        values[2] = self._value * self._angle_per_count if mode is ANGLE else NAN
+        if fresh[0]:
             values[3] = self._current * self._current_per_mille
-            values[6] = 1.0 if enabled else 0.0
+            values[6] = 1.0 if engaged else 0.0
         else:
             values[3] = values[6] = NAN
-        if complete[1]:
+        if fresh[1]:
             values[4] = self._speed * self._angle_per_count
             values[5] = self._counts * self._angle_per_count
         else:
             values[4] = values[5] = NAN
-        if self.settings.q_axis_voltage is not None:
-            values[7] = self._voltage * self.settings.q_axis_voltage.scale_V if complete[2] else NAN
-        self._judge()
+        if self._voltage_scale is not None:
+            values[7] = self._voltage * self._voltage_scale if fresh[2] else NAN
+        self._judge(engaged)
 
     def feed(self) -> None:
         """Send the host's heartbeat once a third of the consumer time has passed; ask for the bus voltage."""
         now = self._clock.now()
-        if now - self._fed >= self.settings.consumer_heartbeat_ms / 3000:
+        if now - self._fed >= self._feed_period:
             self._port.send(0x700 + self.settings.host_node, bytes((OPERATIONAL,)))
             self._fed = now
         if now - self._asked >= self.settings.bus_voltage_period_s:
@@ -258,7 +263,7 @@ class ElmoCan(Driver):
         self._sdo.write(0x6040, 0, "u16", cia402.FAULT_RESET)
         self._sdo.write(0x6040, 0, "u16", 0x0000)
         word = self._sdo.read(0x6041, 0, "u16")
-        if cia402.state_of(word) in (State.FAULT, State.FAULT_REACTION):
+        if cia402.state_of(word) in FAULTS:
             raise DeviceFault(f"{self.name}: still in fault after a reset, {self._fault_text(word)}")
         self._emergency = ""
 
@@ -286,7 +291,7 @@ class ElmoCan(Driver):
 
     def _leave_fault(self) -> None:
         word = self._sdo.read(0x6041, 0, "u16")
-        if cia402.state_of(word) in (State.FAULT, State.FAULT_REACTION):
+        if cia402.state_of(word) in FAULTS:
             if not self.settings.reset_fault_at_start:
                 text = self._fault_text(word)
                 raise DeviceFault(f"{self.name}: in fault at start, {text}; mend it, or set reset_fault_at_start: true")
@@ -341,23 +346,28 @@ class ElmoCan(Driver):
     def _nmt(self, command: int) -> None:
         self._port.send(NMT_ID, bytes((command, self._node)))
 
+    def _turn_to(self, mode: Mode) -> None:
+        self._mode, self._mode_number, self._wanted = mode, MODES[mode], mode is not Mode.OFF
+        self._value = 0
+
     # -- frames ------------------------------------------------------------------------------------------------------
 
     def _send_demand(self, word: int) -> None:
         mode, value = self._mode, self._value
         torque = value if mode in CURRENT_MODES else 0
-        self._port.send(0x200 + self._node, _torque_demand.pack(word, torque, MODES.get(mode, 0)))
-        if mode is Mode.ANGLE:
+        self._port.send(0x200 + self._node, _torque_demand.pack(word, torque, self._mode_number))
+        if mode is ANGLE:
             self._port.send(0x300 + self._node, _motion_demand.pack(value, 0))
-        elif mode is Mode.VELOCITY:
+        elif mode is VELOCITY:
             self._port.send(0x300 + self._node, _motion_demand.pack(self._counts, value))
 
     _counts = _speed = _current = _voltage = 0
 
     def _on_status(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == 7:
-            self.statusword, self._shown_mode, _torque, self._current = _status.unpack(data)
-            self.state = cia402.state_of(self.statusword)
+            word, self._shown_mode, _torque, self._current = _status.unpack(data)
+            if word != self.statusword:
+                self.statusword, self.state = word, cia402.state_of(word)
             self._fresh[0] = True
 
     def _on_motion(self, data: bytearray, _timestamp: float) -> None:
@@ -387,17 +397,17 @@ class ElmoCan(Driver):
         if len(data) == 8 and emergency.code_of(data) != emergency.CODE_RESET:
             self._emergency = emergency.describe(data)
 
-    def _judge(self) -> None:
+    def _judge(self, engaged: bool) -> None:
         if self._emergency:
             raise DeviceFault(f"{self.name}: {self._emergency}")
-        if self.state in (State.FAULT, State.FAULT_REACTION):
+        if self.state in FAULTS:
             raise DeviceFault(f"{self.name}: {self.state}, statusword 0x{self.statusword:04X}")
         now = self._clock.now()
-        if now - self._heard > 3e-3 * self.settings.producer_heartbeat_ms + self.settings.consumer_heartbeat_ms * 1e-3:
+        if now - self._heard > self._longest_silence:
             raise NoAnswer(f"{self.name}: no heartbeat of node {self._node} for {now - self._heard:.3f} s")
         if not self._wanted:
             return
-        if self.engaged:
+        if engaged:
             self._enable_by = -math.inf  # from here on, leaving operation is the drive's own doing
         elif self._enable_by == -math.inf:
             raise DeviceFault(
