@@ -8,6 +8,7 @@ from pathlib import Path
 import typer
 
 PROTOCOLS = ("torque-constant", "friction")
+HEADLINES = ("torque_constant", "viscous_damping", "coulomb_friction")
 
 
 def demo(
@@ -18,7 +19,7 @@ def demo(
     """Characterise an emulated actuator: torque constant and friction in three preloads, beside the paper's figures."""
     from leactl.analysis.experiments import analyze_runs
     from leactl.cli.run import finish, perform
-    from leactl.report.terminal import print_result
+    from leactl.report.terminal import print_summary
     from leactl.runner.request import prepare
 
     began = time.monotonic()
@@ -35,9 +36,8 @@ def demo(
         files += paths
     if as_json:
         answer = {"results": [result.as_json() for result in results], "files": [str(path) for path in files]}
-        typer.echo(json.dumps(answer))
+        typer.echo(json.dumps(answer, allow_nan=False))
         return
-    for result in results:
-        print_result(result, plot=False)
+    print_summary(results, HEADLINES)
     typer.echo("\n".join(["", *(f"wrote {path}" for path in files)]))
-    typer.echo(f"{time.monotonic() - began:.0f} s in all; look closer: leactl analyze {files[1]}")
+    typer.echo(f"\n{time.monotonic() - began:.0f} s in all; look closer: leactl analyze {files[1]}")

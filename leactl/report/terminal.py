@@ -4,14 +4,13 @@ Plain text without colours, so that a pipe and a log take it as a terminal does.
 character, ASCII takes its place.
 """
 
-import io
 import locale
 import math
 import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import resources
 from typing import Any
@@ -49,8 +48,12 @@ def render(result: Result, width: int = 80, encoding: str = "utf-8", plot: bool 
         parts += ["\n".join(draw(item, width, ascii_only=not unicode)) for item in drawn]
     if result.notes:
         parts.append("\n".join(wrapped("note:", [note], width) for note in result.notes))
-    text = "\n\n".join(part for part in parts if part) + "\n"
-    return text if unicode else text.translate(ASCII).encode(encoding, "replace").decode(encoding)
+    return encodable("\n\n".join(part for part in parts if part) + "\n", encoding)
+
+
+def encodable(text: str, encoding: str) -> str:
+    """The text with whatever a stream of this encoding cannot show replaced."""
+    return text if shows_all(encoding) else text.translate(ASCII).encode(encoding, "replace").decode(encoding)
 
 
 def shows_all(encoding: str) -> bool:
@@ -64,39 +67,49 @@ def shows_all(encoding: str) -> bool:
 
 def table(result: Result, group: tuple[str, str]) -> str:
     """Estimates of one actuator under one condition; below each the paper's figure where there is one."""
-    from rich.console import Console
-    from rich.table import Table
-
-    rows = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), highlight=False)
-    for heading in ("", "value ± std", "95 % interval", "units"):
-        rows.add_column(heading, no_wrap=True)
-    paper = figures(result.experiment)
-    known = paper.get("any", {}) | paper.get(group[1], {})
-    parent = ""
+    known = figures(result.experiment, group[1])
+    rows, parent = [], ""
     for item in result.results:
         if (item.actuator, item.condition) != group:
             continue
         child = bool(parent) and item.name.startswith(f"{parent}_")
         parent = parent if child else item.name
         name = f"  {item.name.removeprefix(parent + '_')}" if child else item.name
-        rows.add_row(name, value_text(item), interval_text(item), item.units if item.units != "1" else "")
+        rows.append((name, value_text(item), interval_text(item), item.units if item.units != "1" else ""))
         if item.name in known:
-            place = f"  paper, {group[1]}" if group[1] in paper else "  paper"
-            rows.add_row(place, str(known[item.name]), "", "")
-    written = io.StringIO()
-    # as wide as the table needs: a number that is cut or folded is worse than a long line
-    Console(file=written, width=1000, no_color=True, markup=False, emoji=False).print(rows)
-    return "\n".join(line.rstrip() for line in written.getvalue().splitlines())
+            rows.append(("  paper", known[item.name], "", ""))
+    return aligned(("", "value ± std", "95 % interval", "units"), rows)
+
+
+def print_summary(results: Sequence[Result], names: Sequence[str]) -> None:
+    """Print some estimates of several experiments, a table for each with a row for each condition."""
+    tables = []
+    for name in names:
+        found = [(result.experiment, item) for result in results for item in result.results if item.name == name]
+        rows = [
+            (item.condition, value_text(item), interval_text(item), figures(experiment, item.condition).get(name, ""))
+            for experiment, item in found
+        ]
+        head = f"{name} [{found[0][1].units}]"
+        tables.append(f"{head}\n{aligned(('', 'value ± std', '95 % interval', 'paper'), rows)}\n")
+    sys.stdout.write(encodable("\n".join(tables), encoding_of_stdout()))
+
+
+def aligned(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Columns as wide as they need: a number that is cut or folded is worse than a long line."""
+    widths = [max(map(len, column)) for column in zip(headings, *rows, strict=True)]
+    lines = ("  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)) for row in (headings, *rows))
+    return "\n".join(line.rstrip() for line in lines)
 
 
 @cache
-def figures(experiment: str) -> Mapping[str, Any]:
-    """The paper's figures of an experiment by condition, `any` for every one; empty where it has none."""
+def figures(experiment: str, condition: str) -> Mapping[str, str]:
+    """The paper's figures of an experiment under a condition; empty where it has none."""
     entry = resources.files("leactl.report") / "paper" / f"{experiment}.yaml"
     if not entry.is_file():
         return {}
-    found: Mapping[str, Any] = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data
-    return found
+    by_condition = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data
+    return by_condition.get("any", {}) | by_condition.get(condition, {})  # type: ignore[no-any-return]
 
 
 def value_text(item: Estimate) -> str:
