@@ -67,10 +67,12 @@ class Bench:
             try:
                 driver.open()
                 opened.append(driver)
-            except DeviceError as error:
+            except BaseException as error:
                 for before in opened:
                     before.safe_state(OPENING_SAFE_S)
                 self.close()
+                if not isinstance(error, DeviceError):
+                    raise
                 text = str(error)
                 raise type(error)(text if text.startswith(f"{name}:") else f"{name}: {text}") from None
 

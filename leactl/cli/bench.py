@@ -71,21 +71,22 @@ def serve(
     """Serve an emulated bench on real buses, by the wall clock, until Ctrl-C."""
     from leactl.bench.benchfile import load, put_elsewhere
     from leactl.emulation.emulated_bench import EmulatedBench
-    from leactl.emulation.serving import real_buses
+    from leactl.emulation.serving import bridged, stub_chips
     from leactl.emulation.serving import serve as serve_until
-    from leactl.emulation.slcan import SlcanAdapter
     from leactl.runner.signals import listening
 
     file, devices, _document = load(bench)
+    file = file.model_copy(update={"buses": file.buses | put_elsewhere(file, bus)})
     emulated = EmulatedBench(file, devices, setup, condition, seed)
-    changed = put_elsewhere(file, bus)
-    opened = real_buses(file, changed)
-    for name, (placed, real) in opened.items():
-        place = f"slcan on {real.path}" if isinstance(real, SlcanAdapter) else f"{placed.interface} {placed.channel}"
-        typer.echo(f"{name}: {place}")
-    sides = {name: real for name, (_placed, real) in opened.items()}
-    typer.echo("serving; Ctrl-C ends it")
-    with listening() as stop:
-        unserved = serve_until(file, emulated, sides, lambda: bool(stop.cause))
-    for name in unserved:
-        typer.echo(f"{name}: was not served; I2C needs the kernel's i2c-stub", err=True)
+    with listening() as stop, bridged(file, emulated.wires) as bridges:
+        chips = stub_chips(file, emulated)
+        for name, bridge in bridges.items():
+            typer.echo(f"{name}: {bridge.place}")
+        for name, found in chips.items():
+            if found:
+                typer.echo(f"{name}: i2c-stub")
+            else:
+                typer.echo(f"{name}: is not served; I2C needs the kernel's i2c-stub at that number", err=True)
+        typer.echo("serving; Ctrl-C ends it")
+        every = [chip for found in chips.values() for chip in found]
+        serve_until(emulated.clock, list(bridges.values()), every, lambda: bool(stop.cause))

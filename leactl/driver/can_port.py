@@ -42,9 +42,9 @@ class CanPort:
         ------
         DeviceError : the bus is absent or refuses.
         """
-        self._users += 1
         if self.bus is None:
             self._open_bus()
+        self._users += 1
 
     def _open_bus(self) -> None:
         try:

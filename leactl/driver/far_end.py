@@ -5,7 +5,7 @@ plain readings, so that the same emulator turns the emulated bench or a stand-in
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 
 class Frame(NamedTuple):
@@ -55,6 +55,24 @@ class I2cEmulator(Protocol):
 
     def write(self, register: int, value: int, now: float) -> None:
         """Write a register."""
+
+
+class RegisterStore(Protocol):
+    """Plain 16-bit registers that the host and a far end both read and write; the kernel's i2c-stub is one."""
+
+    def read(self, register: int) -> int:
+        """Read a register."""
+
+    def write(self, register: int, value: int) -> None:
+        """Write a register."""
+
+
+@runtime_checkable
+class StoreKeeper(Protocol):
+    """What an I2cEmulator may have besides: without it the device cannot be served to other processes."""
+
+    def keep(self, store: RegisterStore, now: float) -> None:
+        """Look at the store once: take what the host wrote there, put there what it will read; called often."""
 
 
 class Physics(Protocol):

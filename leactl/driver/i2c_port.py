@@ -1,4 +1,8 @@
-"""One I2C bus shared by several drivers: smbus2's own calls, with its errors told apart and named."""
+"""One I2C bus shared by several drivers: smbus2's own calls, with its errors told apart and named.
+
+Registers go by SMBus word transfers. On the wire they are the two bytes of a block transfer; behind i2c-stub a block of
+two would reach into the next register as well.
+"""
 
 import errno
 from collections.abc import Callable
@@ -17,9 +21,14 @@ _MEANING = {
 class SmBus(Protocol):
     """The part of smbus2.SMBus that is used."""
 
-    def read_i2c_block_data(self, i2c_addr: int, register: int, length: int) -> list[int]: ...  # noqa: D102
-    def write_i2c_block_data(self, i2c_addr: int, register: int, data: list[int]) -> None: ...  # noqa: D102
+    def read_word_data(self, i2c_addr: int, register: int) -> int: ...  # noqa: D102
+    def write_word_data(self, i2c_addr: int, register: int, value: int) -> None: ...  # noqa: D102
     def close(self) -> None: ...  # noqa: D102
+
+
+def swapped(word: int) -> int:
+    """A register's value from an SMBus word, or back: SMBus sends the low byte first, these devices the high one."""
+    return (word & 0xFF) << 8 | word >> 8
 
 
 class I2cPort:
@@ -38,12 +47,12 @@ class I2cPort:
         ------
         DeviceError : the bus is absent or refuses.
         """
-        self._users += 1
         if self._bus is None:
             try:
                 self._bus = self._connect()
             except OSError as error:
                 raise DeviceError(f"bus '{self.name}': {_MEANING.get(error.errno or 0, error)}") from None
+        self._users += 1
 
     def close(self) -> None:
         """Disconnect when the last user has let go."""
@@ -63,10 +72,9 @@ class I2cPort:
         if self._bus is None:
             raise DeviceError(f"bus '{self.name}': not open")
         try:
-            high, low = self._bus.read_i2c_block_data(address, register, 2)
+            return swapped(self._bus.read_word_data(address, register))
         except OSError as error:
             raise self._explain(error, address) from None
-        return high << 8 | low
 
     def write(self, address: int, register: int, value: int) -> None:
         """Write a 16-bit register.
@@ -79,7 +87,7 @@ class I2cPort:
         if self._bus is None:
             raise DeviceError(f"bus '{self.name}': not open")
         try:
-            self._bus.write_i2c_block_data(address, register, [value >> 8, value & 0xFF])
+            self._bus.write_word_data(address, register, swapped(value))
         except OSError as error:
             raise self._explain(error, address) from None
 

@@ -6,15 +6,18 @@ goes through the kernel's i2c-stub, a plain register store that this process fil
 
 import select
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import can
 
 from leactl.bench.benchfile import BenchFile, CanBus, I2cBus
 from leactl.bench.wiring import MachineWiring
-from leactl.driver.far_end import I2cEmulator
+from leactl.driver.far_end import StoreKeeper
+from leactl.driver.i2c_port import SmBus, swapped
+from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.emulated_bench import EmulatedBench
 from leactl.emulation.slcan import SlcanAdapter
 from leactl.emulation.wires import CanWire, EmulatedCanBus
@@ -23,7 +26,6 @@ from leactl.errors import DeviceError, InputError
 PACE_S = 0.002  # the plant is never further behind the wall clock than this
 STUB_NAME = "SMBus stub driver"
 STUB_PACE_S = 1e-4
-ADS_CONVERSION, ADS_CONFIG, ADS_START = 0, 1, 0x8000
 
 
 class HostSide(Protocol):
@@ -43,10 +45,10 @@ class HostSide(Protocol):
 
 
 class CanBridge:
-    """One real bus, and the emulated segment behind it."""
+    """One real bus, where it is, and the emulated segment behind it."""
 
-    def __init__(self, real: HostSide, wire: CanWire) -> None:
-        self.real = real
+    def __init__(self, place: str, real: HostSide, wire: CanWire) -> None:
+        self.place, self.real = place, real
         self._inner = EmulatedCanBus(wire)
 
     def carry(self) -> None:
@@ -68,66 +70,60 @@ class CanBridge:
         self.real.shutdown()
 
 
-class StubConverter:
-    """An ADS1115 behind one chip of i2c-stub: sees a conversion started there and puts its result there at its end."""
+class StubChip:
+    """One chip of i2c-stub, whose registers a device's far end keeps."""
 
-    def __init__(self, bus: Any, address: int, far_end: I2cEmulator) -> None:
-        self._bus, self._address, self._far_end = bus, address, far_end
-        self._busy = False
-        self._put(ADS_CONFIG, far_end.read(ADS_CONFIG, 0.0))
+    def __init__(self, bus: SmBus, address: int, keeper: StoreKeeper) -> None:
+        self._bus, self._address, self._keeper = bus, address, keeper
+
+    def read(self, register: int) -> int:
+        """Read a register of the chip."""
+        return swapped(self._bus.read_word_data(self._address, register))
+
+    def write(self, register: int, value: int) -> None:
+        """Write a register of the chip."""
+        self._bus.write_word_data(self._address, register, swapped(value))
 
     def carry(self, now: float) -> None:
-        """Look at the store once."""
-        if self._busy:
-            held = self._far_end.read(ADS_CONFIG, now)
-            if held & ADS_START:
-                self._put(ADS_CONVERSION, self._far_end.read(ADS_CONVERSION, now))
-                self._put(ADS_CONFIG, held)
-                self._busy = False
-            return
-        asked = self._get(ADS_CONFIG)
-        if asked & ADS_START and asked != self._far_end.read(ADS_CONFIG, now):
-            self._far_end.write(ADS_CONFIG, asked, now)
-            self._put(ADS_CONFIG, asked & ~ADS_START)
-            self._busy = True
-
-    def _get(self, register: int) -> int:
-        high, low = self._bus.read_i2c_block_data(self._address, register, 2)
-        return int(high) << 8 | int(low)
-
-    def _put(self, register: int, value: int) -> None:
-        self._bus.write_i2c_block_data(self._address, register, [value >> 8, value & 0xFF])
+        """Let the far end look at the chip once."""
+        self._keeper.keep(self, now)
 
 
-def real_buses(file: BenchFile, changed: Mapping[str, CanBus]) -> dict[str, tuple[CanBus, HostSide]]:
-    """Open the real side of every CAN bus, with where it is; `changed` has those that the command line puts elsewhere.
+@contextmanager
+def bridged(file: BenchFile, wires: Mapping[str, CanWire]) -> Iterator[dict[str, CanBridge]]:
+    """Bridge every CAN bus of the file to its wire until the block is left.
 
     Raises
     ------
     InputError : the bus of the file exists in one process only.
     DeviceError : the bus is absent or refuses.
     """
-    opened: dict[str, tuple[CanBus, HostSide]] = {}
-    for name, bus in file.buses.items():
-        if not isinstance(bus, CanBus):
-            continue
-        wanted = changed.get(name, bus)
-        if wanted.interface == "pty":
-            opened[name] = (wanted, SlcanAdapter())
-            continue
-        if wanted.interface in ("emulated", "virtual"):
-            raise InputError(
-                f"bus '{name}': interface '{wanted.interface}' ends with this process; put it elsewhere, as with"
-                f" --bus {name}=udp_multicast:239.74.163.2, --bus {name}=socketcan:vcan0 or --bus {name}=pty"
-            )
-        try:
-            opened[name] = (wanted, MachineWiring().can(name, wanted)())
-        except (OSError, ValueError, ImportError, can.CanError) as error:
-            raise DeviceError(f"bus '{name}': {error}") from None
-    return opened
+    with ExitStack() as opened:
+        bridges: dict[str, CanBridge] = {}
+        for name, bus in file.buses.items():
+            if isinstance(bus, CanBus):
+                place, real = _real_side(name, bus)
+                bridges[name] = CanBridge(place, real, wires[name])
+                opened.callback(bridges[name].close)
+        yield bridges
 
 
-def stub_bus(number: int, root: Path = Path("/")) -> Any | None:
+def _real_side(name: str, bus: CanBus) -> tuple[str, HostSide]:
+    if bus.interface == "pty":
+        adapter = SlcanAdapter()
+        return f"slcan on {adapter.path}", adapter
+    if bus.interface in ("emulated", "virtual"):
+        raise InputError(
+            f"bus '{name}': interface '{bus.interface}' ends with this process; put it elsewhere, as with"
+            f" --bus {name}=udp_multicast:239.74.163.2, --bus {name}=socketcan:vcan0 or --bus {name}=pty"
+        )
+    try:
+        return f"{bus.interface} {bus.channel}", MachineWiring().can(name, bus)()
+    except (OSError, ValueError, ImportError, can.CanError) as error:
+        raise DeviceError(f"bus '{name}': {error}") from None
+
+
+def stub_bus(number: int, root: Path = Path("/")) -> SmBus | None:
     """The i2c-stub of this number; None where there is none, so that no real chip is ever written to."""
     name = root / f"sys/class/i2c-dev/i2c-{number}/name"
     if not name.is_file() or not name.read_text(encoding="ascii").startswith(STUB_NAME):
@@ -135,32 +131,51 @@ def stub_bus(number: int, root: Path = Path("/")) -> Any | None:
     return MachineWiring().i2c("stub", I2cBus(kind="i2c", number=number))()
 
 
-def serve(file: BenchFile, bench: EmulatedBench, buses: Mapping[str, HostSide], stop: Callable[[], bool]) -> list[str]:
-    """Serve until `stop` says so; returns the I2C buses that no stub stood in for."""
-    bridges = [CanBridge(real, bench.wires[name]) for name, real in buses.items()]
-    converters: list[StubConverter] = []
-    unserved: list[str] = []
+def stub_chips(file: BenchFile, bench: EmulatedBench) -> dict[str, list[StubChip]]:
+    """The chips of i2c-stub behind every I2C bus of the file; none where its number is no stub.
+
+    Raises
+    ------
+    InputError : a device's far end cannot keep the registers of a stub.
+    DeviceError : the stub refuses.
+    """
+    found: dict[str, list[StubChip]] = {}
     for name, bus in file.buses.items():
-        if isinstance(bus, I2cBus):
-            store = stub_bus(bus.number)
-            if store is None:
-                unserved.append(name)
-            else:
-                ends = bench.i2c_buses[name].devices
-                converters += [StubConverter(store, address, end) for address, end in ends.items()]
-    began = time.monotonic()
+        if not isinstance(bus, I2cBus):
+            continue
+        try:
+            stub = stub_bus(bus.number)
+        except OSError as error:
+            raise DeviceError(f"bus '{name}': {error}") from None
+        found[name] = []
+        for address, far_end in bench.i2c_buses[name].devices.items():
+            if stub is None:
+                continue
+            if not isinstance(far_end, StoreKeeper):
+                raise InputError(f"bus '{name}': the emulator at address 0x{address:02X} cannot stand behind i2c-stub")
+            found[name].append(StubChip(stub, address, far_end))
+    return found
+
+
+def serve(
+    clock: EmulatedClock, bridges: Sequence[CanBridge], chips: Sequence[StubChip], stop: Callable[[], bool]
+) -> None:
+    """Serve until `stop` says so, the clock in step with the wall's.
+
+    Raises
+    ------
+    DeviceError : a real bus failed.
+    """
+    began = time.monotonic() - clock.now()
     handles = [bridge.real.fileno() for bridge in bridges]
-    pace = STUB_PACE_S if converters else PACE_S
+    pace = STUB_PACE_S if chips else PACE_S
     try:
         while not stop():
             select.select(handles, [], [], pace)
-            now = time.monotonic() - began
-            bench.clock.sleep_until(now)
+            clock.sleep_until(time.monotonic() - began)
             for bridge in bridges:
                 bridge.carry()
-            for converter in converters:
-                converter.carry(now)
-    finally:
-        for bridge in bridges:
-            bridge.close()
-    return unserved
+            for chip in chips:
+                chip.carry(clock.now())
+    except (OSError, can.CanError) as error:
+        raise DeviceError(f"a served bus failed: {error}") from None

@@ -5,11 +5,11 @@ Synchronous and without threads: a frame is answered inside `send`, and emulated
 
 import errno
 from collections import deque
-from typing import Any
 
 import can
 
 from leactl.driver.far_end import CanEmulator, Frame, I2cEmulator
+from leactl.driver.i2c_port import swapped
 from leactl.emulation.clock import EmulatedClock
 
 TICK_S = 1e-3
@@ -29,6 +29,7 @@ class CanWire:
     def attach(self, device: CanEmulator) -> None:
         """Put a device on the segment."""
         self.devices.append(device)
+        self._due = float("-inf")
 
     def from_host(self, frame: Frame, sender: "EmulatedCanBus") -> None:
         """Deliver a host's frame, and what it makes the devices say."""
@@ -96,7 +97,7 @@ class EmulatedCanBus(can.BusABC):
 
 
 class EmulatedI2cBus:
-    """smbus2's block calls, answered by emulated devices; an absent address does not acknowledge."""
+    """smbus2's word calls, answered by emulated devices; an absent address does not acknowledge."""
 
     def __init__(self, clock: EmulatedClock) -> None:
         self._clock = clock
@@ -108,14 +109,13 @@ class EmulatedI2cBus:
             raise OSError(errno.EREMOTEIO, "Remote I/O error")
         return device
 
-    def read_i2c_block_data(self, i2c_addr: int, register: int, length: int, force: Any = None) -> list[int]:
-        """Read a 16-bit register, most significant byte first."""
-        value = self._device(i2c_addr).read(register, self._clock.now())
-        return [value >> 8, value & 0xFF][:length]
+    def read_word_data(self, i2c_addr: int, register: int) -> int:
+        """Read a 16-bit register; the byte that comes first is the low one of the word."""
+        return swapped(self._device(i2c_addr).read(register, self._clock.now()))
 
-    def write_i2c_block_data(self, i2c_addr: int, register: int, data: list[int], force: Any = None) -> None:
-        """Write a 16-bit register, most significant byte first."""
-        self._device(i2c_addr).write(register, data[0] << 8 | data[1], self._clock.now())
+    def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:
+        """Write a 16-bit register; the low byte of the word goes first."""
+        self._device(i2c_addr).write(register, swapped(value), self._clock.now())
 
     def close(self) -> None:
         """Let the bus go."""

@@ -5,7 +5,7 @@ then the file closed with its status, then the devices let go, then a trip latch
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -81,39 +81,38 @@ def execute(request: Request, operator: Operator, watch: Watch) -> Outcome:
         _check_roles(request, bench)
         supervisor = _supervisor(request, bench, motors)
         bench.open()
-        try:
-            writer = RunWriter(request.directory, _info(request), bench.streams())
-        except LeactlError:
-            supervisor.make_safe()
-            bench.close()
-            raise
-        paced = request.realtime or not request.in_process
-        flush = ThreadedFlush(writer) if paced else InlineFlush(writer)
-        plan = request.plan
-        progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
-        loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator)
-        _introduce(request, writer)
-        error: BaseException | None = None
-        try:
-            with watch(progress):
-                loop.run()
-        except BaseException as caught:  # noqa: BLE001 (whatever ended the run, the bench is made safe before anything else)
-            error = caught
-        safe = supervisor.make_safe()
-        flush.stop()
-        error = _unconfirmed(error, safe)
-        status, reason = _status(error)
-        for name, confirmation in safe.items():
-            level = "info" if confirmation.safe else "error"
-            writer.event(loop.time, level, name, f"safe state: {confirmation.detail}")
-        try:
-            writer.close(status, reason)
-        except LeactlError as failure:
-            if error is None:
-                error, status, reason = failure, "failed", str(failure)
-            else:
-                error.add_note(str(failure))
-        bench.close()
+        with closing(bench):
+            try:
+                writer = RunWriter(request.directory, _info(request), bench.streams())
+            except BaseException:
+                supervisor.make_safe()
+                raise
+            paced = request.realtime or not request.in_process
+            flush = ThreadedFlush(writer) if paced else InlineFlush(writer)
+            plan = request.plan
+            progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
+            loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator)
+            error: BaseException | None = None
+            try:
+                _introduce(request, writer)
+                with watch(progress):
+                    loop.run()
+            except BaseException as caught:  # noqa: BLE001 (whatever ended the run, the bench is made safe before anything else)
+                error = caught
+            safe = supervisor.make_safe()
+            flush.stop()
+            error = _unconfirmed(error, safe)
+            status, reason = _status(error)
+            for name, confirmation in safe.items():
+                level = "info" if confirmation.safe else "error"
+                writer.event(loop.time, level, name, f"safe state: {confirmation.detail}")
+            try:
+                writer.close(status, reason)
+            except LeactlError as failure:
+                if error is None:
+                    error, status, reason = failure, "failed", str(failure)
+                else:
+                    error.add_note(str(failure))
         if isinstance(error, SafetyTrip):
             latch.latch(request.bench.name, reason, writer.path)
     return Outcome(writer.path, status, reason, error, safe, loop.time, loop.overruns)

@@ -1,76 +1,92 @@
-"""A drive, its emulator and the wire between them, with every frame kept."""
+"""A drive's driver, its far end and the wire between them, with every frame of the host kept."""
 
 import math
 
-import can
 from leactl_plugins.elmo_can.driver import ElmoCan
-from leactl_plugins.elmo_can.emulator import ElmoEmulator
 from leactl_plugins.elmo_can.settings import ElmoSettings
 
 from leactl.driver.can_port import CanPort
 from leactl.driver.far_end import Frame
-from leactl.emulation.clock import EmulatedClock
-from leactl.emulation.wires import CanWire, EmulatedCanBus
 
-RATED_MA = 11186
-COUNTS = 40000
+from .failing import COUNTS, RATED_MA, Shaft
+from .transports import CanInProcess
 
-
-class Shaft:
-    """A machine that reports what it was told last, exactly."""
-
-    voltage = 3.25
-    bus_voltage = 29.6
-
-    def __init__(self) -> None:
-        self.following = ("off", 0.0)
-        self.velocity, self.angle = 0.0, 0.25
-
-    def command(self, mode: str, value: float) -> None:
-        self.following = (mode, value)
-
-    def read(self) -> tuple[float, float, float]:
-        mode, value = self.following
-        return (value if mode == "current" else 0.0), self.velocity, self.angle
+ANSWER_S = 5.0  # how long an answer may take on a real bus; it is not waited for once it is there
 
 
-class Recorder(EmulatedCanBus):
-    """The wire with a tape: frames of the host in `sent`, frames of the devices in `came`."""
+class Tap:
+    """A connection to a bus with a tape of what the host sent."""
 
-    def __init__(self, wire: CanWire, tape: list[tuple[str, Frame]]) -> None:
-        super().__init__(wire)
-        self.tape = tape
+    def __init__(self, bus, tape: list[Frame]) -> None:
+        self._bus, self._tape = bus, tape
 
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        self.tape.append(("host", Frame(msg.arbitration_id, bytes(msg.data))))
-        super().send(msg, timeout)
+    def send(self, message) -> None:
+        self._tape.append(Frame(message.arbitration_id, bytes(message.data)))
+        self._bus.send(message)
+
+    def __getattr__(self, name):
+        return getattr(self._bus, name)
 
 
 class ElmoBench:
-    """One node on an emulated wire."""
+    """One drive at the host's wire."""
 
-    def __init__(self, node: int = 1, **settings) -> None:
-        self.clock = EmulatedClock()
-        self.wire = CanWire(self.clock)
-        self.shaft = Shaft()
-        self.far = ElmoEmulator(node, self.shaft, rated_current_ma=RATED_MA, counts_per_turn=COUNTS)
-        self.wire.attach(self.far)
-        self.tape: list[tuple[str, Frame]] = []
-        self.port = CanPort(lambda: Recorder(self.wire, self.tape), self.clock)
-        self.drive = ElmoCan(
-            "drive", "test", ElmoSettings(node=node, counts_per_turn=COUNTS, **settings), self.port, self.clock
-        )
+    def __init__(self, node: int = 1, wire=None, **settings) -> None:
+        wire = wire or CanInProcess()
+        self.exact, self.clock, self.node = wire.exact, wire.clock, node
+        self.far = wire.drive(node)
+        self.tape: list[Frame] = []
+        self.port = CanPort(lambda: Tap(wire.connect(), self.tape), self.clock)
+        checked = ElmoSettings(node=node, counts_per_turn=COUNTS, **(wire.settings | settings))
+        self.drive = ElmoCan("drive", "test", checked, self.port, self.clock)
 
-    def cycle(self, period: float = 0.001) -> list[float]:
+    @property
+    def shaft(self) -> Shaft:
+        """What the drive turns; in process only."""
+        return self.far.shaft
+
+    def cycle(self, period: float = 0.001, answer_s: float | None = None) -> list[float]:
+        """One cycle as the control loop makes it; real buses set the pace themselves."""
         self.drive.begin_cycle()
         self.port.sync()
-        self.drive.end_cycle(self.clock.now() + period / 2)
+        self.drive.end_cycle(self.clock.now() + (answer_s or (period / 2 if self.exact else ANSWER_S)))
         self.drive.feed()
-        self.clock.sleep_until(self.clock.now() + period)
+        if self.exact:
+            self.clock.sleep_until(self.clock.now() + period)
         return list(self.drive.values)
 
+    def engage(self, mode) -> None:
+        self.drive.engage(mode)
+        while not self.drive.engaged:
+            self.cycle()
+
+    def wait_until(self, reached, limit: float = 10.0) -> float:
+        """Leave the bus alone until the far end has got there; the seconds it took."""
+        began = self.clock.now()
+        while not reached():
+            assert self.clock.now() - began < limit
+            if self.exact:
+                self.clock.sleep_until(self.clock.now() + 0.001)
+        return self.clock.now() - began
+
+    def transfer(self, request: str) -> str:
+        """One SDO transfer without the driver, frames in hex."""
+        if self.port.bus is None:
+            self.port.open()
+        came: list[str] = []
+        self.port.listen(0x580 + self.node, lambda data, _time: came.append(data.hex()))
+        self.port.send(0x600 + self.node, bytes.fromhex(request))
+        assert self.port.pump_until(lambda: bool(came), self.clock.now() + ANSWER_S)
+        return came[0]
+
     def sent(self, identifier: int) -> list[bytes]:
-        return [frame.data for side, frame in self.tape if side == "host" and frame.identifier == identifier]
+        return [frame.data for frame in self.tape if frame.identifier == identifier]
+
+    def close(self) -> None:
+        self.drive.close()
+        if self.port.bus is not None:  # opened by `transfer`
+            self.port.close()
+        assert self.port.bus is None
 
 
 def q_axis(per_mille: int) -> float:

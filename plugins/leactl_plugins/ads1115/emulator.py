@@ -2,8 +2,11 @@
 
 from collections.abc import Callable
 
+from leactl.driver.far_end import RegisterStore
+
 CONVERSION, CONFIG, LOW, HIGH = range(4)
 _OS, _SINGLE = 0x8000, 0x0100
+_SEEN = 0x0004  # COMP_LAT, without effect while the comparator is off
 _FULL_SCALE = (6.144, 4.096, 2.048, 1.024, 0.512, 0.256, 0.256, 0.256)
 _RATE = (8, 16, 32, 64, 128, 250, 475, 860)
 _PAIRS = ((0, 1), (0, 3), (1, 3), (2, 3))
@@ -20,6 +23,8 @@ class Ads1115Emulator:
         self._registers = [0x0000, 0x8583, 0x8000, 0x7FFF]
         self._ends: float | None = None
         self._sampled = 0
+        self._shown: int | None = None  # the config that a store holds, as far as is known here
+        self._answering = False  # the store's last word was a start
 
     def read(self, register: int, now: float) -> int:
         """Read a register."""
@@ -36,6 +41,27 @@ class Ads1115Emulator:
         self._registers[register & 3] = value & 0xFFFF
         if register == CONFIG and (value & _OS or not value & _SINGLE) and self._ends is None:
             self._begin(now)
+
+    def keep(self, store: RegisterStore, now: float) -> None:
+        """Stand behind a plain store, for single shots: begin what the host wrote there, put the result there in time.
+
+        The host starts conversion after conversion with the same word. What is shown meanwhile and afterwards therefore
+        differs from that word in one bit, so that a start is whatever differs from what was shown.
+        """
+        if self._shown is None:
+            self._shown = self.read(CONFIG, now)
+            for register, value in enumerate(self._registers):
+                store.write(register, value)
+            return
+        asked = store.read(CONFIG)
+        if asked != self._shown:
+            self.write(CONFIG, asked, now)
+            self._shown, self._answering = asked, bool(asked & _OS)
+        held = self.read(CONFIG, now) ^ _SEEN
+        if self._answering and held != self._shown:
+            store.write(CONVERSION, self._registers[CONVERSION])
+            store.write(CONFIG, held)
+            self._shown = held
 
     def _begin(self, now: float) -> None:
         config = self._registers[CONFIG]

@@ -76,9 +76,7 @@ class ElmoCan(Driver):
         trouble = "no time was left"
         while self._clock.now() < until:
             try:
-                if self._port.bus is None:
-                    self._port.reopen()
-                    self._attach()
+                self._connect()
                 self._send_demand(cia402.DISABLE_VOLTAGE)
                 self._port.sync()
                 self._sdo.write(0x6040, 0, "u16", cia402.DISABLE_VOLTAGE)
@@ -105,9 +103,7 @@ class ElmoCan(Driver):
         ------
         DeviceError : the drive is absent, another one, or refuses a setting; `DeviceFault` where it is in fault.
         """
-        self._port.open()
-        self._opened = True
-        self._attach()
+        self._connect()
         self._check_identity()
         self._leave_fault()
         self._read_scales()
@@ -269,9 +265,14 @@ class ElmoCan(Driver):
 
     # -- set-up ------------------------------------------------------------------------------------------------------
 
-    def _attach(self) -> None:
-        for identifier, listener in self._identifiers().items():
-            self._port.listen(identifier, listener)
+    def _connect(self) -> None:
+        if not self._opened:
+            self._port.open()
+            self._opened = True
+            for identifier, listener in self._identifiers().items():
+                self._port.listen(identifier, listener)
+        elif self._port.bus is None:
+            self._port.reopen()
 
     def _identifiers(self) -> dict[int, Any]:
         return {

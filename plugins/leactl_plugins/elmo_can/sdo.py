@@ -1,5 +1,6 @@
 """SDO transfers over a port without threads: `canopen`'s client, whose wait for an answer pumps the port."""
 
+import logging
 import queue
 import struct
 from typing import Any
@@ -13,6 +14,9 @@ from leactl.errors import DeviceError, NoAnswer
 FORMATS = {"u8": "<B", "i8": "<b", "u16": "<H", "i16": "<h", "u32": "<I", "i32": "<i"}
 
 
+logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it would say on stderr is raised here as an error
+
+
 class _PumpedQueue(queue.Queue[bytes]):
     def __init__(self, port: CanPort) -> None:
         super().__init__()
@@ -23,6 +27,11 @@ class _PumpedQueue(queue.Queue[bytes]):
             deadline = self._port.clock.now() + (timeout or 0.0)
             self._port.pump_until(lambda: not self.empty(), deadline)
         return super().get(block=False)
+
+    def clear(self) -> None:
+        """Drop what nobody waits for: `canopen` would put a plain queue in its place, whose wait pumps nothing."""
+        while not self.empty():
+            super().get(block=False)
 
 
 class _Sender:
@@ -42,7 +51,7 @@ class Sdo:
         self._node = node
         self._client = SdoClient(0x600 + node, 0x580 + node, ObjectDictionary())
         self._client.network = _Sender(port)
-        self._client.responses = _PumpedQueue(port)
+        self._answers = self._client.responses = _PumpedQueue(port)
         self._client.RESPONSE_TIMEOUT = timeout_s
 
     def on_frame(self, data: bytearray, timestamp: float) -> None:
@@ -89,6 +98,7 @@ class Sdo:
             raise DeviceError(f"node {self._node}: 0x{index:04X}:{sub} holds {held} after {value} was written")
 
     def _guard(self, index: int, sub: int, call: Any, *arguments: Any) -> Any:
+        self._answers.clear()
         try:
             return call(*arguments)
         except SdoAbortedError as error:

@@ -1,0 +1,64 @@
+"""Benches on every transport there is; a test that needs emulated time or a broken bus makes its own in-process one."""
+
+import pytest
+
+from leactl.bench.benchfile import CanBus
+from leactl.bench.wiring import MachineWiring
+
+from .adc_bench import AdcBench
+from .elmo_bench import ElmoBench
+from .transports import CAN, I2C, CanElsewhere, CanInProcess, FarEndProcess, I2cElsewhere, I2cInProcess, can_place
+from .transports import i2c_place as place_of_stub
+
+
+@pytest.fixture(scope="session")
+def far_end_process():
+    """Processes by transport, each started once."""
+    running = {}
+
+    def start(kind, transport):
+        if (kind, transport) not in running:
+            place = place_of_stub() if kind == "i2c" else can_place(transport)
+            if transport == "udp_multicast":
+                try:
+                    MachineWiring().can("can0", CanBus(kind="can", **place))().shutdown()
+                except OSError as error:
+                    pytest.skip(f"no IP multicast here: {error}")
+            running[kind, transport] = FarEndProcess(kind, place), place
+        return running[kind, transport]
+
+    yield start
+    for process, _place in running.values():
+        process.end()
+
+
+@pytest.fixture(params=CAN)
+def make_bench(request, far_end_process):
+    """Make a drive's bench with these settings; it is let go at the end."""
+    made = []
+
+    def make(**settings):
+        name = request.param
+        wire = CanInProcess() if name == "in_process" else CanElsewhere(*far_end_process("can", name))
+        made.append(ElmoBench(wire=wire, **settings))
+        return made[-1]
+
+    yield make
+    for bench in made:
+        bench.close()
+
+
+@pytest.fixture(params=I2C)
+def make_adc(request, far_end_process):
+    """Make a converter's bench with these inputs; it is let go at the end."""
+    made = []
+
+    def make(*inputs, **options):
+        name = request.param
+        wire = I2cInProcess() if name == "in_process" else I2cElsewhere(*far_end_process("i2c", name))
+        made.append(AdcBench(*inputs, wire=wire, **options))
+        return made[-1]
+
+    yield make
+    for bench in made:
+        bench.adc.close()

@@ -1,0 +1,95 @@
+"""Far ends that fail on request; arguments and answers are plain JSON values, so that a request may cross processes."""
+
+import math
+
+from leactl_plugins.ads1115.emulator import Ads1115Emulator
+from leactl_plugins.elmo_can.emulator import ElmoEmulator
+
+from leactl.driver.far_end import Frame
+from leactl.emulation.wires import CanWire
+
+RATED_MA = 11186
+COUNTS = 40000
+
+
+class Shaft:
+    """A machine that reports what it was told last, exactly."""
+
+    voltage = 3.25
+    bus_voltage = 29.6
+
+    def __init__(self) -> None:
+        self.following = ("off", 0.0)
+        self.velocity, self.angle = 0.0, 0.25
+
+    def command(self, mode: str, value: float) -> None:
+        self.following = (mode, value)
+
+    def read(self) -> tuple[float, float, float]:
+        mode, value = self.following
+        return (value if mode == "current" else 0.0), self.velocity, self.angle
+
+
+class FailingDrive(ElmoEmulator):
+    """A drive alone on its wire, on a shaft; `fault` is its own already."""
+
+    def __init__(self, wire: CanWire, node: int = 1) -> None:
+        self.shaft = Shaft()
+        super().__init__(node, self.shaft, rated_current_ma=RATED_MA, counts_per_turn=COUNTS)
+        self._wire = wire
+        self._deaf: set[int] = set()
+        wire.devices.clear()
+        wire.cut = False
+        wire.attach(self)
+
+    def freeze(self) -> None:
+        """Stop answering and sending."""
+        self.frozen = True
+
+    def leave_operation(self) -> None:
+        """Fall back to switch-on disabled, as Gold drives do after a lapse of their bus."""
+        self._go("disabled")
+
+    def lack(self, index: int, sub: int) -> None:
+        """Be a firmware without this object."""
+        del self._entries[index, sub]
+
+    def ignore_writes(self, index: int) -> None:
+        """Confirm writes to this object and forget them."""
+        self._deaf.add(index)
+
+    def cut_cable(self) -> None:
+        """Let nothing through, either way."""
+        self._wire.cut = True
+
+    def say(self, identifier: int, data: str) -> None:
+        """Send a frame that nobody asked for behind the next answer; its data in hex."""
+        self._emergencies.append(Frame(identifier, bytes.fromhex(data)))
+
+    def follows(self) -> list:
+        """Mode and setpoint that the shaft was told last."""
+        return list(self.shaft.following)
+
+    def _download(self, index: int, sub: int, raw: bytes, now: float) -> None:
+        if index not in self._deaf:
+            super()._download(index, sub, raw, now)
+
+
+class FailingConverter(Ads1115Emulator):
+    """A converter whose pins are at chosen voltages."""
+
+    def __init__(self, clock_error: float = 0.0) -> None:
+        self._volts = [0.0, 0.0, 0.0, 0.0]
+        super().__init__(lambda pin: self._volts[pin], clock_error=clock_error)
+        self._stalled = False
+
+    def apply(self, *volts: float) -> None:
+        """Put these voltages at the pins from A0 on."""
+        self._volts[: len(volts)] = volts
+
+    def stall(self) -> None:
+        """Never end another conversion."""
+        self._stalled = True
+
+    def _finish(self, now: float) -> None:
+        super()._finish(-math.inf if self._stalled else now)

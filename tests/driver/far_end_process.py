@@ -1,0 +1,84 @@
+"""A far end in a process of its own, on a real bus: `python -m tests.driver.far_end_process can|i2c PLACE`.
+
+Requests come as lines of JSON on stdin, [name, arguments], and each is answered by one line; the end of stdin ends it.
+"""
+
+import json
+import os
+import select
+import sys
+import time
+
+from leactl.bench.benchfile import CanBus
+from leactl.bench.wiring import MachineWiring
+from leactl.emulation.clock import EmulatedClock
+from leactl.emulation.serving import CanBridge, StubChip, serve, stub_bus
+from leactl.emulation.wires import CanWire
+from tests.driver.failing import FailingConverter, FailingDrive
+
+CHIP = 0x48
+
+
+class Requests:
+    """What the test asks for: a new device, a look at the bus, or a method of the device."""
+
+    def __init__(self, make, look):
+        self._make, self._look = make, look
+        self._device = None
+        self._line = b""
+
+    def stop(self):
+        """Answer what has come; true at the end of stdin."""
+        while select.select([sys.stdin], [], [], 0)[0]:
+            read = os.read(sys.stdin.fileno(), 4096)
+            if not read:
+                return True
+            *lines, self._line = (self._line + read).split(b"\n")
+            for line in lines:
+                print(json.dumps(self._answer(*json.loads(line))), flush=True)
+        return False
+
+    def _answer(self, name, arguments):
+        if name == "new":
+            self._look()  # frames meant for the device before
+            self._device = self._make(*arguments)
+            self._look()
+            return None
+        if name == "look":
+            return self._look()
+        return getattr(self._device, name)(*arguments)
+
+
+def serve_drive(place):
+    clock = EmulatedClock()
+    wire = CanWire(clock)
+    bus = MachineWiring().can("can0", CanBus(kind="can", **place))()
+    bridge = CanBridge("", bus, wire)
+    print(json.dumps("ready"), flush=True)
+    try:
+        serve(clock, [bridge], [], Requests(lambda node: FailingDrive(wire, node), bridge.carry).stop)
+    finally:
+        bridge.close()
+
+
+def serve_converter(place):
+    clock = EmulatedClock()
+    stub = stub_bus(place["number"])
+    chips = [StubChip(stub, CHIP, FailingConverter())]
+    began = time.monotonic()
+
+    def make(clock_error):
+        converter = FailingConverter(clock_error)
+        chips[0] = StubChip(stub, CHIP, converter)
+        return converter
+
+    def look():
+        clock.sleep_until(time.monotonic() - began)
+        chips[0].carry(clock.now())
+
+    print(json.dumps("ready"), flush=True)
+    serve(clock, [], chips, Requests(make, look).stop)
+
+
+if __name__ == "__main__":
+    {"can": serve_drive, "i2c": serve_converter}[sys.argv[1]](json.loads(sys.argv[2]))

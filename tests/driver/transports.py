@@ -1,0 +1,144 @@
+"""Ways from a driver to its far end: in this process on emulated time, or in another process on a real bus.
+
+LEACTL_TEST_CAN=INTERFACE:CHANNEL (as in socketcan:vcan0) and LEACTL_TEST_I2C=NUMBER (of an i2c-stub with a chip at
+0x48) add the buses of this machine's kernel.
+"""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+
+from leactl.bench.benchfile import CanBus, I2cBus
+from leactl.bench.wiring import MachineWiring
+from leactl.driver.clock import MonotonicClock
+from leactl.emulation.clock import EmulatedClock
+from leactl.emulation.wires import CanWire, EmulatedCanBus, EmulatedI2cBus
+from tests.driver.failing import FailingConverter, FailingDrive
+
+ROOT = Path(__file__).parents[2]
+CAN = ["in_process", "udp_multicast", *(["kernel"] if "LEACTL_TEST_CAN" in os.environ else [])]
+I2C = ["in_process", *(["kernel"] if "LEACTL_TEST_I2C" in os.environ else [])]
+
+
+class CanInProcess:
+    """An emulated wire; every answer is there when `send` returns, and time passes only by waiting."""
+
+    exact = True
+    settings = {}
+
+    def __init__(self):
+        self.clock = EmulatedClock()
+        self.wire = CanWire(self.clock)
+
+    def connect(self):
+        return EmulatedCanBus(self.wire)
+
+    def drive(self, node):
+        return FailingDrive(self.wire, node)
+
+
+class CanElsewhere:
+    """A real bus; other load on the machine may hold up either side, so the times allowed are long."""
+
+    exact = False
+    settings = {"consumer_heartbeat_ms": 5000, "sdo_timeout_s": 5.0}
+
+    def __init__(self, process, place):
+        self.clock = MonotonicClock()
+        self.connect = MachineWiring().can("can0", CanBus(kind="can", **place))
+        self._process = process
+
+    def drive(self, node):
+        self._process.ask("new", node)
+        return FarEnd(self._process)
+
+
+class I2cInProcess:
+    exact = True
+
+    def __init__(self):
+        self.clock = EmulatedClock()
+        self.bus = EmulatedI2cBus(self.clock)
+
+    def connect(self):
+        return self.bus
+
+    def converter(self, clock_error):
+        self.bus.devices[0x48] = FailingConverter(clock_error)
+        return self.bus.devices[0x48]
+
+    def look(self):
+        """Nothing: the far end is called by the transfer itself."""
+
+
+class I2cElsewhere:
+    exact = False
+
+    def __init__(self, process, place):
+        self.clock = MonotonicClock()
+        self.connect = MachineWiring().i2c("i2c-1", I2cBus(kind="i2c", **place))
+        self._process = process
+
+    def converter(self, clock_error):
+        self._process.ask("new", clock_error)
+        return FarEnd(self._process)
+
+    def look(self):
+        """Bring the store up to now: it tells nobody what was written, and the far end's own look may come late."""
+        self._process.ask("look")
+
+
+class FarEnd:
+    """The device in the other process; its methods are asked for there."""
+
+    def __init__(self, process):
+        self._process = process
+
+    def __getattr__(self, name):
+        return partial(self._process.ask, name)
+
+
+class FarEndProcess:
+    """A process with one far end on a real bus."""
+
+    def __init__(self, kind, place):
+        command = [sys.executable, "-m", "tests.driver.far_end_process", kind, json.dumps(place)]
+        self._process = subprocess.Popen(
+            command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
+        )
+        assert self._answer() == "ready"
+
+    def ask(self, name, *arguments):
+        self._process.stdin.write(json.dumps([name, arguments]) + "\n")
+        return self._answer()
+
+    def _answer(self):
+        line = self._process.stdout.readline()
+        assert line, f"the far end's process ended with status {self._process.wait()}"
+        return json.loads(line)
+
+    def end(self):
+        with suppress(BrokenPipeError):
+            self._process.stdin.close()
+        status = self._process.wait()
+        self._process.stdout.close()
+        assert status == 0
+
+
+def can_place(transport):
+    if transport == "kernel":
+        interface, _, channel = os.environ["LEACTL_TEST_CAN"].partition(":")
+        return {"interface": interface, "channel": channel}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:  # a port of our own: other tests may run beside
+        free.bind(("", 0))
+        port = free.getsockname()[1]
+    return {"interface": "udp_multicast", "channel": "239.74.163.2", "options": {"port": port}}
+
+
+def i2c_place():
+    return {"number": int(os.environ["LEACTL_TEST_I2C"])}
