@@ -48,7 +48,9 @@ class SupervisedBench(ElmoBench):
 
 @pytest.fixture
 def bench():
-    return SupervisedBench()
+    bench = SupervisedBench()
+    yield bench
+    bench.drive.close()
 
 
 def test_a_setpoint_inside_the_limits_reaches_the_drive(bench):
