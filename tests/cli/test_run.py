@@ -81,11 +81,6 @@ def test_an_absent_bus_is_status_5_in_one_line(here):
 
 
 def test_an_acceptance_limit_that_is_not_met_is_status_6(here):
-    (here / "strict.yaml").write_text(
-        SPIN.replace("setup: free\n", "setup: free\nanalysis: friction\n").replace(
-            "steps:\n", 'acceptance:\n  - {result: r_squared, low: 1.5, unit: "1"}\nsteps:\n'
-        )
-    )
     shipped = leactl("protocol", "show", "friction").stdout
     text = shipped + "\nacceptance:\n  - {result: coulomb_friction, low: 5, unit: N*m}\n"
     (here / "strict.yaml").write_text(text)
@@ -93,6 +88,18 @@ def test_an_acceptance_limit_that_is_not_met_is_status_6(here):
     assert done.returncode == 6, done.stderr
     assert "acceptance: coulomb_friction is 0.2" in done.stderr
     assert json.loads(done.stdout)["acceptance"][0]["met"] is False
+
+
+def test_a_run_that_does_not_answer_has_not_met_its_limit(here):
+    acceptance = "analysis: friction\nacceptance:\n  - {result: coulomb_friction, low: 0.1, unit: N*m}\nsteps:\n"
+    (here / "strict.yaml").write_text(SPIN.replace("steps:\n", acceptance))
+    done = leactl("run", "strict.yaml", "--json")
+    assert done.returncode == 6, done.stderr
+    answer = json.loads(done.stdout)
+    assert answer["status"] == "complete"
+    assert answer["acceptance"] == [{"result": "coulomb_friction", "value": None, "units": "N*m", "met": False}]
+    assert done.stderr.startswith("leactl: acceptance: coulomb_friction is not known, 0.1 to inf was required: ")
+    assert len(done.stderr.splitlines()) == 1
 
 
 def start(*arguments):
