@@ -24,12 +24,10 @@ class CanWire:
         self.hosts: list[EmulatedCanBus] = []
         self.cut = False  # the cable is out: nothing arrives, on either side
         clock.follow(self._pass_time)
-        self._due = float("-inf")
 
     def attach(self, device: CanEmulator) -> None:
         """Put a device on the segment."""
         self.devices.append(device)
-        self._due = float("-inf")
 
     def from_host(self, frame: Frame, sender: "EmulatedCanBus") -> None:
         """Deliver a host's frame, and what it makes the devices say."""
@@ -39,20 +37,17 @@ class CanWire:
         answers: list[Frame] = []
         for device in self.devices:
             answers += device.receive(frame, now)
-        self._due = float("-inf")
         for host in self.hosts:
             if host is not sender:
                 host.arrived.append(frame)
         self._to_hosts(answers)
 
     def _pass_time(self, now: float) -> None:
-        if now < self._due:
-            return
         frames: list[Frame] = []
         for device in self.devices:
-            frames += device.tick(now)
-        self._due = min((device.due for device in self.devices), default=float("inf"))
-        if not self.cut:
+            if now >= device.due:
+                frames += device.tick(now)
+        if frames and not self.cut:
             self._to_hosts(frames)
 
     def _to_hosts(self, frames: list[Frame]) -> None:

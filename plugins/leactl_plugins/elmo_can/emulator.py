@@ -5,6 +5,7 @@ Frames in, frames out; no transport, no threads. It shares with the driver only 
 
 import math
 import struct
+from typing import NamedTuple
 
 from leactl.driver.far_end import Frame, Machine
 from leactl_plugins.elmo_can.dictionary import (
@@ -27,6 +28,17 @@ _FOLLOW = {4: "current", 8: "angle", 9: "velocity", 10: "current"}
 _WORD = {"disabled": 0x0240, "ready": 0x0231, "on": 0x0233, "enabled": 0x0637, "quick": 0x0617, "fault": 0x0218}
 _ABORT_BAD_COMMAND = 0x05040001
 _FOREIGN_COB_MASK = 0x7FF
+_CONTROLWORD = (0x6040, 0)
+_CODES = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "i32": "i"}
+
+
+class _Pdo(NamedTuple):
+    """A PDO as it is mapped now."""
+
+    identifier: int
+    kind: int
+    objects: list[tuple[int, int]]
+    layout: struct.Struct
 
 
 class ElmoEmulator:
@@ -56,8 +68,8 @@ class ElmoEmulator:
         self.state = "disabled"
         self.frozen = False  # a drive that has stopped answering
         self._pending: dict[int, bytes] = {}
-        self._receive: list[tuple[int, int, list[tuple[tuple[int, int], int]]]] = []
-        self._transmit: list[tuple[int, int, list[tuple[tuple[int, int], int]]]] = []
+        self._receive: list[_Pdo] = []
+        self._transmit: list[_Pdo] = []
         self._next_heartbeat = math.inf
         self._host_deadline = math.inf
         self._booted = False
@@ -66,8 +78,8 @@ class ElmoEmulator:
 
     @property
     def due(self) -> float:
-        """Time of the next heartbeat, or of the host's heartbeat running out."""
-        if not self._booted:
+        """Time of the next heartbeat, of the host's heartbeat running out, or now with an emergency to tell."""
+        if not self._booted or self._emergencies:
             return -math.inf
         return min(self._next_heartbeat, self._host_deadline)
 
@@ -225,56 +237,50 @@ class ElmoEmulator:
         self._transmit = self._plan(0x1800, 0x1A00)
         self._pending.clear()
 
-    def _plan(self, communication: int, mapping: int) -> list[tuple[int, int, list[tuple[tuple[int, int], int]]]]:
+    def _plan(self, communication: int, mapping: int) -> list[_Pdo]:
         plan = []
         for number in range(4):
             identifier = self._values[communication + number, 1]
             count = self._values[mapping + number, 0]
             if identifier & 0x80000000 or not count:
                 continue
-            fields = []
-            for slot in range(1, count + 1):
-                entry = self._values[mapping + number, slot]
-                fields.append(((entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8))
-            plan.append((identifier & 0x7FF, self._values[communication + number, 2], fields))
+            entries = [self._values[mapping + number, slot] for slot in range(1, count + 1)]
+            objects = [(entry >> 16, entry >> 8 & 0xFF) for entry in entries]
+            layout = struct.Struct("<" + "".join(_CODES[self._entries[key].kind] for key in objects))
+            plan.append(_Pdo(identifier & 0x7FF, self._values[communication + number, 2], objects, layout))
         return plan
 
     def _demand(self, identifier: int, data: bytes) -> list[Frame]:
-        for known, kind, fields in self._receive:
-            if known == identifier:
-                if len(data) < sum(size for _key, size in fields):
+        for pdo in self._receive:
+            if pdo.identifier == identifier:
+                if len(data) < pdo.layout.size:
                     self._emergencies.append(Frame(0x080 + self.node, struct.pack("<HBB4x", 0x8210, 0x21, 0)))
-                elif kind >= 254:
-                    self._apply(fields, data)
+                elif pdo.kind >= 254:
+                    self._apply(pdo, data)
                     self._follow()
                 else:
                     self._pending[identifier] = data
         return self._flush()
 
-    def _apply(self, fields: list[tuple[tuple[int, int], int]], data: bytes) -> None:
-        position = 0
-        for key, size in fields:
-            signed = self._entries[key].kind[0] == "i"
-            value = int.from_bytes(data[position : position + size], "little", signed=signed)
-            position += size
+    def _apply(self, pdo: _Pdo, data: bytes) -> None:
+        for key, value in zip(pdo.objects, pdo.layout.unpack_from(data), strict=True):
             previous, self._values[key] = self._values[key], value
-            if key == (0x6040, 0):
+            if key == _CONTROLWORD:
                 self._control(previous, value)
 
     def _sync(self) -> list[Frame]:
         if self._pending:
-            for identifier, _kind, fields in self._receive:
-                data = self._pending.pop(identifier, None)
+            for pdo in self._receive:
+                data = self._pending.pop(pdo.identifier, None)
                 if data is not None:
-                    self._apply(fields, data)
+                    self._apply(pdo, data)
             self._follow()
         self._sample()
         values = self._values
         frames = []
-        for identifier, kind, fields in self._transmit:
+        for identifier, kind, objects, layout in self._transmit:
             if kind <= 240:
-                data = b"".join([(values[key] & (1 << 8 * size) - 1).to_bytes(size, "little") for key, size in fields])
-                frames.append(Frame(identifier, data))
+                frames.append(Frame(identifier, layout.pack(*[values[key] for key in objects])))
         return frames + self._flush() if self._emergencies else frames
 
     # -- machine -----------------------------------------------------------------------------------------------------
@@ -284,7 +290,8 @@ class ElmoEmulator:
         values = self._values
         per_mille = max(-0x8000, min(0x7FFF, round(current / self._q_per_mille)))
         values[0x6077, 0] = values[0x6078, 0] = per_mille
-        values[0x6064, 0] = round(angle * self._counts_per_rad)
+        counts = round(angle * self._counts_per_rad)
+        values[0x6064, 0] = (counts + 0x80000000 & 0xFFFFFFFF) - 0x80000000  # 32 bits, going round
         values[0x606C, 0] = round(velocity * self._counts_per_rad)
         values[0x6041, 0] = _WORD[self.state]
         values[0x6061, 0] = values[0x6060, 0]
