@@ -1,0 +1,72 @@
+"""`python -m tests.coverage_of_intervals DIRECTORY`: runs, analyses and figures; status 1 where a limit is not met."""
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes share the cores already
+
+from leactl.analysis.estimate import Estimate
+from leactl.analysis.experiments import analyze_runs
+from leactl.bench import benchfile
+from leactl.model.motor import load_motor
+
+from .judgement import Judgement, judge
+from .rehearsal import CONDITIONS, Rehearsal, rehearse, wanted
+
+HEAD = f"{'result':28}{'condition':10}{'seeds':>6}" + "".join(
+    f"{word:>10}" for word in ("covered", "mean", "worst", "bias", "scatter", "printed")
+)
+
+
+def main() -> int:
+    """Parse, run, judge, print."""
+    parser = argparse.ArgumentParser(prog="python -m tests.coverage_of_intervals", description=__doc__)
+    parser.add_argument("directory", type=Path, help="where the runs are kept; those that are there are not run again")
+    parser.add_argument("--seeds", type=int, default=200)
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
+    asked = parser.parse_args()
+    asked.directory.mkdir(parents=True, exist_ok=True)
+    rehearsals = wanted(asked.directory, asked.seeds)
+    for count, made in enumerate(rehearse(rehearsals, asked.processes), start=1):
+        print(f"{count}: {made.path.name}", file=sys.stderr)
+    judgements = judged(rehearsals)
+    print(HEAD)
+    for item in judgements:
+        errors = (item.mean_error, item.worst_error, item.bias, item.scatter, item.printed)
+        shown = "".join(f"{error:10.4%}" for error in errors)
+        print(f"{item.name:28}{item.condition:10}{item.seeds:6}{item.covered:10.1%}{shown}")
+    faults = [fault for item in judgements for fault in item.faults]
+    for fault in faults:
+        print(fault)
+    return 1 if faults else 0
+
+
+def judged(rehearsals: list[Rehearsal]) -> list[Judgement]:
+    """Every result that has a true value, under every condition."""
+    estimates: dict[tuple[str, str], list[Estimate]] = {}
+    for rehearsal in rehearsals:
+        for item in analyze_runs([rehearsal.path]).results:
+            estimates.setdefault((item.name, rehearsal.condition), []).append(item)
+    true = {(name, label): value for label in CONDITIONS for name, value in true_values(label).items()}
+    return [judge(name, label, true[name, label], estimates[name, label]) for name, label in sorted(true)]
+
+
+def true_values(condition: str) -> dict[str, float]:
+    """What the emulated bench is made of, by the name of the result that estimates it."""
+    file, _, _ = benchfile.load("emulated")
+    assert file.emulated is not None
+    motor = load_motor(file.motors["test"])[0]
+    plant = {"torque_constant": motor.torque_constant, **file.emulated.conditions[condition]}
+    sides = {"torque_constant": ("rising", "falling")}
+    named = {name: value for name, value in plant.items() if name in ("viscous_damping", "coulomb_friction")}
+    named["torque_constant"] = plant["torque_constant"]
+    each = {
+        f"{name}_{side}": value for name, value in named.items() for side in sides.get(name, ("forward", "backward"))
+    }
+    return named | each | {"sticking_torque": plant["coulomb_friction"]}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,35 @@
+"""The judge of the intervals itself: what it counts and what it refuses."""
+
+import pytest
+
+from leactl.analysis.estimate import Estimate
+
+from .judgement import judge
+
+
+def estimates(values, half=0.5):
+    return [Estimate("viscous_damping", value, half / 2, value - half, value + half, "N*m*s/rad") for value in values]
+
+
+def test_shares_and_errors_are_counted():
+    found = judge("viscous_damping", "design", 10.0, estimates([10.0, 10.4, 9.8, 10.6]))
+    assert found.covered == 0.75
+    assert found.worst_error == pytest.approx(0.06)
+    assert found.mean_error == pytest.approx(0.03)
+    assert found.bias == pytest.approx(0.02)
+    assert found.printed == pytest.approx(0.025)
+
+
+@pytest.mark.parametrize(
+    ("outside", "fault"), [(1, "in 99.0% of seeds, not 92% to 98%"), (9, "in 91.0% of seeds"), (5, None)]
+)
+def test_too_many_and_too_few_are_faults(outside, fault):
+    values = [10.0] * (100 - outside) + [10.2] * outside
+    found = judge("viscous_damping", "design", 10.0, estimates(values, half=0.1)).faults
+    assert found == [] if fault is None else fault in found[0]
+
+
+def test_a_seed_far_off_is_a_fault_and_results_without_a_limit_have_none():
+    values = [10.0] * 95 + [10.31] * 5
+    assert "off by 3.10%, 3.0% are allowed" in judge("viscous_damping", "design", 10.0, estimates(values)).faults[-1]
+    assert judge("sticking_torque", "design", 10.0, estimates(values)).faults == []
