@@ -10,7 +10,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import typer
 
 from leactl import __version__
-from leactl.cli import analyze, bench, demo, doctor, driver, motor, protocol, run, runs
+from leactl.cli import analyze, bench, demo, doctor, driver, gap, motor, protocol, run, runs
 from leactl.errors import InputError, LeactlError, Stopped
 
 app = typer.Typer(
@@ -24,6 +24,7 @@ app = typer.Typer(
 app.command("analyze")(analyze.analyze)
 app.add_typer(bench.app, name="bench")
 app.add_typer(driver.app, name="driver")
+app.add_typer(gap.app, name="gap")
 app.add_typer(motor.app, name="motor")
 app.add_typer(protocol.app, name="protocol")
 app.add_typer(runs.app, name="runs")

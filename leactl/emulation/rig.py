@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from leactl.emulation.actuator import Actuator
-from leactl.emulation.effects.contract import Effect
+from leactl.emulation.effects.contract import RIG_HOOKS, Effect, own_hooks
 from leactl.emulation.noise import Noise
 from leactl.emulation.parameters import ActuatorParameters, BenchParameters
 from leactl.emulation.propagator import TICK, TOP_LEVEL, Propagator
@@ -63,6 +63,10 @@ class Rig:
             raise InputError(f"setup {setup!r} is unknown; known are {', '.join(SETUPS)}")
         self.setup, self.time, self.bench = setup, 0.0, bench or BenchParameters()
         self.effects = tuple(effects)
+        beyond = [effect for effect in self.effects if not set(own_hooks(effect)) <= set(RIG_HOOKS)]
+        if beyond:
+            names = ", ".join(type(effect).__module__.rsplit(".", 1)[-1] for effect in beyond)
+            raise InputError(f"effect {names}: only the stepped plant has a form for it, the emulated bench has none")
         self.noise = Noise(seed)
         self.heater_current = 0.0  # A, DC through two leads of the test actuator, heated setup only
         first, second = test or ActuatorParameters(), load or ActuatorParameters()

@@ -153,7 +153,7 @@ def test_every_fault_of_a_mapping_is_named():
 
 
 def test_unknown_effect_names_the_known_ones():
-    with pytest.raises(InputError, match="cogging, current_sensor_gain"):
+    with pytest.raises(InputError, match="cogging, command_slew_limit"):
         make_effect("coging")
     assert {"cogging", "torque_sensor_gain", "torque_sensor_offset"} <= set(known_effects())
 

@@ -1,0 +1,181 @@
+"""What a case holds: its kind, its effects and how strong they are, its runs with their programs and temperatures."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from leactl import yamlfile
+from leactl.emulation.blind.bases import Base, draw_base
+from leactl.emulation.blind.programs import DRAWN, RUN_KINDS, SETUPS, heating
+from leactl.emulation.effects import make_effect
+from leactl.emulation.effects.contract import Effect
+from leactl.emulation.stepped_lanes import Array, Lane
+from leactl.emulation.stepped_run import Program
+from leactl.emulation.stepped_sensors import Spread
+from leactl.emulation.unlisted import unlisted_effects
+from leactl.emulation.unlisted.drawn import Unlisted
+from leactl.vocabulary.effect import effect_definition, effect_names
+
+Generator = np.random.Generator
+KINDS = ("none", "single", "pair", "unknown")
+STRENGTHS = {"faint": (0.0, 0.2), "plain": (0.4, 0.65), "strong": (0.8, 1.0)}  # of the scale in strengths.yaml
+REPEATS = ("a", "b")
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One effect of a case."""
+
+    name: str
+    strength: str
+    effect: Effect
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class RunDraw:
+    """One run of a case: where it starts and what is asked for."""
+
+    name: str  # locked_staircase-a
+    kind: str
+    lane: Lane
+    program: Program | Array  # an array is the current of a heated run
+    seed: int
+
+
+@dataclass(frozen=True)
+class Case:
+    """One bench, its departures, its ten runs."""
+
+    name: str
+    kind: str
+    effects: tuple[Drawn, ...]
+    base: Base
+    spread: Spread
+    runs: tuple[RunDraw, ...]
+
+
+def draw_case(draw: Generator, name: str, kind: str, effects: Sequence[str], strength: str) -> Case:
+    """Draw everything of a case.
+
+    Parameters
+    ----------
+    effects : identifiers of its effects: none, one, two; for `unknown` the name of an effect of leactl's unlisted room.
+    strength : faint, plain or strong.
+    """
+    unlisted = unlisted_effects()
+    drawn = tuple(
+        _draw_unlisted(draw, effect, strength) if effect in unlisted else draw_effect(draw, effect, strength)
+        for effect in sorted(effects)
+    )
+    coefficient = 0.0 if "resistance_temperature" in effects or draw.random() < 0.15 else 0.004
+    base = draw_base(draw, coefficient)
+    spread = _draw_spread(draw)
+    warm = {run: bool(draw.random() < 0.35) for run in RUN_KINDS}  # whether the first of the two runs is the warm one
+    runs = tuple(
+        _draw_run(draw, f"{run}-{repeat}", run, warm[run] == (repeat == "a"), base, spread, drawn)
+        for run in RUN_KINDS
+        for repeat in REPEATS
+    )
+    return Case(name, kind, drawn, base, spread, runs)
+
+
+def draw_effect(draw: Generator, name: str, strength: str) -> Drawn:
+    """Draw an effect's parameters at a strength."""
+    rule, parameters = _rules()[name], {}
+    for parameter, definition in effect_definition(name).parameters.items():
+        low, high = rule.get("others", {}).get(parameter, (definition.low, definition.high))
+        if parameter == rule["size"]:
+            share = draw.uniform(*STRENGTHS[strength])
+            faint, strong = float(rule["faint"]), float(rule["strong"])
+            value = math.copysign(abs(faint) * (strong / faint) ** share, strong)
+            if rule.get("signed") and draw.random() < 0.5:
+                value = -value
+            parameters[parameter] = value + rule.get("about", 0.0)
+        elif parameter == "order":
+            parameters[parameter] = float(round(math.exp(draw.uniform(math.log(low), math.log(high)))))
+        elif low > 0.0:
+            parameters[parameter] = math.exp(draw.uniform(math.log(low), math.log(high)))
+        else:
+            parameters[parameter] = float(draw.uniform(low, high))
+    return Drawn(name, strength, make_effect(name, parameters), parameters)
+
+
+def _draw_unlisted(draw: Generator, name: str, strength: str) -> Drawn:
+    low, high = STRENGTHS[strength]
+    effect = unlisted_effects()[name].drawn(draw, float(draw.uniform(low, high)))
+    parameters = {key: value for key, value in vars(effect).items() if key != "role"}
+    return Drawn(name, strength, effect, parameters)
+
+
+def _draw_spread(draw: Generator) -> Spread:
+    plain = Spread()
+    return Spread(**{name: value * float(draw.uniform(0.85, 1.15)) for name, value in vars(plain).items()})
+
+
+def _draw_run(
+    draw: Generator, name: str, kind: str, warm: bool, base: Base, spread: Spread, drawn: Sequence[Drawn]
+) -> RunDraw:
+    ambient = base.bench.ambient_temperature
+    if kind == "heating":
+        housing = ambient + draw.uniform(0.0, 1.0)
+        winding = housing + draw.uniform(0.0, 0.5)
+    else:
+        housing = ambient + (draw.uniform(20.0, 52.0) if warm else draw.uniform(0.0, 3.0))
+        winding = housing + (draw.uniform(-1.0, 12.0) if warm else draw.uniform(0.0, 1.5))
+    lane = Lane(
+        setup=SETUPS[kind],
+        test=base.test,
+        load=base.load,
+        bench=base.bench,
+        effects=tuple(_in_this_run(draw, own.effect) for own in drawn),
+        angle=float(draw.uniform(0.0, 2 * math.pi)),
+        winding=float(winding),
+        housing=float(housing),
+        fixture=float(ambient + (housing - ambient) * draw.uniform(0.3, 0.9)),
+    )
+    seed = int(draw.integers(0, 2**63))
+    if kind == "heating":
+        return RunDraw(name, kind, lane, heating(draw, warm), seed)
+    program = _steadied(DRAWN[kind](draw), drawn)
+    return RunDraw(name, kind, lane, replace(program, velocity_noise=spread.velocity, seed=seed), seed)
+
+
+def _in_this_run(draw: Generator, effect: Effect) -> Effect:
+    return effect.afresh(draw) if isinstance(effect, Unlisted) else effect
+
+
+def _steadied(program: Program, drawn: Sequence[Drawn]) -> Program:
+    """Lower a servo's gain where an effect makes its loop late or springy, as whoever tunes it would."""
+    if program.servo == "load":
+        springy = any(own.name in ("shaft_compliance", "backlash") for own in drawn)
+        return _with_gain(program, 70.0) if springy else program
+    if program.servo != "test":
+        return program
+    late = 0.0
+    for own in drawn:
+        if own.name in ("transport_delay", "velocity_filter_lag"):
+            late += own.parameters.get("delay", 0.0) + own.parameters.get("time_constant", 0.0)
+        if own.name == "command_slew_limit":
+            late += 5.0 / own.parameters["rate"]  # s that a step of 5 A takes
+    return _with_gain(program, 0.35 / late) if late else program
+
+
+def _with_gain(program: Program, most: float) -> Program:
+    gain = min(program.velocity_gain, most)
+    share = gain / program.velocity_gain
+    return replace(program, velocity_gain=gain, velocity_integral=program.velocity_integral * share * share)
+
+
+@cache
+def _rules() -> dict[str, dict[str, Any]]:
+    text = (resources.files("leactl.emulation.blind") / "strengths.yaml").read_text(encoding="utf-8")
+    rules: dict[str, dict[str, Any]] = yamlfile.parse(text, "strengths.yaml").data
+    if set(rules) != set(effect_names()):
+        raise ValueError(f"strengths.yaml: {sorted(set(rules) ^ set(effect_names()))} on one side only")
+    return rules

@@ -1,0 +1,89 @@
+"""Write a case: ten run files and the nominal model they are to be compared with."""
+
+from pathlib import Path
+
+import numpy as np
+
+from leactl import __version__
+from leactl.emulation.blind.bases import nominal_text
+from leactl.emulation.blind.draws import Case, RunDraw
+from leactl.emulation.stepped_heating import Heated
+from leactl.emulation.stepped_lanes import Array
+from leactl.emulation.stepped_run import Program, Signals
+from leactl.emulation.stepped_sensors import Sensors
+from leactl.quantities import ChannelSpec
+from leactl.runfile.writer import RunInfo, RunWriter
+
+CREATED = "2026-01-01T00:00:00Z"  # the same for all, so that a seed gives the same files and no date tells a batch
+LOOP = {
+    "current_reference": ChannelSpec("current_reference", "q_axis_current_reference", "test", "drive_test"),
+    "current": ChannelSpec("current", "q_axis_current", "test", "drive_test", sampling="mean"),
+    "voltage": ChannelSpec("voltage", "q_axis_voltage", "test", "drive_test", sampling="mean"),
+    "velocity": ChannelSpec("velocity", "velocity", "test", "drive_test"),
+    "angle": ChannelSpec("angle", "angle", "test", "drive_test", dtype="f8"),
+    "bus_voltage": ChannelSpec("bus_voltage", "bus_voltage", "bench", "drive_test"),
+    "torque": ChannelSpec("torque", "torque", "test", "torque_sensor"),
+    "load_current": ChannelSpec("load_current", "q_axis_current", "load", "drive_load"),
+    "load_velocity": ChannelSpec("load_velocity", "velocity", "load", "drive_load"),
+}
+CAMERA = {
+    "winding": ChannelSpec("winding", "winding_temperature", "test", "camera"),
+    "housing": ChannelSpec("housing", "housing_temperature", "test", "camera"),
+    "ambient": ChannelSpec("ambient", "ambient_temperature", "bench", "camera"),
+}
+SUPPLY = {
+    "line_current": ChannelSpec("line_current", "line_current", "test", "supply"),
+    "line_voltage": ChannelSpec("line_voltage", "line_voltage", "test", "supply"),
+}
+
+
+def write_model(folder: Path, case: Case) -> None:
+    """Write `nominal.yaml`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "nominal.yaml").write_text(nominal_text(case.base), encoding="utf-8")
+
+
+def write_moving(folder: Path, case: Case, run: RunDraw, signals: Signals) -> None:
+    """Write a run in which the drives were on."""
+    sensors = Sensors(run.lane, case.spread, run.seed)
+    loop = sensors.loop(signals)
+    specs = dict(LOOP)
+    program = run.program
+    if isinstance(program, Program) and program.velocity is not None:
+        drive = f"drive_{program.servo}"
+        specs["velocity_reference"] = ChannelSpec("velocity_reference", "velocity_reference", program.servo, drive)
+        loop["velocity_reference"] = np.asarray(program.velocity)
+    _write(folder, case, run, {"loop": (specs, loop), "camera": (CAMERA, sensors.camera(signals))})
+
+
+def write_heated(folder: Path, case: Case, run: RunDraw, heated: Heated) -> None:
+    """Write a run in which direct current heated the windings."""
+    camera, supply = Sensors(run.lane, case.spread, run.seed).heated(heated)
+    _write(folder, case, run, {"camera": (CAMERA, camera), "supply": (SUPPLY, supply)})
+
+
+def _write(
+    folder: Path, case: Case, run: RunDraw, streams: dict[str, tuple[dict[str, ChannelSpec], dict[str, Array]]]
+) -> None:
+    info = RunInfo(
+        run_id=f"{case.name}-{run.name}",
+        protocol=run.kind,
+        bench="withheld",
+        actuator="bench-unit",
+        condition="design",
+        operator="",
+        simulated=True,
+        mechanical=run.lane.setup,
+        software=f"leactl {__version__}",
+        created=CREATED,
+        sources={"model": nominal_text(case.base)},
+    )
+    named = {
+        stream: [spec for name, spec in specs.items() if name in channels]
+        for stream, (specs, channels) in streams.items()
+    }
+    with RunWriter(folder, info, named) as writer:
+        for stream, (_, channels) in streams.items():
+            block = np.column_stack([channels[spec.name] for spec in named[stream]])
+            writer.append(stream, channels["time"], block)
+    writer.path.rename(folder / f"{run.name}.h5")

@@ -1,0 +1,130 @@
+"""Make cases: draw them, run all their benches side by side, write runs and key."""
+
+import secrets
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from leactl.emulation.blind.draws import KINDS, STRENGTHS, Case, draw_case
+from leactl.emulation.blind.files import write_heated, write_model, write_moving
+from leactl.emulation.blind.key import write_key
+from leactl.emulation.stepped_heating import heat
+from leactl.emulation.stepped_run import Program, simulate
+from leactl.emulation.unlisted import unlisted_effects
+from leactl.errors import InputError
+from leactl.vocabulary.effect import effect_names
+
+AT_ONCE = 40  # cases; 320 lanes take about 1 GB
+SHARES = {"none": 0.2, "single": 0.5, "pair": 0.15, "unknown": 0.15}  # of the kinds
+
+
+def make(
+    count: int,
+    out: Path,
+    key_dir: Path,
+    seed: int | None = None,
+    kinds: Sequence[str] = KINDS,
+    effects: Sequence[str] | None = None,
+    strengths: Sequence[str] = tuple(STRENGTHS),
+    prefix: str = "case",
+) -> str:
+    """Make cases under `out`, each in a folder of its own, and their key in `key_dir`; gives the key's hash.
+
+    Parameters
+    ----------
+    seed : the same seed and arguments give the same values; without one it is fresh entropy.
+    kinds : of `none`, `single`, `pair` and `unknown`, met in their usual shares.
+    effects : which identifiers may be drawn; all by default. Single ones come in turn, each before any comes twice.
+    strengths : of `faint`, `plain` and `strong`.
+
+    Raises
+    ------
+    InputError : an argument names what there is not, or a folder is taken.
+    """
+    chosen = tuple(effects) if effects else effect_names()
+    _check(count, out, key_dir, kinds, chosen, strengths)
+    number = secrets.randbits(128) if seed is None else seed
+    draw = np.random.default_rng([number, 0])
+    plans = _plans(draw, count, kinds, chosen, strengths)
+    digits = max(3, len(str(count)))
+    cases: list[Case] = []
+    out.mkdir(parents=True, exist_ok=True)
+    for start in range(0, count, AT_ONCE):
+        batch = [
+            draw_case(np.random.default_rng([number, 1, k]), f"{prefix}-{k + 1:0{digits}d}", *plans[k])
+            for k in range(start, min(start + AT_ONCE, count))
+        ]
+        _write(out, batch)
+        cases += [_slim(case) for case in batch]
+    salt = secrets.token_hex(16) if seed is None else bytes(draw.integers(0, 256, 16, np.uint8)).hex()
+    return write_key(key_dir, out, cases, number, salt)
+
+
+def _check(
+    count: int, out: Path, key_dir: Path, kinds: Sequence[str], effects: Sequence[str], strengths: Sequence[str]
+) -> None:
+    faults = [f"cases: {count} is not a number of cases; give 1 or more"] if count < 1 else []
+    for what, given, known in (
+        ("kind", kinds, KINDS),
+        ("effect", effects, effect_names()),
+        ("strength", strengths, tuple(STRENGTHS)),
+    ):
+        faults += [f"{what} {name!r} is not known; known: {', '.join(known)}" for name in given if name not in known]
+        faults += [] if given else [f"no {what} given; known: {', '.join(known)}"]
+    if "pair" in kinds and len(set(effects)) < 2:
+        faults.append("a pair needs two effects to be drawn from; give more, or leave out the kind pair")
+    if out.resolve() == key_dir.resolve() or out.resolve() in key_dir.resolve().parents:
+        faults.append(f"{key_dir}: the key belongs apart from the runs; choose a folder outside {out}")
+    for folder in {out, key_dir}:
+        if folder.exists() and any(folder.iterdir()):
+            faults.append(f"{folder}: is not empty; choose a new folder")
+    if faults:
+        raise InputError(faults)
+
+
+def _plans(
+    draw: np.random.Generator, count: int, kinds: Sequence[str], effects: Sequence[str], strengths: Sequence[str]
+) -> list[tuple[str, tuple[str, ...], str]]:
+    """Kind, effects and strength of each case, in an order that tells nothing."""
+    shares = np.array([SHARES[kind] for kind in kinds])
+    exact = count * shares / shares.sum()
+    numbers = np.floor(exact).astype(int)
+    for k in np.argsort(numbers - exact)[: count - int(numbers.sum())]:
+        numbers[k] += 1
+    singles, unknowns = _in_turn(draw, effects), _in_turn(draw, tuple(unlisted_effects()))
+    plans: list[tuple[str, tuple[str, ...], str]] = []
+    for kind, number in zip(kinds, numbers, strict=True):
+        for _ in range(number):
+            names: tuple[str, ...] = ()
+            if kind == "single":
+                names = (next(singles),)
+            elif kind == "pair":
+                names = tuple(str(name) for name in draw.choice(sorted(set(effects)), 2, replace=False))
+            elif kind == "unknown":
+                names = (next(unknowns),)
+            plans.append((kind, names, str(draw.choice(list(strengths)))))
+    return [plans[k] for k in draw.permutation(count)]
+
+
+def _in_turn(draw: np.random.Generator, names: Sequence[str]) -> Iterator[str]:
+    while True:
+        yield from (str(name) for name in draw.permutation(list(names)))
+
+
+def _write(out: Path, batch: Sequence[Case]) -> None:
+    for case in batch:
+        write_model(out / case.name, case)
+    moving = [(case, run) for case in batch for run in case.runs if isinstance(run.program, Program)]
+    heated = [(case, run) for case in batch for run in case.runs if not isinstance(run.program, Program)]
+    programs = [run.program for _, run in moving if isinstance(run.program, Program)]
+    for (case, run), signals in zip(moving, simulate([run.lane for _, run in moving], programs), strict=True):
+        write_moving(out / case.name, case, run, signals)
+    currents = [run.program for _, run in heated if not isinstance(run.program, Program)]
+    for (case, run), record in zip(heated, heat([run.lane for _, run in heated], currents), strict=True):
+        write_heated(out / case.name, case, run, record)
+
+
+def _slim(case: Case) -> Case:
+    """The case without its programs, which are large."""
+    return Case(case.name, case.kind, case.effects, case.base, case.spread, ())

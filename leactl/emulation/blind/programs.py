@@ -1,0 +1,144 @@
+"""What the drives are asked for in the runs of a case, each drawn anew: levels, dwells, phases, directions.
+
+Kinds of run: `locked_staircase`, `coupled_grid`, `free_multisine`, `free_velocity`, and the currents of `heating`.
+"""
+
+import math
+
+import numpy as np
+
+from leactl.emulation.stepped import TICK
+from leactl.emulation.stepped_lanes import Array
+from leactl.emulation.stepped_run import Program
+
+MOVING = ("locked_staircase", "coupled_grid", "free_multisine", "free_velocity")
+RUN_KINDS = (*MOVING, "heating")
+SETUPS = {
+    "locked_staircase": "locked",
+    "coupled_grid": "coupled",
+    "free_multisine": "free",
+    "free_velocity": "free",
+    "heating": "heated",
+}
+TORQUE_CONSTANT, DAMPING, INERTIA = 0.49, 0.0238, 0.0024  # nominal, to choose amplitudes by
+Generator = np.random.Generator
+
+
+def locked_staircase(draw: Generator) -> Program:
+    """Rising and falling levels of both signs with a minor loop, then a fast part."""
+    levels = int(draw.integers(4, 7))
+    peak, dwell, ramp = draw.uniform(18.0, 24.5), draw.uniform(0.8, 1.4), draw.uniform(0.06, 0.3)
+    up = [peak * (k + 1) / levels for k in range(levels)]
+    half = [*up, *([up[-2], up[-1]] if draw.random() < 0.5 else []), *up[-2::-1], 0.0]
+    first = float(draw.choice([-1.0, 1.0]))
+    knots = [first * level for level in half] + [-first * level for level in half]
+    stairs = _levels(knots, dwell, ramp)
+    fast = _multisine(draw, draw.uniform(7.0, 11.0), 0.3, draw.uniform(60.0, 150.0), 30)
+    fast *= draw.uniform(1.2, 3.0) / fast.std()
+    bias = draw.uniform(-4.0, 4.0)
+    return Program(np.concatenate([stairs, _levels([bias], 0.5, 0.2), np.clip(fast + bias, -20.0, 20.0)]))
+
+
+def coupled_grid(draw: Generator) -> Program:
+    """The load holds speeds of both signs, the test drive steps through torques of both signs at each."""
+    magnitudes = np.sort(np.exp(draw.uniform(math.log(2.0), math.log(27.0), int(draw.integers(4, 7)))))
+    magnitudes[-1] = max(magnitudes[-1], draw.uniform(18.0, 27.0))
+    speeds = draw.permutation(np.concatenate([magnitudes, -magnitudes]))
+    per_speed = int(draw.integers(4, 7))
+    dwell = draw.uniform(40.0, 52.0) / (len(speeds) * per_speed)
+    currents = []
+    for speed in speeds:
+        # the ceiling of 20.9 V less back-EMF and a margin for warm copper
+        most = min(draw.uniform(16.0, 21.0), (19.0 - TORQUE_CONSTANT * abs(speed)) / 0.36)
+        own = np.linspace(-most, most, per_speed) + draw.uniform(-0.8, 0.8, per_speed)
+        currents += list(draw.permutation(own))
+    ramp = draw.uniform(0.04, 0.15)
+    current = _levels(currents, dwell - ramp, ramp)
+    velocity = _levels(np.repeat(speeds, per_speed), dwell - ramp, ramp)
+    turn = _slew_limited(velocity, draw.uniform(60.0, 250.0))
+    gain = draw.uniform(110.0, 190.0)
+    integral = gain * draw.uniform(8.0, 15.0)
+    return Program(current, turn, "load", gain, integral, feedforward=draw.uniform(0.8, 0.97))
+
+
+def free_multisine(draw: Generator) -> Program:
+    """A current of many sines that turns the rotor to and fro through rest."""
+    duration = draw.uniform(36.0, 44.0)
+    current = _multisine(draw, duration, draw.uniform(0.03, 0.06), draw.uniform(30.0, 70.0), int(draw.integers(20, 32)))
+    slow = _multisine(draw, duration, 0.1, 0.6, 4)
+    current = current / current.std() * draw.uniform(0.55, 0.8) + slow / slow.std() * draw.uniform(0.5, 0.8)
+    return Program(current * min(1.0, 22.0 / _fastest(current)))
+
+
+def free_velocity(draw: Generator) -> Program:
+    """Slow turns in both directions, steps of speed, sweeps."""
+    first = float(draw.choice([-1.0, 1.0]))
+    slow = [first * draw.uniform(0.25, 0.7), -first * draw.uniform(0.2, 0.6)]
+    parts = [_levels([speed], draw.uniform(8.0, 12.0), 0.0) for speed in slow]
+    magnitudes = draw.permutation(np.exp(np.linspace(math.log(draw.uniform(1.5, 3.0)), math.log(28.0), 6)))
+    steps = magnitudes * draw.uniform(0.85, 1.05, 6) * first * np.array([1, -1, 1, -1, 1, -1])
+    parts.append(_levels(steps, draw.uniform(2.0, 2.8), draw.choice([0.0, 0.05, 0.3])))
+    period, turns = draw.uniform(9.0, 14.0), 2
+    phase = np.arange(round(turns * period / TICK)) * TICK / period
+    sweep = np.sin(2 * np.pi * phase) if draw.random() < 0.4 else 2 / np.pi * np.arcsin(np.sin(2 * np.pi * phase))
+    parts.append(draw.uniform(27.0, 31.0) * sweep * float(draw.choice([-1.0, 1.0])))
+    velocity = np.concatenate(parts)
+    gain = draw.uniform(110.0, 220.0)
+    return Program(np.zeros(len(velocity)), velocity, "test", gain, gain * draw.uniform(3.0, 8.0))
+
+
+def heating(draw: Generator, strong: bool) -> Array:
+    """Current through two leads, held or in two levels, then cooling; a row a second."""
+    level = draw.uniform(7.4, 9.0) if strong else draw.uniform(5.0, 6.6)
+    warm, cool = int(draw.uniform(3400, 4600)), int(draw.uniform(3400, 4600))
+    current = np.full(warm, level)
+    if draw.random() < 0.3:
+        current[int(warm * draw.uniform(0.4, 0.7)) :] *= draw.uniform(0.7, 0.85)
+    return np.concatenate([current, np.zeros(cool)])
+
+
+DRAWN = {
+    "locked_staircase": locked_staircase,
+    "coupled_grid": coupled_grid,
+    "free_multisine": free_multisine,
+    "free_velocity": free_velocity,
+}
+
+
+def _levels(levels: "list[float] | Array", dwell: float, ramp: float) -> Array:
+    """Hold each level, reached over a straight ramp from the one before; the first from zero."""
+    held, climb = round(dwell / TICK), round(ramp / TICK)
+    parts, before = [], 0.0
+    for level in levels:
+        parts.append(before + (level - before) * np.arange(1, climb + 1) / max(climb, 1))
+        parts.append(np.full(held, level))
+        before = float(level)
+    return np.concatenate(parts)
+
+
+def _slew_limited(signal: Array, rate: float) -> Array:
+    limited, most = np.empty_like(signal), rate * TICK
+    now = 0.0
+    for k, wanted in enumerate(signal.tolist()):
+        now += min(max(wanted - now, -most), most)
+        limited[k] = now
+    return limited
+
+
+def _multisine(draw: Generator, duration: float, low: float, high: float, lines: int) -> Array:
+    """Sines spread evenly over the logarithm of frequency, at multiples of 1 / duration, phases drawn."""
+    time = np.arange(round(duration / TICK)) * TICK
+    wanted = np.exp(np.linspace(math.log(low), math.log(high), lines) + draw.uniform(-0.05, 0.05, lines))
+    cycles = np.unique(np.maximum(np.rint(wanted * duration), 1.0))
+    total = np.zeros(len(time))
+    for count in cycles:
+        total += np.sin(2 * np.pi * count / duration * time + draw.uniform(0, 2 * np.pi))
+    return total
+
+
+def _fastest(current: Array) -> float:
+    """Highest speed without Coulomb friction [rad/s], which takes about a third of it."""
+    rate = 2j * np.pi * np.fft.rfftfreq(len(current), TICK)
+    response = TORQUE_CONSTANT / (DAMPING + INERTIA * rate)
+    speed = np.fft.irfft(np.fft.rfft(current) * response, len(current))
+    return float(np.abs(speed).max()) * 0.65
