@@ -1,0 +1,27 @@
+"""Ambient drift: the true ambient moves away from the logged one, evenly over two hours."""
+
+from collections.abc import Mapping
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class AmbientDrift(Effect):
+    """A true ambient that moves away from the logged one."""
+
+    name = "ambient_drift"
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """The heat that a warmer ambient lets stay."""
+        if signals.housing is None or signals.ambient is None or signals.model.thermal is None:
+            return {}
+        share = signals.time / 7200.0
+        network = signals.model.thermal
+        return {
+            "housing_heat": {"change": share / network.housing_ambient_resistance},
+            "winding_heat": {"change": share / network.winding_ambient_resistance},
+        }
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Change in two hours."""
+        return {"change": found["change"]}

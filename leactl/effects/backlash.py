@@ -1,0 +1,26 @@
+"""Backlash: the shaft twists by half the play more, in the sense of the torque it carries."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class Backlash(Effect):
+    """Free play between actuator and shaft."""
+
+    name = "backlash"
+    one_sided = True
+    forms = ((0.05,), (0.3,))
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """A twist that changes side with the torque."""
+        if signals.torque is None or signals.mechanical != "coupled":
+            return {}
+        return {"twist": {"width": 0.5 * np.tanh(signals.torque / form[0])}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Whole width."""
+        return {"width": found["width"]}

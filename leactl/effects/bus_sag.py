@@ -1,0 +1,23 @@
+"""Bus sag: bus voltage falls by r times the bus current v i / U."""
+
+from collections.abc import Mapping
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class BusSag(Effect):
+    """Bus voltage that falls under load."""
+
+    name = "bus_sag"
+    one_sided = True
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """Bus current of the test drive."""
+        if signals.bus_voltage is None or signals.voltage is None or signals.current is None:
+            return {}
+        return {"bus_voltage": {"resistance": -signals.voltage * signals.current / signals.bus_voltage}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Source resistance."""
+        return {"resistance": found["resistance"]}

@@ -1,0 +1,30 @@
+"""Cogging: a torque A sin(n angle + phase) on the rotor, without current."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class Cogging(Effect):
+    """Torque of teeth and magnets, periodic in angle."""
+
+    name = "cogging"
+    forms = ()
+    periodic = "drag"
+    orders = (2, 250)
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """Sine and cosine of the angle times the order, as torque that drives the rotor."""
+        if signals.angle is None or signals.mechanical == "locked":
+            return {}
+        turned = form[0] * signals.angle
+        return {"drag": {"cos": -np.cos(turned), "sin": -np.sin(turned)}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Amplitude, order and phase of the strongest order."""
+        amplitude = math.hypot(found["cos"], found["sin"])
+        return {"amplitude": amplitude, "order": form[0], "phase": math.atan2(found["cos"], found["sin"])}

@@ -1,0 +1,26 @@
+"""Slew limit: the current command changes by no more than a rate."""
+
+from collections.abc import Mapping
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.shapes import rate_limited
+from leactl.model.nominal import Model
+
+
+class CommandSlewLimit(Effect):
+    """A drive that follows no faster than a fixed rate."""
+
+    name = "command_slew_limit"
+    one_sided = True
+    forms = ((100.0,), (300.0,), (800.0,), (2000.0,), (5000.0,))
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """What the limit takes from the model's current."""
+        if signals.following is None:
+            return {}
+        slow = rate_limited(signals.following, form[0] * signals.interval)
+        return {"current_following": {"strength": slow - signals.following}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Rate."""
+        return {"rate": form[0]}

@@ -1,0 +1,92 @@
+"""What an effect of the library says of itself: the places of the equations it touches, as columns of a regression.
+
+The equations of the bench (voltage, torque balance, sensor channels, heat) know places, not effects: a drag on the
+rotor, a factor on the torque constant, something the torque channel reads. An effect fills places with columns, one for
+each of its coefficients, and turns fitted coefficients into the parameters of its definition.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.model.nominal import Model
+
+Array = npt.NDArray[np.float64]
+Form = tuple[float, ...]
+Terms = dict[str, dict[str, Array]]  # place, coefficient, column
+
+PLACES = (
+    "drag",  # N*m against the test rotor
+    "torque_factor",  # relative change of the torque constant
+    "emf_factor",  # relative change of the back-EMF constant
+    "voltage",  # V, beyond the model's
+    "torque_reading",  # N*m, reading minus torque
+    "sticking",  # N*m, torque that friction hides at standstill
+    "current_reading",  # A, reading minus current of the test drive
+    "angle_reading",  # rad, reading minus angle
+    "velocity_reading",  # rad/s, reading with the model's filter undone, minus velocity
+    "current_following",  # A, current minus what the model's loop makes of the reference
+    "bus_voltage",  # V, beyond the model's
+    "twist",  # rad, of the shaft beyond the model's
+    "line_voltage",  # V, of the heated winding beyond the model's
+    "winding_heat",  # W
+    "housing_heat",  # W
+    "camera_rise",  # relative change of the rise that the camera reads
+)
+
+
+@dataclass
+class Signals:
+    """What one run shows at its base rate, smoothed where the equations take derivatives; NaN-free, SI and degC.
+
+    `angle`, `velocity`, `acceleration` come from the encoder's angle, `torque` is what the model says the shaft
+    carries, never what the sensor reads; `sliding` is -1, 0 or 1 and smooth in between.
+    """
+
+    mechanical: str
+    time: Array
+    model: Model
+    interval: float
+    current: Array | None = None
+    current_reference: Array | None = None
+    following: Array | None = None  # A, what the model's loop makes of the reference
+    voltage: Array | None = None
+    angle: Array | None = None
+    velocity: Array | None = None
+    acceleration: Array | None = None
+    sliding: Array | None = None
+    torque: Array | None = None
+    travel: Array | None = None  # rad, since the run's start
+    winding_rise: Array | None = None  # K above the model's reference temperature
+    housing_rise: Array | None = None
+    winding: Array | None = None  # degC
+    housing: Array | None = None
+    ambient: Array | None = None
+    line_current: Array | None = None
+    bus_voltage: Array | None = None
+    extra: dict[str, Array] = field(default_factory=dict)
+
+
+class Effect:
+    """One effect; a file of this room holds one subclass, found by listing the room."""
+
+    name: ClassVar[str]
+    forms: ClassVar[Sequence[Form]] = ((),)  # values of its non-linear parameters that are tried
+    one_sided: ClassVar[bool] = False  # whether its coefficient makes sense above zero only
+    periodic: ClassVar[str] = ""  # the place whose column repeats over the angle, where orders are searched for
+    orders: ClassVar[tuple[int, int]] = (0, 0)  # the orders that are searched
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """Columns for each place and coefficient; empty where the run cannot show the effect."""
+        raise NotImplementedError
+
+    def applies(self, model: Model) -> bool:
+        """Whether a model of this kind can lack the effect."""
+        return True
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """The parameters of the definition from fitted coefficients."""
+        raise NotImplementedError

@@ -1,0 +1,24 @@
+"""Current sensor offset: reading current + c."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class CurrentSensorOffset(Effect):
+    """A measured current with a wrong zero."""
+
+    name = "current_sensor_offset"
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """A constant."""
+        if signals.current is None:
+            return {}
+        return {"current_reading": {"offset": np.ones_like(signals.time)}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Offset."""
+        return {"offset": found["offset"]}

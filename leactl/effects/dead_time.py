@@ -1,0 +1,26 @@
+"""Dead time: a voltage U tanh(i / i0) lost in the inverter."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class DeadTime(Effect):
+    """Inverter voltage error with the sign of the current."""
+
+    name = "dead_time"
+    one_sided = True
+    forms = ((0.07,), (0.2,), (0.5,), (1.2,))
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """A voltage that saturates with current."""
+        if signals.current is None:
+            return {}
+        return {"voltage": {"voltage": np.tanh(signals.current / form[0])}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Voltage and current."""
+        return {"voltage": found["voltage"], "current": form[0]}

@@ -1,0 +1,32 @@
+"""Emissivity: the camera reads Ta + e (T - Ta)."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class EmissivityBias(Effect):
+    """A camera that reads a fixed fraction of the rise."""
+
+    name = "emissivity_bias"
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """The camera's rise, and the resistance that goes by a rise it does not see."""
+        if signals.winding is None or signals.ambient is None:
+            return {}
+        terms: Terms = {"camera_rise": {"excess": np.ones_like(signals.time)}}
+        model = signals.model
+        if model.phase_resistance is not None:
+            unseen = -model.phase_resistance * model.resistance_coefficient * (signals.winding - signals.ambient)
+            if signals.current is not None:
+                terms["voltage"] = {"excess": unseen * signals.current}
+            if signals.line_current is not None:
+                terms["line_voltage"] = {"excess": 2.0 * unseen * signals.line_current}
+        return terms
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Fraction."""
+        return {"fraction": 1.0 + found["excess"]}

@@ -1,0 +1,26 @@
+"""Encoder eccentricity: the angle reads A sin(angle + phase) more."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class EncoderEccentricity(Effect):
+    """A once-a-turn error of the angle."""
+
+    name = "encoder_eccentricity"
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """Sine and cosine of the angle."""
+        if signals.angle is None or signals.mechanical == "locked":
+            return {}
+        return {"angle_reading": {"cos": np.cos(signals.angle), "sin": np.sin(signals.angle)}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Amplitude and phase."""
+        amplitude = math.hypot(found["cos"], found["sin"])
+        return {"amplitude": amplitude, "phase": math.atan2(found["cos"], found["sin"])}

@@ -1,0 +1,31 @@
+"""Forced convection: housing-to-ambient conductance G (1 + c |w|)."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class ForcedConvection(Effect):
+    """Conductance that grows with speed."""
+
+    name = "forced_convection"
+    one_sided = True
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """The heat that leaves beyond the model's."""
+        if (
+            signals.housing is None
+            or signals.ambient is None
+            or signals.model.thermal is None
+            or signals.velocity is None
+        ):
+            return {}
+        leaving = (signals.housing - signals.ambient) / signals.model.thermal.housing_ambient_resistance
+        return {"housing_heat": {"coefficient": -leaving * np.abs(signals.velocity)}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Relative growth per speed."""
+        return {"coefficient": found["coefficient"]}

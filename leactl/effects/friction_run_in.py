@@ -1,0 +1,28 @@
+"""Friction times 1 + e exp(-t / T) from the start of a run."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.friction import drag
+from leactl.model.nominal import Model
+
+
+class FrictionRunIn(Effect):
+    """Friction that settles with use."""
+
+    name = "friction_run_in"
+    one_sided = True
+    forms = ((3.0,), (8.0,), (20.0,), (40.0,))
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """Nominal friction, fading over the run."""
+        if signals.sliding is None or signals.velocity is None or signals.model.coulomb_friction is None:
+            return {}
+        friction = drag(signals.model, signals.velocity, signals.sliding)
+        return {"drag": {"excess": friction * np.exp(-signals.time / form[0])}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Excess and time constant."""
+        return {"excess": found["excess"], "time_constant": form[0]}

@@ -1,0 +1,29 @@
+"""Damping and Coulomb friction times 1 + c (T - T0), T at the housing."""
+
+from collections.abc import Mapping
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.friction import drag
+from leactl.model.nominal import Model
+
+
+class FrictionTemperature(Effect):
+    """Friction that changes with temperature."""
+
+    name = "friction_temperature"
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """Nominal friction times the rise."""
+        if (
+            signals.sliding is None
+            or signals.velocity is None
+            or signals.model.coulomb_friction is None
+            or signals.housing_rise is None
+        ):
+            return {}
+        friction = drag(signals.model, signals.velocity, signals.sliding)
+        return {"drag": {"coefficient": friction * signals.housing_rise}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Relative change per kelvin."""
+        return {"coefficient": found["coefficient"]}

@@ -1,0 +1,25 @@
+"""Friction f + c |torque on the shaft|."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class LoadDependentFriction(Effect):
+    """Friction that grows with what is transmitted."""
+
+    name = "load_dependent_friction"
+    one_sided = True
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """A drag in proportion to shaft torque."""
+        if signals.sliding is None or signals.torque is None or signals.mechanical == "locked":
+            return {}
+        return {"drag": {"coefficient": signals.sliding * np.abs(signals.torque)}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Friction per torque."""
+        return {"coefficient": found["coefficient"]}

@@ -1,0 +1,25 @@
+"""Magnets: torque and back-EMF constants times 1 - c (T - T0)."""
+
+from collections.abc import Mapping
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class MagnetTemperature(Effect):
+    """Constants that fall with temperature."""
+
+    name = "magnet_temperature"
+    one_sided = True
+    forms = ((0.0,), (1.0,))
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """One relative loss in both constants, with the housing's or the winding's rise."""
+        if signals.housing_rise is None or signals.winding_rise is None:
+            return {}
+        rise = signals.winding_rise if form[0] else signals.housing_rise
+        return {"torque_factor": {"coefficient": -rise}, "emf_factor": {"coefficient": -rise}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Relative loss per kelvin."""
+        return {"coefficient": found["coefficient"]}

@@ -1,0 +1,28 @@
+"""Convection: housing-to-ambient conductance G (1 + c (Th - Ta))."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class NonlinearConvection(Effect):
+    """Conductance that grows with temperature difference."""
+
+    name = "nonlinear_convection"
+    one_sided = True
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """The heat that leaves beyond the model's."""
+        if signals.housing is None or signals.ambient is None or signals.model.thermal is None:
+            return {}
+        rise = signals.housing - signals.ambient
+        return {
+            "housing_heat": {"coefficient": -rise * np.abs(rise) / signals.model.thermal.housing_ambient_resistance}
+        }
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Relative growth per kelvin."""
+        return {"coefficient": found["coefficient"]}

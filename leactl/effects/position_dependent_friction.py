@@ -1,0 +1,34 @@
+"""Coulomb friction f (1 + a cos(n angle + phase))."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class PositionDependentFriction(Effect):
+    """Friction that varies over a turn."""
+
+    name = "position_dependent_friction"
+    forms = tuple((float(order),) for order in range(1, 13))
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """A drag with the sign of the motion, periodic in angle."""
+        if (
+            signals.sliding is None
+            or signals.angle is None
+            or signals.model.coulomb_friction is None
+            or signals.mechanical == "locked"
+        ):
+            return {}
+        sliding = signals.model.coulomb_friction * signals.sliding
+        turned = form[0] * signals.angle
+        return {"drag": {"cos": sliding * np.cos(turned), "sin": sliding * np.sin(turned)}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Amplitude, order and phase."""
+        amplitude = math.hypot(found["cos"], found["sin"])
+        return {"amplitude": amplitude, "order": form[0], "phase": math.atan2(-found["sin"], found["cos"])}

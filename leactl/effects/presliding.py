@@ -1,0 +1,31 @@
+"""Presliding: friction builds up over an angle instead of at once (Dahl, 1968)."""
+
+from collections.abc import Mapping
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.shapes import bristle
+from leactl.model.nominal import Model
+
+
+class Presliding(Effect):
+    """Friction that lags behind a reversal."""
+
+    name = "presliding"
+    one_sided = True
+    forms = ((0.0005,), (0.002,), (0.006,), (0.02,))
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """What is missing from Coulomb friction until the bristles are bent."""
+        if (
+            signals.sliding is None
+            or signals.angle is None
+            or signals.model.coulomb_friction is None
+            or signals.mechanical == "locked"
+        ):
+            return {}
+        lag = bristle(signals.angle, form[0]) - signals.sliding
+        return {"drag": {"strength": signals.model.coulomb_friction * lag}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """The displacement, scaled by how much of the column is there."""
+        return {"displacement": form[0] * found["strength"]}

@@ -1,0 +1,25 @@
+"""Drag c w |w|."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class QuadraticDrag(Effect):
+    """Drag with the square of speed."""
+
+    name = "quadratic_drag"
+    one_sided = True
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """A drag."""
+        if signals.velocity is None:
+            return {}
+        return {"drag": {"coefficient": signals.velocity * np.abs(signals.velocity)}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Drag per squared speed."""
+        return {"coefficient": found["coefficient"]}

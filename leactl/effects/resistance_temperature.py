@@ -1,0 +1,34 @@
+"""Winding resistance R (1 + c (T - T0)) where the model has c = 0."""
+
+from collections.abc import Mapping
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class ResistanceTemperature(Effect):
+    """Resistance that rises with temperature."""
+
+    name = "resistance_temperature"
+    one_sided = True
+
+    def applies(self, model: Model) -> bool:
+        """A coefficient that the model has is a parameter."""
+        return model.resistance_coefficient == 0.0
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """The voltage over the added resistance, of the drive or of the heated leads."""
+        if signals.winding_rise is None or signals.model.phase_resistance is None:
+            return {}
+        terms: Terms = {}
+        if signals.current is not None:
+            added = signals.model.phase_resistance * signals.winding_rise * signals.current
+            terms["voltage"] = {"coefficient": added}
+        if signals.line_current is not None:
+            added = 2.0 * signals.model.phase_resistance * signals.winding_rise * signals.line_current
+            terms["line_voltage"] = {"coefficient": added}
+        return terms
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Relative change per kelvin."""
+        return {"coefficient": found["coefficient"]}

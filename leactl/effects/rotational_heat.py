@@ -1,0 +1,32 @@
+"""Rotational heat: a share of b w^2 + f |w| warms the housing."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class RotationalHeat(Effect):
+    """Friction that warms the machine."""
+
+    name = "rotational_heat"
+    one_sided = True
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """Friction power into the housing."""
+        if (
+            signals.housing is None
+            or signals.ambient is None
+            or signals.model.thermal is None
+            or signals.velocity is None
+        ):
+            return {}
+        power = (signals.model.viscous_damping or 0.0) * signals.velocity**2
+        power = power + (signals.model.coulomb_friction or 0.0) * np.abs(signals.velocity)
+        return {"housing_heat": {"fraction": power}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Share."""
+        return {"fraction": found["fraction"]}

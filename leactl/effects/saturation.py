@@ -1,0 +1,26 @@
+"""Saturation: a torque constant K (1 - s (|i| / 25 A)^p)."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class Saturation(Effect):
+    """A torque constant that falls at high current."""
+
+    name = "saturation"
+    one_sided = True
+    forms = ((1.0,), (2.0,), (4.0,))
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """Relative loss, growing with current."""
+        if signals.current is None:
+            return {}
+        return {"torque_factor": {"loss": -((np.abs(signals.current) / 25.0) ** form[0])}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Loss at 25 A."""
+        return {"loss": found["loss"]}

@@ -1,0 +1,24 @@
+"""Shaft compliance: twist torque / k with k much below the model's."""
+
+from collections.abc import Mapping
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class ShaftCompliance(Effect):
+    """A shaft or sensor softer than the model's."""
+
+    name = "shaft_compliance"
+    one_sided = True
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """The model's own twist, in proportion."""
+        if signals.torque is None or signals.model.bench.shaft_stiffness is None:
+            return {}
+        return {"twist": {"excess": signals.torque / signals.model.bench.shaft_stiffness}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Stiffness."""
+        assert model.bench.shaft_stiffness is not None
+        return {"stiffness": model.bench.shaft_stiffness / max(1.0 + found["excess"], 1e-3)}

@@ -1,0 +1,59 @@
+"""Curves that several effects are made of: hysteresis operators, lags and delays of sampled signals."""
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import lfilter
+
+Array = npt.NDArray[np.float64]
+
+
+def lagged(values: Array, time_constant: float, interval: float) -> Array:
+    """A first-order lag, at rest at the first value; bilinear, so that slow signals are late by its time constant."""
+    ratio = 2.0 * time_constant / interval
+    ahead, behind = [1.0 / (1.0 + ratio)] * 2, [1.0, (1.0 - ratio) / (1.0 + ratio)]
+    out: Array = lfilter(ahead, behind, values, zi=[values[0] * (ahead[1] - behind[1])])[0]
+    return out
+
+
+def delayed(values: Array, delay: float, interval: float) -> Array:
+    """The values a delay earlier, linear in between, the first value before the start."""
+    at = np.arange(len(values)) - delay / interval
+    return np.interp(at, np.arange(len(values)), values)
+
+
+def play(values: Array, half_width: float) -> Array:
+    """What follows a value with this much play on either side (Krasnosel'skii's play operator)."""
+    out = np.empty(len(values))
+    kept = 0.0
+    for index, value in enumerate(values.tolist()):
+        if value - kept > half_width:
+            kept = value - half_width
+        elif kept - value > half_width:
+            kept = value + half_width
+        out[index] = kept
+    return out
+
+
+def bristle(angle: Array, displacement: float) -> Array:
+    """Friction over its Coulomb level that builds up exponentially over an angle (Dahl, 1968), in -1 .. 1."""
+    steps = np.diff(angle, prepend=angle[0])
+    decay = np.exp(-np.abs(steps) / displacement)
+    gain = np.sign(steps) * (1.0 - decay)
+    out = np.empty(len(angle))
+    state = 0.0
+    for index, (d, g) in enumerate(zip(decay.tolist(), gain.tolist(), strict=True)):
+        state = state * d + g
+        out[index] = state
+    return out
+
+
+def rate_limited(values: Array, step: float) -> Array:
+    """What follows values by no more than a step at a time."""
+    if float(np.max(np.abs(np.diff(values)), initial=0.0)) <= step:
+        return values
+    out = np.empty(len(values))
+    kept = float(values[0])
+    for index, value in enumerate(values.tolist()):
+        kept += min(max(value - kept, -step), step)
+        out[index] = kept
+    return out

@@ -1,0 +1,27 @@
+"""Stribeck friction: f (1 + r exp(-|w| / v)) instead of f."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class Stribeck(Effect):
+    """Excess friction near zero speed."""
+
+    name = "stribeck"
+    one_sided = True
+    forms = ((0.1,), (0.25,), (0.6,), (1.2,), (2.5,))
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """A drag that fades with speed."""
+        if signals.sliding is None or signals.velocity is None or signals.model.coulomb_friction is None:
+            return {}
+        fading = np.exp(-np.abs(signals.velocity) / form[0])
+        return {"drag": {"ratio": signals.model.coulomb_friction * signals.sliding * fading}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Ratio and speed."""
+        return {"breakaway_ratio": found["ratio"], "stribeck_velocity": form[0]}

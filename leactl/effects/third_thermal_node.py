@@ -1,0 +1,27 @@
+"""Third node: a heat capacity C behind a resistance R hangs on the housing."""
+
+from collections.abc import Mapping
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.shapes import lagged
+from leactl.model.nominal import Model
+
+
+class ThirdThermalNode(Effect):
+    """A further heat capacity."""
+
+    name = "third_thermal_node"
+    one_sided = True
+    forms = ((300.0,), (1000.0,), (3000.0,), (10000.0,))
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """The heat into a body that follows the housing with R C."""
+        if signals.housing is None or signals.ambient is None or signals.model.thermal is None:
+            return {}
+        following = lagged(signals.housing, form[0], signals.interval)
+        return {"housing_heat": {"conductance": following - signals.housing}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Capacity and resistance."""
+        conductance = max(found["conductance"], 1e-9)
+        return {"capacitance": form[0] * conductance, "resistance": 1.0 / conductance}

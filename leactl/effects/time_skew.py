@@ -1,0 +1,26 @@
+"""Time skew: the torque stream is stamped late by a fixed time."""
+
+from collections.abc import Mapping
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.shapes import delayed
+from leactl.model.nominal import Model
+
+
+class TimeSkew(Effect):
+    """A torque stream that is late."""
+
+    name = "time_skew"
+    one_sided = True
+    forms = ((0.0005,), (0.0015,), (0.004,), (0.01,), (0.02,), (0.03,))
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """The model's torque, delayed, against itself."""
+        if signals.torque is None or signals.mechanical == "free":
+            return {}
+        late = delayed(signals.torque, form[0], signals.interval)
+        return {"torque_reading": {"strength": late - signals.torque}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Delay."""
+        return {"delay": form[0] * found["strength"]}

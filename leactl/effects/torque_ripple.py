@@ -1,0 +1,30 @@
+"""Torque ripple: a torque constant K (1 + a sin(n angle + phase))."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class TorqueRipple(Effect):
+    """Torque periodic in angle, proportional to current."""
+
+    name = "torque_ripple"
+    forms = ()
+    periodic = "torque_factor"
+    orders = (2, 300)
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """Sine and cosine of the angle times the order, relative."""
+        if signals.angle is None or signals.current is None or signals.mechanical == "locked":
+            return {}
+        turned = form[0] * signals.angle
+        return {"torque_factor": {"cos": np.cos(turned), "sin": np.sin(turned)}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Amplitude, order and phase of the strongest order."""
+        amplitude = math.hypot(found["cos"], found["sin"])
+        return {"amplitude": amplitude, "order": form[0], "phase": math.atan2(found["cos"], found["sin"])}

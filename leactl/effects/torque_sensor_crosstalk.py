@@ -1,0 +1,26 @@
+"""Torque sensor crosstalk: the reading has A sin(angle + phase) with no torque behind it."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class TorqueSensorCrosstalk(Effect):
+    """A once-a-turn reading of misalignment."""
+
+    name = "torque_sensor_crosstalk"
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """Sine and cosine of the angle."""
+        if signals.torque is None or signals.mechanical == "free" or signals.angle is None:
+            return {}
+        return {"torque_reading": {"cos": np.cos(signals.angle), "sin": np.sin(signals.angle)}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Amplitude and phase."""
+        amplitude = math.hypot(found["cos"], found["sin"])
+        return {"amplitude": amplitude, "phase": math.atan2(found["cos"], found["sin"])}

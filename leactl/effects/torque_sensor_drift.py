@@ -1,0 +1,22 @@
+"""Torque sensor drift: a zero that moves by a rate from the start of a run."""
+
+from collections.abc import Mapping
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class TorqueSensorDrift(Effect):
+    """A zero that moves with time."""
+
+    name = "torque_sensor_drift"
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """The time."""
+        if signals.torque is None or signals.mechanical == "free":
+            return {}
+        return {"torque_reading": {"rate": signals.time}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Rate."""
+        return {"rate": found["rate"]}

@@ -1,0 +1,22 @@
+"""Torque sensor gain: reading g times torque."""
+
+from collections.abc import Mapping
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class TorqueSensorGain(Effect):
+    """A torque channel that is scaled wrongly."""
+
+    name = "torque_sensor_gain"
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """The model's torque."""
+        if signals.torque is None or signals.mechanical == "free":
+            return {}
+        return {"torque_reading": {"excess": signals.torque}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Gain."""
+        return {"gain": 1.0 + found["excess"]}

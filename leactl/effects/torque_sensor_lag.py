@@ -1,0 +1,26 @@
+"""Torque sensor lag: a further first-order lag of the torque channel."""
+
+from collections.abc import Mapping
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.shapes import lagged
+from leactl.model.nominal import Model
+
+
+class TorqueSensorLag(Effect):
+    """A torque channel that follows late."""
+
+    name = "torque_sensor_lag"
+    one_sided = True
+    forms = ((0.0005,), (0.0015,), (0.004,), (0.008,), (0.016,))
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """The model's torque, lagged, against itself."""
+        if signals.torque is None or signals.mechanical == "free":
+            return {}
+        late = lagged(signals.torque, form[0], signals.interval)
+        return {"torque_reading": {"strength": late - signals.torque}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Time constant."""
+        return {"time_constant": form[0] * found["strength"]}

@@ -1,0 +1,24 @@
+"""Torque sensor offset: reading torque + c."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.model.nominal import Model
+
+
+class TorqueSensorOffset(Effect):
+    """A torque channel with a wrong zero."""
+
+    name = "torque_sensor_offset"
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """A constant."""
+        if signals.torque is None or signals.mechanical == "free":
+            return {}
+        return {"torque_reading": {"offset": np.ones_like(signals.time)}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Offset."""
+        return {"offset": found["offset"]}

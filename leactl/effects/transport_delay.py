@@ -1,0 +1,26 @@
+"""Transport delay: current follows what the loop makes of its reference a time later."""
+
+from collections.abc import Mapping
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.shapes import delayed
+from leactl.model.nominal import Model
+
+
+class TransportDelay(Effect):
+    """Current that follows late."""
+
+    name = "transport_delay"
+    one_sided = True
+    forms = ((0.0005,), (0.0015,), (0.004,), (0.009,))
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """The model's current, delayed, against itself."""
+        if signals.following is None:
+            return {}
+        late = delayed(signals.following, form[0], signals.interval)
+        return {"current_following": {"strength": late - signals.following}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Delay."""
+        return {"delay": form[0] * found["strength"]}

@@ -1,0 +1,26 @@
+"""Velocity lag: a further first-order lag of the reported velocity."""
+
+from collections.abc import Mapping
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.shapes import lagged
+from leactl.model.nominal import Model
+
+
+class VelocityFilterLag(Effect):
+    """A velocity that lags beyond the model's filter."""
+
+    name = "velocity_filter_lag"
+    one_sided = True
+    forms = ((0.0007,), (0.002,), (0.006,), (0.02,), (0.05,))
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """The model's velocity, lagged, against itself."""
+        if signals.velocity is None or signals.angle is None:
+            return {}
+        late = lagged(signals.velocity, form[0], signals.interval)
+        return {"velocity_reading": {"strength": late - signals.velocity}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Time constant."""
+        return {"time_constant": form[0] * found["strength"]}

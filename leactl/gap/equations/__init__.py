@@ -1,0 +1,36 @@
+"""Equations of the bench, one for each channel that can be checked against the others."""
+
+from leactl.gap.equations import electrical, mechanical, motion, thermal
+from leactl.gap.equations.contract import Equation
+from leactl.gap.record import Record
+from leactl.gap.signals import fast_signals, slow_signals
+from leactl.model.nominal import Model
+
+__all__ = ["Equation", "equations"]
+
+FAST = (
+    electrical.voltage,
+    electrical.current,
+    electrical.bus,
+    mechanical.free,
+    mechanical.coupled,
+    mechanical.both,
+    mechanical.held_still,
+    mechanical.swung,
+    motion.velocity,
+    motion.shaft,
+    motion.lock,
+)
+
+
+def equations(record: Record, model: Model) -> list[Equation]:
+    """Every equation that a run has the channels for."""
+    found: list[Equation] = []
+    slow = slow_signals(record, model)
+    fast = fast_signals(record, model, slow)
+    if fast is not None:
+        found += [equation for build in FAST if (equation := build(record, fast)) is not None]
+    if slow is not None:
+        line = electrical.line_voltage(record, slow)
+        found += ([line] if line is not None else []) + thermal.temperatures(record, slow)
+    return found

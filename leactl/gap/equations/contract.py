@@ -1,0 +1,37 @@
+"""An equation of the bench on one run: what the nominal model leaves over, and what may explain it.
+
+`left_over = sum(calibration x relative change) + sum(nuisance) + what effects put into its places + noise`, sample by
+sample at the run's rate; `width` and `step` say how it is smoothed and thinned before it becomes rows of a regression.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.effects.contract import Signals
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Place = Callable[[Array], Array]
+TIMING_S = 1e-4  # what loops, sample averages and filters leave open of a delay
+
+
+@dataclass
+class Equation:
+    """One equation on one run."""
+
+    name: str
+    quantity: str  # the channel whose gap it is
+    role: str
+    units: str
+    left_over: Array
+    signals: Signals
+    mask: Mask  # samples that may be used
+    places: dict[str, Place]
+    calibration: dict[str, Array]
+    nuisance: dict[str, tuple[Array, float]] = field(default_factory=dict)  # column and prior standard deviation
+    shared: dict[str, tuple[Array, float]] = field(default_factory=dict)  # nuisances that all runs have in common
+    width: float = 4.0
+    step: int = 8

@@ -1,0 +1,133 @@
+"""Voltage of the winding, of the heated leads, of the bus; current after its reference."""
+
+import numpy as np
+
+from leactl.effects.contract import Signals
+from leactl.gap.equations.contract import TIMING_S, Equation
+from leactl.gap.record import Record
+from leactl.gap.smoothing import slope, smooth
+
+
+def voltage(record: Record, s: Signals) -> Equation | None:
+    """q-axis voltage = R(T) i + L di/dt + K w."""
+    model = s.model
+    if s.voltage is None or s.current is None or model.phase_resistance is None or record.fast is None:
+        return None
+    moving = s.velocity if s.velocity is not None else np.zeros_like(s.current)
+    if s.velocity is None and s.mechanical != "locked":
+        return None
+    constant = model.back_emf_constant or model.torque_constant or 0.0
+    rise = s.winding_rise if s.winding_rise is not None else np.zeros_like(s.current)
+    cold, warm = model.phase_resistance, model.phase_resistance * model.resistance_coefficient * rise
+    over_resistance = (cold + warm) * s.current
+    over_inductance = (model.phase_inductance or 0.0) * slope(s.current, s.interval)
+    emf = constant * moving
+    calibration = {"phase_resistance": over_resistance, "torque_constant": emf}
+    if model.phase_inductance:
+        calibration["phase_inductance"] = over_inductance
+    if model.resistance_coefficient:
+        calibration["resistance_coefficient"] = warm * s.current
+    mask = record.fast.all_valid(("q_axis_voltage", "test"), ("q_axis_current", "test"), ("angle", "test"))
+    if model.bench.bus_voltage:
+        # near the ceiling the drive no longer holds its current: the equation holds, the reading may not
+        mask &= np.abs(s.voltage) < 0.98 * model.bench.bus_voltage / np.sqrt(2.0)
+    return Equation(
+        "voltage",
+        "q_axis_voltage",
+        "test",
+        "V",
+        s.voltage - over_resistance - over_inductance - emf,
+        s,
+        mask,
+        {
+            "voltage": lambda c: c,
+            "emf_factor": lambda c: emf * c,
+            "current_reading": lambda c: -(cold + warm) * c,
+            "angle_reading": lambda c: -constant * slope(c, s.interval),
+        },
+        calibration,
+        width=2.0,
+        step=6,
+    )
+
+
+def line_voltage(record: Record, s: Signals) -> Equation | None:
+    """Line voltage of the heated winding = 2 R(T) I."""
+    model, clock = s.model, record.slow
+    if clock is None or s.line_current is None or s.winding is None or model.phase_resistance is None:
+        return None
+    measured = clock.get("line_voltage")
+    if measured is None or s.winding_rise is None:
+        return None
+    cold = 2.0 * model.phase_resistance * s.line_current
+    warm = cold * model.resistance_coefficient * s.winding_rise
+    calibration = {"phase_resistance": cold + warm}
+    if model.resistance_coefficient:
+        calibration["resistance_coefficient"] = warm
+    mask = clock.all_valid(("line_voltage", "test"), ("line_current", "test"), ("winding_temperature", "test"))
+    mask &= np.abs(s.line_current) > 0.02 * np.max(np.abs(s.line_current))
+    # the winding's temperature runs ahead of the smoothed camera where the current changes
+    changed = np.abs(np.diff(s.line_current, prepend=s.line_current[0])) > 0.05 * np.max(np.abs(s.line_current))
+    mask &= smooth(changed.astype(float), 8.0) < 1e-3
+    return Equation(
+        "line_voltage",
+        "line_voltage",
+        "test",
+        "V",
+        measured - cold - warm,
+        s,
+        mask,
+        {"line_voltage": lambda c: c},
+        calibration,
+        width=0.0,
+        step=2,
+    )
+
+
+def current(record: Record, s: Signals) -> Equation | None:
+    """Current = what the model's loop makes of its reference."""
+    clock = record.fast
+    if clock is None or s.following is None or clock.get("q_axis_current") is None:
+        return None
+    measured = clock.values["q_axis_current", "test"]
+    mask = clock.all_valid(("q_axis_current", "test"), ("q_axis_current_reference", "test"))
+    change = slope(s.following, s.interval)
+    nuisance = {}
+    if clock.get("velocity_reference") is not None or clock.get("angle_reference") is not None:
+        # the drive's own servo moves the reference between samples: when in the interval is not recorded
+        nuisance["reference_sampling_s"] = (-change, 0.5 * s.interval)
+    return Equation(
+        "current",
+        "q_axis_current",
+        "test",
+        "A",
+        measured - s.following,
+        s,
+        mask,
+        {"current_following": lambda c: c},
+        {},
+        nuisance,
+        {"loop_timing_s": (-change, TIMING_S)},
+        width=0.0,
+        step=2,
+    )
+
+
+def bus(record: Record, s: Signals) -> Equation | None:
+    """Bus voltage = the model's, at any load."""
+    if record.fast is None or s.bus_voltage is None or s.model.bench.bus_voltage is None:
+        return None
+    return Equation(
+        "bus",
+        "bus_voltage",
+        "bench",
+        "V",
+        s.bus_voltage - s.model.bench.bus_voltage,
+        s,
+        record.fast.all_valid(("bus_voltage", "bench")),
+        {"bus_voltage": lambda c: c},
+        {},
+        nuisance={"bus_zero": (np.ones_like(s.time), 0.5)},
+        width=8.0,
+        step=16,
+    )

@@ -1,0 +1,191 @@
+"""Torque: the balance of a free rotor, of two on a shaft, and what the torque channel makes of it."""
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.effects.contract import Signals
+from leactl.gap.equations.contract import TIMING_S, Equation, Mask, Place
+from leactl.gap.equations.motion import LOAD_LAG_S
+from leactl.gap.record import Clocked, Record
+from leactl.gap.signals import averaged, held
+from leactl.gap.smoothing import middle, slope, smooth
+
+Array = npt.NDArray[np.float64]
+SLOWEST = 0.15  # rad/s, below which a coarse encoder does not tell motion from rest
+SWING_N_M_S = 2.0  # rate of torque above which a locked rotor slides
+SWING_REACH = 8.0  # samples
+STICKING_PRIOR = 0.5  # of nominal Coulomb friction
+
+
+def moving(velocity: Array, reach: float) -> Mask:
+    """Samples around which the shaft turns one way."""
+    still = (np.abs(velocity) < SLOWEST).astype(float)
+    return np.asarray(smooth(still, reach) < 1e-3)
+
+
+def free(record: Record, s: Signals) -> Equation | None:
+    """Free rotor: K i = J dw/dt + b w + f sgn(w)."""
+    if s.mechanical != "free" or record.fast is None:
+        return None
+    parts = rotor(s)
+    if parts is None or s.velocity is None:
+        return None
+    drive, calibration, places = parts
+    left = drive - sum(c for name, c in calibration.items() if name != "torque_constant")
+    calibration["torque_constant"] = -drive
+    mask = moving(s.velocity, 4.0) & record.fast.all_valid(("q_axis_current", "test"), ("angle", "test"))
+    return Equation("free_torque", "velocity", "test", "N*m", left, s, mask, places, calibration)
+
+
+def coupled(record: Record, s: Signals) -> Equation | None:
+    """Torque channel of two coupled actuators: reading = K i - J dw/dt - b w - f sgn(w), filtered."""
+    if s.mechanical != "coupled" or record.fast is None or s.velocity is None:
+        return None
+    parts, reading = rotor(s), torque_reading(record.fast, s, 0.0)
+    if parts is None or reading is None:
+        return None
+    drive, resisting, against = parts
+    left = reading - drive + sum(c for name, c in resisting.items() if name != "torque_constant")
+    calibration = {name: -column for name, column in resisting.items()}
+    calibration["torque_constant"] = drive
+    places = {name: _negative(place) for name, place in against.items()}
+    places["torque_reading"] = lambda c: c
+    keys = ("torque", "test"), ("q_axis_current", "test"), ("angle", "test")
+    mask = moving(s.velocity, 4.0) & record.fast.all_valid(*keys)
+    assert s.torque is not None
+    shared = {"torque_timing_s": (-slope(s.torque, s.interval), TIMING_S)}
+    return Equation("coupled_torque", "torque", "test", "N*m", left, s, mask, places, calibration, shared=shared)
+
+
+def both(record: Record, s: Signals) -> Equation | None:
+    """Both coupled actuators together: K (i + i_load) = what both rotors resist with, without a torque channel."""
+    clock = record.fast
+    if s.mechanical != "coupled" or clock is None or s.velocity is None:
+        return None
+    parts, load_current = rotor(s), averaged(clock, "q_axis_current", "load")
+    load_velocity = clock.get("velocity", "load")
+    if parts is None or load_current is None or load_velocity is None:
+        return None
+    model = s.model
+    drive, calibration, places = parts
+    constant = model.torque_constant or 0.0
+    measured = smooth(middle(load_velocity))
+    acceleration = slope(measured, s.interval)
+    load_drive = constant * smooth(load_current)
+    inertia = (model.rotor_inertia or 0.0) * acceleration
+    damping = (model.viscous_damping or 0.0) * measured
+    friction = (model.coulomb_friction or 0.0) * smooth(np.sign(measured))
+    resisted = sum(c for name, c in calibration.items() if name != "torque_constant")
+    left = drive + load_drive - resisted - inertia - damping - friction
+    calibration = dict(calibration)
+    calibration["torque_constant"] = -drive - load_drive
+    calibration["rotor_inertia"] = calibration["rotor_inertia"] + inertia
+    calibration["load.viscous_damping"] = damping
+    calibration["load.coulomb_friction"] = friction
+    keys = ("q_axis_current", "test"), ("q_axis_current", "load"), ("velocity", "load"), ("angle", "test")
+    mask = moving(s.velocity, 4.0) & moving(measured, 4.0) & clock.all_valid(*keys)
+    return Equation(
+        "both_torque",
+        "velocity",
+        "load",
+        "N*m",
+        left,
+        s,
+        mask,
+        places,
+        calibration,
+        {"load_velocity_lag_s": (slope(inertia + damping, s.interval), LOAD_LAG_S)},
+    )
+
+
+def held_still(record: Record, s: Signals) -> Equation | None:
+    """Torque channel of a locked rotor while its current rests: friction holds what the last move left."""
+    return locked(record, s, "locked_torque", swinging=False)
+
+
+def swung(record: Record, s: Signals) -> Equation | None:
+    """Torque channel of a locked rotor while its current changes: the same balance, with the rotor sliding."""
+    return locked(record, s, "swung_torque", swinging=True)
+
+
+def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | None:
+    """Torque channel of a locked rotor: the drive's torque with the play that sticking friction gives it."""
+    model = s.model
+    if s.mechanical != "locked" or record.fast is None or s.current is None or s.torque is None:
+        return None
+    inertia = (model.rotor_inertia or 0.0) / (model.bench.shaft_stiffness or np.inf)
+    reading = torque_reading(record.fast, s, inertia)
+    if reading is None or model.torque_constant is None:
+        return None
+    drive = model.torque_constant * s.current
+    more = (held(s, 1.02, 1.0) - s.torque) / 0.02
+    nuisance: dict[str, tuple[Array, float]] = {}
+    if model.coulomb_friction:
+        nuisance[f"sticking_{name}"] = ((held(s, 1.0, 1.05) - s.torque) / 0.05, STICKING_PRIOR)
+    sliding = np.where(np.abs(drive) > 1e-9, more / np.where(np.abs(drive) > 1e-9, drive, 1.0), 0.0)
+    constant, change = model.torque_constant, slope(s.torque, s.interval)
+    places: dict[str, Place] = {
+        "torque_reading": lambda c: c,
+        "torque_factor": lambda c: more * c,
+        "current_reading": lambda c: -constant * c * np.clip(sliding, 0.0, 1.0),
+    }
+    swings = smooth(np.abs(change), SWING_REACH) > SWING_N_M_S
+    return Equation(
+        name,
+        "torque",
+        "test",
+        "N*m",
+        reading - s.torque,
+        s,
+        record.fast.all_valid(("torque", "test"), ("q_axis_current", "test")) & (swings == swinging),
+        places,
+        {"torque_constant": more},
+        nuisance,
+        {"torque_timing_s": (-change, TIMING_S)},
+        width=2.0,
+        step=6,
+    )
+
+
+def rotor(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None:
+    """Drive torque, what the rotor resists with by parameter, and the places of effects, as torque against it."""
+    model = s.model
+    if s.current is None or s.velocity is None or s.acceleration is None or s.sliding is None:
+        return None
+    if model.torque_constant is None or model.rotor_inertia is None:
+        return None
+    drive, inertia, damping = model.torque_constant * s.current, model.rotor_inertia, model.viscous_damping or 0.0
+    resisting = {
+        "rotor_inertia": inertia * s.acceleration,
+        "viscous_damping": damping * s.velocity,
+        "coulomb_friction": (model.coulomb_friction or 0.0) * s.sliding,
+    }
+    constant, interval = model.torque_constant, s.interval
+
+    def angle_error(column: Array) -> Array:
+        speed = slope(smooth(column), interval)
+        return -(inertia * slope(speed, interval) + damping * speed)
+
+    places: dict[str, Place] = {
+        "drag": lambda c: c,
+        "torque_factor": lambda c: -drive * c,
+        "current_reading": lambda c: constant * c,
+        "angle_reading": angle_error,
+    }
+    return drive, resisting, places
+
+
+def torque_reading(clock: Clocked, s: Signals, inertia_per_stiffness: float) -> Array | None:
+    """What the torque channel says, its own filter undone; with the rotor's swing on the shaft where it is locked."""
+    values = averaged(clock, "torque")
+    if values is None:
+        return None
+    reading = smooth(values)
+    change = slope(reading, s.interval)
+    if s.model.bench.torque_filter_bandwidth:
+        reading = reading + change / (2 * np.pi * s.model.bench.torque_filter_bandwidth)
+    return np.asarray(reading + inertia_per_stiffness * slope(change, s.interval), np.float64)
+
+
+def _negative(place: Place) -> Place:
+    return lambda c: -place(c)

@@ -1,0 +1,101 @@
+"""Angle against velocity, and the shaft between two actuators."""
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.effects.contract import Signals
+from leactl.gap.equations.contract import TIMING_S, Equation
+from leactl.gap.record import Record
+from leactl.gap.smoothing import middle, slope, smooth
+
+Array = npt.NDArray[np.float64]
+LOAD_LAG_S = 1e-3  # the model says nothing of the load's own velocity filter
+
+
+def velocity(record: Record, s: Signals) -> Equation | None:
+    """Reported velocity, the model's filter undone = change of the angle."""
+    clock = record.fast
+    if clock is None or s.angle is None or s.velocity is None:
+        return None
+    measured = clock.get("velocity")
+    if measured is None:
+        return None
+    return Equation(
+        "velocity",
+        "velocity",
+        "test",
+        "rad/s",
+        restored(middle(measured), filter_constant(s), s.interval) - s.velocity,
+        s,
+        clock.all_valid(("velocity", "test"), ("angle", "test")),
+        {"velocity_reading": lambda c: c},
+        {},
+        shared={"velocity_timing_s": (-slope(s.velocity, s.interval), TIMING_S)},
+        width=3.0,
+        step=6,
+    )
+
+
+def filter_constant(s: Signals) -> float:
+    """Time constant of the model's velocity filter [s]."""
+    return 1 / (2 * np.pi * (s.model.bench.velocity_filter_bandwidth or np.inf))
+
+
+def shaft(record: Record, s: Signals) -> Equation | None:
+    """Speed of one end against the other = change of the twist, torque / k."""
+    clock, stiffness = record.fast, s.model.bench.shaft_stiffness
+    if clock is None or s.mechanical != "coupled" or stiffness is None or s.torque is None:
+        return None
+    load, own = clock.get("velocity", "load"), clock.get("velocity")
+    if load is None or own is None:
+        return None
+    twisting = slope(s.torque, s.interval) / stiffness
+    return Equation(
+        "shaft",
+        "velocity",
+        "load",
+        "rad/s",
+        restored(own, filter_constant(s), s.interval) - smooth(load) - twisting,
+        s,
+        clock.all_valid(("velocity", "load"), ("angle", "test")),
+        {
+            "twist": lambda c: slope(c, s.interval),
+            "angle_reading": lambda c: slope(smooth(c), s.interval),
+            "velocity_reading": lambda c: c,
+        },
+        {"bench.shaft_stiffness": -twisting},
+        nuisance={"load_velocity_lag_s": (slope(smooth(load), s.interval), LOAD_LAG_S)},
+        width=2.0,
+        step=4,
+    )
+
+
+def restored(values: Array, time_constant: float, interval: float) -> Array:
+    """A first-order lag undone on what is smoothed."""
+    even = smooth(values)
+    return even + time_constant * slope(even, interval)
+
+
+def lock(record: Record, s: Signals) -> Equation | None:
+    """Angle of a locked rotor = where it was locked + torque / k."""
+    clock, stiffness = record.fast, s.model.bench.shaft_stiffness
+    if clock is None or s.mechanical != "locked" or stiffness is None or s.torque is None:
+        return None
+    angle = clock.get("angle")
+    if angle is None:
+        return None
+    twist = s.torque / stiffness
+    return Equation(
+        "lock",
+        "angle",
+        "test",
+        "rad",
+        angle - np.mean(angle) - twist,
+        s,
+        clock.all_valid(("angle", "test")),
+        {"twist": lambda c: c},
+        {"bench.shaft_stiffness": -twist},
+        nuisance={"lock_angle": (np.ones_like(twist), 0.1)},
+        width=8.0,
+        step=16,
+    )

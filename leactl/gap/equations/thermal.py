@@ -1,0 +1,73 @@
+"""Temperatures of winding and housing: the two-node network driven by the heat that went in.
+
+The left-over is camera minus network; parameters and effects act as heat on the network's nodes, taken at the measured
+temperatures, so that their columns are the network's answer to that heat.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.effects.contract import Signals
+from leactl.gap.equations.contract import Equation
+from leactl.gap.record import Record
+from leactl.model.thermal_network import ThermalNetwork
+
+Array = npt.NDArray[np.float64]
+START_PRIOR = 0.5  # K, of the temperatures at the start
+
+
+def temperatures(record: Record, s: Signals) -> list[Equation]:
+    """One equation for the winding and one for the housing."""
+    thermal, clock = s.model.thermal, record.slow
+    if thermal is None or clock is None or s.winding is None or s.housing is None or s.ambient is None:
+        return []
+    heat = s.extra.get("heat")
+    if heat is None:
+        return []
+    network = ThermalNetwork(thermal, s.interval)
+    winding, housing, ambient = s.winding, s.housing, s.ambient
+    wa, wh = thermal.winding_ambient_resistance, thermal.winding_housing_resistance
+    ha = thermal.housing_ambient_resistance
+    none = np.zeros_like(heat)
+    driven = network.temperatures(heat, ambient, (float(winding[0]), float(housing[0])))
+    to_ambient, to_housing, away = (winding - ambient) / wa, (winding - housing) / wh, (housing - ambient) / ha
+    stored = np.gradient(winding, s.interval), np.gradient(housing, s.interval)
+    columns = {
+        "thermal.winding_ambient_resistance": network.answer(to_ambient, none),
+        "thermal.winding_housing_resistance": network.answer(to_housing, -to_housing),
+        "thermal.housing_ambient_resistance": network.answer(none, away),
+        "thermal.winding_capacitance": network.answer(-thermal.winding_capacitance * stored[0], none),
+        "thermal.housing_capacitance": network.answer(none, -thermal.housing_capacitance * stored[1]),
+        "ambient_offset": network.answer(none + 1 / wa, none + 1 / ha),
+    }
+    begun = {
+        "winding_start": network.answer(none, none, (1.0, 0.0)),
+        "housing_start": network.answer(none, none, (0.0, 1.0)),
+    }
+    if record.mechanical != "heated":
+        columns["phase_resistance"] = network.answer(heat, none)
+    rises = np.stack([winding - ambient, housing - ambient])
+    found = []
+    for node, name in enumerate(("winding", "housing")):
+        key = (f"{name}_temperature", "test")
+        found.append(
+            Equation(
+                name,
+                key[0],
+                "test",
+                "degC",
+                clock.values[key] - driven[node],
+                s,
+                clock.all_valid(key, ("ambient_temperature", "bench")),
+                {
+                    "winding_heat": lambda c, node=node: network.answer(c, none)[node],
+                    "housing_heat": lambda c, node=node: network.answer(none, c)[node],
+                    "camera_rise": lambda c, node=node: c * rises[node],
+                },
+                {name: column[node] for name, column in columns.items()},
+                {name: (column[node], START_PRIOR) for name, column in begun.items()},
+                width=0.0,
+                step=1,
+            )
+        )
+    return found

@@ -1,0 +1,153 @@
+"""One run as the equations need it: channels on one even clock, temperatures beside them, what is missing told.
+
+A sample that is NaN in the file is bridged for the filters and left out of every row that it touches.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+from leactl.runfile.reader import Channel, Run
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Key = tuple[str, str]  # quantity, role
+SLOW = ("winding_temperature", "housing_temperature", "ambient_temperature")
+FEWEST = 50  # samples, below which a run says nothing
+
+
+@dataclass
+class Clocked:
+    """Channels on one even clock."""
+
+    time: Array
+    interval: float
+    values: dict[Key, Array] = field(default_factory=dict)
+    valid: dict[Key, Mask] = field(default_factory=dict)
+    means: set[Key] = field(default_factory=set)  # channels that are means over the interval that ends at the stamp
+
+    def get(self, quantity: str, role: str = "test") -> Array | None:
+        """The values, or None where the run has no such channel."""
+        return self.values.get((quantity, role))
+
+    def all_valid(self, *keys: Key) -> Mask:
+        """Samples at which all these channels were measured."""
+        mask = np.ones(len(self.time), bool)
+        for key in keys:
+            if key in self.valid:
+                mask &= self.valid[key]
+        return mask
+
+
+@dataclass
+class Record:
+    """One run: its fast clock (drive, torque) and its slow one (camera, supply); either may be None."""
+
+    path: Path
+    kind: str  # the protocol, else the mechanical set-up
+    mechanical: str
+    fast: Clocked | None
+    slow: Clocked | None
+    setup: dict[str, float]
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        """The file without its ending."""
+        return self.path.stem
+
+
+def read_record(path: Path) -> Record:
+    """Read one run file.
+
+    Raises
+    ------
+    InputError : no run file, or one whose channels cannot be used; one line each.
+    """
+    with Run.open(path) as run:
+        mechanical = run.mechanical
+        found = [
+            channel
+            for specs in run.streams.values()
+            for spec in specs
+            if spec.quantity
+            for channel in run.channels(spec.quantity, spec.role)
+        ]
+        unique = {(c.stream, c.quantity, c.role, c.location): c for c in found}
+        kind = str(run.attributes.get("protocol") or mechanical)
+        setup = {k: float(v) for k, v in run.setup.items() if isinstance(v, int | float)}
+    return build(path, kind, mechanical, list(unique.values()), setup)
+
+
+def build(path: Path, kind: str, mechanical: str, channels: list[Channel], setup: dict[str, float]) -> Record:
+    """Sort channels onto a fast and a slow clock."""
+    notes: list[str] = []
+    usable = []
+    for channel in channels:
+        good = np.isfinite(channel.values)
+        if good.sum() < FEWEST:
+            notes.append(f"{path.name}: {channel.quantity} of {channel.role} has {int(good.sum())} samples; left out")
+        else:
+            usable.append(channel)
+            if good.all() and np.ptp(channel.values) == 0.0 and channel.quantity not in _MAY_REST:
+                notes.append(f"{path.name}: {channel.quantity} of {channel.role} never changes; is the channel alive?")
+    if not usable:
+        raise InputError(f"{path}: no channel with {FEWEST} samples or more; a diagnosis needs a current or an angle")
+    fast = [c for c in usable if c.quantity not in SLOW and not c.quantity.startswith("line_")]
+    slow = [c for c in usable if c.quantity in SLOW or c.quantity.startswith("line_")]
+    record = Record(path, kind, mechanical, _on_clock(fast, notes, path), _on_clock(slow, notes, path), setup, notes)
+    return record
+
+
+_MAY_REST = ("drive_enabled", "ambient_temperature", "torque_reference", "velocity_reference", "angle_reference")
+
+
+def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked | None:
+    if not channels:
+        return None
+    streams: dict[str, list[Channel]] = {}
+    for channel in channels:
+        streams.setdefault(channel.stream, []).append(channel)
+    leading = max(streams.values(), key=lambda group: (len(group), len(group[0].time)))[0].time
+    interval = float(np.median(np.diff(leading)))
+    span = leading[-1] - leading[0]
+    grid = leading[0] + interval * np.arange(int(span / interval + 1.5))
+    even = len(grid) == len(leading) and float(np.max(np.abs(grid - leading))) < 0.02 * interval
+    if not even:
+        notes.append(f"{path.name}: stamps are uneven; values are taken in between at {1 / interval:.6g} Hz")
+    clocked = Clocked(leading if even else grid, interval)
+    grouped: dict[Key, list[Channel]] = {}
+    for channel in channels:
+        grouped.setdefault((channel.quantity, channel.role), []).append(channel)
+    for key, group in grouped.items():
+        values, valid = [], []
+        for channel in group:
+            good = np.isfinite(channel.values)
+            same = even and len(channel.time) == len(leading) and np.array_equal(channel.time, leading)
+            if same and good.all():
+                values.append(channel.values)
+                valid.append(good)
+                continue
+            stamps = leading if same else channel.time
+            values.append(np.interp(clocked.time, stamps[good], channel.values[good]))
+            valid.append(good if same else _near(clocked.time, channel.time[good], 2.5 * _pace(channel.time)))
+        clocked.values[key] = np.mean(values, axis=0)
+        clocked.valid[key] = np.all(valid, axis=0)
+        if group[0].sampling == "mean":
+            clocked.means.add(key)
+    return clocked
+
+
+def _pace(time: Array) -> float:
+    return float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+
+
+def _near(grid: Array, stamps: Array, reach: float) -> Mask:
+    """Grid times with a stamp within reach on both sides."""
+    after = np.searchsorted(stamps, grid)
+    before = np.clip(after - 1, 0, len(stamps) - 1)
+    after = np.clip(after, 0, len(stamps) - 1)
+    return np.asarray((np.abs(stamps[after] - grid) <= reach) & (np.abs(grid - stamps[before]) <= reach))

@@ -1,0 +1,242 @@
+"""One stacked regression over all equations and runs with shared parameters.
+
+Each equation on each run becomes a Gram matrix over its own columns; a hypothesis (a set of effect forms) is then a
+small solve. Rows are weighted by the equation's noise, and counted by how many of them are independent.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.effects import library
+from leactl.effects.contract import Effect, Form, Signals
+from leactl.gap.equations.contract import Equation
+from leactl.gap.smoothing import thinned, thinned_index
+
+Array = npt.NDArray[np.float64]
+Column = tuple[str, ...]  # ("calibration", name), ("nuisance", run, name), ("effect", effect, form, coefficient)
+Candidate = tuple[str, Form]  # effect and form
+FEWEST_ROWS = 20
+
+
+@dataclass
+class Rows:
+    """Rows of one equation on one run."""
+
+    run: str
+    kind: str
+    mechanical: str
+    equation: str
+    quantity: str
+    role: str
+    units: str
+    left_over: Array
+    columns: dict[Column, Array]
+    priors: dict[Column, float]
+    index: npt.NDArray[np.intp]  # sample of the signals that each row is centred on
+    block: npt.NDArray[np.intp]  # stretch of the run that each row lies in
+    signals: Signals
+    white: float  # noise as the difference of neighbours has it
+    noise: float = 0.0  # standard deviation of a row
+    dependence: float = 1.0  # rows per independent row
+
+
+def make_rows(
+    run: str, kind: str, equation: Equation, candidates: Sequence[Candidate], terms: "TermsOf"
+) -> Rows | None:
+    """Smooth, thin and mask one equation and every column that touches it."""
+    mask = thinned(equation.mask.astype(float), equation.width, equation.step) > 0.999
+    if int(mask.sum()) < FEWEST_ROWS:
+        return None
+    names: list[Column] = []
+    raw: list[Array] = [equation.left_over]
+    priors: dict[Column, float] = {}
+    for name, column in equation.calibration.items():
+        names.append(("calibration", name))
+        raw.append(column)
+    for name, (column, prior) in equation.nuisance.items():
+        names.append(("nuisance", run, name))
+        priors[names[-1]] = prior
+        raw.append(column)
+    for name, (column, prior) in equation.shared.items():
+        names.append(("nuisance", "", name))
+        priors[names[-1]] = prior
+        raw.append(column)
+    for effect, form in candidates:
+        for place, coefficients in terms(equation.signals, effect, form).items():
+            if place not in equation.places:
+                continue
+            for coefficient, column in coefficients.items():
+                key = ("effect", effect, repr(form), coefficient)
+                put = equation.places[place](column)
+                if key in names:
+                    raw[names.index(key) + 1] = raw[names.index(key) + 1] + put
+                else:
+                    names.append(key)
+                    raw.append(put)
+    table = thinned(np.stack(raw, axis=1), equation.width, equation.step)[mask]
+    index = thinned_index(len(equation.left_over), equation.width, equation.step)[mask]
+    left = np.ascontiguousarray(table[:, 0])
+    columns = {name: table[:, k + 1] for k, name in enumerate(names)}
+    interval = equation.signals.interval
+    length = max(1.0, 40.0 * equation.step * interval)
+    return Rows(
+        run,
+        kind,
+        equation.signals.mechanical,
+        equation.name,
+        equation.quantity,
+        equation.role,
+        equation.units,
+        left,
+        columns,
+        priors,
+        index,
+        (index * interval / length).astype(np.intp),
+        equation.signals,
+        white_noise(left),
+    )
+
+
+class TermsOf:
+    """What effects put where, worked out once for each set of signals."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[int, str, Form], dict[str, dict[str, Array]]] = {}
+        self._kept: list[Signals] = []
+
+    def __call__(self, signals: Signals, effect: str, form: Form) -> dict[str, dict[str, Array]]:
+        """Terms of one form of an effect."""
+        key = (id(signals), effect, form)
+        if key not in self._known:
+            self._kept.append(signals)
+            self._known[key] = library()[effect].terms(signals, form)
+        return self._known[key]
+
+
+def white_noise(values: Array) -> float:
+    """Robust standard deviation of what changes from one row to the next."""
+    if len(values) < 3:
+        return float(np.std(values))
+    return float(np.median(np.abs(np.diff(values)))) / (0.6745 * np.sqrt(2.0))
+
+
+@dataclass
+class Stack:
+    """All rows and the Gram matrices over every column."""
+
+    rows: list[Rows]
+    names: list[Column]
+    grams: list[Array]  # of each rows: over [left_over, its columns], unweighted
+    local: list[npt.NDArray[np.intp]]  # where its columns stand among the names
+    priors: Array  # standard deviation of each column's coefficient, inf for none
+    place: dict[Column, int] = field(default_factory=dict)
+
+    def columns_of(self, hypothesis: Sequence[Candidate]) -> npt.NDArray[np.intp]:
+        """Calibration, nuisances and the hypothesis' columns."""
+        wanted = {(effect, repr(form)) for effect, form in hypothesis}
+        keep = [k for k, n in enumerate(self.names) if n[0] != "effect" or (n[1], n[2]) in wanted]
+        return np.asarray(keep, np.intp)
+
+
+def stack(rows: list[Rows], calibration_priors: dict[str, float], start: list[Rows] | None = None) -> Stack:
+    """Put rows together."""
+    order = {"calibration": 0, "nuisance": 1, "effect": 2}
+    names = sorted({name for r in rows for name in r.columns}, key=lambda n: (order[n[0]], n[1:]))
+    place = {name: k for k, name in enumerate(names)}
+    priors = np.full(len(names), np.inf)
+    for r in rows:
+        for name, prior in r.priors.items():
+            priors[place[name]] = prior
+    for name, prior in calibration_priors.items():
+        if ("calibration", name) in place:
+            priors[place["calibration", name]] = prior
+    grams, local = [], []
+    for r in rows:
+        own = list(r.columns)
+        table = np.column_stack([r.left_over, *(r.columns[n] for n in own)])
+        grams.append(table.T @ table)
+        local.append(np.asarray([place[n] for n in own], np.intp))
+    return Stack(rows, names, grams, local, priors, place)
+
+
+@dataclass
+class Fit:
+    """Coefficients of one hypothesis."""
+
+    columns: npt.NDArray[np.intp]
+    values: Array
+    covariance: Array
+    misfit: float  # weighted squares left over, priors included
+    residual: dict[int, float]  # rms left over of each rows
+
+
+class Normal:
+    """Normal equations of a stack under given weights."""
+
+    def __init__(self, stacked: Stack, weights: Sequence[float]) -> None:
+        size = len(stacked.names)
+        self.stack, self.weights = stacked, list(weights)
+        self.gram, self.right, self.total = np.zeros((size, size)), np.zeros(size), 0.0
+        for gram, local, weight in zip(stacked.grams, stacked.local, weights, strict=True):
+            self.gram[np.ix_(local, local)] += weight * gram[1:, 1:]
+            self.right[local] += weight * gram[1:, 0]
+            self.total += weight * gram[0, 0]
+        self.gram[np.diag_indices(size)] += 1.0 / stacked.priors**2
+
+    def fit(self, hypothesis: Sequence[Candidate] = ()) -> Fit:
+        """Solve for one hypothesis."""
+        return self.solve(self.stack.columns_of(hypothesis))
+
+    def solve(self, keep: npt.NDArray[np.intp]) -> Fit:
+        """Solve for given columns."""
+        gram, right = self.gram[np.ix_(keep, keep)], self.right[keep]
+        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        scaled = gram / np.outer(scale, scale)
+        scaled[np.diag_indices(len(keep))] += 1e-10
+        inverse = np.linalg.inv(scaled)
+        values = inverse @ (right / scale) / scale
+        covariance = inverse / np.outer(scale, scale)
+        return Fit(keep, values, covariance, self.total - float(values @ right), {})
+
+    def residual(self, fit: Fit, index: int) -> float:
+        """Root mean square left over of one rows under a fit."""
+        gram, local = self.stack.grams[index], self.stack.local[index]
+        full = np.zeros(len(self.stack.names))
+        full[fit.columns] = fit.values
+        own = np.concatenate([[1.0], -full[local]])
+        return float(np.sqrt(max(own @ gram @ own, 0.0) / len(self.stack.rows[index].left_over)))
+
+
+def residuals(stacked: Stack, fit: Fit, index: int) -> Array:
+    """What one rows leaves over under a fit, row by row."""
+    full = dict(zip((stacked.names[k] for k in fit.columns), fit.values, strict=True))
+    r = stacked.rows[index]
+    out = r.left_over.copy()
+    for name, column in r.columns.items():
+        value = full.get(name)
+        if value is not None:
+            out -= value * column
+    return out
+
+
+def gain_of(normal: Normal, base: npt.NDArray[np.intp], added: npt.NDArray[np.intp]) -> tuple[float, Array, Array]:
+    """Misfit that added columns take away beyond a base, with their coefficients and covariance (Frisch-Waugh)."""
+    a = normal.gram[np.ix_(base, base)]
+    b = normal.gram[np.ix_(base, added)]
+    c = normal.gram[np.ix_(added, added)]
+    solved = np.linalg.solve(a + 1e-12 * np.diag(np.diag(a)), np.column_stack([b, normal.right[base]]))
+    schur = c - b.T @ solved[:, :-1]
+    right = normal.right[added] - b.T @ solved[:, -1]
+    diagonal = np.diag(c)
+    schur = schur + np.diag(1e-9 * diagonal + 1e-300)
+    covariance = np.linalg.inv(schur)
+    values = covariance @ right
+    return float(right @ values), values, covariance
+
+
+def effects_for(model_applies: Sequence[Effect]) -> list[Candidate]:
+    """Every form of every effect that does not wait for an order to be found."""
+    return [(effect.name, form) for effect in model_applies if not effect.periodic for form in effect.forms]

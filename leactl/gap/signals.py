@@ -1,0 +1,171 @@
+"""From channels to the signals that equations and effects speak of: what the encoder says of the motion, what the
+model makes of the reference and of the shaft's torque.
+
+Current, voltage and torque are taken as means over the interval that ends at a stamp, as the difference of two angles
+is; instants are averaged with the one before. All get one smoothing, so that no equation compares a smooth side with a
+sharp one.
+"""
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import lfilter
+
+from leactl.effects.contract import Signals
+from leactl.effects.shapes import play
+from leactl.gap.record import Clocked, Record
+from leactl.gap.smoothing import middle, slope, smooth
+from leactl.model.nominal import Model
+from leactl.model.thermal_network import ThermalNetwork
+
+Array = npt.NDArray[np.float64]
+SLOW_SMOOTHING_S = 1.0
+SHARP = 0.7  # samples, smoothing of the current where friction sticks: enough that noise does not work the play
+
+
+def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals | None:
+    """Signals on the drive's clock; None where the run has none."""
+    clock = record.fast
+    if clock is None:
+        return None
+    dt = clock.interval
+    s = Signals(record.mechanical, clock.time - clock.time[0], model, dt)
+    current = averaged(clock, "q_axis_current")
+    if current is not None:
+        s.current = smooth(current)
+        s.extra["sharp_current"] = smooth(current, SHARP)
+    voltage = averaged(clock, "q_axis_voltage")
+    s.voltage = smooth(voltage) if voltage is not None else None
+    s.bus_voltage = clock.get("bus_voltage", "bench")
+    reference = clock.get("q_axis_current_reference")
+    if reference is not None and model.bench.current_loop_bandwidth:
+        s.current_reference = reference
+        s.following = loop_mean(reference, model.bench.current_loop_bandwidth, dt)
+    angle = clock.get("angle")
+    if angle is not None:
+        speed = np.diff(angle, prepend=angle[0]) / dt
+        s.angle = smooth(middle(angle))
+        s.velocity = smooth(speed)
+        s.acceleration = slope(s.velocity, dt)
+    elif (velocity := clock.get("velocity")) is not None:
+        s.velocity = smooth(middle(velocity))
+        s.acceleration = slope(s.velocity, dt)
+    if s.velocity is not None:
+        s.sliding = smooth(np.sign(s.velocity))
+        s.travel = np.cumsum(np.abs(s.velocity)) * dt
+    temperatures(s, slow, clock.time)
+    s.torque = transmitted(s)
+    return s
+
+
+def averaged(clock: Clocked, quantity: str, role: str = "test") -> Array | None:
+    """A channel as means over the interval that ends at each stamp."""
+    values = clock.get(quantity, role)
+    if values is None or (quantity, role) in clock.means:
+        return values
+    return middle(values)
+
+
+def loop_mean(reference: Array, bandwidth: float, interval: float) -> Array:
+    """Mean over each interval of a first-order loop's answer to the reference that held during it."""
+    constant = 1.0 / (2.0 * np.pi * bandwidth)
+    decay = float(np.exp(-interval / constant))
+    ends: Array = lfilter([1 - decay], [1, -decay], reference, zi=[decay * reference[0]])[0]
+    begins = np.concatenate([reference[:1], ends[:-1]])
+    return np.asarray(reference + (begins - reference) * (constant / interval) * (1 - decay), np.float64)
+
+
+def temperatures(s: Signals, slow: Signals | None, time: Array) -> None:
+    """Put the temperatures of the slow clock on the clock of the signals."""
+    if slow is None:
+        return
+    for name in ("winding", "housing", "ambient", "winding_rise", "housing_rise"):
+        values = getattr(slow, name)
+        if values is not None:
+            setattr(s, name, np.interp(time, slow.extra["stamps"], values))
+
+
+def transmitted(s: Signals) -> Array | None:
+    """Torque onto the shaft as the model has it from current and motion; None where nothing is on the shaft."""
+    model = s.model
+    if s.current is None or model.torque_constant is None or s.mechanical not in ("locked", "coupled"):
+        return None
+    if s.mechanical == "locked":
+        return held(s, 1.0, 1.0)
+    drive = model.torque_constant * s.current
+    if s.velocity is None or s.acceleration is None or s.sliding is None or model.rotor_inertia is None:
+        return None
+    friction = (model.viscous_damping or 0.0) * s.velocity + (model.coulomb_friction or 0.0) * s.sliding
+    return drive - model.rotor_inertia * s.acceleration - friction
+
+
+def held(s: Signals, drive: float, friction: float) -> Array:
+    """Torque that a locked rotor passes on, with the drive's torque and Coulomb friction scaled."""
+    model = s.model
+    force = drive * (model.torque_constant or 0.0) * s.extra["sharp_current"]
+    return smooth(play(force, friction * (model.coulomb_friction or 0.0)))
+
+
+def slow_signals(record: Record, model: Model) -> Signals | None:
+    """Signals on the camera's clock: temperatures, and the heat that goes in; None where the run has none."""
+    clock = record.slow
+    if clock is None:
+        return None
+    s = Signals(record.mechanical, clock.time - clock.time[0], model, clock.interval)
+    s.extra["stamps"] = clock.time
+    raw = {
+        name: clock.get(f"{name}_temperature", "bench" if name == "ambient" else "test")
+        for name in ("winding", "housing", "ambient")
+    }
+    width = max(SLOW_SMOOTHING_S / clock.interval, 2.0)
+    s.line_current = clock.get("line_current")
+    winding, housing, ambient = raw["winding"], raw["housing"], raw["ambient"]
+    s.ambient = smooth(ambient, width) if ambient is not None else None
+    s.housing = smooth(housing, width) if housing is not None else None
+    if winding is not None:
+        s.winding = smooth(winding, width)
+        motion(record, s, clock.time)
+        s.winding_rise = s.winding - model.reference_temperature
+        joule(record, s)
+        heat = s.extra.get("heat")
+        if heat is not None and s.housing is not None and s.ambient is not None and model.thermal is not None:
+            # a winding heats by kelvins a second: smooth what the network does not explain, not the temperature
+            network = ThermalNetwork(model.thermal, clock.interval)
+            driven = network.temperatures(heat, s.ambient, (float(s.winding[0]), float(s.housing[0])))
+            s.winding = driven[0] + smooth(winding - driven[0], width)
+        s.winding_rise = s.winding - model.reference_temperature
+    s.housing_rise = s.housing - model.reference_temperature if s.housing is not None else None
+    return s
+
+
+def motion(record: Record, s: Signals, stamps: Array) -> None:
+    """Mean squares of current and speed over the intervals of the slow clock."""
+    if record.fast is None:
+        return
+    current, angle = record.fast.get("q_axis_current"), record.fast.get("angle")
+    if current is not None:
+        s.extra["current_squared"] = binned(record.fast.time, current**2, stamps)
+    if angle is not None:
+        speed = smooth(np.diff(angle, prepend=angle[0]) / record.fast.interval)
+        s.velocity = np.sqrt(binned(record.fast.time, speed**2, stamps))
+
+
+def joule(record: Record, s: Signals) -> None:
+    """Joule heat of the winding [W] from the supply of the heated leads, else from the drive's current."""
+    model = s.model
+    if s.line_current is not None:
+        volts = record.slow.get("line_voltage") if record.slow is not None else None
+        if volts is not None:
+            s.extra["heat"] = volts * s.line_current
+        return
+    squared = s.extra.get("current_squared")
+    if squared is not None and model.phase_resistance is not None and s.winding_rise is not None:
+        s.extra["heat"] = squared * model.phase_resistance * (1 + model.resistance_coefficient * s.winding_rise)
+
+
+def binned(time: Array, values: Array, edges: Array) -> Array:
+    """Mean of values over the interval that begins at each edge."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    at = np.searchsorted(time, np.append(edges, 2 * edges[-1] - edges[-2]))
+    count = np.diff(at)
+    sums = np.diff(total[at])
+    return np.where(count > 0, sums / np.maximum(count, 1), np.interp(edges, time, values))

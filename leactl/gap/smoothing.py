@@ -1,0 +1,53 @@
+"""Sampled signals: a Gaussian that smooths and thins out, and derivatives taken on what is smoothed."""
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import upfirdn
+
+Array = npt.NDArray[np.float64]
+BASE = 2.0  # samples, standard deviation of the smoothing that every mechanical signal gets
+REACH = 4.0  # standard deviations to either side
+
+
+def smooth(values: Array, width: float = BASE) -> Array:
+    """Gaussian of this standard deviation in samples."""
+    return np.asarray(gaussian_filter1d(values, width, mode="nearest", truncate=REACH), np.float64)
+
+
+def slope(values: Array, interval: float) -> Array:
+    """Central difference per second."""
+    return np.gradient(values, interval)
+
+
+def middle(values: Array) -> Array:
+    """Instants as means over the interval that ends at each: the average with the value before."""
+    return np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1])])
+
+
+def kernel(width: float) -> Array:
+    """Gaussian weights that sum to one."""
+    reach = max(int(REACH * width + 0.5), 1)
+    at = np.arange(-reach, reach + 1)
+    weights = np.exp(-0.5 * (at / width) ** 2)
+    return np.asarray(weights / weights.sum(), np.float64)
+
+
+def thinned(columns: Array, width: float, step: int) -> Array:
+    """Columns smoothed and every so manieth row kept; only rows whose whole kernel lies inside."""
+    if width <= 0.0:
+        return columns[::step]
+    weights = kernel(width)
+    full: Array = upfirdn(weights, columns, up=1, down=step, axis=0)
+    first = -(-(len(weights) - 1) // step)
+    last = (len(columns) - 1) // step + 1
+    return full[first:last]
+
+
+def thinned_index(length: int, width: float, step: int) -> npt.NDArray[np.intp]:
+    """The sample that each row of `thinned` is centred on."""
+    if width <= 0.0:
+        return np.arange(0, length, step)
+    reach = len(kernel(width)) - 1
+    first = -(-reach // step)
+    return np.arange(first, (length - 1) // step + 1) * step - reach // 2
