@@ -11,8 +11,8 @@ def lagged(values: Array, time_constant: float, interval: float) -> Array:
     """A first-order lag, at rest at the first value; bilinear, so that slow signals are late by its time constant."""
     ratio = 2.0 * time_constant / interval
     ahead, behind = [1.0 / (1.0 + ratio)] * 2, [1.0, (1.0 - ratio) / (1.0 + ratio)]
-    out: Array = lfilter(ahead, behind, values, zi=[values[0] * (ahead[1] - behind[1])])[0]
-    return out
+    start = [values[0] * (ahead[1] - behind[1])]
+    return np.asarray(lfilter(ahead, behind, values, zi=start)[0], np.float64)
 
 
 def delayed(values: Array, delay: float, interval: float) -> Array:

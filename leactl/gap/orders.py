@@ -14,13 +14,12 @@ from leactl.gap.regression import Candidate, Fit, Rows, Stack, residuals
 
 Array = npt.NDArray[np.float64]
 TORQUE = ("free_torque", "both_torque", "coupled_torque")
+WIDTH = 4.5  # samples, the smoothing of a torque equation's rows
 FINEST = 0.35  # cycles a sample, beyond which a column has been smoothed away
 APART = 1  # orders this close to a stronger one are its leakage
 
 
-def strongest(
-    stacked: Stack, fit: Fit, weights: Sequence[float], widths: dict[str, float], count: int
-) -> list[Candidate]:
+def strongest(stacked: Stack, fit: Fit, weights: Sequence[float], count: int) -> list[Candidate]:
     """The strongest orders of every periodic effect against the residual of a fit."""
     found: list[Candidate] = []
     for effect in library().values():
@@ -30,9 +29,8 @@ def strongest(
         power = np.zeros(high + 1)
         for index, rows in enumerate(stacked.rows):
             if rows.equation in TORQUE:
-                power += (
-                    periodogram(rows, residuals(stacked, fit, index), effect.periodic, high, widths) * weights[index]
-                )
+                left = residuals(stacked, fit, index)
+                power += weights[index] * periodogram(rows, left, effect.periodic, high)
         power[:low] = 0.0
         for _ in range(count):
             order = int(np.argmax(power))
@@ -43,7 +41,7 @@ def strongest(
     return found
 
 
-def periodogram(rows: Rows, left: Array, place: str, highest: int, widths: dict[str, float]) -> Array:
+def periodogram(rows: Rows, left: Array, place: str, highest: int) -> Array:
     """Squares that sine and cosine of each order take from a residual, orders 0 to the highest."""
     signals = rows.signals
     assert signals.angle is not None and signals.velocity is not None
@@ -53,14 +51,13 @@ def periodogram(rows: Rows, left: Array, place: str, highest: int, widths: dict[
         assert signals.current is not None
         size = (signals.model.torque_constant or 0.0) * signals.current[rows.index]
     cycles = speed * signals.interval / (2 * np.pi)  # of order one, a sample
-    width = widths.get(rows.equation, 4.0)
     turn = np.exp(1j * angle)
     wave = np.ones_like(turn)
     out = np.zeros(highest + 1)
     for order in range(1, highest + 1):
         wave = wave * turn
         rate = order * cycles
-        gain = size * np.exp(-0.5 * (2 * np.pi * rate) ** 2 * width**2) * (rate < FINEST)
+        gain = size * np.exp(-0.5 * (2 * np.pi * rate) ** 2 * WIDTH**2) * (rate < FINEST)
         energy = float(np.sum(gain**2)) / 2.0
         if energy > 1e-12:
             out[order] = abs(np.sum(left * gain * wave)) ** 2 / (2.0 * energy)

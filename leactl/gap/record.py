@@ -98,8 +98,7 @@ def build(path: Path, kind: str, mechanical: str, channels: list[Channel], setup
         raise InputError(f"{path}: no channel with {FEWEST} samples or more; a diagnosis needs a current or an angle")
     fast = [c for c in usable if c.quantity not in SLOW and not c.quantity.startswith("line_")]
     slow = [c for c in usable if c.quantity in SLOW or c.quantity.startswith("line_")]
-    record = Record(path, kind, mechanical, _on_clock(fast, notes, path), _on_clock(slow, notes, path), setup, notes)
-    return record
+    return Record(path, kind, mechanical, _on_clock(fast, notes, path), _on_clock(slow, notes, path), setup, notes)
 
 
 _MAY_REST = ("drive_enabled", "ambient_temperature", "torque_reference", "velocity_reference", "angle_reference")

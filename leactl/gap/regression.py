@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects import library
-from leactl.effects.contract import Effect, Form, Signals
+from leactl.effects.contract import Form, Signals
 from leactl.gap.equations.contract import Equation
 from leactl.gap.smoothing import thinned, thinned_index
 
@@ -120,7 +120,7 @@ def white_noise(values: Array) -> float:
     """Robust standard deviation of what changes from one row to the next."""
     if len(values) < 3:
         return float(np.std(values))
-    return float(np.median(np.abs(np.diff(values)))) / (0.6745 * np.sqrt(2.0))
+    return float(np.median(np.abs(np.diff(values))) / (0.6745 * np.sqrt(2.0)))
 
 
 @dataclass
@@ -141,7 +141,7 @@ class Stack:
         return np.asarray(keep, np.intp)
 
 
-def stack(rows: list[Rows], calibration_priors: dict[str, float], start: list[Rows] | None = None) -> Stack:
+def stack(rows: list[Rows], calibration_priors: dict[str, float]) -> Stack:
     """Put rows together."""
     order = {"calibration": 0, "nuisance": 1, "effect": 2}
     names = sorted({name for r in rows for name in r.columns}, key=lambda n: (order[n[0]], n[1:]))
@@ -150,9 +150,9 @@ def stack(rows: list[Rows], calibration_priors: dict[str, float], start: list[Ro
     for r in rows:
         for name, prior in r.priors.items():
             priors[place[name]] = prior
-    for name, prior in calibration_priors.items():
-        if ("calibration", name) in place:
-            priors[place["calibration", name]] = prior
+    for parameter, prior in calibration_priors.items():
+        if ("calibration", parameter) in place:
+            priors[place["calibration", parameter]] = prior
     grams, local = [], []
     for r in rows:
         own = list(r.columns)
@@ -234,9 +234,4 @@ def gain_of(normal: Normal, base: npt.NDArray[np.intp], added: npt.NDArray[np.in
     schur = schur + np.diag(1e-9 * diagonal + 1e-300)
     covariance = np.linalg.inv(schur)
     values = covariance @ right
-    return float(right @ values), values, covariance
-
-
-def effects_for(model_applies: Sequence[Effect]) -> list[Candidate]:
-    """Every form of every effect that does not wait for an order to be found."""
-    return [(effect.name, form) for effect in model_applies if not effect.periodic for form in effect.forms]
+    return float(right @ values), values, np.asarray(covariance, np.float64)

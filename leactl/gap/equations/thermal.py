@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.contract import Signals
-from leactl.gap.equations.contract import Equation
+from leactl.gap.equations.contract import Equation, Place
 from leactl.gap.record import Record
 from leactl.model.thermal_network import ThermalNetwork
 
@@ -59,11 +59,7 @@ def temperatures(record: Record, s: Signals) -> list[Equation]:
                 clock.values[key] - driven[node],
                 s,
                 clock.all_valid(key, ("ambient_temperature", "bench")),
-                {
-                    "winding_heat": lambda c, node=node: network.answer(c, none)[node],
-                    "housing_heat": lambda c, node=node: network.answer(none, c)[node],
-                    "camera_rise": lambda c, node=node: c * rises[node],
-                },
+                _places(network, node, rises[node]),
                 {name: column[node] for name, column in columns.items()},
                 {name: (column[node], START_PRIOR) for name, column in begun.items()},
                 width=0.0,
@@ -71,3 +67,12 @@ def temperatures(record: Record, s: Signals) -> list[Equation]:
             )
         )
     return found
+
+
+def _places(network: ThermalNetwork, node: int, rise: Array) -> dict[str, Place]:
+    none = np.zeros_like(rise)
+    return {
+        "winding_heat": lambda c: np.asarray(network.answer(c, none)[node], np.float64),
+        "housing_heat": lambda c: np.asarray(network.answer(none, c)[node], np.float64),
+        "camera_rise": lambda c: c * rise,
+    }
