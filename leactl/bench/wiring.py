@@ -1,5 +1,6 @@
 """Where buses and time come from: the machine's own here; an emulated bench brings another wiring of the same shape."""
 
+import logging
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -9,6 +10,10 @@ from leactl.driver.i2c_port import SmBus
 
 if TYPE_CHECKING:
     import can
+
+
+# a bus whose constructor failed complains there that nobody shut it down (python-can 4.6); the failure itself is raised
+logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 class Wiring(Protocol):

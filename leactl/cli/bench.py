@@ -1,6 +1,7 @@
 """`leactl bench`: bench files, their latch, and an emulated bench for drivers in other processes."""
 
 import json
+import sys
 
 import typer
 
@@ -42,6 +43,7 @@ def reset(
 ) -> None:
     """State why a bench is tripped and, once confirmed, release it."""
     from leactl.bench.benchfile import load
+    from leactl.errors import Stopped
     from leactl.runner import latch
 
     name = load(bench)[0].name
@@ -51,11 +53,20 @@ def reset(
         return
     said = f"{name}: tripped {trip.time}: {trip.cause} (run {trip.run})"
     typer.echo(said, err=True)
-    if not yes and not typer.confirm("The cause is mended and the bench may move again?", err=True):
-        raise typer.Exit(4)
+    if not (yes or _confirmed("The cause is mended and the bench may move again?")):
+        raise Stopped(f"not confirmed; '{name}' stays tripped (--yes confirms without a question)")
     latch.release(name)
     cause = {"cause": trip.cause, "time": trip.time, "run": trip.run}
     typer.echo(json.dumps({"bench": name, "tripped": False, "released": cause}) if as_json else f"{name}: released")
+
+
+def _confirmed(question: str) -> bool:
+    """Ask on stderr alone: `typer.confirm` writes a space to stdout, where JSON may follow."""
+    typer.echo(f"{question} [y/N]: ", err=True, nl=False)
+    answer = sys.stdin.readline()
+    if not answer.endswith("\n"):
+        typer.echo(err=True)
+    return answer.strip().lower() in ("y", "yes")
 
 
 @app.command()

@@ -1,0 +1,90 @@
+"""`leactl bench reset` and `leactl bench serve` as a shell sees them."""
+
+import json
+import signal
+import subprocess
+
+import pytest
+
+from leactl.runner import latch
+from tests.cli.terminal import COMMAND, leactl
+
+
+@pytest.fixture(autouse=True)
+def own_state(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "state"))
+
+
+@pytest.fixture
+def tripped(tmp_path):
+    latch.latch("emulated", "test current of 31.2 A passed the limit of 30 A", tmp_path / "runs" / "a.h5")
+
+
+@pytest.mark.parametrize("answer", ["n\n", "\n", ""])
+def test_reset_states_the_cause_and_releases_nothing_unconfirmed(tripped, answer):
+    done = leactl("bench", "reset", "emulated", input=answer)
+    assert (done.returncode, done.stdout) == (4, "")
+    assert "test current of 31.2 A passed the limit of 30 A (run " in done.stderr
+    assert "leactl: not confirmed; 'emulated' stays tripped" in done.stderr
+    assert latch.latched("emulated") is not None
+
+
+def test_reset_releases_once_confirmed(tripped):
+    done = leactl("bench", "reset", "emulated", input="y\n")
+    assert (done.returncode, done.stdout) == (0, "emulated: released\n")
+    assert latch.latched("emulated") is None
+
+
+def test_reset_answers_in_json_and_tells_what_it_released(tripped):
+    answer = json.loads(leactl("bench", "reset", "emulated", "--yes", "--json").stdout)
+    assert answer["released"]["cause"] == "test current of 31.2 A passed the limit of 30 A"
+    again = leactl("bench", "reset", "emulated", "--json")
+    assert (again.returncode, json.loads(again.stdout)) == (0, {"bench": "emulated", "tripped": False})
+
+
+def test_reset_of_a_damaged_latch_says_so_and_asks_too(tmp_path):
+    (tmp_path / "state").mkdir()
+    (tmp_path / "state" / "emulated.trip.json").write_text("{")
+    done = leactl("bench", "reset", "emulated", input="n\n")
+    assert done.returncode == 4
+    assert "cannot be read" in done.stderr
+    assert leactl("bench", "reset", "emulated", "--yes").returncode == 0
+
+
+def test_reset_of_an_unknown_bench_is_status_2():
+    done = leactl("bench", "reset", "no-such")
+    assert done.returncode == 2
+    assert done.stderr == "leactl: bench 'no-such' is not known; known: emulated, testbed, or a path to a .yaml\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_serve_says_where_and_ends_in_order_by_a_signal(number):
+    process = subprocess.Popen(
+        [*COMMAND, "bench", "serve", "emulated", "--bus", "can0=pty"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout.readline().startswith("can0: slcan on /dev/pts/")
+    assert process.stdout.readline() == "serving; Ctrl-C ends it\n"
+    process.send_signal(number)
+    out, err = process.communicate(timeout=20)
+    assert (process.returncode, out) == (0, "")
+    assert err == "i2c1: is not served; I2C needs the kernel's i2c-stub at that number\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [
+        ([], 2, "interface 'emulated' ends with this process; put it elsewhere, as with --bus can0="),
+        (["--bus", "can1=pty"], 2, "--bus can1=pty: NAME=INTERFACE:CHANNEL was expected, with a CAN bus"),
+        (["--bus", "can0=pty", "--condition", "icy"], 2, "condition 'icy'"),
+        (["--bus", "can0=udp_multicast:10.0.0.1"], 5, "bus 'can0': "),
+    ],
+)
+def test_serve_refuses_in_one_line(arguments, status, words):
+    done = leactl("bench", "serve", "emulated", *arguments)
+    assert (done.returncode, done.stdout) == (status, "")
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
