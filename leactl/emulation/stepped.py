@@ -57,7 +57,7 @@ class SteppedPlant:
         self._back_emf = rows(lanes, lambda p: p.back_emf_constant)
         self._damping = rows(lanes, lambda p: p.viscous_damping)
         self._coulomb = rows(lanes, lambda p: p.coulomb_friction)
-        inertia = rows(lanes, lambda p: p.rotor_inertia)
+        self._inertia = inertia = rows(lanes, lambda p: p.rotor_inertia)
         self._mobility = STEP / inertia  # rad/s per N*m
         self._mobility[1, [lane.setup == "locked" for lane in lanes]] = 0.0
         stiffness = column(lanes, lambda lane: lane.bench.shaft_stiffness)
@@ -203,7 +203,8 @@ class SteppedPlant:
         """Take from the change of current what the ceiling does not allow."""
         ceiling = self.bus_voltage / math.sqrt(2.0)
         per_step = self._inductance / STEP + 0.5 * self._resistance
-        needed = self._resistance * self.current + self._emf * self.velocity + per_step * self._change
+        velocity = self.velocity + 0.5 * self._mobility * self._net  # half way, by the last step's torque
+        needed = self._resistance * self.current + self._emf * velocity + per_step * self._change
         self._change -= (needed - np.clip(needed, -ceiling, ceiling)) / per_step
 
     def _strain(self) -> None:
@@ -299,7 +300,7 @@ class SteppedPlant:
     @property
     def kinetic_and_strain_energy(self) -> Array:
         """Energy in rotors and shaft [J]."""
-        kinetic = np.divide(0.5 * STEP * self.velocity**2, self._mobility, where=self._mobility > 0.0)
+        kinetic = 0.5 * self._inertia * self.velocity**2
         total: Array = kinetic.sum(axis=0) + 0.5 * self._stiffness * (self.angle[0] - self.angle[1]) ** 2
         return total
 

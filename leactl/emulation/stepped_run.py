@@ -83,12 +83,12 @@ def _simulate(lanes: Sequence[Lane], programs: Sequence[Program]) -> list[Signal
     for start in range(0, longest, BLOCK):
         jitter = np.stack([own.standard_normal((BLOCK, 2)) for own in noise], axis=2) * spread
         wanted = _part(programs, start)
-        for row in range(BLOCK):
+        for row in range(min(BLOCK, longest - start)):
             reference = servo.current(wanted[0, row], wanted[1, row], reading)
             plant.advance(reference)
             np.add(plant.velocity_read, jitter[row], out=reading)
             _take(block, row, plant, reference, reading)
-            if row % CAMERA_TICKS == 0 and start + row < longest:
+            if row % CAMERA_TICKS == 0:
                 camera[(start + row) // CAMERA_TICKS] = plant.thermal.camera()
         _keep(block, kept, lengths, start)
     for k, length in enumerate(lengths):
