@@ -11,9 +11,9 @@ from .transports import CAN, I2C, CanElsewhere, CanInProcess, FarEndProcess, I2c
 from .transports import i2c_place as place_of_stub
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def far_end_process():
-    """Processes by transport, each started once."""
+    """Processes by transport, each started once, and ended before tests elsewhere use the same buses."""
     running = {}
 
     def start(kind, transport):
