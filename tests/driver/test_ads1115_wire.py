@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from leactl.errors import DeviceError, NoAnswer
 
 from .adc_bench import TORQUE, AdcBench
+from .failing import FailingConverter
 
 MARK = 0x04  # what the far end changes in the low byte of the config register of a store, to know the next start
 
@@ -119,6 +120,29 @@ def test_settings_are_checked():
     for change in ({"pins": "A1-A0"}, {"range_V": 5.0}, {"quantity": "torqe"}, {"rate_sps": 900}, {"scale_per_V": 0}):
         with pytest.raises(ValidationError):
             Ads1115Settings(inputs=({**TORQUE, **change},))
+
+
+def test_a_plain_store_shows_every_start_and_its_own_result():
+    class Store(dict):
+        read = dict.__getitem__
+        write = dict.__setitem__
+
+    store, far = Store(), FailingConverter()
+    far.keep(store, 0.0)
+    assert store == {0: 0x0000, 1: 0x8583, 2: 0x8000, 3: 0x7FFF}
+    for second, volts in enumerate((1.0, -1.0, 0.5), start=1):
+        far.apply(volts)
+        store[1] = 0x83E3  # the same word each time
+        far.keep(store, float(second))
+        assert not store[1] & 0x8000
+        far.keep(store, second + 0.0011)
+        assert not store[1] & 0x8000
+        far.keep(store, second + 0.0012)
+        assert store[1] == 0x83E3 ^ MARK
+        assert store[0] == round(volts * 8000) & 0xFFFF
+    store[1] = 0x0583  # power down starts nothing, and reads back as it was written
+    far.keep(store, 5.0)
+    assert store[1] == 0x0583
 
 
 # -- in process only: the kernel's stub fails in no way but absence, and hundreds of benches take minutes there -------
