@@ -11,9 +11,11 @@ from leactl.driver.i2c_port import SmBus
 from leactl.emulation.actuator import Actuator
 from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.effects import make_effect
+from leactl.emulation.effects.contract import RIG_HOOKS, Effect, own_hooks
 from leactl.emulation.noise import Noise
 from leactl.emulation.parameters import ActuatorParameters, BenchParameters
 from leactl.emulation.rig import Rig
+from leactl.emulation.stepped_rig import SteppedActuator, SteppedRig
 from leactl.emulation.wires import CanWire, EmulatedCanBus, EmulatedI2cBus
 from leactl.errors import InputError
 from leactl.model.motor import load_motor
@@ -22,7 +24,14 @@ from leactl.model.motor import load_motor
 class EmulatedMachine:
     """An actuator of the rig as its drive's sensors report it, noise included."""
 
-    def __init__(self, actuator: Actuator, rig: Rig, noise: Noise, current_noise: float, velocity_noise: float) -> None:
+    def __init__(
+        self,
+        actuator: Actuator | SteppedActuator,
+        rig: Rig | SteppedRig,
+        noise: Noise,
+        current_noise: float,
+        velocity_noise: float,
+    ) -> None:
         self._actuator, self._rig, self._noise = actuator, rig, noise
         self._current_noise, self._velocity_noise = current_noise, velocity_noise
         self.command = actuator.command
@@ -67,8 +76,14 @@ class EmulatedBench:
         number = emulated.seed if seed is None else seed
         test = _parameters(file, "test", under | emulated.test)
         load = _parameters(file, "load", under | emulated.load)
-        effects = [make_effect(str(entry.get("name")), _without_name(entry)) for entry in emulated.effects]
-        self.rig = Rig(setup, test, load, BenchParameters.from_mapping(emulated.bench), number, effects)
+        effects = [_effect(entry) for entry in emulated.effects]
+        bench = BenchParameters.from_mapping(emulated.bench)
+        expressible = all(set(own_hooks(effect)) <= set(RIG_HOOKS) for effect in effects)
+        self.rig: Rig | SteppedRig = (
+            Rig(setup, test, load, bench, number, effects)
+            if expressible
+            else SteppedRig(setup, test, load, bench, effects)
+        )
         self.clock.follow(self.rig.advance)
         self._file, self._settings, self._number = file, emulated, number
         self._streams_of_noise = 1
@@ -132,8 +147,11 @@ class EmulatedBench:
         self.far_ends[device.name] = far_end
 
 
-def _without_name(entry: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in entry.items() if key != "name"}
+def _effect(entry: Mapping[str, Any]) -> Effect:
+    """An effect of the bench file; what a model file says, `{effect: id, parameters: {...}}`, is understood too."""
+    if "effect" in entry:
+        return make_effect(str(entry["effect"]), entry.get("parameters"))
+    return make_effect(str(entry.get("name")), {key: value for key, value in entry.items() if key != "name"})
 
 
 def _parameters(file: BenchFile, role: str, changes: Mapping[str, Any]) -> ActuatorParameters:

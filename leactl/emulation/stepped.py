@@ -68,12 +68,12 @@ class SteppedPlant:
         ratio = column(lanes, lambda lane: lane.bench.shaft_damping_ratio)
         self._stiffness, self._shaft_damping = stiffness, 2.0 * ratio * np.sqrt(stiffness * reduced)
         self._source = column(lanes, lambda lane: lane.bench.bus_voltage)
-        self._offset, self._gain = np.zeros(inertia.shape), np.ones(inertia.shape)
+        self.current_offset, self.current_gain = np.zeros(inertia.shape), np.ones(inertia.shape)
         for own in bound["sense_current"]:
             zero = own.effect.sense_current(0.0)
-            own.of(self._offset)[:] = zero + own.of(self._gain) * 0.0
-            own.of(self._gain)[:] *= own.effect.sense_current(1.0) - zero
-        self._loop = 2.0 * math.pi * column(lanes, lambda lane: lane.bench.current_loop_bandwidth) * self._gain
+            own.of(self.current_offset)[:] = zero + own.of(self.current_gain) * 0.0
+            own.of(self.current_gain)[:] *= own.effect.sense_current(1.0) - zero
+        self._loop = 2.0 * math.pi * column(lanes, lambda lane: lane.bench.current_loop_bandwidth) * self.current_gain
         self._approach = -np.expm1(-self._loop * STEP)
         self._velocity_gain = _gain(column(lanes, lambda lane: lane.bench.velocity_filter_bandwidth))
         self._torque_gain = _gain(column(lanes, lambda lane: lane.bench.torque_filter_bandwidth))
@@ -109,7 +109,7 @@ class SteppedPlant:
     def advance(self, reference: Value) -> None:
         """Go on by a millisecond with these q-axis current references [A] for both actuators."""
         self._reference[:] = reference
-        np.divide(self._reference - self._offset, self._gain, out=self._target)
+        np.divide(self._reference - self.current_offset, self.current_gain, out=self._target)
         self._refresh()
         start, before = self.current.copy(), self.angle.copy()
         self.current_mean[:] = 0.0
@@ -162,7 +162,7 @@ class SteppedPlant:
         velocity, ahead, scratch = self.velocity, self._ahead, self._scratch
         for own, path in self._reference_paths:
             followed = path(own.of(self._reference))
-            own.of(self._target)[:] = (followed - own.of(self._offset)) / own.of(self._gain)
+            own.of(self._target)[:] = (followed - own.of(self.current_offset)) / own.of(self.current_gain)
         np.subtract(self._target, current, out=change)
         change *= self._approach
         if guarded:
@@ -290,12 +290,12 @@ class SteppedPlant:
     @property
     def current_sensed(self) -> Array:
         """Currents at the end of the millisecond as the drives' sensors have them [A]."""
-        return self._gain * self.current + self._offset
+        return self.current_gain * self.current + self.current_offset
 
     @property
     def current_mean_sensed(self) -> Array:
         """Currents over the millisecond as the drives' sensors have them [A]."""
-        return self._gain * self.current_mean + self._offset
+        return self.current_gain * self.current_mean + self.current_offset
 
     @property
     def kinetic_and_strain_energy(self) -> Array:

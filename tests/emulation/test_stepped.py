@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from leactl.emulation.effects import make_effect
 from leactl.emulation.parameters import ActuatorParameters, BenchParameters
 from leactl.emulation.rig import Rig
 from leactl.emulation.stepped import TICK, SteppedPlant
 from leactl.emulation.stepped_heating import heat
 from leactl.emulation.stepped_lanes import Lane
+from leactl.emulation.stepped_rig import SteppedRig
 from leactl.emulation.stepped_run import Program, simulate
 from leactl.errors import InputError
 
@@ -148,7 +150,40 @@ def test_servo_holds_its_velocity_and_opposes_the_test_drive():
 
 
 def test_the_rig_refuses_an_effect_it_has_no_form_for():
-    from leactl.emulation.effects import make_effect
-
     with pytest.raises(InputError, match="stribeck: only the stepped plant"):
         Rig("free", effects=[make_effect("stribeck", {"breakaway_ratio": 0.2})])
+
+
+def test_one_lane_stands_in_for_the_rig():
+    rig, stepped = Rig("coupled"), SteppedRig("coupled")
+    readings = []
+    for bench in (rig, stepped):
+        bench.actuators["load"].command("velocity", 8.0)
+        bench.actuators["test"].command("current", 5.0)
+        bench.advance(0.8)
+        test = bench.actuators["test"]
+        reading = [test.velocity, test.current, test.voltage, bench.shaft_torque, bench.actuators["load"].current]
+        test.command("off")
+        bench.actuators["load"].command("angle", bench.actuators["load"].angle + 0.3)
+        start = bench.actuators["load"].angle
+        bench.advance(1.4)
+        readings.append([*reading, bench.actuators["load"].angle - start, test.current_true])
+    np.testing.assert_allclose(readings[1], readings[0], rtol=2e-3, atol=2e-3)
+
+
+def test_one_lane_heats_as_the_rig_does():
+    rigs = [Rig("heated"), SteppedRig("heated")]
+    for rig in rigs:
+        rig.heater_current = 9.0
+        for _ in range(1500):
+            rig.advance(rig.time + 0.2)
+    exact, stepped = rigs
+    assert stepped.line_voltage == pytest.approx(exact.line_voltage, rel=1e-4)
+    assert stepped.actuators["test"].housing_temperature == pytest.approx(
+        exact.actuators["test"].housing_temperature, abs=0.01
+    )
+
+
+def test_a_live_bench_refuses_a_form_that_looks_ahead():
+    with pytest.raises(InputError, match="torque_sensor_hysteresis: its form needs a whole record"):
+        SteppedRig("free", effects=[make_effect("torque_sensor_hysteresis", {"width": 0.02})])

@@ -35,6 +35,7 @@ class Effect(Checked):
     """One thing that the nominal plant lacks, on one actuator."""
 
     adds_torque: ClassVar[bool] = False
+    needs_whole_record: ClassVar[bool] = False  # `torque_record` looks ahead: nothing for a live bench
     role: str = "test"
 
     def __post_init__(self) -> None:

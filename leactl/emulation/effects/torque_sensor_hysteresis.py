@@ -1,6 +1,7 @@
 """A torque reading that depends on where it comes from."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,6 +15,7 @@ REACHES = np.array([0.1, 0.25, 0.5])  # of the swing
 class TorqueSensorHysteresis(Effect):
     """Sliders in the spring let go one after the other; the reading stays behind by what they hold."""
 
+    needs_whole_record: ClassVar[bool] = True
     width: float = bounded(0.0, 0.0, 0.5)  # half width of the loop as a share of the record's torque swing
 
     def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
