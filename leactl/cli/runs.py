@@ -1,4 +1,4 @@
-"""`leactl runs`: list, show, verify, recover, annotate and export run files."""
+"""`leactl runs`: list, show, verify, recover, annotate, export and import run files."""
 
 import json
 from pathlib import Path
@@ -111,4 +111,18 @@ def export(
     from leactl.runfile.export import export as write_files
 
     files = [str(path) for path in write_files(run, to, out)]
+    typer.echo(json.dumps({"files": files}) if as_json else "\n".join(files))
+
+
+@app.command("import")
+def import_foreign(
+    sources: list[str] = typer.Argument(..., metavar="SOURCE...", help="CSV, MAT or JSON files, or patterns."),
+    mapping: Path = typer.Option(..., "--map", help="YAML file that says which column is which channel."),
+    out: Path = typer.Option(Path("runs"), "--out", help="Directory for the run files."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Import recordings of other rigs as run files; all sources are checked first, and nothing is overwritten."""
+    from leactl.runfile.importing import import_runs
+
+    files = [str(path) for path in import_runs(sources, mapping, out)]
     typer.echo(json.dumps({"files": files}) if as_json else "\n".join(files))

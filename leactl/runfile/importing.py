@@ -1,0 +1,206 @@
+"""Import recordings of foreign rigs: CSV, MAT or JSON and a mapping file in, run files out.
+
+Every source is read, converted and checked before the first file is written; files appear whole or not at all, and
+none is ever overwritten.
+"""
+
+import glob
+import hashlib
+import re
+import shutil
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from leactl import __version__, yamlfile
+from leactl.errors import InputError
+from leactl.runfile.description import RunInfo, faults_of
+from leactl.runfile.importing_checks import implausible
+from leactl.runfile.importing_mapping import FieldOf, Mapping
+from leactl.runfile.importing_parts import split
+from leactl.runfile.importing_sources import Source, open_source
+from leactl.runfile.importing_streams import Stream, build_streams, number
+from leactl.runfile.importing_trees import Lacking
+from leactl.runfile.publish import move_without_overwriting, refuse_existing
+from leactl.runfile.writer import RunWriter
+
+
+@dataclass
+class Imported:
+    """A run that is ready to be written."""
+
+    info: RunInfo
+    streams: dict[str, Stream]
+    told: str  # where it came from
+
+
+def import_runs(sources: Sequence[str], mapping_path: Path, out: Path) -> list[Path]:
+    """Import every source under one mapping into the directory `out`, as `<source>.h5` or `<source>-<part>.h5`.
+
+    Parameters
+    ----------
+    sources : paths, or patterns such as `logs/*.json`.
+
+    Returns
+    -------
+    The files written, in the order of the sources.
+
+    Raises
+    ------
+    InputError : a fault in the mapping or in a source, one line each, or a file that exists already.
+    """
+    document = yamlfile.load(mapping_path)
+    mapping = document.validate(Mapping)
+    runs: list[Imported] = []
+    faults: list[str] = []
+    for path in expanded(sources):
+        try:
+            runs += read(path, mapping, document)
+        except InputError as error:
+            faults += [line for line in error.faults if line not in faults]
+    names = [run.info.run_id for run in runs]
+    faults += [f"{name}.h5: several sources make this run; import them apart" for name in repeated(names)]
+    if faults:
+        raise InputError(faults)
+    return write(runs, out)
+
+
+def repeated(names: Sequence[str]) -> list[str]:
+    """Names that stand more than once."""
+    return sorted({name for name in names if names.count(name) > 1})
+
+
+def expanded(sources: Sequence[str]) -> list[Path]:
+    """The files that paths and patterns stand for, each once."""
+    found: list[Path] = []
+    for text in sources:
+        if Path(text).is_file():
+            matches = [text]
+        elif Path(text).is_dir():
+            raise InputError(f"{text}: a directory; name its files, such as '{text.rstrip('/')}/*.csv'")
+        else:
+            matches = sorted(m for m in glob.glob(text, recursive=True) if Path(m).is_file())  # noqa: PTH207 (a text, not a folder)
+        if not matches:
+            raise InputError(f"{text}: no such file")
+        found += [Path(match) for match in matches if Path(match) not in found]
+    return found
+
+
+def read(path: Path, mapping: Mapping, document: yamlfile.Document) -> list[Imported]:
+    """Read one source into the runs that its mapping makes of it.
+
+    Raises
+    ------
+    InputError : everything that is wrong with it, one line each.
+    """
+    source = open_source(path, mapping.format, mapping.csv, wanted(mapping))
+    streams = build_streams(source, mapping, document)
+    doubtful = [f"{path}: {line}" for name, stream in streams.items() for line in implausible(name, stream)]
+    if doubtful:
+        raise InputError(doubtful)
+    parts = split(source.path, streams, mapping, document)
+    runs = [describe(source, suffix, part, mapping, document) for suffix, part in parts]
+    faults = [fault for run in runs for fault in faults_of(run.info, {n: s.specs for n, s in run.streams.items()})]
+    if faults:
+        raise InputError([document.fault((), fault) for fault in dict.fromkeys(faults)])
+    return runs
+
+
+def wanted(mapping: Mapping) -> list[str | int]:
+    """Every column and field that a mapping speaks of."""
+    columns: list[str | int] = []
+    fields = [*mapping.setup.values(), *(value for _, value in mapping.run)]
+    for stream in mapping.streams.values():
+        columns += [stream.time.column] if stream.time.column is not None else []
+        for channel in stream.channels.values():
+            columns.append(channel.column)
+            fields += [channel.scale, channel.offset]
+    return columns + [value.field for value in fields if isinstance(value, FieldOf)]
+
+
+def describe(
+    source: Source, suffix: str, streams: dict[str, Stream], mapping: Mapping, document: yamlfile.Document
+) -> Imported:
+    """Put together what is known of one run."""
+    about = {
+        name: text(source, value, ("run", name), document)
+        for name, value in mapping.run
+        if name not in ("created", "simulated")
+    }
+    setup: dict[str, float | str] = {}
+    for name, value in mapping.setup.items():
+        setup[name] = value if isinstance(value, str) else number(source, value, ("setup", name), document)
+    stem = re.sub(r"[^A-Za-z0-9._-]+", "-", source.path.stem).strip("-.") or "run"
+    info = RunInfo(
+        run_id=f"{stem}-{suffix}" if suffix else stem,
+        simulated=mapping.run.simulated,
+        mechanical=mapping.mechanical,
+        software=f"leactl {__version__}",
+        created=created(source, mapping, document),
+        setup=setup,
+        protocol=about["protocol"],
+        bench=about["bench"],
+        actuator=about["actuator"],
+        condition=about["condition"],
+        operator=about["operator"],
+    )
+    with source.path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return Imported(info, streams, f"{source.path.name} (SHA-256 {digest}) by {Path(document.name).name}")
+
+
+def text(source: Source, value: str | FieldOf, place: tuple[str, ...], document: yamlfile.Document) -> str:
+    """A text that the mapping gives, or the field that it points to."""
+    if isinstance(value, str):
+        return value
+    try:
+        found = source.field(value.field)
+    except Lacking as lacking:
+        raise InputError(document.fault((*place, "field"), str(lacking))) from None
+    return found if isinstance(found, str) else f"{value.scale * found + value.offset:g}"
+
+
+def created(source: Source, mapping: Mapping, document: yamlfile.Document) -> str:
+    """When the run was recorded: as the mapping says, else the source file's own time."""
+    if mapping.run.created is None:
+        moment = datetime.fromtimestamp(source.path.stat().st_mtime, UTC)
+    else:
+        given = text(source, mapping.run.created, ("run", "created"), document)
+        try:
+            moment = datetime.fromisoformat(given)
+        except ValueError:
+            raise InputError(document.fault(("run", "created"), f"{given!r} is no ISO 8601 date")) from None
+    return f"{(moment if moment.tzinfo else moment.replace(tzinfo=UTC)).astimezone(UTC):%Y-%m-%dT%H:%M:%SZ}"
+
+
+def write(runs: Sequence[Imported], out: Path) -> list[Path]:
+    """Write all runs aside, then give each its name."""
+    targets = [out / f"{run.info.run_id}.h5" for run in runs]
+    for target in targets:
+        refuse_existing(target)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        aside = Path(tempfile.mkdtemp(prefix=".import-", dir=out))
+    except OSError as error:
+        raise InputError(f"{out}: {error.strerror or error}") from None
+    moved: list[Path] = []
+    try:
+        for run in runs:
+            with RunWriter(aside, run.info, {name: s.specs for name, s in run.streams.items()}) as writer:
+                for name, stream in run.streams.items():
+                    writer.append(name, stream.time, np.stack(stream.values, axis=1))
+                writer.event(0.0, "info", "import", run.told)
+        for target in targets:
+            move_without_overwriting(aside / target.name, target)
+            moved.append(target)
+    except BaseException:
+        for target in moved:
+            target.unlink()
+        raise
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+    return targets

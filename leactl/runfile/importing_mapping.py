@@ -1,0 +1,205 @@
+"""The mapping file of an import: which columns of somebody else's file are which channels of a run.
+
+A column is named by its header, by its index from 0, or by a dotted path (`log.entries.position`, `cells[2].t`). What
+a channel gets is `sign * (scale * column + offset)` in `units`, converted to the units of its quantity.
+"""
+# ruff: noqa: N815 (a unit keeps its letter)
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator, model_validator
+
+from leactl.quantities import UNITS
+from leactl.runfile.importing_units import converter, known_units
+
+STRICT = ConfigDict(frozen=True, extra="forbid")
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Above = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+Text = Annotated[str, StringConstraints(strict=True, min_length=1)]
+Name = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
+Row = Annotated[int, Field(strict=True, ge=0)]
+Column = Text | Row
+
+
+class Block(BaseModel):
+    """A mapping with a closed set of keys."""
+
+    model_config = STRICT
+
+
+class FieldOf(Block):
+    """A number or text that stands once in the source, as `scale * field + offset` where it is a number."""
+
+    field: Column
+    scale: Number = 1.0
+    offset: Number = 0.0
+
+
+class CsvForm(Block):
+    """How a CSV file is written."""
+
+    delimiter: Annotated[str, StringConstraints(strict=True, min_length=1, max_length=1)] = ","
+    decimal: Literal[".", ","] = "."
+    comment: str = "#"
+    encoding: Text = "utf-8-sig"
+    header_line: Row = 1  # counted from 1; 0: none, columns go by index
+    data_line: Row | None = None  # where numbers begin; the line after the header by default
+    missing: tuple[str, ...] = ("", "nan", "NaN", "NA", "null")  # what stands where nothing was measured
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.data_line is not None and self.data_line <= self.header_line:
+            raise ValueError(f"data_line {self.data_line} is not after header_line {self.header_line}")
+        if self.decimal == self.delimiter:
+            raise ValueError("decimal and delimiter are the same character")
+        return self
+
+
+class TimeBase(Block):
+    """Where stamps come from: a column, a rate, or a start and a step."""
+
+    column: Column | None = None
+    units: Literal["s", "ms", "us", "ns", "min", "h", "iso8601"] = "s"
+    rate_Hz: Above | None = None
+    start_s: Number = 0.0
+    step_s: Above | None = None
+    repeated: Literal["refuse", "drop"] = "refuse"  # a stamp that stands twice: the later row may be dropped
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        given = [n for n in ("column", "rate_Hz", "step_s") if getattr(self, n) is not None]
+        if len(given) != 1:
+            raise ValueError(f"give one of column, rate_Hz, step_s; {' and '.join(given) or 'none'} is given")
+        if self.column is not None and self.start_s:
+            raise ValueError("start_s goes with rate_Hz or step_s; use clock.offset_s to shift a column of stamps")
+        return self
+
+
+class Estimate(Block):
+    """Find a clock's offset from two channels that measured the same."""
+
+    channel: Name
+    against: Annotated[str, StringConstraints(strict=True, pattern=r"^[^/]+/[^/]+$")]  # stream/channel
+    within_s: Above = 1.0
+
+
+class Clock(Block):
+    """How a stream's stamps lie on the clock of the run: a known offset, or one that is estimated."""
+
+    offset_s: Number | None = None
+    estimate: Estimate | None = None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if (self.offset_s is None) == (self.estimate is None):
+            raise ValueError("give either offset_s or estimate")
+        return self
+
+
+class ChannelMapping(Block):
+    """One channel: where its numbers stand, and what they are."""
+
+    column: Column
+    quantity: Text
+    role: Literal["test", "load", "bench"] = "test"
+    units: Text | None = None  # of the column once scaled; the quantity's own by default
+    sign: Literal[1, -1] = 1
+    scale: Number | FieldOf = 1.0
+    offset: Number | FieldOf = 0.0  # added after scale, before sign
+    location: str = ""
+    device: str = ""
+    long_name: str = ""
+    sampling: Literal["instant", "mean"] = "instant"
+
+    @field_validator("quantity")
+    @classmethod
+    def _known_quantity(cls, value: str) -> str:
+        if value not in UNITS:
+            raise ValueError(f"no such quantity; known: {', '.join(UNITS)}")
+        return value
+
+    @model_validator(mode="after")
+    def _convertible(self) -> Self:
+        if self.units is not None and converter(self.units, self.quantity) is None:
+            raise ValueError(f"units {self.units!r} are none of {', '.join(known_units(self.quantity))}")
+        return self
+
+
+class StreamMapping(Block):
+    """Channels that share one sampling clock."""
+
+    records: Text | None = None  # path of the list of records, struct or matrix that columns are looked up in
+    time: TimeBase
+    clock: Clock | None = None
+    channels: Annotated[dict[Name, ChannelMapping], Field(min_length=1)]
+
+
+class Part(Block):
+    """A part of the source that becomes a run of its own, from the first row or instant up to before the last."""
+
+    suffix: Name
+    rows: tuple[Row, Row] | None = None  # of every stream: for sources with one stream
+    time_s: tuple[Number, Number] | None = None  # on the run's clock
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if (self.rows is None) == (self.time_s is None):
+            raise ValueError("give either rows or time_s")
+        first, last = self.rows or self.time_s or (0, 0)
+        if first >= last:
+            raise ValueError(f"{first} is not before {last}")
+        return self
+
+
+class ByDirection(Block):
+    """Each sweep in one direction becomes a run: `-forward`, `-reverse`, numbered from the second on."""
+
+    channel: Annotated[str, StringConstraints(strict=True, pattern=r"^[^/]+/[^/]+$")]  # stream/channel
+    least: Above  # travel that makes a sweep, in the channel's units
+
+
+class RunMapping(Block):
+    """What becomes the run's root attributes."""
+
+    protocol: str | FieldOf = ""
+    bench: str | FieldOf = ""
+    actuator: str | FieldOf = ""
+    condition: str | FieldOf = ""
+    operator: str | FieldOf = ""
+    created: str | FieldOf | None = None  # ISO 8601; the source file's own time by default
+    simulated: bool = False
+
+
+class Mapping(Block):
+    """A mapping file."""
+
+    format: Literal["csv", "mat", "json"] | None = None  # by the file's ending otherwise
+    mechanical: Literal["free", "locked", "coupled", "heated"]
+    run: RunMapping = RunMapping()
+    setup: dict[Name, Number | str | FieldOf] = {}
+    csv: CsvForm = CsvForm()
+    streams: Annotated[dict[Name, StreamMapping], Field(min_length=1)]
+    parts: tuple[Part, ...] = ()
+    by_direction: ByDirection | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.parts and self.by_direction:
+            raise ValueError("give either parts or by_direction")
+        suffixes = [part.suffix for part in self.parts]
+        if repeated := {s for s in suffixes if suffixes.count(s) > 1}:
+            raise ValueError(f"parts: suffix {', '.join(sorted(repeated))} stands twice")
+        if any(part.rows for part in self.parts) and len(self.streams) > 1:
+            raise ValueError("parts: rows mean nothing to several streams; use time_s")
+        wanted = [self.by_direction.channel] if self.by_direction else []
+        for name, stream in self.streams.items():
+            estimate = stream.clock.estimate if stream.clock else None
+            if estimate:
+                wanted += [f"{name}/{estimate.channel}", estimate.against]
+                if estimate.against.split("/")[0] == name:
+                    raise ValueError(f"streams.{name}.clock.estimate.against: is a channel of the same stream")
+        for place in wanted:
+            stream_name, channel = place.split("/")
+            if stream_name not in self.streams or channel not in self.streams[stream_name].channels:
+                raise ValueError(f"no channel {place!r} is mapped")
+        return self

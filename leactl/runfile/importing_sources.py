@@ -1,0 +1,162 @@
+"""Foreign files as something to ask for columns and single values; tables of text here, trees in `importing_trees`.
+
+Numbers come as float64; what is missing is NaN; true and false are 1 and 0. Nothing in a file is ever evaluated.
+"""
+
+import csv
+from array import array
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+from leactl.runfile.importing_mapping import CsvForm
+from leactl.runfile.importing_trees import Lacking, TreeSource, json_tree, mat_tree
+
+Array = npt.NDArray[np.float64]
+
+
+class Source(Protocol):
+    """One foreign file."""
+
+    path: Path
+
+    def column(self, name: str | int, records: str | None) -> Array | list[str]:
+        """A column: numbers, or text where it holds any."""
+
+    def field(self, name: str | int) -> float | str:
+        """A single value."""
+
+    def place(self, name: str | int, row: int) -> str:
+        """Where a row of a column stands, for messages."""
+
+
+def open_source(path: Path, fmt: str | None, form: CsvForm, wanted: Sequence[str | int]) -> Source:
+    """Open a foreign file.
+
+    Raises
+    ------
+    InputError : unreadable, not of its format, or of a format that is not known.
+    """
+    endings = {".csv": "csv", ".txt": "csv", ".tsv": "csv", ".mat": "mat", ".json": "json"}
+    kind = fmt or endings.get(path.suffix.lower())
+    if kind is None:
+        raise InputError(f"{path}: the ending does not tell its format; give `format: csv`, `mat` or `json`")
+    try:
+        if kind == "csv":
+            return CsvSource(path, form, wanted)
+        return TreeSource(path, mat_tree(path) if kind == "mat" else json_tree(path))
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or ' '.join(str(error).split())}") from None
+
+
+class CsvSource:
+    """A table of text; only the columns that are asked for are kept."""
+
+    def __init__(self, path: Path, form: CsvForm, wanted: Sequence[str | int]) -> None:
+        self.path, self._form = path, form
+        self._names: list[str] = []
+        self._lines = array("q")
+        self._columns: dict[int, list[str] | array[float]] = {}
+        try:
+            with path.open(encoding=form.encoding, newline="") as file:
+                self._read(file, wanted)
+        except UnicodeDecodeError as error:
+            raise InputError(f"{path}: not {form.encoding} at byte {error.start}; give csv.encoding") from None
+        except LookupError:
+            raise InputError(f"{path}: csv.encoding {form.encoding!r} is not known") from None
+        except csv.Error as error:
+            raise InputError(f"{path}: {error}") from None
+
+    def _read(self, file: Any, wanted: Sequence[str | int]) -> None:
+        form, missing = self._form, set(self._form.missing)
+        first = form.data_line or form.header_line + 1
+        table = csv.reader(file, delimiter=form.delimiter, skipinitialspace=True)
+        kept: list[int] = []
+        width = 0
+        faults: list[str] = []
+        for cells in table:
+            line = table.line_num
+            if line == form.header_line:
+                self._names = [cell.strip() for cell in cells]
+            if line < first or not cells or (form.comment and cells[0].startswith(form.comment)):
+                continue
+            if not width:
+                width = len(cells)
+                kept = self._found(wanted, width)
+                self._columns = {at: array("d") for at in kept}
+            if len(cells) != width:
+                faults.append(f"{self.path}: line {line}: {len(cells)} cells where {width} were expected")
+            else:
+                self._lines.append(line)
+                for at in kept:
+                    self._put(at, cells[at].strip(), line, missing)
+            if len(faults) == 5:
+                break
+        if faults:
+            raise InputError(faults)
+        if not len(self._lines):
+            raise InputError(f"{self.path}: no row of numbers after line {first - 1}")
+
+    def _put(self, at: int, cell: str, line: int, missing: set[str]) -> None:
+        column = self._columns[at]
+        if isinstance(column, list):
+            column.append(cell)
+            return
+        if cell in missing:
+            column.append(np.nan)
+            return
+        try:
+            column.append(float(cell.replace(",", ".") if self._form.decimal == "," else cell))
+        except ValueError:
+            lowered = cell.lower()
+            if lowered in ("true", "false"):
+                column.append(float(lowered == "true"))
+            elif len(column) == 0:
+                self._columns[at] = [cell]  # a column of text: run metadata, or stamps by the calendar
+            else:
+                raise InputError(
+                    f"{self.path}: line {line}, column {self._called(at)}: {cell!r} is not a number"
+                    f"; if it marks a missed sample, add it to csv.missing"
+                ) from None
+
+    def _called(self, at: int) -> str:
+        return repr(self._names[at]) if at < len(self._names) else str(at)
+
+    def _found(self, wanted: Sequence[str | int], width: int) -> list[int]:
+        places = {self._at(name, width) for name in wanted}
+        return sorted(at for at in places if at is not None)
+
+    def _at(self, wanted: str | int, width: int) -> int | None:
+        if isinstance(wanted, int):
+            return wanted if wanted < width else None
+        return self._names.index(wanted) if wanted in self._names[:width] else None
+
+    def column(self, name: str | int, records: str | None) -> Array | list[str]:
+        """A column by header or index."""
+        if isinstance(name, str) and self._names.count(name) > 1:
+            raise Lacking(f"{self.path}: the header has {name!r} {self._names.count(name)} times; give its index")
+        width = max(len(self._names), *self._columns, 0) + 1
+        at = self._at(name, width)
+        if at is None or at not in self._columns:
+            has = ", ".join(self._names) if self._names else "no header"
+            hint = "; is csv.delimiter right?" if len(self._names) == 1 else ""
+            raise Lacking(f"{self.path} has no column {name!r}; it has {has}{hint}")
+        found = self._columns[at]
+        return found if isinstance(found, list) else np.frombuffer(found, np.float64)
+
+    def field(self, name: str | int) -> float | str:
+        """The value of a column that never changes."""
+        values = self.column(name, None)
+        different = set(values) if isinstance(values, list) else set(values[np.isfinite(values)].tolist())
+        if len(different) != 1:
+            raise Lacking(f"{self.path}: column {name!r} holds {len(different)} values where one was expected")
+        only = different.pop()
+        return only if isinstance(only, str) else float(only)
+
+    def place(self, name: str | int, row: int) -> str:
+        """Line and column."""
+        return f"{self.path}: line {self._lines[row]}, column {name!r}"

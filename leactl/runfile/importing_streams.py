@@ -1,0 +1,245 @@
+"""Columns of a foreign file as streams of a run: units converted, clocks aligned, stamps checked."""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+from leactl.quantities import ChannelSpec
+from leactl.runfile.importing_mapping import ChannelMapping, FieldOf, Mapping, StreamMapping, TimeBase
+from leactl.runfile.importing_sources import Source
+from leactl.runfile.importing_trees import Lacking
+from leactl.runfile.importing_units import LINEAR, SECONDS, converter
+from leactl.yamlfile import Document
+
+Array = npt.NDArray[np.float64]
+FEWEST_COMMON = 20  # samples of each channel that an estimated offset must rest on
+LIKENESS = 0.8  # correlation below which two channels did not measure the same
+
+
+@dataclass
+class Stream:
+    """Channels on one clock, not yet in a file."""
+
+    time: Array
+    specs: list[ChannelSpec]
+    values: list[Array]
+
+    def channel(self, name: str) -> Array:
+        """Values of one channel."""
+        return self.values[[spec.name for spec in self.specs].index(name)]
+
+    def rows(self, first: int, last: int) -> "Stream":
+        """Rows from the first up to before the last."""
+        return Stream(self.time[first:last], self.specs, [column[first:last] for column in self.values])
+
+
+def build_streams(source: Source, mapping: Mapping, document: Document) -> dict[str, Stream]:
+    """Read every mapped channel of a source onto the run's clock.
+
+    Raises
+    ------
+    InputError : columns that are missing, units that cannot be, stamps that do not increase, clocks that disagree.
+    """
+    faults: list[str] = []
+    streams: dict[str, Stream] = {}
+    for name, wanted in mapping.streams.items():
+        try:
+            streams[name] = build_stream(source, name, wanted, document)
+        except InputError as found:
+            faults += found.faults
+    if faults:
+        raise InputError(faults)
+    for name, wanted in mapping.streams.items():
+        if wanted.clock is not None:
+            streams[name].time = streams[name].time + offset_of(streams, name, wanted, document)
+    begins = {name: float(s.time[0]) for name, s in streams.items()}
+    ends = {name: float(s.time[-1]) for name, s in streams.items()}
+    late, early = max(begins, key=lambda n: begins[n]), min(ends, key=lambda n: ends[n])
+    if begins[late] > ends[early]:
+        told = (
+            f"{source.path}: it begins at {begins[late]:.6g} s, after stream {early!r} has ended at {ends[early]:.6g} s"
+        )
+        raise InputError(document.fault(("streams", late), f"{told}; set clock.offset_s or clock.estimate"))
+    start = min(begins.values())
+    for stream in streams.values():
+        stream.time = stream.time - start
+    return streams
+
+
+def build_stream(source: Source, name: str, wanted: StreamMapping, document: Document) -> Stream:
+    """Read one stream on its own clock."""
+    faults: list[str] = []
+    specs, values, columns = [], [], []
+    for channel, mapped in wanted.channels.items():
+        try:
+            spec, column = build_channel(source, name, channel, mapped, wanted.records, document)
+        except InputError as found:
+            faults += found.faults
+            continue
+        specs.append(spec)
+        values.append(column)
+        columns.append(mapped.column)
+    if faults:
+        raise InputError(faults)
+    lengths = {len(column) for column in values}
+    if len(lengths) > 1:
+        told = ", ".join(f"{spec.name} {len(column)}" for spec, column in zip(specs, values, strict=True))
+        raise InputError(document.fault(("streams", name), f"{source.path}: columns of different length: {told}"))
+    time, keep = stamps(source, name, wanted, lengths.pop(), document)
+    return Stream(time[keep], specs, [column[keep] for column in values])
+
+
+def build_channel(
+    source: Source, stream: str, name: str, mapped: ChannelMapping, records: str | None, document: Document
+) -> tuple[ChannelSpec, Array]:
+    """Read one channel in the units of its quantity."""
+    place = ("streams", stream, "channels", name)
+    try:
+        raw = source.column(mapped.column, records)
+    except Lacking as lacking:
+        raise InputError(document.fault((*place, "column"), str(lacking))) from None
+    if isinstance(raw, list):
+        raise InputError(f"{source.place(mapped.column, 0)}: {raw[0]!r} is not a number")
+    scale = number(source, mapped.scale, (*place, "scale"), document)
+    offset = number(source, mapped.offset, (*place, "offset"), document)
+    conversion = converter(mapped.units or "", mapped.quantity)
+    units = conversion.target if conversion else ""
+    values = mapped.sign * (scale * raw + offset)
+    if conversion:
+        values = conversion.factor * (values - conversion.zero)
+    infinite = np.flatnonzero(np.isinf(values))
+    if len(infinite):
+        raise InputError(
+            [f"{source.place(mapped.column, int(infinite[0]))}: infinite; a missed sample is NaN or empty"]
+        )
+    if not np.isfinite(values).any():
+        raise InputError(f"{source.path}: column {mapped.column!r} holds no number at all")
+    spec = ChannelSpec(
+        name=name,
+        quantity=mapped.quantity,
+        role=mapped.role,
+        device=mapped.device or source.path.name,
+        long_name=mapped.long_name,
+        location=mapped.location,
+        sampling=mapped.sampling,
+        units=units if units in LINEAR else "",
+        dtype="f8",
+    )
+    return spec, np.asarray(values, np.float64)
+
+
+def number(source: Source, value: float | FieldOf, place: tuple[str | int, ...], document: Document) -> float:
+    """A number that the mapping gives, or the field that it points to."""
+    if not isinstance(value, FieldOf):
+        return value
+    try:
+        found = source.field(value.field)
+    except Lacking as lacking:
+        raise InputError(document.fault((*place, "field"), str(lacking))) from None
+    if isinstance(found, str) or not np.isfinite(found):
+        raise InputError(document.fault((*place, "field"), f"{source.path}: {found!r} is not a number"))
+    return value.scale * found + value.offset
+
+
+def stamps(
+    source: Source, stream: str, wanted: StreamMapping, rows: int, document: Document
+) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Stamps in seconds, strictly increasing, and which rows they keep."""
+    base = wanted.time
+    everything: npt.NDArray[np.bool_] = np.ones(rows, bool)
+    if base.column is None:
+        step = base.step_s or 1.0 / (base.rate_Hz or 1.0)
+        return np.asarray(base.start_s + step * np.arange(rows), np.float64), everything
+    try:
+        raw = source.column(base.column, wanted.records)
+    except Lacking as lacking:
+        raise InputError(document.fault(("streams", stream, "time", "column"), str(lacking))) from None
+    if len(raw) != rows:
+        raise InputError(document.fault(("streams", stream, "time", "column"), f"{len(raw)} stamps for {rows} rows"))
+    time = seconds(source, base, raw)
+    missing = np.flatnonzero(~np.isfinite(time))
+    if len(missing):
+        raise InputError(f"{source.place(base.column, int(missing[0]))}: no stamp; {len(missing)} rows have none")
+    keep = np.concatenate([[True], np.diff(time) != 0]) if base.repeated == "drop" else everything
+    kept = np.flatnonzero(keep)
+    wrong = np.flatnonzero(np.diff(time[kept]) <= 0)
+    if len(wrong):
+        row = int(kept[wrong[0] + 1])
+        before, here = time[kept[wrong[0]]], time[row]
+        told = "stands twice" if here == before else f"goes back from {before:.9g} s"
+        hint = "; time.repeated: drop leaves the later rows out" if here == before else ""
+        more = f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""
+        raise InputError(f"{source.place(base.column, row)}: stamp {here:.9g} s {told}{more}{hint}")
+    return time, keep
+
+
+def seconds(source: Source, base: TimeBase, raw: Array | list[str]) -> Array:
+    """Stamps as seconds."""
+    assert base.column is not None
+    if base.units != "iso8601":
+        if isinstance(raw, list):
+            raise InputError(f"{source.place(base.column, 0)}: {raw[0]!r} is not a number; time.units may be iso8601")
+        return raw * SECONDS[base.units]
+    out = np.empty(len(raw))
+    for row, text in enumerate(raw):
+        try:
+            moment = datetime.fromisoformat(str(text))
+        except ValueError:
+            raise InputError(f"{source.place(base.column, row)}: {text!r} is no ISO 8601 date and time") from None
+        out[row] = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    return out
+
+
+def offset_of(streams: dict[str, Stream], name: str, wanted: StreamMapping, document: Document) -> float:
+    """What is added to a stream's stamps to put them on the run's clock."""
+    clock = wanted.clock
+    assert clock is not None
+    if clock.estimate is None:
+        return clock.offset_s or 0.0
+    other, channel = clock.estimate.against.split("/")
+    own, reference = streams[name], streams[other]
+    found, likeness = lag(
+        own.time,
+        own.channel(clock.estimate.channel),
+        reference.time,
+        reference.channel(channel),
+        clock.estimate.within_s,
+    )
+    if likeness < LIKENESS:
+        told = f"{clock.estimate.channel} and {clock.estimate.against} correlate by {likeness:.2f} at best"
+        hint = f"expected {LIKENESS} within {clock.estimate.within_s:g} s; set clock.offset_s or widen within_s"
+        raise InputError(document.fault(("streams", name, "clock", "estimate"), f"{told}; {hint}"))
+    return found
+
+
+def lag(time: Array, values: Array, base: Array, reference: Array, within: float) -> tuple[float, float]:
+    """The shift of `time` at which values correlate best with the reference, and that correlation.
+
+    Coarse over the whole range, then ten times finer around the best until a hundredth of the shorter interval.
+    """
+    good, sound = np.isfinite(values), np.isfinite(reference)
+    time, values, base, reference = time[good], values[good], base[sound], reference[sound]
+    if min(len(time), len(base)) < FEWEST_COMMON:
+        return 0.0, 0.0
+    finest = 0.01 * min(float(np.median(np.diff(time))), float(np.median(np.diff(base))))
+
+    def likeness(shift: float) -> float:
+        inside = (time + shift >= base[0]) & (time + shift <= base[-1])
+        if inside.sum() < FEWEST_COMMON:
+            return -1.0
+        own, there = values[inside], np.interp(time[inside] + shift, base, reference)
+        spread = float(np.std(own) * np.std(there))
+        return float(np.mean((own - own.mean()) * (there - there.mean()))) / spread if spread > 0 else -1.0
+
+    step, best = within / 200.0, 0.0
+    shifts = np.linspace(-within, within, 401)
+    while True:
+        best = float(max(shifts, key=likeness))
+        if step <= finest:
+            break
+        shifts, step = np.linspace(best - step, best + step, 21), step / 10.0
+    at_edge = abs(abs(best) - within) < 1e-9 * within
+    return best, -1.0 if at_edge else likeness(best)

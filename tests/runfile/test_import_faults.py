@@ -1,0 +1,199 @@
+"""Import refuses what it cannot be sure of: one line a fault with its place, nothing half written or overwritten."""
+
+import json
+import textwrap
+
+import numpy as np
+import pytest
+
+from leactl.errors import InputError
+from leactl.runfile.importing import import_runs
+
+from ..cli.terminal import leactl
+from .test_import import ANGLE, SPEED, TWO_CLOCKS, N, T, mapping, write_csv
+
+PLAIN = """\
+mechanical: free
+streams:
+  loop:
+    time: {column: t}
+    channels:
+      angle: {column: q, quantity: angle}
+      speed: {column: w, quantity: velocity}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_csv(tmp_path / "a.csv", {"t": T, "q": ANGLE, "w": SPEED})
+    return tmp_path
+
+
+def refused(folder, text=PLAIN, sources=("a.csv",)):
+    with pytest.raises(InputError) as caught:
+        import_runs(sources, mapping(folder, text), folder / "out")
+    out = folder / "out"
+    assert not out.exists() or not list(out.iterdir())
+    assert all("\n" not in fault for fault in caught.value.faults)
+    return caught.value.faults
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("column: q,", "column: x,", "map.yaml:6:23  streams.loop.channels.angle.column: a.csv has no column 'x'"),
+        ("column: q,", "column: 7,", "a.csv has no column 7; it has t, q, w"),
+        ("quantity: angle}", "quantity: angel}", "map.yaml:6:36  streams.loop.channels.angle.quantity: 'angel'"),
+        ("quantity: angle}", "quantity: angle, units: V}", "units 'V' are none of rad, mrad, deg"),
+        ("quantity: angle}", "quantity: angle, gain: 2}", "streams.loop.channels.angle.gain: unknown key"),
+        ("quantity: angle}", "quantity: angle, scale: .inf}", "a finite number was expected"),
+        ("quantity: angle}", "quantity: angle, scale: '2'}", "valid number"),
+        ("quantity: angle}", "quantity: angle, sign: 2}", "sign"),
+        ("quantity: angle}", "quantity: angle, scale: {field: k}}", "has no column 'k'"),
+        ("quantity: angle}", "quantity: angle, scale: {field: w}}", "holds 400 values where one was expected"),
+        ("{column: t}", "{}", "give one of column, rate_Hz, step_s; none is given"),
+        ("{column: t}", "{column: t, rate_Hz: 5}", "column and rate_Hz is given"),
+        ("{column: t}", "{rate_Hz: 0}", "greater than 0"),
+        ("{column: t}", "{column: time}", "map.yaml:4:20  streams.loop.time.column: a.csv has no column 'time'"),
+        ("mechanical: free", "mechanical: loose", "map.yaml:1:13  mechanical"),
+        ("mechanical: free", "setup: {load_mass: heavy}", "map.yaml:1:1  mechanical: is required and missing"),
+        ("mechanical: free", "mechanical: free\nparts: [{suffix: a, rows: [0, 900]}]", "reaches beyond the recording"),
+        ("mechanical: free", "mechanical: free\nparts: [{suffix: a, rows: [9, 9]}]", "9 is not before 9"),
+        ("mechanical: free", "mechanical: free\nby_direction: {channel: loop/x, least: 1}", "no channel 'loop/x'"),
+        ("mechanical: free", "mechanical: free\nby_direction: {channel: loop/angle, least: 9}", "never travels 9"),
+        ("quantity: velocity", "quantity: angle", "same quantity, role and location"),
+        ("mechanical: free", "mechanical: free\nformat: mat", "not a MAT file"),
+        ("mechanical: free", "mechanical: free\nformat: json", "a.csv:1:1  not JSON"),
+        ("mechanical: free", "mechanical: free\ncsv: {delimiter: ';'}", "is csv.delimiter right?"),
+        ("mechanical: free", "mechanical: free\nrun: {created: yesterday}", "'yesterday' is no ISO 8601 date"),
+    ],
+)  # fmt: skip
+def test_a_fault_of_the_mapping_has_its_line_and_column(folder, old, new, told):
+    assert old in PLAIN
+    assert any(told in fault for fault in refused(folder, PLAIN.replace(old, new)))
+
+
+def spoilt(folder, row, column, cell):
+    lines = (folder / "a.csv").read_text().splitlines()
+    cells = lines[row].split(",")
+    cells[column] = cell
+    lines[row] = ",".join(cells)
+    (folder / "a.csv").write_text("\n".join(lines))
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "cell", "told"),
+    [
+        (7, 1, "4,5", "a.csv: line 8: 4 cells where 3 were expected"),
+        (7, 1, "oops", "a.csv: line 8, column 'q': 'oops' is not a number; if it marks a missed sample, add"),
+        (1, 1, "oops", "a.csv: line 3, column 'q'"),
+        (7, 1, "1e400", "a.csv: line 8, column 'q': infinite"),
+        (7, 0, "", "a.csv: line 8, column 't': no stamp; 1 rows have none"),
+        (7, 0, "0.025", "a.csv: line 8, column 't': stamp 0.025 s stands twice; time.repeated: drop"),
+        (7, 0, "0.001", "a.csv: line 8, column 't': stamp 0.001 s goes back from 0.025 s"),
+    ],
+)  # fmt: skip
+def test_a_fault_of_the_data_has_its_row_and_column(folder, row, column, cell, told):
+    spoilt(folder, row, column, cell)
+    if row == 1:
+        told = "column 'q': 'oops' is not a number"
+    assert any(told in fault for fault in refused(folder))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("quantity: velocity", "quantity: velocity, scale: 1000", "channel speed: 1e+03 times the change of angle"),
+        ("quantity: velocity", "quantity: velocity, scale: 0.001", "channel speed: 0.001 times the change of angle"),
+        ("column: t", "column: t, units: ns", "s between samples; are time.units right?"),
+        ("column: q, quantity: angle", "column: q, quantity: winding_temperature, units: K", "outside -100 .. 600"),
+        ("column: q, quantity: angle", "column: q, quantity: bus_voltage, scale: 1e9", "are units and scale right?"),
+    ],
+)
+def test_units_that_are_wrong_by_a_thousand_are_met_at_the_door(folder, old, new, told):
+    # travel of a sine cancels over whole periods: a ramp that a person would sweep
+    write_csv(folder / "a.csv", {"t": T, "q": 2.0 * T, "w": 2.0 + 0 * T})
+    (fault,) = refused(folder, PLAIN.replace(old, new))
+    assert told in fault.replace("1000 times", "1e+03 times")
+
+
+@pytest.mark.parametrize(
+    ("clock", "told"),
+    [
+        ("{offset_s: 0}", "after stream 'loop' has ended at 1.995 s; set clock.offset_s or clock.estimate"),
+        ("{estimate: {channel: angle, against: loop/angle}}", "correlate by -1.00 at best"),
+        ("{estimate: {channel: torque, against: loop/angle, within_s: 2000}}", "set clock.offset_s"),
+        ("{estimate: {channel: angle, against: daq/torque}}", "is a channel of the same stream"),
+        ("{estimate: {channel: angle, against: loop/none}}", "no channel 'loop/none' is mapped"),
+        ("{}", "give either offset_s or estimate"),
+    ],
+)
+def test_clocks_that_disagree(folder, clock, told):
+    daq = {"t": (T + 1000.0).tolist(), "m": np.random.default_rng(1).normal(size=N).tolist(), "q": ANGLE.tolist()}
+    (folder / "a.json").write_text(json.dumps({"t": T.tolist(), "q": ANGLE.tolist(), "daq": daq}))
+    text = textwrap.dedent(TWO_CLOCKS).format(clock=clock)
+    assert any(told in fault for fault in refused(folder, text, ["a.json"]))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "told"),
+    [
+        ("a.json", b'{"t": [0, 1], "q": ["a", 2]}', "a.json: 'q' row 0: 'a' is not a number"),
+        ("a.json", b'{"t": [0, 1], "q": [{}, 2]}', "a.json: 'q' row 0: a group of nothing is not a number"),
+        ("a.json", b'{"t": [0, 1], "q": {"x": 1}}', "'q' holds a group of x where a column of numbers was expected"),
+        ("a.json", b'{"t": [0, 1], "q": [1]}', "2 stamps for 1 rows"),
+        ("a.json", b'{"t": [0, 1], "q": [null, NaN]}', "column 'q' holds no number at all"),
+        ("a.json", b"[1, 2", "a.json:1:6  not JSON"),
+        ("a.json", b"[" * 100_000, "a.json"),
+        ("a.json", b"\xff\xfe", "not UTF-8"),
+        ("a.json", b"[]", "no record of the file has 'q'; they have nothing"),
+        ("a.mat", b"MATLAB 5.0 MAT-file" + b"\0" * 200, "a.mat: not a MAT file that can be read"),
+        ("b.csv", b"", "no row of numbers after line 1"),
+        ("b.csv", b"t,q\n", "no row of numbers after line 1"),
+        ("b.csv", b"t,q\n0,1\n", "1 row; at least 2 were expected"),
+        ("b.csv", b"t,q,q\n0,1,2\n1,1,2\n", "the header has 'q' 2 times; give its index"),
+        ("b.csv", b"\x89PNG\r\n\x1a\n", "not utf-8-sig at byte 0"),
+        ("b.xls", b"x", "the ending does not tell its format"),
+    ],
+)
+def test_files_that_are_something_else(folder, name, content, told):
+    (folder / name).write_bytes(content)
+    text = PLAIN.replace("      speed: {column: w, quantity: velocity}\n", "")
+    assert any(told in fault for fault in refused(folder, text, [name]))
+
+
+def test_every_source_is_checked_before_the_first_is_written(folder):
+    write_csv(folder / "b.csv", {"t": T, "q": ANGLE})
+    write_csv(folder / "c.csv", {"t": T[::-1], "q": ANGLE, "w": SPEED})
+    faults = refused(folder, sources=["a.csv", "b.csv", "c.csv"])
+    assert len(faults) == 2
+    assert "b.csv has no column 'w'" in faults[0]
+    assert "c.csv: line 3, column 't'" in faults[1]
+
+
+def test_nothing_is_overwritten_and_nothing_is_left_over(folder):
+    import_runs(["a.csv"], mapping(folder, PLAIN), folder / "out")
+    before = (folder / "out" / "a.h5").read_bytes()
+    write_csv(folder / "b.csv", {"t": T, "q": ANGLE, "w": SPEED})
+    with pytest.raises(InputError, match=r"a\.h5: exists already"):
+        import_runs(["b.csv", "a.csv"], mapping(folder, PLAIN), folder / "out")
+    assert [path.name for path in (folder / "out").iterdir()] == ["a.h5"]
+    assert (folder / "out" / "a.h5").read_bytes() == before
+
+
+def test_sources_of_one_name(folder):
+    (folder / "x").mkdir()
+    (folder / "x" / "a.csv").write_bytes((folder / "a.csv").read_bytes())
+    assert "a.h5: several sources make this run" in refused(folder, sources=["a.csv", "x/a.csv"])[0]
+
+
+def test_the_command_answers_in_text_json_and_status(folder):
+    mapping(folder, PLAIN)
+    done = leactl("runs", "import", folder / "a.csv", "--map", folder / "map.yaml", "--out", folder / "out", "--json")
+    assert json.loads(done.stdout) == {"files": [str(folder / "out" / "a.h5")]}
+    for arguments in ([folder / "a.csv"], [folder / "none.csv"], [folder]):
+        again = leactl("runs", "import", *arguments, "--map", folder / "map.yaml", "--out", folder / "out")
+        assert again.returncode == 2
+        assert again.stderr.startswith("leactl: ")
+        assert "Traceback" not in again.stderr
