@@ -358,17 +358,15 @@ def velocity_filter_lag():
     assert (off.velocity - on.velocity)[-20:].mean() / slope == pytest.approx(0.02, rel=0.3)
 
 
-def steady_conductance(name, parameters, current):
-    """Housing-to-ambient conductance over the nominal one from a long heated run's last balance."""
-    effect = make_effect(name, parameters)
-    (run,) = heat([Lane("heated", effects=(effect,))], [np.full(9000, current)])
-    heat_in = 2 * LEA.resistance(run.winding[-1]) * current**2 - (run.winding[-1] - 25.0) / 5.6
-    rise = run.housing[-1] - 25.0
-    return heat_in / rise * 1.7, rise
-
-
 def nonlinear_convection():
-    shares = [steady_conductance("nonlinear_convection", {"coefficient": 0.005}, current) for current in (2.0, 9.0)]
+    """Conductance over the nominal one from the last balance of two long heated runs."""
+    effect, currents = make_effect("nonlinear_convection", {"coefficient": 0.005}), (2.0, 9.0)
+    light = replace(LEA, thermal=replace(LEA.thermal, housing_capacitance=150.0))
+    runs = heat([Lane("heated", light, effects=(effect,))] * 2, [np.full(3000, current) for current in currents])
+    shares = []
+    for run, current in zip(runs, currents, strict=True):
+        heat_in = 2 * LEA.resistance(run.winding[-1]) * current**2 - (run.winding[-1] - 25.0) / 5.6
+        shares.append((heat_in / (run.housing[-1] - 25.0) * 1.7, run.housing[-1] - 25.0))
     for share, rise in shares:
         assert 0.5 * 0.005 * rise < share - 1.0 < 1.1 * 0.005 * rise
     assert shares[1][0] > shares[0][0] + 0.05
