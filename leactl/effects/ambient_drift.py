@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -25,3 +26,8 @@ class AmbientDrift(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Change in two hours."""
         return {"change": found["change"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """Ambient that moves evenly."""
+        change = parameters["change"]
+        plant.ambient_change.append(lambda time: change * time / 7200.0)

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -22,3 +23,8 @@ class AsymmetricFriction(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Half the difference over the mean."""
         return {"asymmetry": found["asymmetry"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A factor with the direction."""
+        asymmetry = parameters["asymmetry"]
+        plant.coulomb_share.append(lambda now: 1.0 + asymmetry * np.sign(now.velocity))

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -24,3 +25,7 @@ class Backlash(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Whole width."""
         return {"width": found["width"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """Play in series with the shaft."""
+        plant.play += parameters["width"]

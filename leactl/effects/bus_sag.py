@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -21,3 +22,7 @@ class BusSag(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Source resistance."""
         return {"resistance": found["resistance"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A resistance of the source."""
+        plant.bus_resistance += parameters["resistance"]

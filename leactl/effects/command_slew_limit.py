@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.effects.shapes import rate_limited
 from leactl.model.nominal import Model
 
@@ -24,3 +25,8 @@ class CommandSlewLimit(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Rate."""
         return {"rate": form[0]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A reference that is followed at a limited rate."""
+        rate = parameters["rate"]
+        plant.command.append(lambda values, interval: rate_limited(values, rate * interval))

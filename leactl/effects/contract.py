@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
@@ -81,6 +82,10 @@ class Effect:
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """Columns for each place and coefficient; empty where the run cannot show the effect."""
+        raise NotImplementedError
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """Put the effect with these parameters into a simulated bench."""
         raise NotImplementedError
 
     def applies(self, model: Model) -> bool:

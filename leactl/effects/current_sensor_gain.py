@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -20,3 +21,7 @@ class CurrentSensorGain(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Gain."""
         return {"gain": 1.0 / max(1.0 - found["excess"], 1e-3)}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A sensor whose reading the loop regulates."""
+        plant.current_gain *= parameters["gain"]

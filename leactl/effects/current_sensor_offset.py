@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -22,3 +23,7 @@ class CurrentSensorOffset(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Offset."""
         return {"offset": found["offset"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A sensor whose reading the loop regulates."""
+        plant.current_offset += parameters["offset"]

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -24,3 +25,8 @@ class DeadTime(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Voltage and current."""
         return {"voltage": found["voltage"], "current": form[0]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A voltage that the drive applies and the winding does not see."""
+        lost, current = parameters["voltage"], parameters["current"]
+        plant.lost_voltage.append(lambda flowing: lost * np.tanh(flowing / current))

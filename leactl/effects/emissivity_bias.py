@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -30,3 +31,7 @@ class EmissivityBias(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Fraction."""
         return {"fraction": 1.0 + found["excess"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A camera that reads a fraction."""
+        plant.camera_fraction *= parameters["fraction"]

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -24,3 +25,8 @@ class EncoderEccentricity(Effect):
         """Amplitude and phase."""
         amplitude = math.hypot(found["cos"], found["sin"])
         return {"amplitude": amplitude, "phase": math.atan2(found["cos"], found["sin"])}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """An error of the angle, and so of the velocity that is taken from it."""
+        amplitude, phase = parameters["amplitude"], parameters["phase"]
+        plant.angle_error.append(lambda angle: amplitude * np.sin(angle + phase))

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -29,3 +30,8 @@ class ForcedConvection(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Relative growth per speed."""
         return {"coefficient": found["coefficient"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A conductance that grows with speed."""
+        coefficient = parameters["coefficient"]
+        plant.convection.append(lambda rise, speed: coefficient * speed)

@@ -6,6 +6,7 @@ import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
 from leactl.effects.friction import drag
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -26,3 +27,8 @@ class FrictionRunIn(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Excess and time constant."""
         return {"excess": found["excess"], "time_constant": form[0]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """Friction that settles over the run."""
+        excess, settling = parameters["excess"], parameters["time_constant"]
+        plant.friction_share.append(lambda run: 1.0 + excess * np.exp(-run.time / settling))

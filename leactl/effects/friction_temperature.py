@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
 from leactl.effects.friction import drag
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -27,3 +28,8 @@ class FrictionTemperature(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Relative change per kelvin."""
         return {"coefficient": found["coefficient"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """Friction that goes with the housing."""
+        coefficient, reference = parameters["coefficient"], plant.model.reference_temperature
+        plant.friction_share.append(lambda run: 1.0 + coefficient * (run.housing - reference))

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -23,3 +24,8 @@ class LoadDependentFriction(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Friction per torque."""
         return {"coefficient": found["coefficient"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """Coulomb friction in proportion to shaft torque."""
+        coefficient = parameters["coefficient"]
+        plant.coulomb_added.append(lambda now: coefficient * np.abs(now.transmitted))

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -23,3 +24,8 @@ class MagnetTemperature(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Relative loss per kelvin."""
         return {"coefficient": found["coefficient"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """Both constants, with the housing."""
+        coefficient, reference = parameters["coefficient"], plant.model.reference_temperature
+        plant.magnet_share.append(lambda run: 1.0 - coefficient * (run.housing - reference))

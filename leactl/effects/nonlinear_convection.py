@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -26,3 +27,8 @@ class NonlinearConvection(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Relative growth per kelvin."""
         return {"coefficient": found["coefficient"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A conductance that grows with the rise."""
+        coefficient = parameters["coefficient"]
+        plant.convection.append(lambda rise, speed: coefficient * np.abs(rise))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -32,3 +33,8 @@ class PositionDependentFriction(Effect):
         """Amplitude, order and phase."""
         amplitude = math.hypot(found["cos"], found["sin"])
         return {"amplitude": amplitude, "order": form[0], "phase": math.atan2(-found["sin"], found["cos"])}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A factor over the angle."""
+        amplitude, order, phase = (parameters[name] for name in ("amplitude", "order", "phase"))
+        plant.coulomb_share.append(lambda now: 1.0 + amplitude * np.cos(order * now.angle + phase))

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.effects.shapes import bristle
 from leactl.model.nominal import Model
 
@@ -29,3 +30,7 @@ class Presliding(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """The displacement, scaled by how much of the column is there."""
         return {"displacement": form[0] * found["strength"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """Bristles that bend before they slide."""
+        plant.bristle += parameters["displacement"]

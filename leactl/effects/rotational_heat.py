@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -30,3 +31,9 @@ class RotationalHeat(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Share."""
         return {"fraction": found["fraction"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """Heat of the housing at a speed."""
+        fraction, model = parameters["fraction"], plant.model
+        damping, friction = model.viscous_damping or 0.0, model.coulomb_friction or 0.0
+        plant.housing_heat.append(lambda speed: fraction * (damping * speed + friction) * speed)

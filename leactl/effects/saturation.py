@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -24,3 +25,8 @@ class Saturation(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Loss at 25 A."""
         return {"loss": found["loss"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A torque constant that falls with the square of the current."""
+        loss = parameters["loss"]
+        plant.torque_share.append(lambda current: 1.0 - loss * (current / 25.0) ** 2)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -22,3 +23,7 @@ class ShaftCompliance(Effect):
         """Stiffness."""
         assert model.bench.shaft_stiffness is not None
         return {"stiffness": model.bench.shaft_stiffness / max(1.0 + found["excess"], 1e-3)}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A softer shaft."""
+        plant.stiffness = parameters["stiffness"]

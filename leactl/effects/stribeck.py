@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -25,3 +26,8 @@ class Stribeck(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Ratio and speed."""
         return {"breakaway_ratio": found["ratio"], "stribeck_velocity": form[0]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A factor that fades with speed."""
+        ratio, fading = parameters["breakaway_ratio"], parameters["stribeck_velocity"]
+        plant.coulomb_share.append(lambda now: 1.0 + ratio * np.exp(-np.abs(now.velocity) / fading))

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.effects.shapes import lagged
 from leactl.model.nominal import Model
 
@@ -25,3 +26,7 @@ class ThirdThermalNode(Effect):
         """Capacity and resistance."""
         conductance = max(found["conductance"], 1e-9)
         return {"capacitance": form[0] * conductance, "resistance": 1.0 / conductance}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A body behind the housing."""
+        plant.further_node = (parameters["capacitance"], parameters["resistance"])

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -28,3 +29,8 @@ class TorqueRipple(Effect):
         """Amplitude, order and phase of the strongest order."""
         amplitude = math.hypot(found["cos"], found["sin"])
         return {"amplitude": amplitude, "order": form[0], "phase": math.atan2(found["cos"], found["sin"])}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A relative change over the angle."""
+        amplitude, order, phase = (parameters[name] for name in ("amplitude", "order", "phase"))
+        plant.ripple.append(lambda now: amplitude * np.sin(order * now.angle + phase))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -24,3 +25,8 @@ class TorqueSensorCrosstalk(Effect):
         """Amplitude and phase."""
         amplitude = math.hypot(found["cos"], found["sin"])
         return {"amplitude": amplitude, "phase": math.atan2(found["cos"], found["sin"])}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A reading over the angle."""
+        amplitude, phase = parameters["amplitude"], parameters["phase"]
+        plant.torque_reading.append(lambda run, reading: reading + amplitude * np.sin(run.angle + phase))

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 
@@ -20,3 +21,8 @@ class TorqueSensorDrift(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Rate."""
         return {"rate": found["rate"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A zero that moves."""
+        rate = parameters["rate"]
+        plant.torque_reading.append(lambda run, reading: reading + rate * run.time)

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.effects.shapes import play
 from leactl.model.nominal import Model
 
@@ -29,3 +30,8 @@ class TorqueSensorHysteresis(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Half width over the swing."""
         return {"width": found["width"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A reading that follows with play, a share of the run's swing."""
+        width = parameters["width"]
+        plant.torque_reading.append(lambda run, reading: play(reading, width * float(np.max(np.abs(reading)))))

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.effects.shapes import lagged
 from leactl.model.nominal import Model
 
@@ -24,3 +25,8 @@ class TorqueSensorLag(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Time constant."""
         return {"time_constant": form[0] * found["strength"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A further lag."""
+        constant = parameters["time_constant"]
+        plant.torque_reading.append(lambda run, reading: lagged(reading, constant, run.interval))

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
 from leactl.effects.shapes import delayed
 from leactl.model.nominal import Model
 
@@ -24,3 +25,8 @@ class TransportDelay(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Delay."""
         return {"delay": form[0] * found["strength"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A loop that answers late."""
+        delay = parameters["delay"]
+        plant.loop_answer.append(lambda values, interval: delayed(values, delay, interval))

@@ -27,7 +27,7 @@ class BenchModel(BaseModel):
 
 
 class LoadModel(BaseModel):
-    """What hangs on the shaft: nothing, or a pendulum of a point mass on an arm."""
+    """What hangs on the shaft: nothing, or a pendulum of a point mass on an arm; friction of a load actuator."""
 
     model_config = STRICT
     type: Literal["none", "pendulum"] = "none"
@@ -35,6 +35,8 @@ class LoadModel(BaseModel):
     length: NotNegative = 0.0  # m
     arm_mass: NotNegative = 0.0  # kg
     gravity: Positive = 9.80665  # m/s^2
+    viscous_damping: NotNegative | None = None  # N*m*s/rad, of the load actuator; by default the test actuator's
+    coulomb_friction: NotNegative | None = None  # N*m, the same
 
 
 class DriveModel(BaseModel):
@@ -88,6 +90,7 @@ class Model(BaseModel):
     viscous_damping: NotNegative | None = None  # N*m*s/rad
     coulomb_friction: NotNegative | None = None  # N*m
     thermal: Thermal | None = None
+    ambient_offset: Annotated[float, Field(ge=-20, le=20)] = 0.0  # K, true ambient minus the logged one
     bench: BenchModel = BenchModel()
     load: LoadModel = LoadModel()
     drive: DriveModel | None = None

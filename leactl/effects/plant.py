@@ -1,0 +1,85 @@
+"""A simulated bench as effects change it: its numbers, and lists of functions by the place where they act.
+
+Each effect of the library puts its simulation form here (`Effect.act`), so that any of them combine: factors multiply,
+torques and voltages add, what becomes of a reference or a reading runs through one after the other. Mechanical
+functions see many stretches of runs at once (`Moment`), the others a whole run (`Course`).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.model.nominal import Model
+
+Array: TypeAlias = npt.NDArray[np.float64]
+
+
+@dataclass
+class Moment:
+    """Rotors of many stretches of runs at one instant."""
+
+    angle: Array  # rad
+    velocity: Array  # rad/s, before this step's friction has taken its part: its sign tells where a rotor would go
+    drive: Array  # N*m, of the current
+    transmitted: Array  # N*m, onto the shaft
+
+
+@dataclass
+class Course:
+    """One run on an even clock."""
+
+    time: Array  # s since the run's start
+    interval: float
+    angle: Array  # rad
+    housing: Array  # degC
+
+
+OfMoment = Callable[[Moment], Array]
+OfCourse = Callable[[Course], Array]
+Becomes = Callable[[Array, float], Array]  # values and their interval
+Reads = Callable[[Course, Array], Array]  # a run, and the reading so far
+
+
+@dataclass
+class Plant:
+    """One bench to simulate; every list is empty where no effect acts."""
+
+    model: Model
+    stiffness: float | None  # N*m/rad, of the shaft
+    resistance_coefficient: float  # 1/K
+    play: float = 0.0  # rad, whole width between actuator and shaft
+    bristle: float = 0.0  # rad, over which friction builds up
+    current_gain: float = 1.0  # measured current over current
+    current_offset: float = 0.0  # A
+    bus_resistance: float = 0.0  # ohm
+    camera_fraction: float = 1.0  # of the rise above ambient that the camera reads
+    further_node: tuple[float, float] | None = None  # J/K and K/W of a body behind the housing
+
+    command: list[Becomes] = field(default_factory=list)  # A, what the current loop follows
+    loop_answer: list[Becomes] = field(default_factory=list)  # A, what becomes of the loop's answer
+    torque_share: list[Callable[[Array], Array]] = field(default_factory=list)  # factor at a current [A]
+    magnet_share: list[OfCourse] = field(default_factory=list)  # factor on torque and back-EMF constant
+    friction_share: list[OfCourse] = field(default_factory=list)  # factor on viscous damping and Coulomb friction
+    lost_voltage: list[Callable[[Array], Array]] = field(default_factory=list)  # V at a current [A]
+
+    ripple: list[OfMoment] = field(default_factory=list)  # relative change of the drive's torque
+    rotor_torque: list[OfMoment] = field(default_factory=list)  # N*m that drives the rotor
+    drag: list[OfMoment] = field(default_factory=list)  # N*m against the rotor, zero at standstill
+    coulomb_share: list[OfMoment] = field(default_factory=list)  # factor on Coulomb friction
+    coulomb_added: list[OfMoment] = field(default_factory=list)  # N*m of Coulomb friction beyond the model's
+
+    torque_reading: list[Reads] = field(default_factory=list)
+    velocity_reading: list[Becomes] = field(default_factory=list)
+    angle_error: list[Callable[[Array], Array]] = field(default_factory=list)  # rad at an angle
+
+    ambient_change: list[Callable[[Array], Array]] = field(default_factory=list)  # K at a time in the run
+    convection: list[Callable[[Array, Array], Array]] = field(default_factory=list)  # relative, of rise and speed
+    housing_heat: list[Callable[[Array], Array]] = field(default_factory=list)  # W at a speed
+
+
+def bare(model: Model) -> Plant:
+    """The bench as the model has it, without its effects."""
+    return Plant(model, model.bench.shaft_stiffness, model.resistance_coefficient)

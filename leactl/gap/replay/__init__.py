@@ -1,0 +1,37 @@
+"""Simulating again: a run's own inputs through a model, from the first sample's state, channel by channel."""
+
+from collections.abc import Sequence
+
+from leactl.gap.record import Record
+from leactl.gap.replay.drive import follow
+from leactl.gap.replay.heat import warm
+from leactl.gap.replay.job import Job
+from leactl.gap.replay.mechanics import move
+from leactl.gap.replay.plants import plant_of
+from leactl.gap.replay.readings import read
+from leactl.model.nominal import Model
+
+__all__ = ["Job", "plant_of", "replay", "replay_all"]
+
+
+def replay(record: Record, model: Model) -> Job:
+    """Replay one run through one model; `fast` and `slow` of the answer hold what the channels read.
+
+    Raises
+    ------
+    InputError : an effect of the model lacks a parameter.
+    """
+    job = Job(record, plant_of(model))
+    replay_all([job])
+    return job
+
+
+def replay_all(jobs: Sequence[Job]) -> None:
+    """Replay many runs and benches side by side."""
+    moving = [job for job in jobs if job.record.fast is not None]
+    for job in moving:
+        follow(job)
+    warm(jobs)
+    move(moving)
+    for job in moving:
+        read(job)

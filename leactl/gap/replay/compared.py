@@ -1,0 +1,106 @@
+"""Measured channels beside what models make of them, sample by sample, with the noise that no model removes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.gap.record import Clocked, Key, Record
+from leactl.gap.replay.job import Job, quantum_of
+from leactl.gap.smoothing import smooth
+
+Array = npt.NDArray[np.float64]
+BLOCK_S = 1.0
+FEWEST_BLOCKS = 20  # a slow clock has longer blocks, for its errors last
+TRIMMED = 0.98  # share of the differences that tell the noise: the others are steps that a model does not time right
+TRIMMED_SCALE = 0.9343  # standard deviation of what is left of a Gaussian
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """One channel of one run; only samples that were measured and that every replay reaches."""
+
+    run: str
+    kind: str
+    mechanical: str
+    quantity: str
+    role: str
+    time: Array  # s since the run's start
+    index: npt.NDArray[np.intp]  # sample of its clock
+    block: npt.NDArray[np.intp]
+    measured: Array
+    replayed: tuple[Array, ...]  # one for each model
+    disturbed: Array  # the last model again, its start and inputs carrying their noise once more
+    noise: float  # standard deviation of the channel's noise and quantisation
+    restarts: bool  # whether the replay starts again every second
+
+    def squares(self, model: int) -> Array:
+        """Squared distance of one model, sample by sample."""
+        return np.asarray((self.measured - self.replayed[model]) ** 2, np.float64)
+
+    def floor_squares(self) -> Array:
+        """Squared distance that the last model has from its own output, noise added."""
+        return np.asarray((self.disturbed - self.replayed[-1]) ** 2 + self.noise**2, np.float64)
+
+
+def compare(record: Record, jobs: Sequence[Job], disturbed: Job) -> list[Compared]:
+    """Every channel that all replays of a run reach."""
+    found = []
+    for name, clock in (("fast", record.fast), ("slow", record.slow)):
+        if clock is None:
+            continue
+        answers = [getattr(job, name) for job in (*jobs, disturbed)]
+        for key in answers[0]:
+            values = measured(clock, key)
+            if values is not None and all(key in answer for answer in answers):
+                rows = [answer[key] for answer in answers]
+                moved = key[0] in ("velocity", "torque", "q_axis_voltage")
+                restarts = moved and any(job.restarts for job in jobs)
+                one = _compared(record, clock, key, values, rows, restarts)
+                found += [one] if one is not None else []
+    return found
+
+
+def measured(clock: Clocked, key: Key) -> Array | None:
+    """A channel, or the speed that the angle tells where the run has none."""
+    if key == ("velocity", "test") and clock.get("velocity") is None:
+        angle = clock.get("angle")
+        return smooth(np.diff(angle, prepend=angle[0]) / clock.interval) if angle is not None else None
+    return clock.get(*key)
+
+
+def _compared(
+    record: Record, clock: Clocked, key: Key, values: Array, rows: list[Array], restarts: bool
+) -> Compared | None:
+    keep = np.all(np.isfinite(rows), axis=0)
+    keep &= clock.all_valid(key if key in clock.values else ("angle", "test"))
+    index = np.flatnonzero(keep)
+    if len(index) < 2:
+        return None
+    left = [values[index] - row[index] for row in rows[:-1]]
+    noise = max(min(white(residual) for residual in left), quantum_of(values) / np.sqrt(12.0))
+    time = clock.time - clock.time[0]
+    length = BLOCK_S if clock is record.fast else max(BLOCK_S, float(time[-1]) / FEWEST_BLOCKS)
+    return Compared(
+        run=record.name,
+        kind=record.kind,
+        mechanical=record.mechanical,
+        quantity=key[0],
+        role=key[1],
+        time=time[index],
+        index=index,
+        block=(time[index] / length).astype(np.intp),
+        measured=values[index],
+        replayed=tuple(row[index] for row in rows[:-1]),
+        disturbed=rows[-1][index],
+        noise=float(noise),
+        restarts=restarts,
+    )
+
+
+def white(values: Array) -> float:
+    """Standard deviation of what changes from one sample to the next."""
+    steps = np.sort(np.abs(np.diff(values)))
+    kept = steps[: max(1, int(TRIMMED * len(steps)))]
+    return float(np.sqrt(np.mean(kept**2) / 2.0)) / TRIMMED_SCALE

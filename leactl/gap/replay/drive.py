@@ -1,0 +1,93 @@
+"""Current of the test drive: what its loop makes of the reference, else what was measured."""
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import lfilter
+
+from leactl.gap.record import Clocked
+from leactl.gap.replay.job import Job, noise_of
+
+Array = npt.NDArray[np.float64]
+
+
+def follow(job: Job) -> None:
+    """Work out the current of the whole run; the loop knows nothing of the motion, so it never starts again."""
+    clock, plant = job.clock, job.plant
+    bandwidth = plant.model.bench.current_loop_bandwidth
+    if clock.get("q_axis_current_reference") is not None:
+        over = asked(clock, job.parts)
+        for becomes in plant.command:
+            over = becomes(over, job.step)
+        reading, mean = answered(over, over[0], bandwidth, job.step)
+        for becomes in plant.loop_answer:
+            reading, mean = becomes(reading, job.step), becomes(mean, job.step)
+    else:
+        found = measured(job, "test")
+        if found is None:
+            return
+        reading, mean = found
+    enabled = clock.get("drive_enabled")
+    on = spread(np.round(enabled), job.parts) if enabled is not None else np.ones_like(reading)
+    job.current = on * (reading - plant.current_offset) / plant.current_gain
+    job.current_mean = on[1:] * (mean - plant.current_offset) / plant.current_gain
+
+
+def asked(clock: Clocked, parts: int) -> Array:
+    """The reference over each sub-step: held from sample to sample, or on its way between two where a servo moves it.
+
+    A servo inside the drive moves its current reference between samples: where its own target steps, the current
+    reference jumps by its gain times the step and then goes to the next sample. That gain shows in the record.
+    """
+    reference = clock.values["q_axis_current_reference", "test"]
+    ends = reference[1:]
+    begins = ends
+    for name in ("velocity", "angle"):
+        target, actual = clock.get(f"{name}_reference"), clock.get(name)
+        if target is not None and actual is not None:
+            moved = np.stack([np.diff(target), np.diff(actual), (target - actual)[1:]], axis=1)
+            gain = float(np.linalg.lstsq(moved, np.diff(reference), rcond=None)[0][0])
+            begins = reference[:-1] + gain * moved[:, 0]
+    way = (np.arange(parts) + 0.5) / parts
+    return np.asarray((begins[:, None] + (ends - begins)[:, None] * way).reshape(-1), np.float64)
+
+
+def answered(over: Array, start: float, bandwidth: float | None, step: float) -> tuple[Array, Array]:
+    """A first-order loop's answer to what it follows over each sub-step: at the instants, and as means between."""
+    if not bandwidth:
+        return np.concatenate([over[:1], over]), over
+    constant = 1.0 / (2.0 * np.pi * bandwidth)
+    decay = float(np.exp(-step / constant))
+    answer = lfilter([1.0 - decay], [1.0, -decay], over, zi=[decay * start])[0]
+    instants = np.concatenate([[start], answer])
+    return instants, over - constant * np.diff(instants) / step
+
+
+def measured(job: Job, role: str) -> tuple[Array, Array] | None:
+    """A measured current at the instants and as means between; a loop is taken to have led from sample to sample."""
+    values = job.clock.get("q_axis_current", role)
+    if values is None:
+        return None
+    if job.disturbance is not None:
+        values = values + noise_of(values) * job.disturbance.standard_normal(len(values))
+    bandwidth = job.plant.model.bench.current_loop_bandwidth
+    if ("q_axis_current", role) in job.clock.means:
+        over = np.repeat(values[1:], job.parts)
+        return np.concatenate([over[:1], over]), over
+    if not bandwidth:
+        instants = spread(values, job.parts)
+        return instants, 0.5 * (instants[1:] + instants[:-1])
+    decay = float(np.exp(-2.0 * np.pi * bandwidth * job.clock.interval))
+    held = (values[1:] - decay * values[:-1]) / (1.0 - decay)
+    return answered(np.repeat(held, job.parts), float(values[0]), bandwidth, job.step)
+
+
+def spread(values: Array, parts: int) -> Array:
+    """Samples at the instants of the sub-steps, linear in between."""
+    at = np.arange((len(values) - 1) * parts + 1) / parts
+    return np.interp(at, np.arange(len(values)), values)
+
+
+def over_samples(means: Array, parts: int) -> Array:
+    """Means over sub-steps as means over the interval that ends at each sample."""
+    found = means.reshape(-1, parts).mean(axis=1)
+    return np.concatenate([found[:1], found])

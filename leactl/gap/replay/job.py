@@ -1,0 +1,76 @@
+"""One run to be replayed through one bench, and what becomes of it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.effects.plant import Course, Plant
+from leactl.gap.record import Clocked, Key, Record
+
+Array = npt.NDArray[np.float64]
+FINEST_S = 2.5e-4  # sub-step: a ninth of a period of the stiff shaft between two coupled rotors (350 Hz)
+
+
+@dataclass
+class Job:
+    """A run, a bench, and the replay as it grows: current, temperatures, motion, readings."""
+
+    record: Record
+    plant: Plant
+    disturbance: np.random.Generator | None = None  # draws once more the noise that start and inputs carry
+
+    current: Array | None = None  # A, that flows, at the instants of the sub-steps
+    current_mean: Array | None = None  # A, over each sub-step
+    winding: Array | None = None  # degC, at the samples of the fast clock
+    housing: Array | None = None  # degC
+    angle: Array | None = None  # rad, at the instants
+    velocity: Array | None = None  # rad/s, over each sub-step
+    torque: Array | None = None  # N*m, onto the shaft, at the instants
+    load_velocity: Array | None = None  # rad/s, over each sub-step
+    first: int = 0  # sample at which the motion starts
+    fast: dict[Key, Array] = field(default_factory=dict)  # what the channels of the fast clock read
+    slow: dict[Key, Array] = field(default_factory=dict)
+    restarts: bool = False  # whether the motion starts again every second
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def clock(self) -> Clocked:
+        """The fast clock; asked for only where the run has one."""
+        assert self.record.fast is not None
+        return self.record.fast
+
+    @property
+    def parts(self) -> int:
+        """Sub-steps in a sample."""
+        return max(1, int(np.ceil(self.clock.interval / FINEST_S - 1e-6)))
+
+    @property
+    def step(self) -> float:
+        """Length of a sub-step [s]."""
+        return self.clock.interval / self.parts
+
+    def course(self) -> Course:
+        """The run at its samples, as effects ask for it before its motion is known."""
+        time = self.clock.time - self.clock.time[0]
+        none = np.zeros_like(time)
+        housing = self.housing if self.housing is not None else none + self.plant.model.reference_temperature
+        return Course(time, self.clock.interval, none, housing)
+
+
+def noise_of(values: Array, quantum: float | None = None) -> float:
+    """Standard deviation of a channel's noise from its third differences, at least that of its quantisation."""
+    if len(values) < 8:
+        return 0.0
+    rough = float(np.median(np.abs(np.diff(values, 3))) / (0.6745 * np.sqrt(20.0)))
+    return float(max(rough, (quantum if quantum is not None else quantum_of(values)) / np.sqrt(12.0)))
+
+
+def quantum_of(values: Array) -> float:
+    """Smallest step between two values of a channel, zero where every value is another."""
+    levels = np.unique(values[: 1 << 14])
+    if len(levels) < 2 or len(levels) > 0.9 * min(len(values), 1 << 14):
+        return 0.0
+    steps = np.diff(levels)
+    steps = steps[steps > 1e-9 * float(np.max(np.abs(levels)))]
+    return float(np.min(steps)) if len(steps) else 0.0

@@ -1,0 +1,232 @@
+"""Rotors on a shaft, many stretches of many runs stepped side by side.
+
+The shaft is a spring between two rotors (leap-frog: velocities between the instants, angles and torques at them);
+friction takes from each rotor what it moves, down to standstill and no further, so that it sticks by itself. A free
+rotor has no spring, a locked one an end that does not move.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.effects.plant import Moment, Plant
+
+Array = npt.NDArray[np.float64]
+STIFFEST = 1.0  # rad, half the phase that a shaft's resonance may turn in a step; a stiffer one is as good as rigid
+
+
+@dataclass
+class State:
+    """Where each lane stands."""
+
+    angle: Array  # rad, of the test rotor
+    velocity: Array  # rad/s, half a step earlier
+    load_velocity: Array
+    twist: Array  # rad
+    bristle: Array  # -1 .. 1, friction that has built up
+
+    def picked(self, lanes: npt.NDArray[np.intp]) -> "State":
+        """Some of the lanes."""
+        return State(*(values[lanes] for values in vars(self).values()))
+
+
+@dataclass
+class Servo:
+    """Voltage from the angle error, and the current that it drives against the back-EMF."""
+
+    reference: Array  # rad, (steps, lanes)
+    gain: Array  # V/rad
+    limit: Array  # V
+    resistance: Array  # ohm
+    torque_constant: Array  # N*m/A
+    emf: Array  # V*s/rad
+
+
+@dataclass
+class Lanes:
+    """Stretches of runs with the constants of their benches; each array has one value a lane, inputs one a step too."""
+
+    step: float  # s
+    plants: Sequence[tuple[Plant, slice]]  # lanes of one bench stand together
+    drive: Array  # N*m, (steps, lanes)
+    load_drive: Array | None  # N*m, (steps, lanes)
+    friction_share: Array | None  # factor, (steps, lanes)
+    inertia: Array  # kg*m^2
+    damping: Array  # N*m*s/rad
+    friction: Array  # N*m
+    load_inertia: Array  # kg*m^2; infinite where the shaft's end is held
+    load_damping: Array
+    load_friction: Array
+    stiffness: Array  # N*m/rad; zero where nothing is on the shaft
+    gravity: Array  # N*m, of a pendulum held out level
+    servo: Servo | None = None
+
+
+@dataclass
+class Motion:
+    """What the lanes did, (steps, lanes)."""
+
+    angle: Array
+    velocity: Array  # over each step
+    torque: Array
+    load_velocity: Array
+    current: Array | None
+    end: State
+
+
+def resonant_stiffness(lanes: Lanes) -> Array:
+    """Stiffness with which steps of this length ring at the shaft's own frequency."""
+    mobility = 1.0 / lanes.inertia + 1.0 / lanes.load_inertia
+    half = 0.5 * lanes.step * np.sqrt(lanes.stiffness * mobility)
+    return np.asarray(np.sin(np.minimum(half, STIFFEST)) ** 2 * 4.0 / (lanes.step**2 * mobility), np.float64)
+
+
+def stepped(lanes: Lanes, start: State) -> Motion:
+    """Step every lane to its end."""
+    steps, count = lanes.drive.shape
+    h = lanes.step
+    damping = lanes.damping
+    if (servo := lanes.servo) is not None:
+        damping = damping + servo.torque_constant * servo.emf / servo.resistance
+    decay, gain = _answer(damping, lanes.inertia, h)
+    load_decay, load_gain = _answer(lanes.load_damping, lanes.load_inertia, h)
+    stiffness = resonant_stiffness(lanes)
+    shaft, hanging = bool(np.any(stiffness > 0)), bool(np.any(lanes.gravity != 0))
+    loaded = shaft and bool(np.any(load_gain > 0))
+    held, load_held = gain * lanes.friction, load_gain * lanes.load_friction
+    groups = [_Group(plant, place, gain, lanes.friction, h) for plant, place in lanes.plants]
+    groups = [group for group in groups if group.acts]
+    angle, velocity = start.angle.copy(), start.velocity.copy()
+    load_velocity, twist, bristle = start.load_velocity.copy(), start.twist.copy(), start.bristle.copy()
+    ahead, push, torque = np.empty(count), np.empty(count), np.zeros(count)
+    shape = (steps, count)
+    current = np.empty(shape) if servo is not None else None
+    out = Motion(np.empty(shape), np.empty(shape), np.zeros(shape), np.zeros(shape), current, start)
+    for group in groups:
+        group.attach(angle, velocity, ahead, torque, twist, bristle, push)
+    for index in range(steps):
+        drive = lanes.drive[index]
+        if servo is not None:
+            volts = np.clip(servo.gain * (servo.reference[index] - angle), -servo.limit, servo.limit)
+            for group in groups:
+                group.lose(volts, (volts - servo.emf * velocity) / servo.resistance)
+            drive = servo.torque_constant * volts / servo.resistance
+        if shaft:
+            np.multiply(stiffness, twist, out=torque)
+            for group in groups:
+                group.slip(stiffness)
+        elif hanging:
+            np.multiply(lanes.gravity, np.sin(angle), out=torque)
+        np.subtract(drive, torque, out=push)
+        out.torque[index] = torque
+        out.angle[index] = angle
+        level = held
+        if groups:
+            if lanes.friction_share is not None:
+                more = lanes.friction_share[index]
+                level = held * more
+                push -= (more - 1.0) * lanes.damping * velocity
+            elif any(group.rubs for group in groups):
+                level = held.copy()
+            for group in groups:
+                group.drive(drive)
+        np.multiply(velocity, decay, out=ahead)
+        push *= gain
+        ahead += push
+        for group in groups:
+            group.rub(level)
+        np.maximum(ahead, -level, out=velocity)
+        np.minimum(velocity, level, out=velocity)
+        np.subtract(ahead, velocity, out=velocity)
+        for group in groups:
+            group.bend()
+        out.velocity[index] = velocity
+        angle += h * velocity
+        if shaft:
+            twist += h * velocity
+            if loaded:
+                assert lanes.load_drive is not None
+                ahead_load = load_decay * load_velocity + load_gain * (lanes.load_drive[index] + torque)
+                load_velocity = ahead_load - np.minimum(np.maximum(ahead_load, -load_held), load_held)
+                twist -= h * load_velocity
+                out.load_velocity[index] = load_velocity
+        if servo is not None and out.current is not None:
+            out.current[index] = (volts - servo.emf * velocity) / servo.resistance
+    out.end = State(angle, velocity, load_velocity, twist, bristle)
+    return out
+
+
+def _answer(damping: Array, inertia: Array, step: float) -> tuple[Array, Array]:
+    """Decay of a velocity over a step, and what a torque adds to it: exact for a damped inertia."""
+    rate = damping / inertia * step
+    gain = np.where(rate > 1e-9, -np.expm1(-rate) / np.where(rate > 1e-9, rate, 1.0), 1.0) * step / inertia
+    return np.where(np.isinf(inertia), 0.0, np.exp(-rate)), np.asarray(gain, np.float64)
+
+
+class _Group:
+    """Effects of one bench on its lanes."""
+
+    def __init__(self, plant: Plant, place: slice, gain: Array, friction: Array, step: float) -> None:
+        self.plant, self.place, self.step = plant, place, step
+        self.gain, self.friction = gain[place], friction[place]
+        self.pushes = bool(plant.ripple or plant.rotor_torque or plant.drag)
+        self.rubs = bool(plant.coulomb_share or plant.coulomb_added or plant.bristle)
+        self.acts = self.pushes or self.rubs or bool(plant.play or plant.lost_voltage or plant.friction_share)
+
+    def attach(
+        self, angle: Array, velocity: Array, ahead: Array, torque: Array, twist: Array, bristle: Array, push: Array
+    ) -> None:
+        """Look at this bench's part of what all lanes share; the stepper keeps it up to date."""
+        own = self.place
+        self.torque, self.twist, self.push = torque[own], twist[own], push[own]
+        self.velocity, self.ahead, self.bristle = velocity[own], ahead[own], bristle[own]
+        self.before = Moment(angle[own], velocity[own], torque[own], torque[own])
+        self.after = Moment(angle[own], ahead[own], torque[own], torque[own])
+
+    def lose(self, volts: Array, current: Array) -> None:
+        """Take from the voltage what the winding does not see."""
+        for lost in self.plant.lost_voltage:
+            volts[self.place] -= lost(current[self.place])
+
+    def slip(self, stiffness: Array) -> None:
+        """Leave the shaft unstrained within its play."""
+        if self.plant.play:
+            half = 0.5 * self.plant.play
+            self.torque -= stiffness[self.place] * np.clip(self.twist, -half, half)
+
+    def drive(self, drive: Array) -> None:
+        """Add torques on the rotor."""
+        self.before.drive = self.after.drive = drive[self.place]
+        if not self.pushes:
+            return
+        for ripple in self.plant.ripple:
+            self.push += self.before.drive * ripple(self.before)
+        for torque in self.plant.rotor_torque:
+            self.push += torque(self.before)
+        for drag in self.plant.drag:
+            self.push -= drag(self.before)
+
+    def rub(self, level: Array) -> None:
+        """Scale the friction of this step; bristles take it over where they are."""
+        if not self.rubs:
+            return
+        own = level[self.place]
+        for share in self.plant.coulomb_share:
+            own *= share(self.after)
+        for added in self.plant.coulomb_added:
+            own += self.gain * added(self.after)
+        if self.plant.bristle:
+            self.ahead -= own * self.bristle
+            own[:] = 0.0
+
+    def bend(self) -> None:
+        """Build friction up over the angle turned (Dahl, 1968)."""
+        if self.plant.bristle:
+            # bristles stiffer than a step resolves would drive the rotor back and forth
+            reach = np.maximum(self.plant.bristle, 0.5 * self.step * self.gain * self.friction)
+            turned = self.step * self.velocity / reach
+            decay = np.exp(-np.abs(turned))
+            self.bristle *= decay
+            self.bristle += np.sign(turned) * (1.0 - decay)

@@ -1,0 +1,30 @@
+"""From a model file to a bench that can be simulated."""
+
+from leactl.effects import library
+from leactl.effects.plant import Plant, bare
+from leactl.errors import InputError
+from leactl.model.nominal import EffectEntry, Model
+from leactl.vocabulary.effect import effect_definition
+
+
+def plant_of(model: Model) -> Plant:
+    """The bench that a model describes, its effects in their places.
+
+    Raises
+    ------
+    InputError : an effect lacks a parameter; one line each.
+    """
+    if faults := [fault for entry in model.effects for fault in _lacking(model, entry)]:
+        raise InputError(faults)
+    plant = bare(model)
+    for entry in model.effects:
+        library()[entry.effect].act(entry.parameters, plant)
+    return plant
+
+
+def _lacking(model: Model, entry: EffectEntry) -> list[str]:
+    missing = [name for name in effect_definition(entry.effect).parameters if name not in entry.parameters]
+    return [
+        f"model {model.name}: effect {entry.effect} has no '{name}'; `leactl gap effects {entry.effect}` explains it"
+        for name in missing
+    ]

@@ -1,0 +1,133 @@
+"""What the channels read of a replayed run: averages, filters, and the faults that effects put into sensors."""
+
+import numpy as np
+from scipy.signal import lfilter
+
+from leactl.effects.plant import Array, Course
+from leactl.gap.replay.drive import over_samples
+from leactl.gap.replay.heat import resistance_share
+from leactl.gap.replay.job import Job
+
+
+def read(job: Job) -> None:
+    """Fill the channels of the fast clock that the run has and the replay reaches."""
+    clock = job.clock
+    found: dict[str, Array | None] = {}
+    if clock.get("q_axis_current_reference") is not None or job.clock.get("angle_reference") is not None:
+        found["q_axis_current"] = current(job)
+    if job.velocity is not None:
+        found["velocity"] = velocity(job)
+        found["torque"] = torque(job) if job.record.mechanical in ("locked", "coupled") else None
+        found["angle"] = angle(job) if not job.restarts and job.record.mechanical != "locked" else None
+    volts = voltage(job)
+    found["q_axis_voltage"] = volts
+    for name, values in found.items():
+        if values is not None and clock.get(name) is not None:
+            job.fast[name, "test"] = values
+    if volts is not None and clock.get("bus_voltage", "bench") is not None and job.plant.model.bench.bus_voltage:
+        job.fast["bus_voltage", "bench"] = bus(job, volts)
+    if job.load_velocity is not None and clock.get("velocity", "load") is not None:
+        job.fast["velocity", "load"] = filtered(job, job.load_velocity)
+    for values in job.fast.values():
+        values[: job.first + 1] = np.nan
+
+
+def current(job: Job) -> Array | None:
+    """Measured current, as instants or means."""
+    if job.current is None or job.current_mean is None:
+        return None
+    if ("q_axis_current", "test") in job.clock.means:
+        flowing = over_samples(job.current_mean, job.parts)
+    else:
+        flowing = job.current[:: job.parts]
+    return job.plant.current_gain * flowing + job.plant.current_offset
+
+
+def velocity(job: Job) -> Array:
+    """Encoder differences through the drive's filter."""
+    assert job.velocity is not None and job.angle is not None
+    speed = job.velocity
+    for error in job.plant.angle_error:
+        speed = speed + (error(job.angle + job.step * job.velocity) - error(job.angle)) / job.step
+    reading = speed
+    for becomes in job.plant.velocity_reading:
+        reading = becomes(reading, job.step)
+    return filtered(job, reading)
+
+
+def filtered(job: Job, over_steps: Array) -> Array:
+    """A speed over sub-steps as the model's velocity filter gives it at the samples."""
+    total = (len(job.clock.time) - 1) * job.parts
+    steps = over_steps[:total]
+    bandwidth = job.plant.model.bench.velocity_filter_bandwidth
+    if bandwidth:
+        decay = float(np.exp(-2.0 * np.pi * bandwidth * job.step))
+        steps = lfilter([1.0 - decay], [1.0, -decay], steps, zi=[decay * steps[0]])[0]
+    return np.concatenate([steps[:1], steps[job.parts - 1 :: job.parts]])
+
+
+def angle(job: Job) -> Array:
+    """The encoder's angle at the samples."""
+    assert job.angle is not None
+    reading = job.angle[:: job.parts][: len(job.clock.time)]
+    for error in job.plant.angle_error:
+        reading = reading + error(reading)
+    return np.asarray(reading, np.float64)
+
+
+def torque(job: Job) -> Array:
+    """The torque channel: what its sensor makes of the shaft's torque, then its filter."""
+    assert job.torque is not None and job.angle is not None
+    total = (len(job.clock.time) - 1) * job.parts + 1
+    reading: Array = job.torque[:total]
+    time = np.arange(total, dtype=np.float64) * job.step
+    run = Course(time, job.step, job.angle[:total], reading)
+    for reads in job.plant.torque_reading:
+        reading = reads(run, reading)
+    bandwidth = job.plant.model.bench.torque_filter_bandwidth
+    if bandwidth:
+        decay = float(np.exp(-2.0 * np.pi * bandwidth * job.step))
+        middle = 0.5 * (reading[1:] + reading[:-1])
+        late = lfilter([1.0 - decay], [1.0, -decay], middle, zi=[decay * reading[0]])[0]
+        reading = np.concatenate([reading[:1], late])
+    return np.asarray(reading[:: job.parts], np.float64)
+
+
+def voltage(job: Job) -> Array | None:
+    """Voltage of the drive: resistance, inductance, back-EMF, and what the inverter loses."""
+    model = job.plant.model
+    if job.current is None or job.current_mean is None or model.phase_resistance is None:
+        return None
+    if job.velocity is None and job.record.mechanical != "locked":
+        return None
+    samples, parts = len(job.clock.time), job.parts
+    total = (samples - 1) * parts
+    speed = job.velocity[:total] if job.velocity is not None else np.zeros(total)
+    emf = np.full(samples, model.back_emf_constant or model.torque_constant or 0.0)
+    course = job.course()
+    for share in job.plant.magnet_share:
+        emf = emf * share(course)
+    resistance = model.phase_resistance * resistance_share(job, job.winding)
+    lost = np.zeros(total)
+    for loses in job.plant.lost_voltage:
+        lost = lost + loses(job.current_mean)
+    inductance = model.phase_inductance or 0.0
+    if ("q_axis_voltage", "test") in job.clock.means:
+        flowing, turning = over_samples(job.current_mean, parts), over_samples(speed, parts)
+        change = np.diff(job.current[::parts], prepend=job.current[0]) / job.clock.interval
+        return resistance * flowing + inductance * change + emf * turning + over_samples(lost, parts)
+    flowing = job.current[::parts]
+    change = np.gradient(job.current, job.step)[::parts]
+    turning = np.concatenate([speed[:1], 0.5 * (speed + np.append(speed[1:], speed[-1]))[parts - 1 :: parts]])
+    at = np.concatenate([lost[:1], lost[parts - 1 :: parts]])
+    return np.asarray(resistance * flowing + inductance * change + emf * turning + at, np.float64)
+
+
+def bus(job: Job, volts: Array) -> Array:
+    """Bus voltage under the power that the test drive takes: U = U0 - r P / U."""
+    source, resistance = job.plant.model.bench.bus_voltage or 0.0, job.plant.bus_resistance
+    if not resistance or job.current_mean is None:
+        return np.full(len(volts), source)
+    power = volts * over_samples(job.current_mean, job.parts)
+    inner = np.maximum(source**2 - 4.0 * resistance * power, 0.0)
+    return np.asarray(0.5 * (source + np.sqrt(inner)), np.float64)

@@ -1,0 +1,137 @@
+"""How far the gap shrinks on held-out runs: measured minus simulated again, before and after, against the floor."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.gap.diagnosis import Shrinkage
+from leactl.gap.record import Record
+from leactl.gap.replay import replay_all
+from leactl.gap.replay.compared import Compared, compare
+from leactl.gap.replay.job import Job
+from leactl.gap.replay.plants import plant_of
+from leactl.model.nominal import Model
+from leactl.quantities import UNITS
+
+Array = npt.NDArray[np.float64]
+NEAR_FLOOR = 1.1  # floors, below which no gap is left to close
+RESAMPLED = 400
+TRACE_POINTS = 1500
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One channel of one run over time, thinned out for a page."""
+
+    run: str
+    quantity: str
+    role: str
+    mechanical: str
+    units: str
+    time: Array
+    measured: Array
+    nominal: Array
+    calibrated: Array
+    augmented: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Shrunk:
+    """The answer: a table, traces, and the channels behind them."""
+
+    shrinkage: tuple[Shrinkage, ...]
+    traces: tuple[Trace, ...]
+    channels: tuple[Compared, ...]  # models in the order nominal, calibrated, augmented
+    notes: tuple[str, ...]
+
+
+def shrinkage(records: Sequence[Record], nominal: Model, calibrated: Model, augmented: Model, seed: int = 0) -> Shrunk:
+    """Simulate held-out runs again with three models and compare.
+
+    The floor is the augmented model against its own output, the channels' noise, quantisation and the noise of its
+    start and inputs added. Intervals come from resampling blocks of one second (a twentieth of the run for
+    temperatures).
+
+    Raises
+    ------
+    InputError : an effect of a model lacks a parameter.
+    """
+    models = (nominal, calibrated, augmented)
+    plants = [plant_of(model) for model in models]
+    random = np.random.default_rng(seed)
+    sets = []
+    for record in records:
+        own: list[Job] = []
+        for index, plant in enumerate(plants):
+            # a model that adds nothing to the one before it is not simulated twice
+            own.append(own[-1] if index and models[index] == models[index - 1] else Job(record, plant))
+        sets.append((record, own, Job(record, own[-1].plant, random)))
+    jobs = [job for _, own, noisy in sets for job in (*{id(job): job for job in own}.values(), noisy)]
+    replay_all(jobs)
+    channels = [one for record, own, noisy in sets for one in compare(record, own, noisy)]
+    grouped: dict[tuple[str, str, str], list[Compared]] = {}
+    for one in channels:
+        grouped.setdefault((one.quantity, one.role, one.mechanical), []).append(one)
+    return Shrunk(
+        tuple(_shrunk(group, random) for group in grouped.values()),
+        tuple(_trace(group) for group in grouped.values()),
+        tuple(channels),
+        _notes(jobs, channels),
+    )
+
+
+def _shrunk(group: list[Compared], random: np.random.Generator) -> Shrinkage:
+    first = group[0]
+    counts, sums = _blocks(group)
+    nominal, calibrated, augmented, floor = (float(v) for v in np.sqrt(sums.sum(axis=0) / counts.sum()))
+    closed = low = high = None
+    if calibrated >= NEAR_FLOOR * floor:
+        closed = (calibrated - augmented) / (calibrated - floor)
+        picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
+        again = np.sqrt(sums[picked].sum(axis=1) / counts[picked].sum(axis=1)[:, None])
+        room = np.maximum(again[:, 1] - again[:, 3], 1e-12 * calibrated)
+        low, high = (float(q) for q in np.quantile((again[:, 1] - again[:, 2]) / room, (0.025, 0.975)))
+    units = UNITS[first.quantity]
+    return Shrinkage(
+        first.quantity, first.role, first.mechanical, units, nominal, calibrated, augmented, floor, closed, low, high
+    )
+
+
+def _blocks(group: list[Compared]) -> tuple[Array, Array]:
+    """Samples in each block, and sums of squares of the three models and the floor."""
+    counts, sums = [], []
+    for one in group:
+        size = int(one.block[-1]) + 1
+        count = np.bincount(one.block, minlength=size).astype(float)
+        squares = [*(one.squares(model) for model in range(3)), one.floor_squares()]
+        table = np.stack([np.bincount(one.block, weights=s, minlength=size) for s in squares], axis=1)
+        counts.append(count[count > 0])
+        sums.append(table[count > 0])
+    return np.concatenate(counts), np.concatenate(sums)
+
+
+def _trace(group: list[Compared]) -> Trace:
+    """The run in which the calibrated model is farthest off."""
+    one = max(group, key=lambda c: float(np.mean(c.squares(1))))
+    keep = slice(None, None, max(1, -(-len(one.time) // TRACE_POINTS)))
+    return Trace(
+        one.run,
+        one.quantity,
+        one.role,
+        one.mechanical,
+        UNITS[one.quantity],
+        one.time[keep],
+        one.measured[keep],
+        *(replayed[keep] for replayed in one.replayed),
+    )
+
+
+def _notes(jobs: Sequence[Job], channels: Sequence[Compared]) -> tuple[str, ...]:
+    notes = [note for job in jobs for note in job.notes]
+    again = sorted({one.run for one in channels if one.restarts})
+    if again:
+        runs = ", ".join(again)
+        notes.append(f"the replay of {runs} starts again every second from the measured state: an angle is an integral")
+    return tuple(dict.fromkeys(notes))

@@ -1,0 +1,109 @@
+"""Replay against what can be worked out by hand."""
+
+import numpy as np
+import pytest
+
+from leactl.gap.replay import replay
+from tests.gap.synthetic import (
+    CONSTANT,
+    DAMPING,
+    FRICTION,
+    INDUCTANCE,
+    INERTIA,
+    INTERVAL_S,
+    RESISTANCE,
+    THERMAL,
+    model,
+    record,
+)
+
+UNFILTERED = {"bus_voltage": 29.6, "shaft_stiffness": 6000.0}
+
+
+def test_a_free_rotor_decays_to_standstill_and_stays():
+    job = replay(record("free", reference=0.0, start_speed=2.0), model(bench=UNFILTERED))
+    turning = job.fast["velocity", "test"][5:]
+    time = INTERVAL_S * np.arange(1, len(turning) + 1)
+    level = FRICTION / DAMPING
+    expected = np.maximum((2.0 + level) * np.exp(-DAMPING / INERTIA * time) - level, 0.0)
+    assert turning == pytest.approx(expected, abs=0.03)
+    assert np.all(turning[100:] == 0.0)
+
+
+def test_a_current_settles_at_the_speed_that_friction_allows():
+    reference = 2.0
+    job = replay(record("free", reference=reference, start_speed=30.0), model())
+    assert job.fast["velocity", "test"][-1] == pytest.approx((CONSTANT * reference - FRICTION) / DAMPING, rel=1e-3)
+
+
+def test_a_current_below_friction_does_not_move_a_free_rotor():
+    job = replay(record("free", reference=0.9 * FRICTION / CONSTANT), model())
+    assert np.all(job.fast["velocity", "test"][5:] == 0.0)
+
+
+def test_current_follows_a_step_as_a_first_order_loop():
+    reference = np.where(np.arange(1000) >= 500, 5.0, 0.0)
+    job = replay(record("locked", reference=reference), model())
+    constant = 1.0 / (2 * np.pi * 450.0)
+    first = 5.0 * (1 - constant / INTERVAL_S * (1 - np.exp(-INTERVAL_S / constant)))
+    assert job.fast["q_axis_current", "test"][500] == pytest.approx(first, rel=1e-6)
+    assert job.fast["q_axis_current", "test"][520] == pytest.approx(5.0)
+
+
+def test_a_locked_rotor_rings_around_its_torque_and_sticks_within_friction_of_it():
+    reference = np.where(np.arange(2000) >= 500, 10.0, 0.0)
+    job = replay(record("locked", reference=reference, seconds=2.0), model())
+    torque = job.fast["torque", "test"]
+    assert np.nanmax(torque) > 1.1 * CONSTANT * 10.0
+    assert abs(torque[-1] - CONSTANT * 10.0) <= FRICTION
+    assert np.ptp(torque[1500:]) < 1e-9
+
+
+def test_a_slow_rise_and_fall_of_a_locked_current_leaves_friction_on_both_sides():
+    reference = 10.0 * np.interp(np.arange(8000), [0, 3500, 4500, 7999], [0, 1, 1, 0])
+    job = replay(record("locked", reference=reference, seconds=8.0), model())
+    torque = job.fast["torque", "test"]
+    assert torque[2000] == pytest.approx(CONSTANT * reference[2000] - FRICTION, abs=0.02)
+    assert torque[6000] == pytest.approx(CONSTANT * reference[6000] + FRICTION, abs=0.02)
+
+
+def test_two_coupled_rotors_share_the_torque_of_one():
+    reference = 4.0
+    job = replay(record("coupled", reference=reference, seconds=2.0, start_speed=20.0), model())
+    speed = job.fast["velocity", "test"][-1]
+    assert speed == pytest.approx((CONSTANT * reference - 2 * FRICTION) / (2 * DAMPING), rel=0.02)
+    assert job.fast["torque", "test"][-1] == pytest.approx(0.5 * CONSTANT * reference, rel=0.02)
+
+
+def test_voltage_is_resistance_inductance_and_back_emf():
+    reference = 0.02 * np.arange(1000)
+    job = replay(record("locked", reference=reference), model(resistance_coefficient=0.0))
+    flowing = job.fast["q_axis_current", "test"][900]
+    expected = RESISTANCE * flowing + INDUCTANCE * 20.0
+    assert job.fast["q_axis_voltage", "test"][900] == pytest.approx(expected, abs=2e-3)
+    spun = replay(record("free", reference=0.0, start_speed=20.0), model(bench=UNFILTERED))
+    assert spun.fast["q_axis_voltage", "test"][10] == pytest.approx(
+        CONSTANT * spun.fast["velocity", "test"][10], abs=CONSTANT * 0.15
+    )
+
+
+def test_heat_from_two_leads_ends_at_the_network_s_rise():
+    slow = {("line_current", "test"): 5.0, ("line_voltage", "test"): 0.0}
+    run = record("heated", seconds=20000.0, camera_s=2.0, slow=slow)
+    job = replay(run, model(resistance_coefficient=0.0))
+    heat = 2 * RESISTANCE * 25.0
+    through = THERMAL["winding_housing_resistance"] + THERMAL["housing_ambient_resistance"]
+    together = 1 / (1 / THERMAL["winding_ambient_resistance"] + 1 / through)
+    assert job.slow["winding_temperature", "test"][-1] == pytest.approx(25.0 + heat * together, abs=0.01)
+    assert job.slow["line_voltage", "test"][-1] == pytest.approx(2 * RESISTANCE * 5.0)
+
+
+def test_a_warm_housing_cools_with_its_time_constant():
+    alone = THERMAL | {"winding_ambient_resistance": 1e6, "winding_capacitance": 1e-3}
+    slow = {("line_current", "test"): 0.0, ("line_voltage", "test"): 0.0}
+    run = record("heated", seconds=2000.0, camera_s=1.0, warm=(65.0, 65.0), slow=slow)
+    job = replay(run, model(thermal=alone))
+    time = run.slow.time[1:] - run.slow.time[1]
+    constant = THERMAL["housing_capacitance"] * THERMAL["housing_ambient_resistance"]
+    expected = 25.0 + 40.0 * np.exp(-time / constant)
+    assert job.slow["housing_temperature", "test"][1:] == pytest.approx(expected, abs=0.02)
