@@ -1,6 +1,7 @@
 """`leactl gap`: where, why and by how much a simulator and a bench disagree."""
 
 import json
+import sys
 from pathlib import Path
 
 import typer
@@ -9,6 +10,25 @@ app = typer.Typer(help="Diagnose the gap between model and bench.", no_args_is_h
 blind = typer.Typer(help="Check the diagnosis on causes nobody told it.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(blind, name="blind")
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
+
+
+@app.command("diagnose")
+def diagnose_runs(
+    runs: list[Path] = typer.Argument(metavar="RUN...", help="Run files to learn from."),
+    model: Path = typer.Option(..., "--model", help="Nominal model, a .yaml."),
+    held_out: list[Path] = typer.Option([], "--held-out", help="A run to judge on; may be repeated."),
+    json_out: Path | None = typer.Option(None, "--json", help="Write the answer as JSON; - for stdout."),
+    html: Path | None = typer.Option(None, "--html", help="Write a page to look at."),
+    write_model: Path | None = typer.Option(None, "--write-model", help="Write the calibrated, augmented model."),
+) -> None:
+    """Say where the model and the runs disagree, which unmodelled effect causes it, and how far the gap shrinks."""
+    from leactl.gap.diagnose import diagnose, read_case
+    from leactl.report.gap import print_diagnosis, write_answers
+
+    answer = diagnose(read_case(runs, held_out, model), lambda step: print(f"{step} ...", file=sys.stderr, flush=True))
+    write_answers(answer, json_out, html, write_model)
+    if json_out != Path("-"):
+        print_diagnosis(answer)
 
 
 @blind.command("make")

@@ -13,6 +13,7 @@ class Backlash(Effect):
     """Free play between actuator and shaft."""
 
     name = "backlash"
+    continuous = False
     one_sided = True
     forms = ((0.05,), (0.3,))
 

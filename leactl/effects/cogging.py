@@ -19,14 +19,18 @@ class Cogging(Effect):
     orders = (2, 250)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Sine and cosine of the angle times the order, as torque that drives the rotor."""
-        if signals.angle is None or signals.mechanical == "locked":
+        """Sine and cosine of the angle times each order, as torque that drives the rotor."""
+        if signals.angle is None:
             return {}
-        turned = form[0] * signals.angle
-        return {"drag": {"cos": -np.cos(turned), "sin": -np.sin(turned)}}
+        waves = {}
+        for place, order in enumerate(form):
+            further = f"_{order:g}" if place else ""
+            waves[f"cos{further}"] = -np.cos(order * signals.angle)
+            waves[f"sin{further}"] = -np.sin(order * signals.angle)
+        return {"drag": waves}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Amplitude, order and phase of the strongest order."""
+        """Amplitude, order and phase of the first order; further ones are further entries of a model file."""
         amplitude = math.hypot(found["cos"], found["sin"])
         return {"amplitude": amplitude, "order": form[0], "phase": math.atan2(found["cos"], found["sin"])}
 

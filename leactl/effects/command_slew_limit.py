@@ -13,6 +13,7 @@ class CommandSlewLimit(Effect):
 
     name = "command_slew_limit"
     one_sided = True
+    shaped = True
     forms = ((100.0,), (300.0,), (800.0,), (2000.0,), (5000.0,))
 
     def terms(self, signals: Signals, form: Form) -> Terms:
@@ -25,6 +26,10 @@ class CommandSlewLimit(Effect):
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Rate."""
         return {"rate": form[0]}
+
+    def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
+        """How much of the limit is there."""
+        return abs(found["strength"])
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A reference that is followed at a limited rate."""

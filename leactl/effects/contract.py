@@ -51,6 +51,7 @@ class Signals:
     time: Array
     model: Model
     interval: float
+    run: str = ""
     current: Array | None = None
     current_reference: Array | None = None
     following: Array | None = None  # A, what the model's loop makes of the reference
@@ -60,6 +61,8 @@ class Signals:
     acceleration: Array | None = None
     sliding: Array | None = None
     torque: Array | None = None
+    calm_torque: Array | None = None  # the same and
+    calm_velocity: Array | None = None  # smoothed until the encoder's steps no longer show: what lags are made of
     travel: Array | None = None  # rad, since the run's start
     winding_rise: Array | None = None  # K above the model's reference temperature
     housing_rise: Array | None = None
@@ -77,6 +80,8 @@ class Effect:
     name: ClassVar[str]
     forms: ClassVar[Sequence[Form]] = ((),)  # values of its non-linear parameters that are tried
     one_sided: ClassVar[bool] = False  # whether its coefficient makes sense above zero only
+    continuous: ClassVar[bool] = True  # whether values between those of its forms make sense
+    shaped: ClassVar[bool] = False  # whether its coefficient is the share of a shape that is whole at one
     periodic: ClassVar[str] = ""  # the place whose column repeats over the angle, where orders are searched for
     orders: ClassVar[tuple[int, int]] = (0, 0)  # the orders that are searched
 
@@ -95,3 +100,7 @@ class Effect:
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """The parameters of the definition from fitted coefficients."""
         raise NotImplementedError
+
+    def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
+        """How large the effect is, in units of its leading parameter; zero where it is absent."""
+        return abs(next(iter(self.parameters(form, found, model).values())))

@@ -13,14 +13,21 @@ class CurrentSensorGain(Effect):
     name = "current_sensor_gain"
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The measured current."""
-        if signals.current is None:
-            return {}
-        return {"current_reading": {"excess": signals.current}}
+        """The measured current, and the heat of the current that is not there."""
+        if signals.current is not None:
+            return {"current_reading": {"excess": signals.current}}
+        heat = signals.extra.get("heat")
+        if heat is not None and signals.mechanical != "heated":
+            return {"winding_heat": {"excess": -2.0 * heat}}
+        return {}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Gain."""
         return {"gain": 1.0 / max(1.0 - found["excess"], 1e-3)}
+
+    def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
+        """Relative error."""
+        return abs(found["excess"])
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A sensor whose reading the loop regulates."""

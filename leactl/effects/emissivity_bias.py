@@ -32,6 +32,10 @@ class EmissivityBias(Effect):
         """Fraction."""
         return {"fraction": 1.0 + found["excess"]}
 
+    def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
+        """Relative error."""
+        return abs(found["excess"])
+
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A camera that reads a fraction."""
         plant.camera_fraction *= parameters["fraction"]

@@ -11,6 +11,7 @@ class MagnetTemperature(Effect):
     """Constants that fall with temperature."""
 
     name = "magnet_temperature"
+    continuous = False
     one_sided = True
     forms = ((0.0,), (1.0,))
 

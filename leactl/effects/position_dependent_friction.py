@@ -14,6 +14,7 @@ class PositionDependentFriction(Effect):
     """Friction that varies over a turn."""
 
     name = "position_dependent_friction"
+    continuous = False
     forms = tuple((float(order),) for order in range(1, 13))
 
     def terms(self, signals: Signals, form: Form) -> Terms:

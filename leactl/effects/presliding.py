@@ -13,19 +13,23 @@ class Presliding(Effect):
 
     name = "presliding"
     one_sided = True
+    shaped = True
     forms = ((0.0005,), (0.002,), (0.006,), (0.02,))
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """What is missing from Coulomb friction until the bristles are bent."""
-        if (
-            signals.sliding is None
-            or signals.angle is None
-            or signals.model.coulomb_friction is None
-            or signals.mechanical == "locked"
-        ):
+        """What is missing from Coulomb friction until the bristles are bent; a locked rotor moves by its twist."""
+        model = signals.model
+        if model.coulomb_friction is None:
             return {}
-        lag = bristle(signals.angle, form[0]) - signals.sliding
-        return {"drag": {"strength": signals.model.coulomb_friction * lag}}
+        if signals.mechanical == "locked":
+            if signals.torque is None or signals.current is None or model.bench.shaft_stiffness is None:
+                return {}
+            hidden = (model.torque_constant or 0.0) * signals.current - signals.torque
+            bent = bristle(signals.torque / model.bench.shaft_stiffness, form[0])
+            return {"drag": {"strength": model.coulomb_friction * bent - hidden}}
+        if signals.sliding is None or signals.angle is None:
+            return {}
+        return {"drag": {"strength": model.coulomb_friction * (bristle(signals.angle, form[0]) - signals.sliding)}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """The displacement, scaled by how much of the column is there."""

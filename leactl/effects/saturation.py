@@ -13,6 +13,7 @@ class Saturation(Effect):
     """A torque constant that falls at high current."""
 
     name = "saturation"
+    continuous = False
     one_sided = True
     forms = ((1.0,), (2.0,), (4.0,))
 

@@ -24,6 +24,10 @@ class ShaftCompliance(Effect):
         assert model.bench.shaft_stiffness is not None
         return {"stiffness": model.bench.shaft_stiffness / max(1.0 + found["excess"], 1e-3)}
 
+    def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
+        """Relative softness."""
+        return abs(found["excess"])
+
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A softer shaft."""
         plant.stiffness = parameters["stiffness"]

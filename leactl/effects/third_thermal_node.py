@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from leactl.effects.contract import Effect, Form, Signals, Terms
 from leactl.effects.plant import Plant
 from leactl.effects.shapes import lagged
@@ -20,7 +22,11 @@ class ThirdThermalNode(Effect):
         if signals.housing is None or signals.ambient is None or signals.model.thermal is None:
             return {}
         following = lagged(signals.housing, form[0], signals.interval)
-        return {"housing_heat": {"conductance": following - signals.housing}}
+        columns = {"conductance": following - signals.housing}
+        if signals.mechanical != "heated":
+            # a run that begins warm does not say how warm the fixture is
+            columns[f"start of {signals.run}"] = np.exp(-signals.time / form[0])
+        return {"housing_heat": columns}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Capacity and resistance."""

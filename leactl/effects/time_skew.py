@@ -13,14 +13,15 @@ class TimeSkew(Effect):
 
     name = "time_skew"
     one_sided = True
+    shaped = True
     forms = ((0.0005,), (0.0015,), (0.004,), (0.01,), (0.02,), (0.03,))
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """The model's torque, delayed, against itself."""
-        if signals.torque is None or signals.mechanical == "free":
+        if signals.calm_torque is None or signals.mechanical == "free":
             return {}
-        late = delayed(signals.torque, form[0], signals.interval)
-        return {"torque_reading": {"strength": late - signals.torque}}
+        late = delayed(signals.calm_torque, form[0], signals.interval)
+        return {"torque_reading": {"strength": late - signals.calm_torque}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Delay."""

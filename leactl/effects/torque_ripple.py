@@ -20,7 +20,7 @@ class TorqueRipple(Effect):
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """Sine and cosine of the angle times the order, relative."""
-        if signals.angle is None or signals.current is None or signals.mechanical == "locked":
+        if signals.angle is None or signals.current is None:
             return {}
         turned = form[0] * signals.angle
         return {"torque_factor": {"cos": np.cos(turned), "sin": np.sin(turned)}}

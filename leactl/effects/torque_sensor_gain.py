@@ -22,6 +22,10 @@ class TorqueSensorGain(Effect):
         """Gain."""
         return {"gain": 1.0 + found["excess"]}
 
+    def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
+        """Relative error."""
+        return abs(found["excess"])
+
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A factor."""
         gain = parameters["gain"]

@@ -13,6 +13,7 @@ class TransportDelay(Effect):
 
     name = "transport_delay"
     one_sided = True
+    shaped = True
     forms = ((0.0005,), (0.0015,), (0.004,), (0.009,))
 
     def terms(self, signals: Signals, form: Form) -> Terms:

@@ -17,7 +17,7 @@ class Unbalance(Effect):
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """Sine and cosine of the angle, as torque that drives the rotor."""
-        if signals.angle is None or signals.mechanical == "locked":
+        if signals.angle is None:
             return {}
         return {"drag": {"cos": -np.cos(signals.angle), "sin": -np.sin(signals.angle)}}
 

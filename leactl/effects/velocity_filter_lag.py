@@ -13,14 +13,15 @@ class VelocityFilterLag(Effect):
 
     name = "velocity_filter_lag"
     one_sided = True
+    shaped = True
     forms = ((0.0007,), (0.002,), (0.006,), (0.02,), (0.05,))
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """The model's velocity, lagged, against itself."""
-        if signals.velocity is None or signals.angle is None:
+        if signals.calm_velocity is None or signals.angle is None:
             return {}
-        late = lagged(signals.velocity, form[0], signals.interval)
-        return {"velocity_reading": {"strength": late - signals.velocity}}
+        late = lagged(signals.calm_velocity, form[0], signals.interval)
+        return {"velocity_reading": {"strength": late - signals.calm_velocity}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Time constant."""

@@ -13,7 +13,7 @@ from leactl.effects import library
 from leactl.gap.regression import Candidate, Fit, Rows, Stack, residuals
 
 Array = npt.NDArray[np.float64]
-TORQUE = ("free_torque", "both_torque", "coupled_torque")
+TORQUE = ("free_torque", "axis_torque", "both_torque", "coupled_torque")
 WIDTH = 4.5  # samples, the smoothing of a torque equation's rows
 FINEST = 0.35  # cycles a sample, beyond which a column has been smoothed away
 APART = 1  # orders this close to a stronger one are its leakage

@@ -17,6 +17,11 @@ Mask = npt.NDArray[np.bool_]
 Key = tuple[str, str]  # quantity, role
 SLOW = ("winding_temperature", "housing_temperature", "ambient_temperature")
 FEWEST = 50  # samples, below which a run says nothing
+REACH = 2.5  # paces, that values are taken in between over
+BURSTS = (
+    0.3  # of a run's time without samples, from which on its stamps come in bursts: a hold, then a step to the next
+)
+UNBRIDGED = 0.05
 
 
 @dataclass
@@ -28,6 +33,7 @@ class Clocked:
     values: dict[Key, Array] = field(default_factory=dict)
     valid: dict[Key, Mask] = field(default_factory=dict)
     means: set[Key] = field(default_factory=set)  # channels that are means over the interval that ends at the stamp
+    units: dict[Key, str] = field(default_factory=dict)
 
     def get(self, quantity: str, role: str = "test") -> Array | None:
         """The values, or None where the run has no such channel."""
@@ -111,7 +117,7 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked 
     for channel in channels:
         streams.setdefault(channel.stream, []).append(channel)
     leading = max(streams.values(), key=lambda group: (len(group), len(group[0].time)))[0].time
-    interval = float(np.median(np.diff(leading)))
+    interval = bridging_interval(leading)
     span = leading[-1] - leading[0]
     grid = leading[0] + interval * np.arange(int(span / interval + 1.5))
     even = len(grid) == len(leading) and float(np.max(np.abs(grid - leading))) < 0.02 * interval
@@ -131,13 +137,26 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked 
                 valid.append(good)
                 continue
             stamps = leading if same else channel.time
+            reach = REACH * max(_pace(channel.time), interval if interval > 1.5 * _pace(leading) else 0.0)
             values.append(np.interp(clocked.time, stamps[good], channel.values[good]))
-            valid.append(good if same else _near(clocked.time, channel.time[good], 2.5 * _pace(channel.time)))
+            valid.append(good if same else _near(clocked.time, channel.time[good], reach))
         clocked.values[key] = np.mean(values, axis=0)
         clocked.valid[key] = np.all(valid, axis=0)
+        clocked.units[key] = group[0].units
         if group[0].sampling == "mean":
             clocked.means.add(key)
     return clocked
+
+
+def bridging_interval(stamps: Array) -> float:
+    """The pace of stamps; where they come in bursts, one so slow that all but a twentieth of the time is bridged."""
+    steps = np.diff(stamps)
+    pace, span = float(np.median(steps)), float(stamps[-1] - stamps[0])
+    if float(steps[steps > REACH * pace].sum()) < BURSTS * span:
+        return pace
+    ordered = np.sort(steps)
+    bridged = np.cumsum(ordered)
+    return float(ordered[np.searchsorted(bridged, (1.0 - UNBRIDGED) * bridged[-1])] / REACH)
 
 
 def _pace(time: Array) -> float:

@@ -64,18 +64,9 @@ def make_rows(
         names.append(("nuisance", "", name))
         priors[names[-1]] = prior
         raw.append(column)
-    for effect, form in candidates:
-        for place, coefficients in terms(equation.signals, effect, form).items():
-            if place not in equation.places:
-                continue
-            for coefficient, column in coefficients.items():
-                key = ("effect", effect, repr(form), coefficient)
-                put = equation.places[place](column)
-                if key in names:
-                    raw[names.index(key) + 1] = raw[names.index(key) + 1] + put
-                else:
-                    names.append(key)
-                    raw.append(put)
+    fresh, more = effect_columns(equation, candidates, terms)
+    names += fresh
+    raw += more
     table = thinned(np.stack(raw, axis=1), equation.width, equation.step)[mask]
     index = thinned_index(len(equation.left_over), equation.width, equation.step)[mask]
     left = np.ascontiguousarray(table[:, 0])
@@ -100,6 +91,33 @@ def make_rows(
     )
 
 
+def effect_columns(
+    equation: Equation, candidates: Sequence[Candidate], terms: "TermsOf"
+) -> tuple[list[Column], list[Array]]:
+    """What effects put into the places of an equation, sample by sample."""
+    found: dict[Column, Array] = {}
+    for effect, form in candidates:
+        for place, coefficients in terms(equation.signals, effect, form).items():
+            if place not in equation.places:
+                continue
+            for coefficient, column in coefficients.items():
+                key = ("effect", effect, repr(form), coefficient)
+                put = equation.places[place](column)
+                found[key] = found[key] + put if key in found else put
+    return list(found), list(found.values())
+
+
+def more_columns(rows: Rows, equation: Equation, candidates: Sequence[Candidate], terms: "TermsOf") -> None:
+    """Put further forms of effects beside rows that stand."""
+    names, raw = effect_columns(equation, candidates, terms)
+    if not names:
+        return
+    table = thinned(np.stack(raw, axis=1), equation.width, equation.step)
+    every = thinned_index(len(equation.left_over), equation.width, equation.step)
+    table = table[np.searchsorted(every, rows.index)]
+    rows.columns.update({name: table[:, k] for k, name in enumerate(names)})
+
+
 class TermsOf:
     """What effects put where, worked out once for each set of signals."""
 
@@ -117,10 +135,11 @@ class TermsOf:
 
 
 def white_noise(values: Array) -> float:
-    """Robust standard deviation of what changes from one row to the next."""
+    """Robust standard deviation of what changes from one row to the next; coarse steps count as their own noise."""
     if len(values) < 3:
         return float(np.std(values))
-    return float(np.median(np.abs(np.diff(values))) / (0.6745 * np.sqrt(2.0)))
+    change = np.abs(np.diff(values)) / np.sqrt(2.0)
+    return float(max(np.median(change) / 0.6745, 0.2 * np.sqrt(np.mean(change**2)), 1e-12))
 
 
 @dataclass

@@ -19,6 +19,7 @@ from leactl.model.thermal_network import ThermalNetwork
 
 Array = npt.NDArray[np.float64]
 SLOW_SMOOTHING_S = 1.0
+CALM = 5.0  # samples
 SHARP = 0.7  # samples, smoothing of the current where friction sticks: enough that noise does not work the play
 
 
@@ -28,7 +29,7 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
     if clock is None:
         return None
     dt = clock.interval
-    s = Signals(record.mechanical, clock.time - clock.time[0], model, dt)
+    s = Signals(record.mechanical, clock.time - clock.time[0], model, dt, record.name)
     current = averaged(clock, "q_axis_current")
     if current is not None:
         s.current = smooth(current)
@@ -54,6 +55,11 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
         s.travel = np.cumsum(np.abs(s.velocity)) * dt
     temperatures(s, slow, clock.time)
     s.torque = transmitted(s)
+    if s.torque is not None:
+        # a locked rotor's torque comes from the current alone: no encoder step is in it
+        s.calm_torque = s.torque if s.mechanical == "locked" else smooth(s.torque, CALM)
+    if s.velocity is not None:
+        s.calm_velocity = smooth(s.velocity, CALM)
     return s
 
 
@@ -110,7 +116,7 @@ def slow_signals(record: Record, model: Model) -> Signals | None:
     clock = record.slow
     if clock is None:
         return None
-    s = Signals(record.mechanical, clock.time - clock.time[0], model, clock.interval)
+    s = Signals(record.mechanical, clock.time - clock.time[0], model, clock.interval, record.name)
     s.extra["stamps"] = clock.time
     raw = {
         name: clock.get(f"{name}_temperature", "bench" if name == "ambient" else "test")

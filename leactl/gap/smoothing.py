@@ -16,13 +16,20 @@ def smooth(values: Array, width: float = BASE) -> Array:
 
 
 def slope(values: Array, interval: float) -> Array:
-    """Central difference per second."""
-    return np.gradient(values, interval)
+    """Derivative per second, exact for cubics (five-point difference)."""
+    if len(values) < 5:
+        return np.gradient(values, interval)
+    out = np.gradient(values, interval)
+    out[2:-2] = (8.0 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])) / (12.0 * interval)
+    return out
 
 
 def middle(values: Array) -> Array:
-    """Instants as means over the interval that ends at each: the average with the value before."""
-    return np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1])])
+    """Instants as means over the interval that ends at each, exact for cubics."""
+    out = np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1])])
+    if len(values) >= 4:
+        out[2:-1] = (13.0 * (values[1:-2] + values[2:-1]) - values[:-3] - values[3:]) / 24.0
+    return out
 
 
 def kernel(width: float) -> Array:

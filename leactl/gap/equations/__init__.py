@@ -1,8 +1,9 @@
 """Equations of the bench, one for each channel that can be checked against the others."""
 
-from leactl.gap.equations import electrical, mechanical, motion, thermal
+from leactl.gap.equations import axis, electrical, mechanical, motion, thermal
 from leactl.gap.equations.contract import Equation
 from leactl.gap.record import Record
+from leactl.gap.rig import complete
 from leactl.gap.signals import fast_signals, slow_signals
 from leactl.model.nominal import Model
 
@@ -29,7 +30,12 @@ def equations(record: Record, model: Model) -> list[Equation]:
     slow = slow_signals(record, model)
     fast = fast_signals(record, model, slow)
     if fast is not None:
+        complete(record, fast)
         found += [equation for build in FAST if (equation := build(record, fast)) is not None]
+        if (own := axis.axis(record, fast)) is not None:
+            found = [equation for equation in found if equation.name != "free_torque"] + [own]
+            note = axis.confounded(record, fast)
+            record.notes += [note] if note is not None and note not in record.notes else []
     if slow is not None:
         line = electrical.line_voltage(record, slow)
         found += ([line] if line is not None else []) + thermal.temperatures(record, slow)

@@ -7,6 +7,8 @@ from leactl.gap.equations.contract import TIMING_S, Equation
 from leactl.gap.record import Record
 from leactl.gap.smoothing import slope, smooth
 
+CEILING = 0.96  # of the largest q-axis voltage, from which a drive may no longer hold its current
+
 
 def voltage(record: Record, s: Signals) -> Equation | None:
     """q-axis voltage = R(T) i + L di/dt + K w."""
@@ -29,8 +31,7 @@ def voltage(record: Record, s: Signals) -> Equation | None:
         calibration["resistance_coefficient"] = warm * s.current
     mask = record.fast.all_valid(("q_axis_voltage", "test"), ("q_axis_current", "test"), ("angle", "test"))
     if model.bench.bus_voltage:
-        # near the ceiling the drive no longer holds its current: the equation holds, the reading may not
-        mask &= np.abs(s.voltage) < 0.98 * model.bench.bus_voltage / np.sqrt(2.0)
+        mask &= np.abs(s.voltage) < CEILING * model.bench.bus_voltage / np.sqrt(2.0)
     return Equation(
         "voltage",
         "q_axis_voltage",
@@ -91,6 +92,11 @@ def current(record: Record, s: Signals) -> Equation | None:
         return None
     measured = clock.values["q_axis_current", "test"]
     mask = clock.all_valid(("q_axis_current", "test"), ("q_axis_current_reference", "test"))
+    volts = clock.get("q_axis_voltage")
+    if volts is not None and s.model.bench.bus_voltage:
+        # at the ceiling of the voltage no current follows its reference, whatever the loop
+        at_ceiling = np.abs(volts) > CEILING * s.model.bench.bus_voltage / np.sqrt(2.0)
+        mask &= smooth(at_ceiling.astype(float), 8.0) < 1e-3
     change = slope(s.following, s.interval)
     nuisance = {}
     if clock.get("velocity_reference") is not None or clock.get("angle_reference") is not None:

@@ -13,6 +13,7 @@ from leactl.gap.smoothing import middle, slope, smooth
 Array = npt.NDArray[np.float64]
 SLOWEST = 0.15  # rad/s, below which a coarse encoder does not tell motion from rest
 SWING_N_M_S = 2.0  # rate of torque above which a locked rotor slides
+SWING_TIMING_S = 3e-4  # play is no spring with a mass: it leaves this much open
 SWING_REACH = 8.0  # samples
 STICKING_PRIOR = 0.5  # of nominal Coulomb friction
 
@@ -52,8 +53,8 @@ def coupled(record: Record, s: Signals) -> Equation | None:
     places["torque_reading"] = lambda c: c
     keys = ("torque", "test"), ("q_axis_current", "test"), ("angle", "test")
     mask = moving(s.velocity, 4.0) & record.fast.all_valid(*keys)
-    assert s.torque is not None
-    shared = {"torque_timing_s": (-slope(s.torque, s.interval), TIMING_S)}
+    assert s.calm_torque is not None
+    shared = {"torque_timing_s": (-slope(s.calm_torque, s.interval), TIMING_S)}
     return Equation("coupled_torque", "torque", "test", "N*m", left, s, mask, places, calibration, shared=shared)
 
 
@@ -127,6 +128,7 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
     places: dict[str, Place] = {
         "torque_reading": lambda c: c,
         "torque_factor": lambda c: more * c,
+        "drag": lambda c: -c,
         "current_reading": lambda c: -constant * c * np.clip(sliding, 0.0, 1.0),
     }
     swings = smooth(np.abs(change), SWING_REACH) > SWING_N_M_S
@@ -141,7 +143,7 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
         places,
         {"torque_constant": more},
         nuisance,
-        {"torque_timing_s": (-change, TIMING_S)},
+        {f"{name}_timing_s": (-change, SWING_TIMING_S)},
         width=2.0,
         step=6,
     )

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.contract import Signals
-from leactl.gap.equations.contract import TIMING_S, Equation
+from leactl.gap.equations.contract import Equation
 from leactl.gap.record import Record
 from leactl.gap.smoothing import middle, slope, smooth
 
@@ -15,7 +15,7 @@ LOAD_LAG_S = 1e-3  # the model says nothing of the load's own velocity filter
 def velocity(record: Record, s: Signals) -> Equation | None:
     """Reported velocity, the model's filter undone = change of the angle."""
     clock = record.fast
-    if clock is None or s.angle is None or s.velocity is None:
+    if clock is None or s.angle is None or s.velocity is None or s.calm_velocity is None:
         return None
     measured = clock.get("velocity")
     if measured is None:
@@ -30,9 +30,9 @@ def velocity(record: Record, s: Signals) -> Equation | None:
         clock.all_valid(("velocity", "test"), ("angle", "test")),
         {"velocity_reading": lambda c: c},
         {},
-        shared={"velocity_timing_s": (-slope(s.velocity, s.interval), TIMING_S)},
-        width=3.0,
-        step=6,
+        shared={"velocity_timing_s": (-slope(s.calm_velocity, s.interval), 0.3 * s.interval)},
+        width=4.0,
+        step=8,
     )
 
 

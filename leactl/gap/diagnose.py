@@ -1,0 +1,159 @@
+"""The whole diagnosis: calibrate, search, judge, and measure on held-out runs how far the gap shrinks."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from leactl.errors import InputError
+from leactl.gap.diagnosis import Cause, Diagnosis, EffectParameter, Verdict
+from leactl.gap.evidence import Evidence
+from leactl.gap.judge import Judged, judge, unexplained, unrest
+from leactl.gap.notes import questions
+from leactl.gap.parameters import calibrated, effect_parameters, with_calibration, with_effects
+from leactl.gap.record import Record, read_record
+from leactl.gap.regression import Candidate, Fit
+from leactl.gap.search import Found, search
+from leactl.gap.separating import separating_experiment
+from leactl.model.nominal import Model, read_model
+
+NAMED = 0.01  # probability above which an effect stands among the causes
+EFFECT = 0.5  # probability above which the verdict is an effect
+CALIBRATED = 25.0  # weighted squares a parameter must gain for the verdict to be calibration
+Progress = Callable[[str], None]
+
+
+@dataclass
+class Case:
+    """Runs to fit, runs held out, and the model."""
+
+    model: Model
+    fitted: list[Record]
+    held_out: list[Record]
+    given: bool  # whether the held-out runs were named
+
+
+def read_case(runs: Sequence[Path], held_out: Sequence[Path], model: Path) -> Case:
+    """Read everything at the door; all faults are told at once.
+
+    Raises
+    ------
+    InputError : files that cannot be used, or a run on both sides.
+    """
+    faults: list[str] = []
+    read: dict[Path, Record] = {}
+    both = {path.resolve() for path in runs} & {path.resolve() for path in held_out}
+    faults += [f"{path}: is both fitted and held out; a run can be on one side only" for path in sorted(both)]
+    nominal: Model | None = None
+    try:
+        nominal = read_model(model)[0]
+    except InputError as error:
+        faults += error.faults
+    for path in [*runs, *held_out]:
+        try:
+            read[path] = read_record(path)
+        except InputError as error:
+            faults += error.faults
+    if faults or nominal is None:
+        raise InputError(faults)
+    fitted, others = [read[path] for path in runs], [read[path] for path in held_out]
+    if not others:
+        fitted, others = split(fitted)
+    return Case(nominal, fitted, others, bool(held_out))
+
+
+def split(records: list[Record]) -> tuple[list[Record], list[Record]]:
+    """Hold out the last run of every kind that occurs twice."""
+    kinds: dict[tuple[str, str], list[Record]] = {}
+    for record in records:
+        kinds.setdefault((record.kind, record.mechanical), []).append(record)
+    held = [group[-1] for group in kinds.values() if len(group) > 1]
+    return [record for record in records if record not in held], held
+
+
+def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
+    """Answer where, why and how far.
+
+    Raises
+    ------
+    InputError : the runs hold nothing that any equation of the model can be checked with.
+    """
+    progress("reading equations")
+    # without runs named as held out, the search may see all of them; what is said of shrinkage never does
+    seen = case.fitted if case.given else [*case.fitted, *case.held_out]
+    evidence = Evidence(seen, case.model)
+    if not evidence.stack.rows:
+        raise InputError(
+            "no equation of the model can be checked with these runs: a diagnosis needs the angle and the q-axis"
+            " current of a moving run, voltage and current, or temperatures and heat"
+        )
+    progress("searching effects")
+    found = search(evidence)
+    judged = judge(found)
+    ratios = unrest(evidence)
+    surprise = unexplained(ratios)
+    progress("calibrating")
+    parameters = calibrated(evidence, found.fit)
+    causes = causes_of(evidence, found, judged)
+    tuned = with_calibration(case.model, parameters)
+    members = {item.finding.effect for item in judged}
+    named = [
+        (c.effect, {p.name: p.value for p in c.parameters})
+        for c in causes
+        if c.probability >= EFFECT and c.effect in members
+    ]
+    augmented = with_effects(tuned, named)
+    return Diagnosis(
+        verdict(causes, surprise, evidence, found),
+        surprise,
+        (),
+        parameters,
+        causes,
+        (),
+        tuple(note for record in seen for note in record.notes) + questions(case.model, seen, evidence),
+        {"calibrated": tuned, "augmented": augmented, "unrest": ratios},
+    )
+
+
+def causes_of(evidence: Evidence, found: Found, judged: Sequence[Judged]) -> tuple[Cause, ...]:
+    """Members of the set, then their rivals, by probability."""
+    total = sum(item.finding.gain for item in judged) or 1.0
+    causes: dict[str, Cause] = {}
+    for item in judged:
+        parameters = effect_parameters(evidence, found.fit, item.finding.candidate)
+        plan = separating_experiment(item.finding.effect, item.peers)
+        share = item.finding.gain / total
+        causes[item.finding.effect] = Cause(
+            item.finding.effect, item.probability, share, parameters, tuple(sorted(item.peers)), plan
+        )
+    for item in judged:
+        for rival, probability in item.rivals:
+            if probability < NAMED or rival.effect in causes:
+                continue
+            others = [c for c in found.hypothesis if c != item.finding.candidate]
+            parameters = alone(evidence, others, rival.candidate)
+            together = item.probability if rival.effect in item.peers else probability
+            peers = tuple(sorted({item.finding.effect, *item.peers} - {rival.effect})) if together > probability else ()
+            causes[rival.effect] = Cause(rival.effect, together, 0.0, parameters, peers)
+    members = {item.finding.effect for item in judged}
+    return tuple(sorted(causes.values(), key=lambda c: (-c.probability, c.effect not in members)))
+
+
+def alone(evidence: Evidence, others: list[Candidate], candidate: Candidate) -> tuple[EffectParameter, ...]:
+    """Parameters of an effect in the place of another."""
+    fit: Fit = evidence.normal().fit([*others, candidate])
+    return effect_parameters(evidence, fit, candidate)
+
+
+def verdict(causes: Sequence[Cause], surprise: float, evidence: Evidence, found: Found) -> Verdict:
+    """What the diagnosis comes to in one word."""
+    if any(cause.probability >= EFFECT for cause in causes):
+        return "effect"
+    if surprise >= 0.5:
+        return "unknown"
+    normal = evidence.normal()
+    keep = np.asarray([k for k, n in enumerate(evidence.stack.names) if n[0] == "nuisance"], np.intp)
+    if normal.solve(keep).misfit - found.fit.misfit > CALIBRATED:
+        return "calibration"
+    return "none"

@@ -1,0 +1,174 @@
+"""Runs and a nominal model made into one regression with the columns of every effect in it.
+
+Noise is taken from what a hypothesis leaves over, pooled over runs of one kind; rows that depend on their neighbours
+count for less, so that no number of samples makes up for a model that is only roughly right.
+"""
+
+from collections.abc import Sequence
+from functools import cache
+from importlib import resources
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl import yamlfile
+from leactl.effects import library
+from leactl.gap.equations import Equation, equations
+from leactl.gap.orders import strongest
+from leactl.gap.record import Record
+from leactl.gap.regression import (
+    Candidate,
+    Column,
+    Fit,
+    Normal,
+    Rows,
+    Stack,
+    TermsOf,
+    make_rows,
+    more_columns,
+    residuals,
+    stack,
+)
+from leactl.model.nominal import Model
+
+Array = npt.NDArray[np.float64]
+PRIORS = {
+    "phase_resistance": 0.1,
+    "phase_inductance": 0.3,
+    "torque_constant": 0.1,
+    "rotor_inertia": 0.15,
+    "viscous_damping": 0.3,
+    "coulomb_friction": 0.3,
+    "resistance_coefficient": 0.01,
+    "bench.shaft_stiffness": 0.08,
+    "load.viscous_damping": 0.4,
+    "load.coulomb_friction": 0.4,
+    "ambient_offset": 3.0,  # K
+    "thermal.winding_ambient_resistance": 0.2,
+    "thermal.winding_housing_resistance": 0.2,
+    "thermal.housing_ambient_resistance": 0.2,
+    "thermal.winding_capacitance": 0.2,
+    "thermal.housing_capacitance": 0.2,
+}
+"""Physical priors of the nominal model's parameters: relative standard deviations unless a unit is given."""
+UNKNOWN_UNREST = 10.0  # of an equation that no bench without an effect has been seen with
+LONGEST_DEPENDENCE = 60  # rows
+ORDERS_TRIED = 3  # of each periodic effect
+
+
+class Evidence:
+    """All equations of all runs, and the weights that a hypothesis gives them."""
+
+    def __init__(self, records: Sequence[Record], model: Model) -> None:
+        self.model, self.records = model, list(records)
+        self.candidates: list[Candidate] = [
+            (effect.name, form)
+            for effect in library().values()
+            if not effect.periodic and effect.applies(model)
+            for form in effect.forms
+        ]
+        self._terms = TermsOf()
+        self._equations: list[tuple[str, str, Equation]] = [
+            (record.name, record.kind, equation) for record in records for equation in equations(record, model)
+        ]
+        made = [
+            (equation, rows)
+            for name, kind, equation in self._equations
+            if (rows := make_rows(name, kind, equation, self.candidates, self._terms)) is not None
+        ]
+        self._made = made
+        self.stack: Stack = stack([rows for _, rows in made], PRIORS)
+        self.weigh_as_usual()
+        self.add(strongest(self.stack, self.settle([]), self.weights, ORDERS_TRIED))
+
+    def weigh_as_usual(self) -> None:
+        """Take the noise that shows from row to row, with what a sound model usually leaves beside it."""
+        usual = usual_unrest()
+        for rows in self.stack.rows:
+            rows.noise, rows.dependence = rows.white, usual.get(rows.equation, UNKNOWN_UNREST)
+
+    def add(self, candidates: Sequence[Candidate]) -> None:
+        """Take further forms of effects into the regression."""
+        fresh = [c for c in candidates if c not in self.candidates]
+        if not fresh:
+            return
+        self.candidates += fresh
+        for equation, rows in self._made:
+            more_columns(rows, equation, fresh, self._terms)
+        self.stack = stack([rows for _, rows in self._made], PRIORS)
+
+    @property
+    def weights(self) -> list[float]:
+        """Of each rows: one over its noise variance, for as many rows as are independent."""
+        return [1.0 / (rows.noise**2 * rows.dependence) for rows in self.stack.rows]
+
+    def normal(self) -> Normal:
+        """Normal equations under the present weights."""
+        return Normal(self.stack, self.weights)
+
+    def weigh(self, fit: Fit) -> None:
+        """Take noise and dependence from what a fit leaves over."""
+        pools: dict[tuple[str, str], list[tuple[Array, Rows]]] = {}
+        for index, rows in enumerate(self.stack.rows):
+            pools.setdefault((rows.equation, rows.kind), []).append((residuals(self.stack, fit, index), rows))
+        for pool in pools.values():
+            noise = float(np.sqrt(np.mean(np.concatenate([left for left, _ in pool]) ** 2)))
+            dependence = float(np.mean([rows_per_independent(left) for left, _ in pool]))
+            for _, rows in pool:
+                rows.noise, rows.dependence = max(noise, 1e-12), dependence
+
+    def settle(self, hypothesis: Sequence[Candidate], rounds: int = 2) -> Fit:
+        """Fit a hypothesis and the noise it leaves, by turns."""
+        # begin as if the hypothesis were right: from the noise that another left, a fit may not find the way
+        self.weigh_as_usual()
+        fit = self.normal().fit(hypothesis)
+        for _ in range(rounds):
+            self.weigh(fit)
+            fit = self.normal().fit(hypothesis)
+        return fit
+
+    def surprise(self) -> float:
+        """Twice the negative log likelihood under the present noise, up to a constant: small where all is explained."""
+        total = 0.0
+        for rows in self.stack.rows:
+            total += len(rows.left_over) / rows.dependence * np.log(rows.noise**2)
+        return float(total)
+
+    def columns(self, candidate: Candidate) -> npt.NDArray[np.intp]:
+        """Where the columns of one form of an effect stand; empty where no run shows it."""
+        found = [
+            place
+            for name, place in self.stack.place.items()
+            if name[0] == "effect" and (name[1], name[2]) == (candidate[0], repr(candidate[1]))
+        ]
+        return np.asarray(sorted(found), np.intp)
+
+    def coefficient(self, place: int) -> str:
+        """Name of the coefficient of an effect's column."""
+        name: Column = self.stack.names[place]
+        return name[3]
+
+
+def rows_per_independent(left: Array) -> float:
+    """How many neighbouring rows carry the information of one, from their autocorrelation (Bartlett, 1946)."""
+    left = left - left.mean()
+    power = float(left @ left)
+    if power == 0.0 or len(left) < 8:
+        return 1.0
+    size = 1 << (2 * len(left) - 1).bit_length()
+    spectrum = np.fft.rfft(left, size)
+    correlation = np.fft.irfft(spectrum * np.conj(spectrum), size)[: min(LONGEST_DEPENDENCE, len(left) // 4)] / power
+    total = 1.0
+    for value in correlation[1:].tolist():
+        if value <= 0.02:
+            break
+        total += 2.0 * value
+    return max(total, 1.0)
+
+
+@cache
+def usual_unrest() -> dict[str, float]:
+    """Power that sound models leave over, over the noise that shows from row to row, by equation."""
+    entry = resources.files("leactl.gap") / "floors.yaml"
+    found: dict[str, float] = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data["unrest"]
+    return found

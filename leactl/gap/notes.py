@@ -1,0 +1,41 @@
+"""What a diagnosis could not answer, plainly: questions whose channels or set-ups the runs lack."""
+
+from collections.abc import Sequence
+
+from leactl.effects import library
+from leactl.gap.evidence import Evidence
+from leactl.gap.record import Record
+from leactl.model.nominal import Model
+
+NEEDS = {
+    "torque": ("the torque sensor", "a torque channel in a locked or coupled run"),
+    "q_axis_voltage": ("resistance, back-EMF and the inverter", "the q-axis voltage"),
+    "angle": ("friction, inertia and everything periodic in angle", "the angle of a moving run"),
+    "bus_voltage": ("the bus", "the bus voltage"),
+    "q_axis_current_reference": ("delay and rate of the drive", "the current reference"),
+    "winding_temperature": ("everything thermal", "winding and housing temperatures"),
+}
+
+
+def questions(model: Model, records: Sequence[Record], evidence: Evidence) -> tuple[str, ...]:
+    """Notes on what these runs cannot show."""
+    notes = []
+    for quantity, (question, need) in NEEDS.items():
+        role = "bench" if quantity == "bus_voltage" else "test"
+        if not any(has(record, quantity, role) for record in records):
+            notes.append(f"not answered: {question}; it needs {need}")
+    hidden = invisible(model, evidence)
+    if hidden:
+        notes.append(f"invisible in these runs: {', '.join(hidden)}")
+    return tuple(notes)
+
+
+def has(record: Record, quantity: str, role: str) -> bool:
+    """Whether a run has a channel on either clock."""
+    return any(clock is not None and clock.get(quantity, role) is not None for clock in (record.fast, record.slow))
+
+
+def invisible(model: Model, evidence: Evidence) -> list[str]:
+    """Effects that no equation of these runs has a column for."""
+    seen = {name[1] for name in evidence.stack.names if name[0] == "effect"}
+    return [name for name, effect in library().items() if effect.applies(model) and name not in seen]

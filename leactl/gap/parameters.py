@@ -1,0 +1,137 @@
+"""Fitted coefficients as parameters of a model: what calibration makes of the nominal model, and its uncertainty."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.effects import library
+from leactl.gap.diagnosis import CalibratedParameter, EffectParameter
+from leactl.gap.evidence import Evidence
+from leactl.gap.regression import Candidate, Fit
+from leactl.model.nominal import EffectEntry, Model, as_mapping
+from leactl.vocabulary.effect import effect_definition
+
+Array = npt.NDArray[np.float64]
+RECIPROCAL = (
+    "thermal.winding_ambient_resistance",
+    "thermal.winding_housing_resistance",
+    "thermal.housing_ambient_resistance",
+    "bench.shaft_stiffness",
+)
+"""Parameters whose reciprocal is what the equations are linear in."""
+MODEL_ERROR = {
+    "rotor_inertia": 5e-4,
+    "phase_inductance": 5e-3,
+    "bench.shaft_stiffness": 8e-3,
+    "thermal.winding_capacitance": 3e-3,
+    "thermal.winding_housing_resistance": 1e-3,
+}
+"""Relative error of a parameter that the discretised equations leave, beside noise."""
+LEAST_MODEL_ERROR = 5e-5
+UNITS = {
+    "phase_resistance": "ohm",
+    "phase_inductance": "H",
+    "torque_constant": "N*m/A",
+    "back_emf_constant": "V*s/rad",
+    "rotor_inertia": "kg*m^2",
+    "viscous_damping": "N*m*s/rad",
+    "coulomb_friction": "N*m",
+    "resistance_coefficient": "1/K",
+    "bench.shaft_stiffness": "N*m/rad",
+    "load.viscous_damping": "N*m*s/rad",
+    "load.coulomb_friction": "N*m",
+    "ambient_offset": "K",
+    "thermal.winding_ambient_resistance": "K/W",
+    "thermal.winding_housing_resistance": "K/W",
+    "thermal.housing_ambient_resistance": "K/W",
+    "thermal.winding_capacitance": "J/K",
+    "thermal.housing_capacitance": "J/K",
+}
+
+
+def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
+    """The nominal model's parameters as a fit has them."""
+    found = []
+    for index, place in enumerate(fit.columns):
+        name = evidence.stack.names[place]
+        if name[0] != "calibration":
+            continue
+        parameter, change = name[1], float(fit.values[index])
+        std = math.sqrt(max(float(fit.covariance[index, index]), 0.0))
+        nominal = nominal_value(evidence.model, parameter)
+        if parameter == "ambient_offset":
+            found.append(CalibratedParameter(parameter, 0.0, change, std, UNITS[parameter]))
+            continue
+        if nominal is None:
+            continue
+        std = math.hypot(std, MODEL_ERROR.get(parameter, LEAST_MODEL_ERROR))
+        factor = 1.0 / max(1.0 - change, 0.05) if parameter in RECIPROCAL else max(1.0 + change, 0.0)
+        slope = factor**2 if parameter in RECIPROCAL else 1.0
+        units = UNITS.get(parameter, "")
+        found.append(CalibratedParameter(parameter, nominal, nominal * factor, nominal * std * slope, units))
+        if parameter == "torque_constant" and evidence.model.back_emf_constant is not None:
+            constant = evidence.model.back_emf_constant
+            other = "back_emf_constant"
+            found.append(CalibratedParameter(other, constant, constant * factor, constant * std, UNITS[other]))
+    return tuple(found)
+
+
+def nominal_value(model: Model, parameter: str) -> float | None:
+    """A parameter of the model by its dotted name; the load's start from the test actuator's."""
+    if parameter.startswith("load."):
+        parameter = parameter.removeprefix("load.")
+    at: Any = model
+    for part in parameter.split("."):
+        at = getattr(at, part, None)
+        if at is None:
+            return None
+    return float(at)
+
+
+def with_calibration(model: Model, parameters: Sequence[CalibratedParameter]) -> Model:
+    """The model with fitted parameters; the load's own and the ambient's offset have no place in a model file."""
+    document = as_mapping(model)
+    for item in parameters:
+        if item.parameter == "ambient_offset" or item.parameter.startswith("load."):
+            continue
+        at = document
+        *path, last = item.parameter.split(".")
+        for part in path:
+            at = at[part]
+        at[last] = item.fitted
+    return Model.model_validate(document)
+
+
+def with_effects(model: Model, effects: Sequence[tuple[str, Mapping[str, float]]]) -> Model:
+    """The model with effects added to those it has."""
+    added = [EffectEntry(effect=name, parameters=dict(values)) for name, values in effects]
+    return model.model_copy(update={"effects": [*model.effects, *added]})
+
+
+def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tuple[EffectParameter, ...]:
+    """Parameters of one effect of a fitted hypothesis, with standard errors by linear propagation."""
+    name, form = candidate
+    places = [int(np.flatnonzero(fit.columns == place)[0]) for place in evidence.columns(candidate)]
+    names = [evidence.coefficient(place) for place in evidence.columns(candidate)]
+    values, spread = fit.values[places], fit.covariance[np.ix_(places, places)]
+    effect, model = library()[name], evidence.model
+
+    def at(coefficients: Array) -> dict[str, float]:
+        return effect.parameters(form, dict(zip(names, coefficients.tolist(), strict=True)), model)
+
+    here = at(values)
+    steps = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    slopes = {key: np.zeros(len(values)) for key in here}
+    for k, step in enumerate(steps):
+        if step > 0.0:
+            there = at(values + step * np.eye(len(values))[k])
+            for key in here:
+                slopes[key][k] = (there[key] - here[key]) / step
+    units = effect_definition(name).parameters
+    return tuple(
+        EffectParameter(key, value, math.sqrt(max(float(slopes[key] @ spread @ slopes[key]), 0.0)), units[key].units)
+        for key, value in here.items()
+    )

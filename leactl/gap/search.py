@@ -1,0 +1,260 @@
+"""Small sets of effects searched over Gram matrices: which effects, in which form, leave least over.
+
+A step adds the effect whose columns take most away beyond what recalibration can imitate, then every member is tried
+against every other effect with the rest held, so that an early wrong choice is taken back. What an effect must reach
+is measured against the size that model error alone gives it on benches without one (`floors.yaml`).
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl import yamlfile
+from leactl.effects import library
+from leactl.gap.evidence import Evidence
+from leactl.gap.regression import Candidate, Fit, Normal, gain_of
+
+Array = npt.NDArray[np.float64]
+MOST = 3  # effects in a set
+ENTRY = 4.0  # times its floor and uncertainty, that an effect must be large to enter a set
+EXCHANGES = 4
+SHORTLIST = 4
+WAVE = ("cos", "sin")  # coefficients that make one amplitude
+FORM_ERROR = 0.003  # share of what a set explains in a channel that its own functional form may miss
+SHAPE = (0.3, 3.0)  # how much of a shape may be there: the grid's neighbours are that far apart
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One effect beyond a base hypothesis."""
+
+    candidate: Candidate
+    gain: float  # weighted squares that it takes away
+    size: float  # in units of its leading parameter
+    std: float
+    values: tuple[float, ...]
+    names: tuple[str, ...]
+    covariance: Array
+
+    @property
+    def effect(self) -> str:
+        """The effect's name."""
+        return self.candidate[0]
+
+    @property
+    def height(self) -> float:
+        """Size over what noise and model error alone would give it."""
+        return self.size / math.hypot(self.std, floor(self.effect))
+
+
+@cache
+def floors() -> dict[str, float]:
+    """The size that model error alone gives each effect, in units of its leading parameter."""
+    entry = resources.files("leactl.gap") / "floors.yaml"
+    found: dict[str, float] = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data["floors"]
+    return found
+
+
+def floor(effect: str) -> float:
+    """The floor of one effect; none for one that has not been measured."""
+    return floors().get(effect, 0.0)
+
+
+def finding(evidence: Evidence, normal: Normal, base: npt.NDArray[np.intp], candidate: Candidate) -> Finding | None:
+    """What one form of an effect takes away beyond a base; None where no run shows it or its sign makes no sense."""
+    added = evidence.columns(candidate)
+    if len(added) == 0:
+        return None
+    gain, values, covariance = gain_of(normal, base, added)
+    effect = library()[candidate[0]]
+    if effect.one_sided and values[0] <= 0.0:
+        return None
+    if effect.shaped and not SHAPE[0] < values[0] < SHAPE[1]:
+        return None
+    names = tuple(evidence.coefficient(place) for place in added)
+    found = dict(zip(names, values.tolist(), strict=True))
+    size = effect.size(candidate[1], found, evidence.model)
+    leading = [k for k, name in enumerate(names) if name in WAVE] or [0]
+    own, spread = values[leading], covariance[np.ix_(leading, leading)]
+    length = max(float(np.linalg.norm(own)), 1e-300)
+    std = size * math.sqrt(max(float(own @ spread @ own), 0.0)) / length**2
+    return Finding(candidate, gain, size, std, tuple(values.tolist()), names, covariance)
+
+
+def best_of_each(
+    evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], only: Iterable[str] | None = None
+) -> list[Finding]:
+    """The best form of every effect beyond a hypothesis, by gain, largest first."""
+    base = evidence.stack.columns_of(hypothesis)
+    taken = {effect for effect, _ in hypothesis}
+    wanted = set(only) if only is not None else None
+    best: dict[str, Finding] = {}
+    for candidate in evidence.candidates:
+        if candidate[0] in taken or (wanted is not None and candidate[0] not in wanted):
+            continue
+        found = finding(evidence, normal, base, candidate)
+        if found is not None and (candidate[0] not in best or found.gain > best[candidate[0]].gain):
+            best[candidate[0]] = found
+    return sorted(best.values(), key=lambda item: -item.gain)
+
+
+@dataclass
+class Found:
+    """The set that a search ended with."""
+
+    hypothesis: list[Candidate]
+    members: list[Finding]  # each beyond the others
+    rivals: list[list[Finding]]  # for each member: every effect in its place, itself among them
+    rest: list[Finding]  # what would come next
+    fit: Fit
+
+
+def search(evidence: Evidence) -> Found:
+    """Find the set of effects that explains the runs."""
+    hypothesis: list[Candidate] = []
+    while len(hypothesis) < MOST:
+        added = step(evidence, hypothesis)
+        if added is None:
+            break
+        hypothesis = exchange(evidence, [*hypothesis, added])
+        hypothesis = refine(evidence, hypothesis)
+    return describe(evidence, prune(evidence, hypothesis))
+
+
+def step(evidence: Evidence, hypothesis: Sequence[Candidate]) -> Candidate | None:
+    """The effect to add, or None where none stands above its floor.
+
+    Ranked twice, under the noise that is usual and under what the present set leaves: the first sees an effect that
+    touches everything, the second one that touches a quiet channel. The best of both lists is found by fitting.
+    """
+    listed = shortlist(evidence, hypothesis)
+    if len(listed) > 1:
+        trials = []
+        for candidate in listed:
+            evidence.settle([*hypothesis, candidate])
+            trials.append((evidence.surprise(), candidate))
+        return min(trials)[1]
+    return listed[0] if listed else None
+
+
+def shortlist(evidence: Evidence, hypothesis: Sequence[Candidate]) -> list[Candidate]:
+    """The effects worth fitting beside a set."""
+    listed: list[Candidate] = []
+    for rounds in (2, 0):
+        fit = evidence.settle(hypothesis, rounds)
+        normal = evidence.normal()
+        explained = explained_by_rows(normal, fit, normal.fit())
+        ranked = [
+            item.candidate
+            for item in best_of_each(evidence, normal, hypothesis)
+            if item.height > ENTRY and item.gain > FORM_ERROR * shared_with(evidence, item.candidate, explained)
+        ]
+        listed += [candidate for candidate in ranked[:SHORTLIST] if candidate not in listed]
+        if not listed:
+            break
+    return listed
+
+
+def explained_by_rows(normal: Normal, fit: Fit, calibrated: Fit) -> list[float]:
+    """Weighted squares that a set takes from each rows beyond calibration."""
+    found = []
+    for index, rows in enumerate(normal.stack.rows):
+        count = normal.weights[index] * len(rows.left_over)
+        before, after = normal.residual(calibrated, index), normal.residual(fit, index)
+        found.append(count * max(before**2 - after**2, 0.0))
+    return found
+
+
+def shared_with(evidence: Evidence, candidate: Candidate, explained: Sequence[float]) -> float:
+    """What a set explains in the rows that a candidate touches."""
+    key = (candidate[0], repr(candidate[1]))
+    return sum(
+        amount
+        for amount, rows in zip(explained, evidence.stack.rows, strict=True)
+        if any(name[0] == "effect" and (name[1], name[2]) == key for name in rows.columns)
+    )
+
+
+def exchange(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
+    """Try every member against every other effect, with the rest held, until nothing gains."""
+    for _ in range(EXCHANGES):
+        evidence.settle(hypothesis)
+        normal, changed = evidence.normal(), False
+        for index in range(len(hypothesis)):
+            others = hypothesis[:index] + hypothesis[index + 1 :]
+            ranked = [item for item in best_of_each(evidence, normal, others) if item.height > ENTRY]
+            if ranked and ranked[0].candidate != hypothesis[index]:
+                changed = changed or ranked[0].effect != hypothesis[index][0]
+                hypothesis = [*hypothesis[:index], ranked[0].candidate, *hypothesis[index + 1 :]]
+        if not changed:
+            break
+    return hypothesis
+
+
+def refine(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
+    """Find the non-linear parameter of each member between the grid's values."""
+    for index, (name, form) in enumerate(hypothesis):
+        effect = library()[name]
+        grid = sorted(other[0] for other in effect.forms if len(other) == 1)
+        if len(form) != 1 or effect.periodic or not effect.continuous or len(grid) < 2:
+            continue
+        others = hypothesis[:index] + hypothesis[index + 1 :]
+        hypothesis[index] = (name, refined(evidence, others, name, form, grid))
+    return hypothesis
+
+
+def refined(
+    evidence: Evidence, others: list[Candidate], name: str, form: tuple[float, ...], grid: list[float]
+) -> tuple[float, ...]:
+    """The best value between the neighbours on the grid: two rounds of thirds on a logarithmic scale."""
+    at = form[0]
+    ratio = max((b / a for a, b in pairwise(grid)), default=2.0)
+    for _ in range(2):
+        ratio = ratio ** (1.0 / 3.0)
+        tried = [(name, (at / ratio,)), (name, (at,)), (name, (at * ratio,))]
+        evidence.add(tried)
+        normal, base = evidence.normal(), evidence.stack.columns_of(others)
+        found = [item for c in tried if (item := finding(evidence, normal, base, c)) is not None]
+        if found:
+            at = max(found, key=lambda item: item.gain).candidate[1][0]
+    return (at,)
+
+
+def prune(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
+    """Leave out members that do not stand once the others are there."""
+    while hypothesis:
+        evidence.settle(hypothesis)
+        normal = evidence.normal()
+        members = [member(evidence, normal, hypothesis, k) for k in range(len(hypothesis))]
+        heights = [item.height if item is not None else 0.0 for item in members]
+        weakest = int(np.argmin(heights))
+        if heights[weakest] > ENTRY:
+            break
+        hypothesis = hypothesis[:weakest] + hypothesis[weakest + 1 :]
+    return hypothesis
+
+
+def member(evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], index: int) -> Finding | None:
+    """One member of a set beyond the others."""
+    others = [*hypothesis[:index], *hypothesis[index + 1 :]]
+    return finding(evidence, normal, evidence.stack.columns_of(others), hypothesis[index])
+
+
+def describe(evidence: Evidence, hypothesis: list[Candidate]) -> Found:
+    """Members, rivals and what would come next, under the weights of the set."""
+    fit = evidence.settle(hypothesis)
+    normal = evidence.normal()
+    members, rivals = [], []
+    for index in range(len(hypothesis)):
+        found = member(evidence, normal, hypothesis, index)
+        assert found is not None
+        members.append(found)
+        others = hypothesis[:index] + hypothesis[index + 1 :]
+        rivals.append([found, *(r for r in best_of_each(evidence, normal, others) if r.effect != found.effect)])
+    return Found(hypothesis, members, rivals, best_of_each(evidence, normal, hypothesis), fit)
