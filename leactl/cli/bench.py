@@ -5,7 +5,7 @@ import sys
 
 import typer
 
-app = typer.Typer(help="List, check, reset and serve benches.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(help="List, show, check, reset and serve benches.", no_args_is_help=True, rich_markup_mode=None)
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 
 
@@ -15,6 +15,14 @@ def list_benches(as_json: bool = AS_JSON) -> None:
     from leactl.bench.benchfile import names
 
     typer.echo(json.dumps({"benches": names()}) if as_json else "\n".join(names()))
+
+
+@app.command()
+def show(bench: str) -> None:
+    """Show a bench's file as it is written, to copy and change."""
+    from leactl.bench.benchfile import load
+
+    typer.echo(load(bench)[2].text, nl=False)
 
 
 @app.command()

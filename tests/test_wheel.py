@@ -1,0 +1,36 @@
+"""The wheel alone, in an empty environment and another folder, carries plug-ins, protocols and the demo."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.mark.long
+def test_the_wheel_runs_the_demo_in_an_empty_environment(tmp_path):
+    wheels, environment, elsewhere = tmp_path / "wheels", tmp_path / "environment", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q"]
+    subprocess.run([*pip, "wheel", "--no-deps", "-w", wheels, ROOT], check=True)
+    [wheel] = wheels.glob("leactl-*.whl")
+    subprocess.run([sys.executable, "-m", "venv", environment], check=True)
+    subprocess.run([environment / "bin/python", *pip[1:], "install", wheel], check=True)
+
+    def leactl(*arguments):
+        clean = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "VIRTUAL_ENV"))}
+        run = [environment / "bin/leactl", *arguments]
+        return subprocess.run(
+            run, cwd=elsewhere, env=clean | {"LEACTL_STATE": str(tmp_path)}, check=True, capture_output=True, text=True
+        ).stdout
+
+    drivers = json.loads(leactl("driver", "list", "--json"))
+    assert {"elmo_can", "ads1115"} <= {item["name"] for item in drivers["drivers"]}
+    assert "torque-constant" in leactl("protocol", "list")
+    answer = json.loads(leactl("demo", "--json"))
+    assert len(answer["files"]) == 6
+    assert all((elsewhere / name).is_file() for name in answer["files"])
