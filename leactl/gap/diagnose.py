@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from leactl.errors import InputError
+from leactl.gap.confirm import held_out_gains
 from leactl.gap.diagnosis import Cause, Diagnosis, EffectParameter, Verdict
 from leactl.gap.evidence import Evidence
 from leactl.gap.judge import Judged, judge, unexplained, unrest
@@ -16,6 +17,8 @@ from leactl.gap.record import Record, read_record
 from leactl.gap.regression import Candidate, Fit
 from leactl.gap.search import Found, search
 from leactl.gap.separating import separating_experiment
+from leactl.gap.shrinkage import shrinkage
+from leactl.gap.where import where
 from leactl.model.nominal import Model, read_model
 
 NAMED = 0.01  # probability above which an effect stands among the causes
@@ -73,16 +76,14 @@ def split(records: list[Record]) -> tuple[list[Record], list[Record]]:
 
 
 def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
-    """Answer where, why and how far.
+    """Answer where, why and how far: causes from the fitted runs alone, how far the gap shrinks from the held-out ones.
 
     Raises
     ------
     InputError : the runs hold nothing that any equation of the model can be checked with.
     """
     progress("reading equations")
-    # without runs named as held out, the search may see all of them; what is said of shrinkage never does
-    seen = case.fitted if case.given else [*case.fitted, *case.held_out]
-    evidence = Evidence(seen, case.model)
+    evidence = Evidence(case.fitted, case.model)
     if not evidence.stack.rows:
         raise InputError(
             "no equation of the model can be checked with these runs: a diagnosis needs the angle and the q-axis"
@@ -90,29 +91,39 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         )
     progress("searching effects")
     found = search(evidence)
-    judged = judge(found)
+    progress("trying them on held-out runs")
+    gains = dict(zip(found.hypothesis, held_out_gains(evidence, found.hypothesis, case.held_out), strict=True))
+    judged = judge(found, gains)
     ratios = unrest(evidence)
     surprise = unexplained(ratios)
-    progress("calibrating")
-    parameters = calibrated(evidence, found.fit)
     causes = causes_of(evidence, found, judged)
-    tuned = with_calibration(case.model, parameters)
+    alone = evidence.settle([])
+    calibrated_alone = calibrated(evidence, alone)
+    parameters = calibrated(evidence, evidence.settle(found.hypothesis))
     members = {item.finding.effect for item in judged}
     named = [
         (c.effect, {p.name: p.value for p in c.parameters})
         for c in causes
         if c.probability >= EFFECT and c.effect in members
     ]
-    augmented = with_effects(tuned, named)
+    tuned = with_calibration(case.model, calibrated_alone if named else parameters)
+    augmented = with_effects(with_calibration(case.model, parameters), named) if named else tuned
+    progress("simulating again")
+    kinds = {(record.kind, record.mechanical) for record in case.held_out}
+    replayed = [*case.held_out, *(r for r in case.fitted if (r.kind, r.mechanical) not in kinds)]
+    shrunk = shrinkage(replayed, case.model, tuned, augmented)
+    notes = tuple(note for record in [*case.fitted, *case.held_out] for note in record.notes)
+    if not case.held_out:
+        notes += ("no run was held out: every kind occurs once, so the shrinkage is that of the fitted runs",)
     return Diagnosis(
         verdict(causes, surprise, evidence, found),
         surprise,
-        (),
+        where(replayed, shrunk.channels),
         parameters,
         causes,
-        (),
-        tuple(note for record in seen for note in record.notes) + questions(case.model, seen, evidence),
-        {"calibrated": tuned, "augmented": augmented, "unrest": ratios},
+        shrunk.shrinkage,
+        notes + shrunk.notes + questions(case.model, case.fitted, evidence),
+        {"calibrated": tuned, "augmented": augmented, "unrest": ratios, "traces": shrunk.traces},
     )
 
 

@@ -59,14 +59,9 @@ ORDERS_TRIED = 3  # of each periodic effect
 class Evidence:
     """All equations of all runs, and the weights that a hypothesis gives them."""
 
-    def __init__(self, records: Sequence[Record], model: Model) -> None:
+    def __init__(self, records: Sequence[Record], model: Model, only: Sequence[Candidate] | None = None) -> None:
         self.model, self.records = model, list(records)
-        self.candidates: list[Candidate] = [
-            (effect.name, form)
-            for effect in library().values()
-            if not effect.periodic and effect.applies(model)
-            for form in effect.forms
-        ]
+        self.candidates: list[Candidate] = list(only) if only is not None else every_form(model)
         self._terms = TermsOf()
         self._equations: list[tuple[str, str, Equation]] = [
             (record.name, record.kind, equation) for record in records for equation in equations(record, model)
@@ -79,7 +74,8 @@ class Evidence:
         self._made = made
         self.stack: Stack = stack([rows for _, rows in made], PRIORS)
         self.weigh_as_usual()
-        self.add(strongest(self.stack, self.settle([]), self.weights, ORDERS_TRIED))
+        if only is None and made:
+            self.add(strongest(self.stack, self.settle([]), self.weights, ORDERS_TRIED))
 
     def weigh_as_usual(self) -> None:
         """Take the noise that shows from row to row, with what a sound model usually leaves beside it."""
@@ -164,6 +160,16 @@ def rows_per_independent(left: Array) -> float:
             break
         total += 2.0 * value
     return max(total, 1.0)
+
+
+def every_form(model: Model) -> list[Candidate]:
+    """Every form of every effect that does not wait for an order to be found."""
+    return [
+        (effect.name, form)
+        for effect in library().values()
+        if not effect.periodic and effect.applies(model)
+        for form in effect.forms
+    ]
 
 
 @cache

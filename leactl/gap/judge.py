@@ -6,16 +6,19 @@ winner is named together with it.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from leactl.gap.evidence import Evidence, usual_unrest
+from leactl.gap.regression import Candidate
 from leactl.gap.search import Finding, Found
 
 RIVAL_FORM_ERROR = 0.005  # of a gain, standard deviation of the difference of two forms that are both nearly right
 SURE, HALF, SLOPE = 0.998, 4.5, 1.3  # height at which an effect is as likely there as not, and how fast that changes
 CLASS = 0.2  # of the winner's weight, above which a rival is named together with it
+UNCONFIRMED = 0.4  # of a probability, left to an effect that makes held-out runs worse
 UNREST = 5.0  # times what benches without an effect show, above which a channel is not explained
 
 
@@ -29,11 +32,11 @@ class Judged:
     peers: tuple[str, ...]
 
 
-def judge(found: Found) -> list[Judged]:
-    """Probabilities of the members of a set, largest first."""
+def judge(found: Found, held_out: Mapping[Candidate, float]) -> list[Judged]:
+    """Probabilities of the members of a set, largest first; `held_out` has what each takes from runs not fitted."""
     judged = []
     for member, rivals in zip(found.members, found.rivals, strict=True):
-        present = presence(member.height)
+        present = presence(member.height) * (UNCONFIRMED if held_out.get(member.candidate, 0.0) < 0.0 else 1.0)
         spread = 1.0 + RIVAL_FORM_ERROR * member.gain
         weights = [math.exp(min((r.gain - member.gain) / (2.0 * spread), 2.0)) * presence(r.height) for r in rivals[1:]]
         total = presence(member.height) + sum(weights)

@@ -81,7 +81,7 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
 
 def nominal_value(model: Model, parameter: str) -> float | None:
     """A parameter of the model by its dotted name; the load's start from the test actuator's."""
-    if parameter.startswith("load."):
+    if parameter.startswith("load.") and getattr(model.load, parameter.removeprefix("load."), None) is None:
         parameter = parameter.removeprefix("load.")
     at: Any = model
     for part in parameter.split("."):
@@ -92,15 +92,15 @@ def nominal_value(model: Model, parameter: str) -> float | None:
 
 
 def with_calibration(model: Model, parameters: Sequence[CalibratedParameter]) -> Model:
-    """The model with fitted parameters; the load's own and the ambient's offset have no place in a model file."""
+    """The model with fitted parameters; the ambient's offset has no place in a model file."""
     document = as_mapping(model)
     for item in parameters:
-        if item.parameter == "ambient_offset" or item.parameter.startswith("load."):
+        if item.parameter == "ambient_offset":
             continue
         at = document
         *path, last = item.parameter.split(".")
         for part in path:
-            at = at[part]
+            at = at.setdefault(part, {})
         at[last] = item.fitted
     return Model.model_validate(document)
 
