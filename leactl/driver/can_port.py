@@ -97,28 +97,6 @@ class CanPort:
         except (OSError, ValueError, _can_error()) as error:
             raise DeviceError(f"bus '{self.name}': cannot send 0x{identifier:03X}: {error}") from None
 
-    def pump(self, timeout: float) -> bool:
-        """Dispatch one frame, waiting for it at most `timeout` s; False where none came.
-
-        Raises
-        ------
-        DeviceError : the bus is closed or gone.
-        """
-        if self.bus is None:
-            raise DeviceError(f"bus '{self.name}': not open")
-        try:
-            message = self.bus.recv(timeout)
-        except (OSError, ValueError, _can_error()) as error:
-            raise DeviceError(f"bus '{self.name}': cannot receive: {error}") from None
-        if message is None:
-            return False
-        if message.is_error_frame or message.is_extended_id or message.is_remote_frame:
-            return True
-        listener = self._listeners.get(message.arbitration_id)
-        if listener is not None:
-            listener(message.data, message.timestamp)
-        return True
-
     def pump_before(self, deadline: float) -> bool:
         """Dispatch one frame, waiting for it until the deadline; False where the wait is over.
 
@@ -128,11 +106,22 @@ class CanPort:
         ------
         DeviceError : the bus is closed or gone.
         """
+        if self.bus is None:
+            raise DeviceError(f"bus '{self.name}': not open")
         left = deadline - self.clock.now()
-        if left > 0.0:
-            self.pump(left)
-            return True
-        return left > -LATE_S and self.pump(0.0)
+        if left < -LATE_S:
+            return False
+        try:
+            message = self.bus.recv(left if left > 0.0 else 0.0)
+        except (OSError, ValueError, _can_error()) as error:
+            raise DeviceError(f"bus '{self.name}': cannot receive: {error}") from None
+        if message is None:
+            return left > 0.0
+        if not (message.is_error_frame or message.is_extended_id or message.is_remote_frame):
+            listener = self._listeners.get(message.arbitration_id)
+            if listener is not None:
+                listener(message.data, message.timestamp)
+        return True
 
     def pump_until(self, arrived: Callable[[], bool], deadline: float) -> bool:
         """Dispatch frames until `arrived()` or the deadline; says which.

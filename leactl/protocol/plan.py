@@ -103,8 +103,15 @@ class Samples:
 
     def at(self, time: float) -> float:
         """The latest sample; a loop that is early by a millionth of a period still takes the sample it is due."""
-        index = int(time / self.period + 1e-6)
-        return float(self.values[min(max(index, 0), len(self.values) - 1)])
+        index, numbers = int(time / self.period + 1e-6), self._numbers
+        if index <= 0:
+            return numbers[0]
+        return numbers[index] if index < len(numbers) else numbers[-1]
+
+    @cached_property
+    def _numbers(self) -> "memoryview[float]":
+        # its elements are Python floats, at a third of the time that an array's take
+        return memoryview(self.values)  # type: ignore[arg-type]
 
     @cached_property
     def low(self) -> float:

@@ -230,24 +230,25 @@ def root_value(name: str, info: RunInfo) -> Any:
     return start[name] if name in start else getattr(info, name)
 
 
-def opened_columns(stream: Any, specs: Sequence[ChannelSpec]) -> list[Any]:
-    """Datasets of a stream as its rows have them: the stamps, then the channels."""
-    return [stream["time"], *(stream[spec.name] for spec in specs)]
+def opened_columns(stream: Any, specs: Sequence[ChannelSpec]) -> list[tuple[int, Any, np.dtype[Any]]]:
+    """Datasets of a stream in the order of writing, with their place in a row: channels before time.
+
+    Once a stamp is in the file, so is its whole row.
+    """
+    places = {spec.name: place for place, spec in enumerate(specs, start=1)} | {"time": 0}
+    return [(place, stream[name].id, stream[name].dtype) for name, place in places.items()]
 
 
-def write_rows(columns: Sequence[Any], written: int, rows: np.ndarray[Any, Any]) -> None:
-    """Append rows, channels before time: once a stamp is in the file, so is its whole row."""
+def write_rows(columns: Sequence[tuple[int, Any, np.dtype[Any]]], written: int, rows: np.ndarray[Any, Any]) -> None:
+    """Append rows by HDF5's own calls: short blocks of many columns take h5py's slices three times as long."""
     memory = h5s.create_simple((len(rows),))
-    for place in [*range(1, len(columns)), 0]:
-        dataset = columns[place]
-        extend(dataset, written + len(rows))
-        with np.errstate(over="ignore"):  # beyond float32 becomes inf
-            values = np.ascontiguousarray(rows[:, place], dataset.dtype)
-        # HDF5's own call: short blocks of many columns take h5py's slices three times as long
-        where = dataset.id.get_space()
-        where.select_hyperslab((written,), (len(rows),))
-        dataset.id.write(memory, where, values)
-        dataset.flush()
+    with np.errstate(over="ignore"):  # beyond float32 becomes inf
+        for place, dataset, dtype in columns:
+            extend(dataset, written + len(rows))
+            where = dataset.get_space()
+            where.select_hyperslab((written,), (len(rows),))
+            dataset.write(memory, where, np.ascontiguousarray(rows[:, place], dtype))
+            dataset.flush()
 
 
 def write_live_table(
@@ -256,7 +257,7 @@ def write_live_table(
     """Append to `/steps` or `/events`, cutting text to what a fixed-length string holds."""
     for column, width in columns.items():
         dataset = group[column]
-        extend(dataset, written + len(rows))
+        extend(dataset.id, written + len(rows))
         values = [row[column] if width is None else fitted(row[column], width) for row in rows]
         dataset[written : written + len(rows)] = np.array(values, dataset.dtype)
         dataset.flush()
@@ -264,8 +265,8 @@ def write_live_table(
 
 def extend(dataset: Any, rows: int) -> None:
     """Make room for so many rows in all; never shrink, which SWMR forbids, where a flush was interrupted half way."""
-    if dataset.id.shape[0] < rows:
-        dataset.id.set_extent((rows,))
+    if dataset.shape[0] < rows:
+        dataset.set_extent((rows,))
 
 
 def fitted(value: Any, width: int) -> bytes:

@@ -5,11 +5,11 @@ import time
 
 from leactl.runfile.writer import RecordingFailed, RunWriter
 
-FLUSH_S = 0.5  # half of what a kill may cost (run-format: 1 s)
+FLUSH_S = 0.8  # a kill may cost a second (run-format), of which the writing itself takes some
 
 
 class InlineFlush:
-    """Flush from within the loop, twice a second of wall time."""
+    """Flush from within the loop, about once a second of wall time."""
 
     def __init__(self, writer: RunWriter) -> None:
         self._writer = writer

@@ -70,6 +70,7 @@ class Supervisor:
 
     def __init__(self, limits: Limits, axes: Mapping[str, Axis], others: Sequence[Driver], clock: Clock) -> None:
         self._limits, self._clock, self._others = limits, clock, list(others)
+        self._longest_age, self._hottest = limits.age_s, limits.winding_temperature_degC
         self.tripped: str = ""
         now = clock.now()
         self._axes = {role: self._guard(axis, now) for role, axis in axes.items()}
@@ -77,6 +78,7 @@ class Supervisor:
         for device in (*[axis.driver for axis in axes.values()], *others):
             for stream in device.streams:
                 self._own[stream.name] = self._watches(stream.channels, now)
+        self._asynchronous = [watch for watches in self._own.values() for watch in watches]
 
     def _guard(self, axis: Axis, now: float) -> _Guarded:
         channels = axis.motion.loop_channels
@@ -101,7 +103,8 @@ class Supervisor:
         ------
         SafetyTrip : a trip is latched.
         """
-        self._refuse_when_tripped()
+        if self.tripped:
+            raise SafetyTrip(self.tripped)
         guarded = self._axes[role]
         guarded.turn_to(mode, self._limits)
         guarded.axis.motion.engage(mode)
@@ -123,7 +126,8 @@ class Supervisor:
         ------
         SafetyTrip : a trip is latched, or the setpoint is outside the limits; nothing is passed on.
         """
-        self._refuse_when_tripped()
+        if self.tripped:
+            raise SafetyTrip(self.tripped)
         guarded = self._axes[role]
         low, high = guarded.bounds
         if not low <= value <= high:
@@ -131,10 +135,6 @@ class Supervisor:
         if guarded.quantity == CURRENT_REFERENCE:
             guarded.reference = value
         guarded.axis.motion.command(value)
-
-    def _refuse_when_tripped(self) -> None:
-        if self.tripped:
-            raise SafetyTrip(self.tripped)
 
     # -- samples -----------------------------------------------------------------------------------------------------
 
@@ -145,23 +145,27 @@ class Supervisor:
         ------
         SafetyTrip : a value is outside its limits, a channel is too old, or a winding estimate is too hot.
         """
-        self._refuse_when_tripped()
-        oldest, limit = now - self._limits.age_s, self._limits.winding_temperature_degC
+        if self.tripped:
+            raise SafetyTrip(self.tripped)
+        oldest, hottest = now - self._longest_age, self._hottest
         for role, guarded in self._axes.items():
             _, motion, estimate = guarded.axis
             values = motion.values
-            self._judge(guarded.watches, values, now, oldest)
+            for watch in guarded.watches:
+                if watch.low <= values[watch.index] <= watch.high:
+                    watch.seen = now
+                else:
+                    self._question(watch, values[watch.index], now, oldest)
             measured = abs(values[guarded.current])
             asked = abs(guarded.reference)
             heating = measured if measured > asked else asked  # NaN compares false: the reference counts then
             winding = estimate.advance(now - guarded.advanced, heating)
             guarded.advanced = now
-            if not winding < limit:
-                self.trip(f"{role} winding estimate of {winding:.1f} degC reached the limit of {limit:g} degC")
-        for watches in self._own.values():
-            for watch in watches:
-                if watch.seen < oldest:
-                    self._too_old(watch, now)
+            if not winding < hottest:
+                self.trip(f"{role} winding estimate of {winding:.1f} degC reached the limit of {hottest:g} degC")
+        for watch in self._asynchronous:
+            if watch.seen < oldest:
+                self._too_old(watch, now)
 
     def receive(self, row: Row) -> None:
         """Judge a sample of a device's own stream.
@@ -170,25 +174,28 @@ class Supervisor:
         ------
         SafetyTrip : the value is outside its limits, or the device names a fault such as saturation.
         """
-        self._refuse_when_tripped()
+        if self.tripped:
+            raise SafetyTrip(self.tripped)
         if row.fault:
             self.trip(row.fault)
-        self._judge(self._own[row.stream], row.values, row.time, -math.inf)
-
-    def _judge(self, watches: list[_Watch], values: Sequence[float], now: float, oldest: float) -> None:
-        for watch in watches:
-            value = values[watch.index]
+        for watch in self._own[row.stream]:
+            value = row.values[watch.index]
             if watch.low <= value <= watch.high:
-                watch.seen = now
-            elif value == value:
-                bound = watch.low if value < watch.low else watch.high
-                self.trip(f"{watch.label} of {value:.4g} {watch.unit} passed the limit of {bound:g} {watch.unit}")
-            elif watch.seen < oldest:
-                self._too_old(watch, now)
+                watch.seen = row.time
+            else:
+                self._question(watch, value, row.time, -math.inf)
+
+    def _question(self, watch: _Watch, value: float, now: float, oldest: float) -> None:
+        """What to do about a value that is not inside its limits: it is outside, or no number."""
+        if value == value:
+            bound = watch.low if value < watch.low else watch.high
+            self.trip(f"{watch.label} of {value:.4g} {watch.unit} passed the limit of {bound:g} {watch.unit}")
+        if watch.seen < oldest:
+            self._too_old(watch, now)
 
     def _too_old(self, watch: _Watch, now: float) -> None:
         age = now - watch.seen
-        self.trip(f"{watch.label}: no reading for {age:.3f} s, {self._limits.age_s:g} s are allowed")
+        self.trip(f"{watch.label}: no reading for {age:.3f} s, {self._longest_age:g} s are allowed")
 
     def trip(self, cause: str) -> None:
         """Latch a trip and end the run; the first cause stays.
