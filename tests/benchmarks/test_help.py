@@ -1,0 +1,25 @@
+"""`leactl --help` beside the import of the library that prints it."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from tests.benchmarks.rounds import compare
+
+LIMIT = 2.5
+
+
+def test_help_is_there_at_once(figure):
+    leactl = Path(sys.executable).with_name("leactl")
+
+    def run(*command):
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+
+    found = compare(
+        lambda: run(leactl, "--help"),
+        lambda: run(sys.executable, "-c", "import typer"),
+        timer=time.perf_counter,
+    )
+    figure(f"leactl --help: {found:ms} of python -c 'import typer'; limit {LIMIT}")
+    assert found.ratio <= LIMIT
