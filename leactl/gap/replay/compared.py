@@ -13,6 +13,7 @@ from leactl.gap.smoothing import smooth
 Array = npt.NDArray[np.float64]
 BLOCK_S = 1.0
 FEWEST_BLOCKS = 20  # a slow clock has longer blocks, for its errors last
+LAG = 4  # samples between the values whose differences tell the noise
 TRIMMED = 0.98  # share of the differences that tell the noise: the others are steps that a model does not time right
 TRIMMED_SCALE = 0.9343  # standard deviation of what is left of a Gaussian
 
@@ -100,7 +101,7 @@ def _compared(
 
 
 def white(values: Array) -> float:
-    """Standard deviation of what changes from one sample to the next."""
-    steps = np.sort(np.abs(np.diff(values)))
+    """Standard deviation of what changes within a few samples: filters of a channel reach no further."""
+    steps = np.sort(np.abs(values[LAG:] - values[:-LAG])) if len(values) > LAG else np.abs(values)
     kept = steps[: max(1, int(TRIMMED * len(steps)))]
     return float(np.sqrt(np.mean(kept**2) / 2.0)) / TRIMMED_SCALE

@@ -5,9 +5,10 @@ import numpy.typing as npt
 from scipy.signal import lfilter
 
 from leactl.gap.record import Clocked
-from leactl.gap.replay.job import Job, noise_of
+from leactl.gap.replay.job import Job, noise_of, quantum_of
 
 Array = npt.NDArray[np.float64]
+STANDS_S = 1.0  # how long a rounding error may stay the same
 
 
 def follow(job: Job) -> None:
@@ -15,7 +16,7 @@ def follow(job: Job) -> None:
     clock, plant = job.clock, job.plant
     bandwidth = plant.model.bench.current_loop_bandwidth
     if clock.get("q_axis_current_reference") is not None:
-        over = asked(clock, job.parts)
+        over = asked(clock, job.parts) + rounding(job)
         for becomes in plant.command:
             over = becomes(over, job.step)
         reading, mean = answered(over, over[0], bandwidth, job.step)
@@ -49,6 +50,25 @@ def asked(clock: Clocked, parts: int) -> Array:
             begins = reference[:-1] + gain * moved[:, 0]
     way = (np.arange(parts) + 0.5) / parts
     return np.asarray((begins[:, None] + (ends - begins)[:, None] * way).reshape(-1), np.float64)
+
+
+def moved_by_a_servo(clock: Clocked) -> bool:
+    """Whether a loop inside the drive moves the current reference between samples."""
+    return clock.get("velocity_reference") is not None or clock.get("angle_reference") is not None
+
+
+def rounding(job: Job) -> Array | float:
+    """Once more what rounding took from the recorded reference of a servo, which may stand still for seconds.
+
+    Without the servo, a rotor whose friction falls with speed runs away from the least of it.
+    """
+    if job.disturbance is None or not moved_by_a_servo(job.clock):
+        return 0.0
+    step = quantum_of(job.clock.values["q_axis_current_reference", "test"])
+    stands = max(1, round(STANDS_S / job.step))
+    total = (len(job.clock.time) - 1) * job.parts
+    found = step * (job.disturbance.random(total // stands + 1) - 0.5)
+    return np.asarray(np.repeat(found, stands)[:total], np.float64)
 
 
 def answered(over: Array, start: float, bandwidth: float | None, step: float) -> tuple[Array, Array]:

@@ -28,6 +28,7 @@ class Job:
     velocity: Array | None = None  # rad/s, over each sub-step
     torque: Array | None = None  # N*m, onto the shaft, at the instants
     load_velocity: Array | None = None  # rad/s, over each sub-step
+    starts: npt.NDArray[np.intp] | None = None  # samples at which the motion starts again
     first: int = 0  # sample at which the motion starts
     fast: dict[Key, Array] = field(default_factory=dict)  # what the channels of the fast clock read
     slow: dict[Key, Array] = field(default_factory=dict)

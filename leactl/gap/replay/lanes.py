@@ -1,8 +1,9 @@
 """Rotors on a shaft, many stretches of many runs stepped side by side.
 
-The shaft is a spring between two rotors (leap-frog: velocities between the instants, angles and torques at them);
-friction takes from each rotor what it moves, down to standstill and no further, so that it sticks by itself. A free
-rotor has no spring, a locked one an end that does not move.
+The shaft is a spring between two rotors (leap-frog: velocities between the instants, angles and torques at them). A
+free rotor has no spring, a locked one an end that does not move. At standstill friction opposes up to its Coulomb
+level: the test rotor's as bristles that bend a little before they slide (Dahl, 1968), as those of any bearing do, the
+load's by taking what moves it, down to standstill and no further.
 """
 
 from collections.abc import Sequence
@@ -14,6 +15,9 @@ import numpy.typing as npt
 from leactl.effects.plant import Moment, Plant
 
 Array = npt.NDArray[np.float64]
+BRISTLE = 5e-5  # rad, over which friction builds up where no effect says otherwise; bearings have 1e-5 to 1e-4
+BRISTLE_DAMPING = 0.2  # of critical, while bristles bend: without it a rotor that sticks would ring for ever
+SHAFT_DAMPING = 0.03  # of critical, as steel shafts with clamped couplings have
 STIFFEST = 1.0  # rad, half the phase that a shaft's resonance may turn in a step; a stiffer one is as good as rigid
 
 
@@ -93,10 +97,12 @@ def stepped(lanes: Lanes, start: State) -> Motion:
     decay, gain = _answer(damping, lanes.inertia, h)
     load_decay, load_gain = _answer(lanes.load_damping, lanes.load_inertia, h)
     stiffness = resonant_stiffness(lanes)
+    yielding = 2.0 * SHAFT_DAMPING * np.sqrt(stiffness / (1.0 / lanes.inertia + 1.0 / lanes.load_inertia))
+    bristles = _Bristles(lanes, gain)
     shaft, hanging = bool(np.any(stiffness > 0)), bool(np.any(lanes.gravity != 0))
     loaded = shaft and bool(np.any(load_gain > 0))
     held, load_held = gain * lanes.friction, load_gain * lanes.load_friction
-    groups = [_Group(plant, place, gain, lanes.friction, h) for plant, place in lanes.plants]
+    groups = [_Group(plant, place, gain) for plant, place in lanes.plants]
     groups = [group for group in groups if group.acts]
     angle, velocity = start.angle.copy(), start.velocity.copy()
     load_velocity, twist, bristle = start.load_velocity.copy(), start.twist.copy(), start.bristle.copy()
@@ -105,7 +111,7 @@ def stepped(lanes: Lanes, start: State) -> Motion:
     current = np.empty(shape) if servo is not None else None
     out = Motion(np.empty(shape), np.empty(shape), np.zeros(shape), np.zeros(shape), current, start)
     for group in groups:
-        group.attach(angle, velocity, ahead, torque, twist, bristle, push)
+        group.attach(angle, velocity, ahead, torque, twist, push)
     for index in range(steps):
         drive = lanes.drive[index]
         if servo is not None:
@@ -115,6 +121,7 @@ def stepped(lanes: Lanes, start: State) -> Motion:
             drive = servo.torque_constant * volts / servo.resistance
         if shaft:
             np.multiply(stiffness, twist, out=torque)
+            torque += yielding * (velocity - load_velocity)
             for group in groups:
                 group.slip(stiffness)
         elif hanging:
@@ -137,11 +144,7 @@ def stepped(lanes: Lanes, start: State) -> Motion:
         ahead += push
         for group in groups:
             group.rub(level)
-        np.maximum(ahead, -level, out=velocity)
-        np.minimum(velocity, level, out=velocity)
-        np.subtract(ahead, velocity, out=velocity)
-        for group in groups:
-            group.bend()
+        bristles.take(level, ahead, bristle, velocity)
         out.velocity[index] = velocity
         angle += h * velocity
         if shaft:
@@ -165,23 +168,44 @@ def _answer(damping: Array, inertia: Array, step: float) -> tuple[Array, Array]:
     return np.where(np.isinf(inertia), 0.0, np.exp(-rate)), np.asarray(gain, np.float64)
 
 
+class _Bristles:
+    """Friction of the test rotors, as what bends and then slides."""
+
+    def __init__(self, lanes: Lanes, gain: Array) -> None:
+        reach = np.full(len(gain), BRISTLE)
+        for plant, place in lanes.plants:
+            reach[place] = plant.bristle or BRISTLE
+        # bristles stiffer than a step resolves would drive the rotor back and forth
+        reach = np.maximum(reach, 0.5 * lanes.step * gain * lanes.friction)
+        self.per_turn = lanes.step / reach
+        self.damping = 2.0 * BRISTLE_DAMPING * gain * np.sqrt(lanes.friction / reach * lanes.inertia)
+
+    def take(self, level: Array, ahead: Array, bristle: Array, velocity: Array) -> None:
+        """Take from the velocity ahead what friction of this level holds back, and bend on."""
+        np.abs(bristle, out=velocity)
+        np.subtract(1.0, velocity, out=velocity)
+        velocity *= self.damping
+        velocity += 1.0
+        ahead -= level * bristle
+        np.divide(ahead, velocity, out=velocity)
+        turned = self.per_turn * velocity
+        bristle += turned
+        bristle /= 1.0 + np.abs(turned)
+
+
 class _Group:
     """Effects of one bench on its lanes."""
 
-    def __init__(self, plant: Plant, place: slice, gain: Array, friction: Array, step: float) -> None:
-        self.plant, self.place, self.step = plant, place, step
-        self.gain, self.friction = gain[place], friction[place]
+    def __init__(self, plant: Plant, place: slice, gain: Array) -> None:
+        self.plant, self.place, self.gain = plant, place, gain[place]
         self.pushes = bool(plant.ripple or plant.rotor_torque or plant.drag)
-        self.rubs = bool(plant.coulomb_share or plant.coulomb_added or plant.bristle)
+        self.rubs = bool(plant.coulomb_share or plant.coulomb_added)
         self.acts = self.pushes or self.rubs or bool(plant.play or plant.lost_voltage or plant.friction_share)
 
-    def attach(
-        self, angle: Array, velocity: Array, ahead: Array, torque: Array, twist: Array, bristle: Array, push: Array
-    ) -> None:
+    def attach(self, angle: Array, velocity: Array, ahead: Array, torque: Array, twist: Array, push: Array) -> None:
         """Look at this bench's part of what all lanes share; the stepper keeps it up to date."""
         own = self.place
         self.torque, self.twist, self.push = torque[own], twist[own], push[own]
-        self.velocity, self.ahead, self.bristle = velocity[own], ahead[own], bristle[own]
         self.before = Moment(angle[own], velocity[own], torque[own], torque[own])
         self.after = Moment(angle[own], ahead[own], torque[own], torque[own])
 
@@ -209,7 +233,7 @@ class _Group:
             self.push -= drag(self.before)
 
     def rub(self, level: Array) -> None:
-        """Scale the friction of this step; bristles take it over where they are."""
+        """Scale the friction of this step."""
         if not self.rubs:
             return
         own = level[self.place]
@@ -217,16 +241,3 @@ class _Group:
             own *= share(self.after)
         for added in self.plant.coulomb_added:
             own += self.gain * added(self.after)
-        if self.plant.bristle:
-            self.ahead -= own * self.bristle
-            own[:] = 0.0
-
-    def bend(self) -> None:
-        """Build friction up over the angle turned (Dahl, 1968)."""
-        if self.plant.bristle:
-            # bristles stiffer than a step resolves would drive the rotor back and forth
-            reach = np.maximum(self.plant.bristle, 0.5 * self.step * self.gain * self.friction)
-            turned = self.step * self.velocity / reach
-            decay = np.exp(-np.abs(turned))
-            self.bristle *= decay
-            self.bristle += np.sign(turned) * (1.0 - decay)

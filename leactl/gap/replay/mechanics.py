@@ -20,8 +20,7 @@ from leactl.gap.replay.starting import reach, starting_motion
 
 RESTART_S = 1.0
 LOCKED_STRETCH_S = 0.25
-CLOSE = 1e-4  # of the largest torque, by which a stretch may begin off the end of the one before
-ROUNDS = 200
+CLOSE = 3e-4  # of the largest torque, by which a stretch may begin off the end of the one before
 Index = npt.NDArray[np.intp]
 
 
@@ -67,7 +66,7 @@ def move(jobs: Sequence[Job]) -> None:
     for job in jobs:
         kind = kind_of(job)
         if kind is not None:
-            sets.setdefault((kind, job.step, job.parts), []).append(cut_of(job, kind))
+            sets.setdefault((kind, round(job.step, 9), job.parts), []).append(cut_of(job, kind))
     for (kind, _, _), cuts in sets.items():
         # lanes of one bench side by side: its effects then act on all of them in one call
         cuts.sort(key=lambda cut: id(cut.job.plant))
@@ -78,6 +77,7 @@ def move(jobs: Sequence[Job]) -> None:
             keep(cuts, every, run(cuts, every, [start_of(cut, kind) for cut in cuts]))
         for cut in cuts:
             cut.job.restarts = kind == "turning"
+            cut.job.starts = cut.first + cut.length * np.arange(cut.count)
 
 
 def kind_of(job: Job) -> str | None:
@@ -286,7 +286,7 @@ def continued(cut: Cut, start: State, after: Index, ends: State) -> npt.NDArray[
     impedance = np.sqrt(c["stiffness"] * c["inertia"])
     off = np.abs(ends.twist - start.twist[after]) * c["stiffness"]
     off = off + np.abs(ends.velocity - start.velocity[after]) * impedance
-    off = off + np.abs(ends.bristle - start.bristle[after]) * c["friction"] * bool(cut.job.plant.bristle)
+    off = off + np.abs(ends.bristle - start.bristle[after]) * c["friction"]
     wrong = np.asarray(off > CLOSE * float(np.max(np.abs(cut.drive), initial=1e-9)))
     for name, values in vars(start).items():
         values[after[wrong]] = getattr(ends, name)[wrong]
@@ -298,9 +298,11 @@ def resting(cut: Cut) -> State:
     c = constants_of(cut.job)
     parts, at = cut.job.parts, cut.length * np.arange(cut.count)
     drive = cut.drive[::parts]
-    torque = play(drive, c["friction"])[at]
+    torque = play(drive, c["friction"])
     angle = cut.job.clock.get("angle")
-    still = np.full(cut.count, float(np.mean(angle)) if angle is not None else 0.0)
+    still = (torque - float(np.mean(torque)))[at] / c["stiffness"]
+    still = still + (float(np.mean(angle)) if angle is not None else 0.0)
+    torque = torque[at]
     none = np.zeros(cut.count)
     bristle = np.clip((drive[at] - torque) / max(c["friction"], 1e-12), -1.0, 1.0)
     return State(still, none, none.copy(), torque / c["stiffness"], bristle)

@@ -1,12 +1,18 @@
 """What the channels read of a replayed run: averages, filters, and the faults that effects put into sensors."""
 
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
 import numpy as np
 from scipy.signal import lfilter
 
-from leactl.effects.plant import Array, Course
+from leactl.effects.plant import Array, Becomes, Course
 from leactl.gap.replay.drive import over_samples
 from leactl.gap.replay.heat import resistance_share
 from leactl.gap.replay.job import Job
+from leactl.gap.smoothing import smooth
+
+REMEMBERED_S = 0.2  # of the motion before a start that filters may remember
 
 
 def read(job: Job) -> None:
@@ -16,13 +22,13 @@ def read(job: Job) -> None:
     if clock.get("q_axis_current_reference") is not None or job.clock.get("angle_reference") is not None:
         found["q_axis_current"] = current(job)
     if job.velocity is not None:
-        found["velocity"] = velocity(job)
+        found["velocity"] = velocity(job) if clock.get("velocity") is not None else derived_speed(job)
         found["torque"] = torque(job) if job.record.mechanical in ("locked", "coupled") else None
         found["angle"] = angle(job) if not job.restarts and job.record.mechanical != "locked" else None
     volts = voltage(job)
     found["q_axis_voltage"] = volts
     for name, values in found.items():
-        if values is not None and clock.get(name) is not None:
+        if values is not None and (clock.get(name) is not None or name == "velocity"):
             job.fast[name, "test"] = values
     if volts is not None and clock.get("bus_voltage", "bench") is not None and job.plant.model.bench.bus_voltage:
         job.fast["bus_voltage", "bench"] = bus(job, volts)
@@ -49,21 +55,53 @@ def velocity(job: Job) -> Array:
     speed = job.velocity
     for error in job.plant.angle_error:
         speed = speed + (error(job.angle + job.step * job.velocity) - error(job.angle)) / job.step
-    reading = speed
-    for becomes in job.plant.velocity_reading:
-        reading = becomes(reading, job.step)
-    return filtered(job, reading)
+    return filtered(job, speed, job.plant.velocity_reading)
 
 
-def filtered(job: Job, over_steps: Array) -> Array:
-    """A speed over sub-steps as the model's velocity filter gives it at the samples."""
+def derived_speed(job: Job) -> Array:
+    """Change of the angle, for runs that record no velocity."""
+    assert job.velocity is not None
+    return smooth(over_samples(job.velocity[: (len(job.clock.time) - 1) * job.parts], job.parts))
+
+
+def filtered(job: Job, over_steps: Array, faults: Sequence[Becomes] = ()) -> Array:
+    """A speed over sub-steps as the sensor's faults and the model's velocity filter give it at the samples."""
     total = (len(job.clock.time) - 1) * job.parts
-    steps = over_steps[:total]
     bandwidth = job.plant.model.bench.velocity_filter_bandwidth
-    if bandwidth:
-        decay = float(np.exp(-2.0 * np.pi * bandwidth * job.step))
-        steps = lfilter([1.0 - decay], [1.0, -decay], steps, zi=[decay * steps[0]])[0]
+
+    def through(values: Array) -> Array:
+        for becomes in faults:
+            values = becomes(values, job.step)
+        if bandwidth:
+            decay = float(np.exp(-2.0 * np.pi * bandwidth * job.step))
+            values = lfilter([1.0 - decay], [1.0, -decay], values, zi=[decay * values[0]])[0]
+        return values
+
+    steps = over_steps[:total]
+    steps = _from_starts(job, steps, through) if job.restarts else through(steps)
     return np.concatenate([steps[:1], steps[job.parts - 1 :: job.parts]])
+
+
+def _from_starts(job: Job, steps: Array, through: Callable[[Array], Array]) -> Array:
+    """Filter stretch by stretch: what a filter remembers at a start is the measured motion before it."""
+    assert job.starts is not None
+    past = np.repeat(measured_speed(job)[1:], job.parts)
+    reach = round(REMEMBERED_S / job.step)
+    out = np.zeros_like(steps)
+    edges = [*(int(start) * job.parts for start in job.starts), len(steps)]
+    for begin, end in pairwise(edges):
+        if begin < end:
+            before = past[max(0, begin - reach) : begin]
+            out[begin:end] = through(np.concatenate([before, steps[begin:end]]))[len(before) :]
+    return out
+
+
+def measured_speed(job: Job) -> Array:
+    """What the encoder, else the velocity channel, says of the speed."""
+    measured, clock = job.clock.get("angle"), job.clock
+    if measured is None:
+        return clock.values["velocity", "test"]
+    return smooth(np.diff(measured, prepend=measured[0]) / clock.interval)
 
 
 def angle(job: Job) -> Array:
