@@ -5,6 +5,7 @@ import random
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +23,7 @@ from .specimen import STREAMS, info
 TESTS = Path(__file__).resolve().parents[1]
 KILLS = 10
 KILLS_LONG = 500
+ROWS_PER_FLUSH = (1, 7, 100, 5000)
 
 
 @contextmanager
@@ -60,18 +62,34 @@ def check_rows(path: Path, at_least: int) -> int:
         return len(rows)
 
 
-def kill_and_recover(directory: Path, seed: int) -> None:
+def kill_within_a_flush(directory: Path, seed: int) -> int:
+    """Rows that were said to be on the disk when the recording was killed."""
     chance = random.Random(seed)
-    rows_per_flush = chance.choice([1, 7, 100, 5000])
-    with recording(directory, rows_per_flush) as process:
+    with recording(directory, chance.choice(ROWS_PER_FLUSH)) as process:
         said = flushed_rows(process, chance.randrange(1, 12))
-        # a moment within a flush: the next one is under way since the line was read
+        # the next one is under way since the line was read
         for _ in range(chance.randrange(20_000)):
             pass
-        process.kill()
-        assert process.stdout
-        after = [line for line in process.stdout if line.endswith("\n") and line.startswith("flushed ")]
-        said = int(after[-1].split()[1]) if after else said
+        return max(said, rows_said_until_killed(process))
+
+
+def kill_at_any_moment(directory: Path, seed: int) -> int:
+    """The same at a moment of the first half second, before the first flush too."""
+    chance = random.Random(seed)
+    with recording(directory, chance.choice(ROWS_PER_FLUSH)) as process:
+        time.sleep(chance.uniform(0.0, 0.5) ** 2 * 2)  # more of them early, where files are still small and new
+        return rows_said_until_killed(process)
+
+
+def rows_said_until_killed(process: subprocess.Popen[str]) -> int:
+    process.kill()
+    assert process.stdout
+    lines = [line for line in process.stdout if line.endswith("\n") and line.startswith("flushed ")]
+    return int(lines[-1].split()[1]) if lines else 0
+
+
+def check_and_recover(directory: Path, said: int) -> int:
+    """Rows that are there: all that were said, and as many after as before the recovery."""
     (path,) = directory.iterdir()
     rows = check_rows(path, said)
     assert any("incomplete recording" in finding for finding in verify(path))
@@ -82,20 +100,27 @@ def kill_and_recover(directory: Path, seed: int) -> None:
     assert check_rows(clean, said) == rows
     with Run.open(clean) as run:
         assert run.status == "recovered"
+    return rows
 
 
 @pytest.mark.parametrize("seed", range(KILLS))
 def test_a_kill_loses_no_flushed_row(tmp_path: Path, seed: int):
-    kill_and_recover(tmp_path, seed)
+    check_and_recover(tmp_path, kill_within_a_flush(tmp_path, seed))
 
 
 @pytest.mark.long
-def test_five_hundred_kills(tmp_path: Path):
+def test_five_hundred_kills(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    found = []
     for seed in range(KILLS_LONG):
         directory = tmp_path / str(seed)
         directory.mkdir()
-        kill_and_recover(directory, 1000 + seed)
+        said = (kill_at_any_moment if seed % 2 else kill_within_a_flush)(directory, 1000 + seed)
+        found.append((said, check_and_recover(directory, said)))
         shutil.rmtree(directory)
+    before, within = sum(said == 0 for said, _ in found), sum(there > said for said, there in found)
+    with capsys.disabled():
+        print(f"\n{len(found)} kills, {before} before a flush had returned, {within} with rows of one under way:")
+        print(f"all readable, named as incomplete and recovered, {sum(there for _, there in found)} rows in all")
 
 
 def test_another_process_may_watch(tmp_path: Path):
