@@ -15,6 +15,7 @@ from leactl.gap.regression import Candidate, Fit, Rows, Stack, residuals
 Array = npt.NDArray[np.float64]
 TORQUE = ("free_torque", "axis_torque", "both_torque", "coupled_torque")
 WIDTH = 4.5  # samples, the smoothing of a torque equation's rows
+CREEP_WIDTH = 1.0  # samples, the same of an axis that creeps
 FINEST = 0.35  # cycles a sample, beyond which a column has been smoothed away
 APART = 1  # orders this close to a stronger one are its leakage
 
@@ -26,19 +27,41 @@ def strongest(stacked: Stack, fit: Fit, weights: Sequence[float], count: int) ->
         if not effect.periodic:
             continue
         low, high = effect.orders
-        power = np.zeros(high + 1)
+        power, creeps = np.zeros(high + 1), []
+        open_orders = np.arange(high + 1) >= low
         for index, rows in enumerate(stacked.rows):
-            if rows.equation in TORQUE:
+            if rows.equation in TORQUE and turns(rows, effect.periodic):
                 left = residuals(stacked, fit, index)
                 power += weights[index] * periodogram(rows, left, effect.periodic, high)
-        power[:low] = 0.0
+                if "creep" in rows.signals.extra:
+                    creeps.append((rows, left, weights[index]))
         for _ in range(count):
-            order = int(np.argmax(power))
-            if power[order] <= 0.0:
+            order = int(np.argmax(power * open_orders))
+            if not open_orders[order] or power[order] <= 0.0:
                 break
             found.append((effect.name, (float(order),)))
-            power[max(order - APART, 0) : order + APART + 1] = 0.0
+            for place, (rows, left, weight) in enumerate(creeps):
+                # an axis dwells where it holds best: unevenly over the angle, so that strong orders show in others
+                rest = without(rows, left, order)
+                change = periodogram(rows, rest, effect.periodic, high) - periodogram(rows, left, effect.periodic, high)
+                power += weight * change
+                creeps[place] = (rows, rest, weight)
+            open_orders[max(order - APART, 0) : order + APART + 1] = False
     return found
+
+
+def turns(rows: Rows, place: str) -> bool:
+    """Whether rows have an angle to be periodic in, and the current that a ripple goes with."""
+    signals = rows.signals
+    return signals.angle is not None and (place != "torque_factor" or signals.current is not None)
+
+
+def without(rows: Rows, left: Array, order: int) -> Array:
+    """A residual without what one order of the angle explains of it."""
+    assert rows.signals.angle is not None
+    turned = order * rows.signals.angle[rows.index]
+    waves = np.stack([np.cos(turned), np.sin(turned)], axis=1)
+    return np.asarray(left - waves @ np.linalg.lstsq(waves, left, rcond=None)[0], np.float64)
 
 
 def periodogram(rows: Rows, left: Array, place: str, highest: int) -> Array:
@@ -51,13 +74,17 @@ def periodogram(rows: Rows, left: Array, place: str, highest: int) -> Array:
         assert signals.current is not None
         size = (signals.model.torque_constant or 0.0) * signals.current[rows.index]
     cycles = speed * signals.interval / (2 * np.pi)  # of order one, a sample
+    width = WIDTH
+    if "creep" in signals.extra:
+        # it steps and rests: the pace of the whole run says more than that of a moment
+        cycles, width = np.full_like(cycles, np.mean(cycles)), CREEP_WIDTH
     turn = np.exp(1j * angle)
     wave = np.ones_like(turn)
     out = np.zeros(highest + 1)
     for order in range(1, highest + 1):
         wave = wave * turn
         rate = order * cycles
-        gain = size * np.exp(-0.5 * (2 * np.pi * rate) ** 2 * WIDTH**2) * (rate < FINEST)
+        gain = size * np.exp(-0.5 * (2 * np.pi * rate) ** 2 * width**2) * (rate < FINEST)
         energy = float(np.sum(gain**2)) / 2.0
         if energy > 1e-12:
             out[order] = abs(np.sum(left * gain * wave)) ** 2 / (2.0 * energy)

@@ -34,6 +34,7 @@ class Clocked:
     valid: dict[Key, Mask] = field(default_factory=dict)
     means: set[Key] = field(default_factory=set)  # channels that are means over the interval that ends at the stamp
     units: dict[Key, str] = field(default_factory=dict)
+    counts: dict[Key, float] = field(default_factory=dict)  # smallest step of an angle, next to none if interpolated
 
     def get(self, quantity: str, role: str = "test") -> Array | None:
         """The values, or None where the run has no such channel."""
@@ -143,9 +144,18 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked 
         clocked.values[key] = np.mean(values, axis=0)
         clocked.valid[key] = np.all(valid, axis=0)
         clocked.units[key] = group[0].units
+        if key[0] == "angle":
+            clocked.counts[key] = smallest_step(group[0].values)
         if group[0].sampling == "mean":
             clocked.means.add(key)
     return clocked
+
+
+def smallest_step(values: Array) -> float:
+    """The step that a quantised channel moves by."""
+    steps = np.abs(np.diff(values))
+    steps = steps[steps > 0]
+    return float(np.quantile(steps, 0.01)) if len(steps) else 0.0
 
 
 def bridging_interval(stamps: Array) -> float:

@@ -1,0 +1,141 @@
+"""Recordings of real machines with published results: import by mapping file, then the equations against what is known.
+
+EMPS (nonlinearbenchmark.org, 2019), LAAS anti-cogging (2023) and Better Actuator Models' XL330 (2026).
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from leactl.gap.equations import equations
+from leactl.gap.evidence import PRIORS
+from leactl.gap.orders import strongest
+from leactl.gap.record import read_record
+from leactl.gap.regression import Normal, TermsOf, make_rows, residuals, stack
+from leactl.gap.replay_servo import mean_absolute_errors, refine, servo_runs
+from leactl.model.nominal import read_model
+from leactl.runfile.importing import import_runs
+from leactl.runfile.reader import Run
+
+FILES = Path(__file__).parent / "foreign"
+LOAD, STRIBECK = "load_dependent_friction.coefficient", "stribeck.breakaway_ratio"
+NO_PRIORS = dict.fromkeys(PRIORS, np.inf)
+
+
+def imported(name, pattern, folder):
+    """Run files of one set; skips where the recordings are not at hand."""
+    sets = [parent.parent / "shared" / "gap-real" / name for parent in Path(__file__).resolve().parents]
+    source = next((place for place in sets if place.is_dir()), None)
+    if source is None:
+        pytest.skip(f"the {name} recordings (../shared/gap-real) are not on this machine")
+    return import_runs([str(source / pattern)], FILES / f"{name}_map.yaml", folder)
+
+
+def nominal(name):
+    return read_model(FILES / f"{name}_model.yaml")[0]
+
+
+def rows_of(records, model, hypothesis=()):
+    terms = TermsOf()
+    made = [make_rows(r.name, r.kind, e, hypothesis, terms) for r in records for e in equations(r, model)]
+    return [rows for rows in made if rows is not None]
+
+
+def fitted(rows, hypothesis=(), priors=PRIORS):
+    stacked = stack(rows, priors)
+    weights = [1.0 / np.var(r.left_over) for r in rows]
+    for _ in range(3):
+        normal = Normal(stacked, weights)
+        fit = normal.fit(hypothesis)
+        weights = [normal.residual(fit, index) ** -2 for index in range(len(rows))]
+    values = {stacked.names[k]: v for k, v in zip(fit.columns, fit.values, strict=True)}
+    return normal, fit, values
+
+
+def test_emps_has_its_published_parameters(tmp_path):
+    (file,) = imported("emps", "*.mat", tmp_path)
+    model, record, offset = nominal("emps"), read_record(file), [("asymmetric_friction", ())]
+    (rows,) = rows_of([record], model, offset)
+    assert (rows.equation, rows.units) == ("axis_torque", "N")
+    normal, fit, found = fitted([rows], offset, NO_PRIORS)
+    relative = {name: found["calibration", name] for name in ("rotor_inertia", "viscous_damping", "coulomb_friction")}
+    assert abs(relative["rotor_inertia"]) < 0.01
+    assert abs(relative["viscous_damping"]) < 0.05
+    assert abs(relative["coulomb_friction"]) < 0.05
+    force = model.coulomb_friction * found["effect", "asymmetric_friction", "()", "asymmetry"]
+    assert force == pytest.approx(-3.1648, abs=0.3)
+    left = residuals(normal.stack, fit, 0)
+    whole = rows.left_over + sum(column for name, column in rows.columns.items() if name[0] == "calibration")
+    assert np.linalg.norm(left) / np.linalg.norm(whole) == pytest.approx(0.04, abs=0.005)
+
+
+def test_laas_cogging_is_found_on_one_half_and_holds_on_the_other(tmp_path):
+    files = {file.stem.split("-")[-1]: file for file in imported("laas_cogging", "stopped_data.csv", tmp_path)}
+    model, forward = nominal("laas_cogging"), read_record(files["forward"])
+    normal, fit, _ = fitted(rows_of([forward], model))
+    orders = [form[0] for effect, form in strongest(normal.stack, fit, normal.weights, 6) if effect == "cogging"]
+    assert orders[0] == 72
+    assert residual_current(files["reverse"], model, forward, (), -1) > 0.13
+    assert residual_current(files["reverse"], model, forward, (72.0,), -1) < 0.055
+    assert residual_current(files["reverse"], model, forward, tuple(orders), -1) < 0.029
+
+
+def residual_current(file, model, forward, orders, sense):
+    """Root mean square of a run's current, sample by sample, minus what another run's fit makes of its angle."""
+    hypothesis = [("cogging", orders)] if orders else []
+    _, _, found = fitted(rows_of([forward], model, hypothesis), hypothesis)
+    with Run.open(file) as run:
+        angle, current = run.channel("angle").values, run.channel("q_axis_current").values
+    torque = sense * model.coulomb_friction * (1 + found["calibration", "coulomb_friction"])
+    for place, order in enumerate(orders):
+        further = f"_{order:g}" if place else ""
+        cosine, sine = (found["effect", "cogging", repr(orders), name + further] for name in ("cos", "sin"))
+        torque = torque - cosine * np.cos(order * angle) - sine * np.sin(order * angle)
+    return float(np.sqrt(np.mean((current - torque / model.torque_constant) ** 2)))
+
+
+@pytest.mark.parametrize("folder", ["processed", "raw"])
+def test_xl330_friction_grows_with_load(tmp_path, folder):
+    records = [read_record(file) for file in imported("bam_xl330", f"{folder}/*.json", tmp_path)]
+    assert sorted({record.setup["drive_gain"] for record in records}) == pytest.approx(
+        [1.8204, 3.6408, 7.2816, 14.5632]
+    )
+    model, load = nominal("bam_xl330"), [("load_dependent_friction", ())]
+    rows = rows_of(records, model, load)
+    assert {r.equation for r in rows} == {"axis_torque"}
+    assert "share one scale" in records[0].notes[-1]
+    without, fit, _ = fitted(rows)
+    with_load, fit_load, found = fitted(rows, load)
+    before, after = (
+        np.sqrt(np.mean([normal.residual(one, index) ** 2 for index in range(len(rows))]))
+        for normal, one in ((without, fit), (with_load, fit_load))
+    )
+    assert after < 0.85 * before
+    assert found["effect", "load_dependent_friction", "()", "coefficient"] > 0.2
+
+
+@pytest.mark.long
+def test_xl330_free_runs_at_a_gain_left_out(tmp_path):
+    model = nominal("bam_xl330")
+    runs = servo_runs([read_record(file) for file in imported("bam_xl330", "processed/*.json", tmp_path)], model)
+    own = ("torque_constant", "phase_resistance", "rotor_inertia", "viscous_damping", "coulomb_friction")
+    start = {name: getattr(model, name) for name in own} | {"load_zero": 0.0, "reference_delay": 0.005}
+    errors = []
+    for gain in np.unique(runs.gain):
+        held_out, others = runs.picked(runs.gain == gain), runs.picked(runs.gain != gain)
+        calibrated, _ = refine(others, start)
+        loaded, _ = refine(others, calibrated | {LOAD: 0.1, "coulomb_friction": 0.005})
+        alone, both = (
+            min((refine(others, base | with_stribeck(speed)) for speed in (0.1, 0.5)), key=lambda found: found[1])[0]
+            for base in (calibrated, loaded)
+        )
+        errors.append([mean_absolute_errors(held_out, found).mean() for found in (calibrated, alone, loaded, both)])
+    calibrated, alone, loaded, both = np.mean(errors, axis=0)
+    assert both <= 0.048
+    assert loaded < 0.8 * calibrated
+    assert alone > 0.95 * calibrated  # Stribeck friction by itself gains nothing
+
+
+def with_stribeck(speed):
+    return {STRIBECK: 0.03, "stribeck.stribeck_velocity": speed}
