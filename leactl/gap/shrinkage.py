@@ -87,7 +87,7 @@ def _shrunk(group: list[Compared], random: np.random.Generator) -> Shrinkage:
     counts, sums = _blocks(group)
     nominal, calibrated, augmented, floor = (float(v) for v in np.sqrt(sums.sum(axis=0) / counts.sum()))
     closed = low = high = None
-    if calibrated >= NEAR_FLOOR * floor:
+    if calibrated > NEAR_FLOOR * floor:
         closed = (calibrated - augmented) / (calibrated - floor)
         picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
         again = np.sqrt(sums[picked].sum(axis=1) / counts[picked].sum(axis=1)[:, None])

@@ -20,7 +20,9 @@ def read(job: Job) -> None:
     clock = job.clock
     found: dict[str, Array | None] = {}
     if clock.get("q_axis_current_reference") is not None or job.clock.get("angle_reference") is not None:
-        found["q_axis_current"] = current(job)
+        # without the loop's bandwidth a model says nothing of how a current follows its reference
+        followed = job.plant.model.bench.current_loop_bandwidth is not None or job.plant.model.drive is not None
+        found["q_axis_current"] = current(job) if followed else None
     if job.velocity is not None:
         found["velocity"] = velocity(job) if clock.get("velocity") is not None else derived_speed(job)
         found["torque"] = torque(job) if job.record.mechanical in ("locked", "coupled") else None

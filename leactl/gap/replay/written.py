@@ -1,0 +1,136 @@
+"""A replay as a run file: the same channels on the same clocks, inputs as they were, the rest as the model has it."""
+
+import secrets
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl import __version__
+from leactl.errors import InputError
+from leactl.gap.record import Clocked, Key, read_record
+from leactl.gap.replay import replay
+from leactl.gap.replay.job import Job
+from leactl.gap.replay.readings import angle
+from leactl.model.nominal import read_model
+from leactl.quantities import ChannelSpec
+from leactl.runfile.description import RunInfo, new_run_id
+from leactl.runfile.publish import move_without_overwriting, refuse_existing
+from leactl.runfile.reader import Run
+from leactl.runfile.writer import RunWriter
+
+Array = npt.NDArray[np.float64]
+INPUTS = ("line_current", "ambient_temperature", "drive_enabled")
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What was written."""
+
+    path: Path
+    simulated: tuple[str, ...]  # channels that the model made, as "quantity of role"
+    left_out: tuple[str, ...]  # channels of the run that it says nothing of
+    notes: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """The same for other programs."""
+        answer = {"run": str(self.path), "simulated": self.simulated, "left_out": self.left_out, "notes": self.notes}
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in answer.items()}
+
+
+def simulate(model_file: Path, run_file: Path, out: Path | None = None) -> Simulated:
+    """Replay a run through a model and write what comes out beside its inputs; by default next to the run.
+
+    Raises
+    ------
+    InputError : a file that cannot be used, a model that says nothing of this run, or an existing file at `out`.
+    """
+    if out is not None:
+        refuse_existing(out)
+        if not out.parent.is_dir():
+            raise InputError(f"{out}: no folder {out.parent}")
+    model, document = read_model(model_file)
+    job = replay(read_record(run_file), model)
+    notes = tuple(dict.fromkeys(job.notes))
+    made = answers(job)
+    if not made:
+        raise InputError([f"{model_file}: {note}" for note in notes] or [f"{model_file}: says nothing of {run_file}"])
+    if job.restarts:
+        notes += ("the motion starts again every second from the measured state: an angle is an integral",)
+    with Run.open(run_file) as run:
+        every = [(name, spec) for name, specs in run.streams.items() for spec in specs if spec.quantity]
+        columns: dict[str, list[tuple[ChannelSpec, Array]]] = {}
+        for name, spec in every:
+            values = _column(run, name, spec, made, job)
+            if values is not None:
+                columns.setdefault(name, []).append((spec, values))
+        path = _write(run, columns, document.text, out if out is not None else None, run_file.parent)
+    kept = {_named(spec) for column in columns.values() for spec, _ in column}
+    names = list(dict.fromkeys(_named(spec) for _, spec in every))
+    by_model = {f"{quantity} of {role}" for quantity, role in made}
+    return Simulated(
+        path,
+        tuple(name for name in names if name in kept & by_model),
+        tuple(name for name in names if name not in kept),
+        notes,
+    )
+
+
+def answers(job: Job) -> dict[Key, tuple[Clocked, Array]]:
+    """Every channel that a replay reaches, with its clock; the angle too, which starts again with the motion."""
+    found: dict[Key, tuple[Clocked, Array]] = {}
+    for clock, channels in ((job.record.fast, job.fast), (job.record.slow, job.slow)):
+        if clock is not None:
+            found |= {key: (clock, values) for key, values in channels.items()}
+    if job.angle is not None:
+        found.setdefault(("angle", "test"), (job.clock, angle(job)))
+    return found
+
+
+def _column(run: Run, stream: str, spec: ChannelSpec, made: dict[Key, tuple[Clocked, Array]], job: Job) -> Array | None:
+    key = (spec.quantity, spec.role)
+    if key in made:
+        clock, values = made[key]
+        return np.interp(run.time(stream), clock.time, values)
+    given = spec.quantity in INPUTS or spec.quantity.endswith("_reference") or key == ("q_axis_current", "load")
+    if given or (key == ("q_axis_current", "test") and job.current is not None):
+        location = spec.location or None
+        return run.channel(*key, location=location).values
+    return None
+
+
+def _write(
+    run: Run, columns: dict[str, list[tuple[ChannelSpec, Array]]], model: str, out: Path | None, beside: Path
+) -> Path:
+    now = datetime.now(UTC)
+    about = {name: str(run.attributes.get(name, "")) for name in ("protocol", "bench", "actuator", "condition")}
+    kept = {name: text for name in ("protocol", "bench") if (text := run.source(name)) is not None}
+    info = RunInfo(
+        run_id=new_run_id(f"{about['protocol']}-simulated", now),
+        **about,
+        operator="",
+        simulated=True,
+        mechanical=run.mechanical,
+        software=f"leactl {__version__}",
+        created=now.isoformat(timespec="seconds").replace("+00:00", "Z"),
+        sources=kept | {"model": model},
+        setup={name: value for name, value in run.setup.items() if name != "mechanical"},
+    )
+    folder = beside if out is None else out.parent / f".{out.name}.{secrets.token_hex(4)}"
+    with RunWriter(folder, info, {name: [spec for spec, _ in column] for name, column in columns.items()}) as writer:
+        for name, column in columns.items():
+            writer.append(name, run.time(name), np.stack([values for _, values in column], axis=1))
+        for step in run.steps:
+            writer.step(step.name, step.start, step.stop, step.settle, step.parameters)
+    if out is None:
+        return writer.path
+    move_without_overwriting(writer.path, out)
+    folder.rmdir()
+    return out
+
+
+def _named(spec: ChannelSpec) -> str:
+    return f"{spec.quantity} of {spec.role}"

@@ -1,0 +1,135 @@
+"""How far a gap shrinks, on runs whose truth is a model's own output, and on the practice cases where they are."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from leactl.gap.record import read_record
+from leactl.gap.replay import replay
+from leactl.gap.shrinkage import shrinkage
+from leactl.model.nominal import Model, read_model
+from tests.gap.synthetic import INTERVAL_S, model, record
+
+TORQUE_NOISE, CURRENT_NOISE = 0.01, 0.02
+PRACTICE = next(
+    (
+        place
+        for parent in Path(__file__).resolve().parents
+        if (place := parent.parent / "shared" / "gap-cases" / "practice").is_dir()
+    ),
+    None,
+)
+CASES = ["practice-1", "practice-3", "practice-5", "practice-8"]
+
+
+def staircase(truth, seed=0):
+    """A locked run whose channels are the truth's own output with noise."""
+    time = INTERVAL_S * np.arange(6000)
+    reference = 12.0 * np.sin(2 * np.pi * 0.5 * time) + 4.0 * np.sign(np.sin(2 * np.pi * 0.9 * time))
+    run = record("locked", reference=reference, seconds=6.0)
+    answer = replay(run, truth)
+    random = np.random.default_rng(seed)
+    for name, noise in (("torque", TORQUE_NOISE), ("q_axis_current", CURRENT_NOISE), ("q_axis_voltage", 0.03)):
+        values = np.nan_to_num(answer.fast[name, "test"])
+        run.fast.values[name, "test"] = values + noise * random.standard_normal(len(values))
+    return run
+
+
+def table(shrunk):
+    return {(one.quantity, one.role, one.mechanical): one for one in shrunk.shrinkage}
+
+
+def test_the_true_model_closes_the_gap_to_the_floor_and_others_stay_open():
+    truth = model(("saturation", {"loss": 0.2}))
+    shrunk = shrinkage([staircase(truth)], model(torque_constant=0.55), model(), truth)
+    found = table(shrunk)
+    torque = found["torque", "test", "locked"]
+    assert torque.floor_rms == pytest.approx(TORQUE_NOISE, rel=0.1)
+    assert torque.augmented_rms == pytest.approx(torque.floor_rms, rel=0.1)
+    assert torque.nominal_rms > torque.calibrated_rms > 5 * torque.floor_rms
+    assert torque.closed == pytest.approx(1.0, abs=0.03)
+    assert torque.closed_low <= torque.closed <= torque.closed_high
+    assert torque.closed_high - torque.closed_low < 0.1
+    current = found["q_axis_current", "test", "locked"]
+    assert current.closed is None
+    assert current.calibrated_rms == pytest.approx(CURRENT_NOISE, rel=0.1)
+
+
+def test_a_model_that_adds_nothing_closes_nothing():
+    truth = model(("saturation", {"loss": 0.2}))
+    shrunk = shrinkage([staircase(truth)], model(), model(), model())
+    torque = table(shrunk)["torque", "test", "locked"]
+    assert torque.closed == 0.0
+    assert torque.nominal_rms == torque.calibrated_rms == torque.augmented_rms
+
+
+def test_traces_are_thinned_and_named():
+    truth = model(("torque_sensor_offset", {"offset": 0.3}))
+    shrunk = shrinkage([staircase(truth)], model(), model(), truth)
+    trace = next(one for one in shrunk.traces if one.quantity == "torque")
+    assert len(trace.time) == len(trace.measured) == len(trace.augmented) <= 1500
+    assert trace.units == "N*m"
+    assert np.mean(trace.measured - trace.calibrated) == pytest.approx(0.3, abs=0.01)
+    channel = next(one for one in shrunk.channels if one.quantity == "torque")
+    assert channel.noise == pytest.approx(TORQUE_NOISE, rel=0.1)
+
+
+def test_the_answer_is_the_same_for_the_same_seed():
+    truth = model(("saturation", {"loss": 0.1}))
+    first, second = (shrinkage([staircase(truth)], model(), model(), truth, seed=3) for _ in range(2))
+    assert first.shrinkage == second.shrinkage
+
+
+def test_what_a_model_cannot_replay_is_said():
+    shrunk = shrinkage([staircase(model())], *(model(rotor_inertia=None) for _ in range(3)))
+    assert not [one for one in shrunk.shrinkage if one.quantity == "torque"]
+    assert any("rotor_inertia" in note for note in shrunk.notes)
+
+
+def truth_of(case):
+    """The nominal model of a practice case with its true parameters, without and with its effects."""
+    nominal, _ = read_model(PRACTICE / case / "nominal.yaml")
+    label = json.loads((PRACTICE / "labels.json").read_text())[case]
+    base, strength = label["true_base"], label["effect_parameters"]
+    names = {"thermal": ("Rwa", "Rwh", "Rha", "Cw", "Ch"), "load": ("b_load", "f_load")}
+    content = nominal.model_dump() | {
+        "phase_resistance": base["R"],
+        "phase_inductance": base["L"],
+        "rotor_inertia": base["J"],
+        "viscous_damping": base["b"],
+        "coulomb_friction": base["f"],
+        "torque_constant": base["kt"],
+        "back_emf_constant": base["kb"],
+        "resistance_coefficient": base["alpha"],
+        "thermal": dict(zip(nominal.model_dump()["thermal"], (base[name] for name in names["thermal"]), strict=True)),
+        "bench": nominal.model_dump()["bench"] | {"shaft_stiffness": base["k_shaft"]},
+        "load": {"viscous_damping": base["b_load"], "coulomb_friction": base["f_load"]},
+    }
+    effects = {
+        "practice-3": [("torque_sensor_lag", {"time_constant": strength.get("tau_lag")})],
+        "practice-5": [
+            ("third_thermal_node", {"capacitance": strength.get("Cf"), "resistance": strength.get("Rhf")}),
+        ],
+        "practice-8": [("transport_delay", {"delay": strength.get("delay")})],
+    }.get(case, [])
+    entries = [{"effect": name, "parameters": parameters} for name, parameters in effects]
+    return nominal, Model(**content), Model(**content | {"effects": entries})
+
+
+@pytest.mark.skipif(PRACTICE is None, reason="the practice cases (../shared/gap-cases) are not on this machine")
+@pytest.mark.parametrize("case", CASES)
+def test_the_true_parameters_of_a_practice_case_leave_the_floor(case):
+    nominal, without, truth = truth_of(case)
+    runs = sorted((PRACTICE / case).glob("*-b.h5"))
+    found = table(shrinkage([read_record(path) for path in runs], nominal, without, truth))
+    over = {key: one.augmented_rms / one.floor_rms for key, one in found.items()}
+    judged = {key: ratio for key, ratio in over.items() if key[2] in ("locked", "heated")}
+    judged |= {key: ratio for key, ratio in over.items() if key[0] in ("q_axis_voltage", "bus_voltage")}
+    judged |= {key: ratio for key, ratio in over.items() if key[2] == "free" and key[0] != "velocity"}
+    assert {key: ratio for key, ratio in judged.items() if ratio > 1.4} == {}
+    # a free rotor integrates what a millisecond's sampling leaves open of the servo's current steps
+    assert over["velocity", "test", "free"] < 3.5
+    if case != "practice-1":
+        assert max(one.closed or 0.0 for one in found.values()) > 0.9
