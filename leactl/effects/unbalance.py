@@ -15,6 +15,10 @@ class Unbalance(Effect):
 
     name = "unbalance"
 
+    def applies(self, model: Model) -> bool:
+        """On a pendulum it is part of the weight that hangs there."""
+        return model.load.type == "none"
+
     def terms(self, signals: Signals, form: Form) -> Terms:
         """Sine and cosine of the angle, as torque that drives the rotor."""
         if signals.angle is None:

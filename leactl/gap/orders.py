@@ -17,6 +17,7 @@ TORQUE = ("free_torque", "axis_torque", "both_torque", "coupled_torque")
 WIDTH = 4.5  # samples, the smoothing of a torque equation's rows
 CREEP_WIDTH = 1.0  # samples, the same of an axis that creeps
 FINEST = 0.35  # cycles a sample, beyond which a column has been smoothed away
+PERIODS = 2.0  # that a run must travel through before a wave is more than a bend
 APART = 1  # orders this close to a stronger one are its leakage
 
 
@@ -81,8 +82,11 @@ def periodogram(rows: Rows, left: Array, place: str, highest: int) -> Array:
     turn = np.exp(1j * angle)
     wave = np.ones_like(turn)
     out = np.zeros(highest + 1)
+    lowest = PERIODS * 2 * np.pi / max(float(np.ptp(angle)), 1e-9)
     for order in range(1, highest + 1):
         wave = wave * turn
+        if order < lowest:
+            continue
         rate = order * cycles
         gain = size * np.exp(-0.5 * (2 * np.pi * rate) ** 2 * width**2) * (rate < FINEST)
         energy = float(np.sum(gain**2)) / 2.0

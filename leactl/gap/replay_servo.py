@@ -2,6 +2,7 @@
 
 A free run of a servo shows what its balance of torques cannot: where it sticks. Friction is `(f + c |T|) (1 + r
 exp(-|w| / v))` over the torque T that the motor puts into the gear; it takes what moves the axis and no more.
+Saturation takes from that torque a share in proportion to current, as the effect of that name does at exponent one.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,12 +30,14 @@ SCALES: dict[str, float] = {
     "coulomb_friction": 1e-3,
     "load_zero": 0.1,  # rad, of where the pendulum hangs straight down
     "reference_delay": 0.01,  # s
+    "saturation.loss": 1.0,
     "load_dependent_friction.coefficient": 0.1,
     "stribeck.breakaway_ratio": 0.1,
     "stribeck.stribeck_velocity": 0.1,
 }
 """What a fit may move, with a size that its finite differences and its damping go by; all but the zero are positive."""
 SIGNED = ("load_zero",)
+SATURATION_A = 25.0  # current that the loss of the effect is given at
 SAME_PACE = 0.01  # relative, by which sampling intervals may differ
 LEAST = 1e-3  # of its size, below which a positive one does not go
 
@@ -120,7 +123,8 @@ def replay(runs: ServoRuns, sets: Mapping[str, Array]) -> Array:
         wanted = reference[:, :, sample]
         for _ in range(PARTS):
             volts = np.clip(runs.gain * (wanted - angle), -runs.limit, runs.limit)
-            motor = share * constant * (volts - constant * speed) / resistance
+            current = share * (volts - constant * speed) / resistance
+            motor = constant * current * np.maximum(1.0 - p["saturation.loss"] * np.abs(current) / SATURATION_A, 0.0)
             push = motor - runs.level * np.sin(angle + p["load_zero"])
             turning = np.abs(speed)
             friction = (p["coulomb_friction"] + rub * np.abs(motor)) * (1.0 + ratio * np.exp(-turning * fade))
