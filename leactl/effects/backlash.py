@@ -15,6 +15,7 @@ class Backlash(Effect):
     name = "backlash"
     continuous = False
     one_sided = True
+    explains = 0.45  # how fast the play is crossed depends on both rotors
     forms = ((0.05,), (0.3,))
 
     def terms(self, signals: Signals, form: Form) -> Terms:

@@ -15,10 +15,11 @@ class CurrentSensorOffset(Effect):
     name = "current_sensor_offset"
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """A constant."""
-        if signals.current is None:
-            return {}
-        return {"current_reading": {"offset": np.ones_like(signals.time)}}
+        """A constant, and the heat of the current that is not there."""
+        if signals.current is not None:
+            return {"current_reading": {"offset": np.ones_like(signals.time)}}
+        more = signals.extra.get("heat_per_ampere")
+        return {"winding_heat": {"offset": -more}} if more is not None else {}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Offset."""

@@ -13,6 +13,7 @@ class Presliding(Effect):
 
     name = "presliding"
     one_sided = True
+    explains = 0.6  # the curve of bristles differs from one bearing to the next
     shaped = True
     forms = ((0.0005,), (0.002,), (0.006,), (0.02,))
 

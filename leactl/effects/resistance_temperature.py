@@ -28,6 +28,8 @@ class ResistanceTemperature(Effect):
         if signals.line_current is not None:
             added = 2.0 * signals.model.phase_resistance * signals.winding_rise * signals.line_current
             terms["line_voltage"] = {"coefficient": added}
+        elif "heat" in signals.extra:
+            terms["winding_heat"] = {"coefficient": signals.extra["heat"] * signals.winding_rise}
         return terms
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:

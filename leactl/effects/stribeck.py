@@ -1,4 +1,4 @@
-"""Stribeck friction: f (1 + r exp(-|w| / v)) instead of f."""
+"""Stribeck friction: f (1 + r exp(-(|w| / v)^n)) instead of f, n = 1 (Tustin) or 2 (Gauss)."""
 
 from collections.abc import Mapping
 
@@ -14,20 +14,21 @@ class Stribeck(Effect):
 
     name = "stribeck"
     one_sided = True
-    forms = ((0.1,), (0.25,), (0.6,), (1.2,), (2.5,))
+    forms = tuple((speed, shape) for shape in (1.0, 2.0) for speed in (0.1, 0.25, 0.6, 1.2, 2.5))
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """A drag that fades with speed."""
         if signals.sliding is None or signals.velocity is None or signals.model.coulomb_friction is None:
             return {}
-        fading = np.exp(-np.abs(signals.velocity) / form[0])
+        fading = np.exp(-((np.abs(signals.velocity) / form[0]) ** form[1]))
         return {"drag": {"ratio": signals.model.coulomb_friction * signals.sliding * fading}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Ratio and speed."""
-        return {"breakaway_ratio": found["ratio"], "stribeck_velocity": form[0]}
+        return {"breakaway_ratio": found["ratio"], "stribeck_velocity": form[0], "shape": form[1]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A factor that fades with speed."""
         ratio, fading = parameters["breakaway_ratio"], parameters["stribeck_velocity"]
-        plant.coulomb_share.append(lambda now: 1.0 + ratio * np.exp(-np.abs(now.velocity) / fading))
+        shape = parameters.get("shape", 1.0)
+        plant.coulomb_share.append(lambda now: 1.0 + ratio * np.exp(-((np.abs(now.velocity) / fading) ** shape)))

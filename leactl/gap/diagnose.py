@@ -18,7 +18,7 @@ from leactl.gap.regression import Candidate, Fit
 from leactl.gap.search import Found, search
 from leactl.gap.separating import separating_experiment
 from leactl.gap.shrinkage import shrinkage
-from leactl.gap.where import where
+from leactl.gap.where import profiles, where
 from leactl.model.nominal import Model, read_model
 
 NAMED = 0.01  # probability above which an effect stands among the causes
@@ -93,8 +93,8 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     found = search(evidence)
     progress("trying them on held-out runs")
     gains = dict(zip(found.hypothesis, held_out_gains(evidence, found.hypothesis, case.held_out), strict=True))
-    judged = judge(found, gains)
-    ratios = unrest(evidence)
+    judged = judge(evidence, found, gains)
+    ratios = unrest(evidence, found)
     surprise = unexplained(ratios)
     causes = causes_of(evidence, found, judged)
     alone = evidence.settle([])
@@ -112,18 +112,26 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     kinds = {(record.kind, record.mechanical) for record in case.held_out}
     replayed = [*case.held_out, *(r for r in case.fitted if (r.kind, r.mechanical) not in kinds)]
     shrunk = shrinkage(replayed, case.model, tuned, augmented)
+    located = where(replayed, shrunk.channels)
     notes = tuple(note for record in [*case.fitted, *case.held_out] for note in record.notes)
     if not case.held_out:
         notes += ("no run was held out: every kind occurs once, so the shrinkage is that of the fitted runs",)
     return Diagnosis(
         verdict(causes, surprise, evidence, found),
         surprise,
-        where(replayed, shrunk.channels),
+        located,
         parameters,
         causes,
         shrunk.shrinkage,
         notes + shrunk.notes + questions(case.model, case.fitted, evidence),
-        {"calibrated": tuned, "augmented": augmented, "unrest": ratios, "traces": shrunk.traces},
+        {
+            "calibrated": tuned,
+            "augmented": augmented,
+            "unrest": ratios,
+            "explained": {j.finding.effect: j.explained for j in judged},
+            "traces": shrunk.traces,
+            "profiles": profiles(replayed, shrunk.channels, located),
+        },
     )
 
 

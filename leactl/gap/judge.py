@@ -11,14 +11,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from leactl.effects import library
 from leactl.gap.evidence import Evidence, usual_unrest
-from leactl.gap.regression import Candidate
+from leactl.gap.regression import Candidate, Rows
 from leactl.gap.search import Finding, Found
 
 RIVAL_FORM_ERROR = 0.005  # of a gain, standard deviation of the difference of two forms that are both nearly right
 SURE, HALF, SLOPE = 0.998, 4.5, 1.3  # height at which an effect is as likely there as not, and how fast that changes
 CLASS = 0.2  # of the winner's weight, above which a rival is named together with it
+COVERED_WIDTH = 0.02  # of the share that a set explains, over which trust changes
 UNCONFIRMED = 0.4  # of a probability, left to an effect that makes held-out runs worse
+SHARED_LEFT = 5e-4  # of an equation's largest part, below which a slow rest is no sign of anything
+NOISE_BESIDE = 1.6  # noise of a row over that of its differences, squared, where rows overlap
+FORM_LEFT = 0.01  # of what a set explains in a channel, that its forms may leave over there
 UNREST = 5.0  # times what benches without an effect show, above which a channel is not explained
 
 
@@ -27,16 +32,22 @@ class Judged:
     """One member of the set with its probability and class."""
 
     finding: Finding
+    explained: float
     probability: float
     rivals: tuple[tuple[Finding, float], ...]  # with their own probabilities
     peers: tuple[str, ...]
 
 
-def judge(found: Found, held_out: Mapping[Candidate, float]) -> list[Judged]:
+def judge(evidence: Evidence, found: Found, held_out: Mapping[Candidate, float]) -> list[Judged]:
     """Probabilities of the members of a set, largest first; `held_out` has what each takes from runs not fitted."""
     judged = []
     for member, rivals in zip(found.members, found.rivals, strict=True):
-        present = presence(member.height) * (UNCONFIRMED if held_out.get(member.candidate, 0.0) < 0.0 else 1.0)
+        explained = found.explained(evidence, member.candidate)
+        present = (
+            presence(member.height)
+            * coverage(explained - library()[member.effect].explains)
+            * (UNCONFIRMED if held_out.get(member.candidate, 0.0) < 0.0 else 1.0)
+        )
         spread = 1.0 + RIVAL_FORM_ERROR * member.gain
         weights = [math.exp(min((r.gain - member.gain) / (2.0 * spread), 2.0)) * presence(r.height) for r in rivals[1:]]
         total = presence(member.height) + sum(weights)
@@ -44,8 +55,16 @@ def judge(found: Found, held_out: Mapping[Candidate, float]) -> list[Judged]:
         peers = tuple(r.effect for r, w in zip(rivals[1:], weights, strict=True) if w > CLASS * presence(member.height))
         together = own + sum(w / total for r, w in zip(rivals[1:], weights, strict=True) if r.effect in peers)
         others = tuple((r, present * w / total) for r, w in zip(rivals[1:], weights, strict=True))
-        judged.append(Judged(member, present * together, others, peers))
+        judged.append(Judged(member, explained, present * together, others, peers))
     return sorted(judged, key=lambda item: -item.probability)
+
+
+def coverage(beyond: float) -> float:
+    """Probability that an effect is the right one, from the share that the set explains beyond what it must.
+
+    A right form, even of another author, leaves a percent or so; a wrong one that merely correlates leaves tens.
+    """
+    return 1.0 / (1.0 + math.exp(-beyond / COVERED_WIDTH))
 
 
 def presence(height: float) -> float:
@@ -53,21 +72,31 @@ def presence(height: float) -> float:
     return SURE / (1.0 + math.exp(-SLOPE * (height - HALF)))
 
 
-def unrest(evidence: Evidence) -> dict[tuple[str, str, str], float]:
+def unrest(evidence: Evidence, found: Found) -> dict[tuple[str, str, str], float]:
     """Of each channel: what is left over, slow and unexplained, over what benches without an effect leave.
 
     Noise shows from one row to the next; what does not, and what makes neighbouring rows alike, is model error. Keys
     are equation, quantity and mechanical set-up.
     """
     usual = usual_unrest()
-    found: dict[tuple[str, str, str], list[float]] = {}
-    for rows in evidence.stack.rows:
-        white = max(rows.white, 1e-12)
-        value = (rows.noise / white) ** 2 * rows.dependence
+    ratios: dict[tuple[str, str, str], list[float]] = {}
+    for index, rows in enumerate(evidence.stack.rows):
+        value = (rows.noise / rows.white) ** 2 * rows.dependence
         expected = usual.get(rows.equation)
-        if expected:
-            found.setdefault((rows.equation, rows.quantity, rows.mechanical), []).append(value / expected)
-    return {key: float(np.median(values)) for key, values in found.items()}
+        if expected is None:
+            continue
+        slow = max(rows.noise**2 - rows.white**2 * NOISE_BESIDE, 0.0)
+        # what a form that is nearly right leaves of a large effect, or a shared parameter of a large signal
+        if found.left[index] < FORM_LEFT * found.taken[index] or slow < (SHARED_LEFT * largest(rows)) ** 2:
+            value = min(value, expected)
+        ratios.setdefault((rows.equation, rows.quantity, rows.mechanical), []).append(value / expected)
+    return {key: float(np.median(values)) for key, values in ratios.items()}
+
+
+def largest(rows: Rows) -> float:
+    """Root mean square of the largest part of an equation that calibration scales."""
+    parts = (column for name, column in rows.columns.items() if name[0] == "calibration")
+    return max((float(np.sqrt(np.mean(part**2))) for part in parts), default=0.0)
 
 
 def unexplained(ratios: dict[tuple[str, str, str], float]) -> float:

@@ -113,6 +113,13 @@ class Found:
     rivals: list[list[Finding]]  # for each member: every effect in its place, itself among them
     rest: list[Finding]  # what would come next
     fit: Fit
+    taken: list[float]  # of each rows: weighted squares under usual noise that the set takes away
+    left: list[float]  # and what is left there beyond usual noise
+
+    def explained(self, evidence: Evidence, candidate: Candidate) -> float:
+        """Share of what calibration leaves beyond usual noise, where an effect acts, that the whole set takes away."""
+        gone = shared_with(evidence, candidate, self.taken)
+        return gone / (gone + shared_with(evidence, candidate, self.left)) if gone > 0.0 else 0.0
 
 
 def search(evidence: Evidence) -> Found:
@@ -156,8 +163,6 @@ def shortlist(evidence: Evidence, hypothesis: Sequence[Candidate]) -> list[Candi
             if item.height > ENTRY and item.gain > FORM_ERROR * shared_with(evidence, item.candidate, explained)
         ]
         listed += [candidate for candidate in ranked[:SHORTLIST] if candidate not in listed]
-        if not listed:
-            break
     return listed
 
 
@@ -201,8 +206,10 @@ def refine(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
     """Find the non-linear parameter of each member between the grid's values."""
     for index, (name, form) in enumerate(hypothesis):
         effect = library()[name]
-        grid = sorted(other[0] for other in effect.forms if len(other) == 1)
-        if len(form) != 1 or effect.periodic or not effect.continuous or len(grid) < 2:
+        if not form or effect.periodic or not effect.continuous:
+            continue
+        grid = sorted({other[0] for other in effect.forms if other[1:] == form[1:]})
+        if len(grid) < 2:
             continue
         others = hypothesis[:index] + hypothesis[index + 1 :]
         hypothesis[index] = (name, refined(evidence, others, name, form, grid))
@@ -217,13 +224,13 @@ def refined(
     ratio = max((b / a for a, b in pairwise(grid)), default=2.0)
     for _ in range(2):
         ratio = ratio ** (1.0 / 3.0)
-        tried = [(name, (at / ratio,)), (name, (at,)), (name, (at * ratio,))]
+        tried = [(name, (value, *form[1:])) for value in (at / ratio, at, at * ratio)]
         evidence.add(tried)
         normal, base = evidence.normal(), evidence.stack.columns_of(others)
         found = [item for c in tried if (item := finding(evidence, normal, base, c)) is not None]
         if found:
             at = max(found, key=lambda item: item.gain).candidate[1][0]
-    return (at,)
+    return (at, *form[1:])
 
 
 def prune(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
@@ -248,6 +255,7 @@ def member(evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], 
 
 def describe(evidence: Evidence, hypothesis: list[Candidate]) -> Found:
     """Members, rivals and what would come next, under the weights of the set."""
+    taken, left = taken_and_left(evidence, hypothesis)
     fit = evidence.settle(hypothesis)
     normal = evidence.normal()
     members, rivals = [], []
@@ -257,4 +265,18 @@ def describe(evidence: Evidence, hypothesis: list[Candidate]) -> Found:
         members.append(found)
         others = hypothesis[:index] + hypothesis[index + 1 :]
         rivals.append([found, *(r for r in best_of_each(evidence, normal, others) if r.effect != found.effect)])
-    return Found(hypothesis, members, rivals, best_of_each(evidence, normal, hypothesis), fit)
+    rest = best_of_each(evidence, normal, hypothesis)
+    return Found(hypothesis, members, rivals, rest, fit, taken, left)
+
+
+def taken_and_left(evidence: Evidence, hypothesis: Sequence[Candidate]) -> tuple[list[float], list[float]]:
+    """Of each rows, under usual noise: weighted squares that a set takes away, and what it leaves beyond noise."""
+    evidence.weigh_as_usual()
+    normal = evidence.normal()
+    before, after = normal.fit(), normal.fit(hypothesis)
+    taken = explained_by_rows(normal, after, before)
+    left = [
+        max(normal.weights[k] * normal.residual(after, k) ** 2 - 1.0, 0.0) * len(rows.left_over)
+        for k, rows in enumerate(normal.stack.rows)
+    ]
+    return taken, left

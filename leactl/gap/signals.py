@@ -150,6 +150,7 @@ def motion(record: Record, s: Signals, stamps: Array) -> None:
     current, angle = record.fast.get("q_axis_current"), record.fast.get("angle")
     if current is not None:
         s.extra["current_squared"] = binned(record.fast.time, current**2, stamps)
+        s.extra["current_mean"] = binned(record.fast.time, current, stamps)
     if angle is not None:
         speed = smooth(np.diff(angle, prepend=angle[0]) / record.fast.interval)
         s.velocity = np.sqrt(binned(record.fast.time, speed**2, stamps))
@@ -165,7 +166,9 @@ def joule(record: Record, s: Signals) -> None:
         return
     squared = s.extra.get("current_squared")
     if squared is not None and model.phase_resistance is not None and s.winding_rise is not None:
-        s.extra["heat"] = squared * model.phase_resistance * (1 + model.resistance_coefficient * s.winding_rise)
+        resistance = model.phase_resistance * (1 + model.resistance_coefficient * s.winding_rise)
+        s.extra["heat"] = squared * resistance
+        s.extra["heat_per_ampere"] = 2.0 * s.extra["current_mean"] * resistance
 
 
 def binned(time: Array, values: Array, edges: Array) -> Array:

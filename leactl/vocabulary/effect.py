@@ -19,6 +19,7 @@ class ParameterDefinition(BaseModel):
     low: float
     high: float
     meaning: str
+    default: float | None = None  # of a shape that may be left out
 
 
 class EffectDefinition(BaseModel):

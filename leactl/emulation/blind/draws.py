@@ -89,6 +89,8 @@ def draw_effect(draw: Generator, name: str, strength: str) -> Drawn:
     """Draw an effect's parameters at a strength."""
     rule, parameters = _rules()[name], {}
     for parameter, definition in effect_definition(name).parameters.items():
+        if definition.default is not None:
+            continue
         low, high = rule.get("others", {}).get(parameter, (definition.low, definition.high))
         if parameter == rule["size"]:
             share = draw.uniform(*STRENGTHS[strength])
