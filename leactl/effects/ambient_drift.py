@@ -1,4 +1,4 @@
-"""Ambient drift: the true ambient moves away from the logged one, evenly over two hours."""
+"""Ambient drift: the true ambient moves away from the logged one, as a power of time."""
 
 from collections.abc import Mapping
 
@@ -11,12 +11,14 @@ class AmbientDrift(Effect):
     """A true ambient that moves away from the logged one."""
 
     name = "ambient_drift"
+    forms = ((0.5,), (1.0,), (2.0,))
+    continuous = False
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """The heat that a warmer ambient lets stay."""
         if signals.housing is None or signals.ambient is None or signals.model.thermal is None:
             return {}
-        share = signals.time / 7200.0
+        share = (signals.time / 7200.0) ** form[0]
         network = signals.model.thermal
         return {
             "housing_heat": {"change": share / network.housing_ambient_resistance},
@@ -24,10 +26,10 @@ class AmbientDrift(Effect):
         }
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Change in two hours."""
-        return {"change": found["change"]}
+        """Change in two hours, and power."""
+        return {"change": found["change"], "shape": form[0]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """Ambient that moves evenly."""
-        change = parameters["change"]
-        plant.ambient_change.append(lambda time: change * time / 7200.0)
+        """Ambient that moves with a power of time."""
+        change, shape = parameters["change"], parameters.get("shape", 1.0)
+        plant.ambient_change.append(lambda time: change * (time / 7200.0) ** shape)

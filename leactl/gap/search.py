@@ -26,6 +26,7 @@ ENTRY = 4.0  # times its floor and uncertainty, that an effect must be large to 
 EXCHANGES = 4
 SHORTLIST = 4
 WAVE = ("cos", "sin")  # coefficients that make one amplitude
+LOOSE, LOOSE_ERROR = 0.8, 0.1  # the same where an effect must explain less than that by its own account
 FORM_ERROR = 0.003  # share of what a set explains in a channel that its own functional form may miss
 SHAPE = (0.3, 3.0)  # how much of a shape may be there: the grid's neighbours are that far apart
 
@@ -157,10 +158,11 @@ def shortlist(evidence: Evidence, hypothesis: Sequence[Candidate]) -> list[Candi
         fit = evidence.settle(hypothesis, rounds)
         normal = evidence.normal()
         explained = explained_by_rows(normal, fit, normal.fit())
+        miss = LOOSE_ERROR if any(library()[name].explains < LOOSE for name, _ in hypothesis) else FORM_ERROR
         ranked = [
             item.candidate
             for item in best_of_each(evidence, normal, hypothesis)
-            if item.height > ENTRY and item.gain > FORM_ERROR * shared_with(evidence, item.candidate, explained)
+            if item.height > ENTRY and item.gain > miss * shared_with(evidence, item.candidate, explained)
         ]
         listed += [candidate for candidate in ranked[:SHORTLIST] if candidate not in listed]
     return listed

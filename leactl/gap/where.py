@@ -1,6 +1,7 @@
 """Where the gap sits: channel by channel the distance of the model, and the smallest region that holds most of it."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +17,28 @@ MOST = 0.8  # of the squared residual that a region is to hold
 BINS = 12
 NARROW = 0.75  # of the data, above which a region says nothing
 NEAR_FLOOR = 1.1
+REPLAY_MISS = 6.0  # times the noise, that a replay of the right model may miss by
 OTHER_UNITS = {"direction": "1", "frequency": "Hz", "time": "s", "time_since_reversal": "s"}
+PROFILES = 5  # entries that come with a profile
+PROFILE_BINS = 24
+FEWEST_IN_BIN = 8
+RARE = 0.002  # of the data at either end, that a profile leaves out
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Residuals of one channel over one variable: mean and standard deviation in each bin, for each model."""
+
+    quantity: str
+    role: str
+    mechanical: str
+    units: str
+    variable: str
+    variable_units: str
+    low: Array  # edges of the bins
+    high: Array
+    mean: Array  # measured minus simulated; a row for each of nominal, calibrated and augmented
+    std: Array
 
 
 def where(records: Sequence[Record], channels: Sequence[Compared]) -> tuple[Where, ...]:
@@ -28,13 +50,66 @@ def where(records: Sequence[Record], channels: Sequence[Compared]) -> tuple[Wher
     found = []
     for (quantity, role, mechanical), group in grouped.items():
         nominal, calibrated = (rms([one.squares(k) for one in group]) for k in (0, 1))
-        floor = rms([one.floor_squares() for one in group])
+        floor = practical_floor(group)
         region, share = None, 0.0
         if calibrated > NEAR_FLOOR * floor:
             region, share = smallest_region([(by_name[one.run], one) for one in group])
         units = UNITS.get(quantity, "")
         found.append(Where(quantity, role, mechanical, units, nominal, calibrated, floor, region, share))
     return tuple(sorted(found, key=lambda item: -((item.calibrated_rms / max(item.floor_rms, 1e-300)) ** 2)))
+
+
+def profiles(records: Sequence[Record], channels: Sequence[Compared], entries: Sequence[Where]) -> tuple[Profile, ...]:
+    """Of the first entries with a gap: the residuals over the variable of their region, over time where there is none."""
+    by_name = {record.name: record for record in records}
+    found = []
+    for entry in entries[:PROFILES]:
+        if entry.calibrated_rms <= NEAR_FLOOR * entry.floor_rms:
+            continue
+        key = (entry.quantity, entry.role, entry.mechanical)
+        group = [one for one in channels if (one.quantity, one.role, one.mechanical) == key]
+        variable = entry.region.variable if entry.region else "time"
+        units = OTHER_UNITS.get(variable, UNITS.get(variable, ""))
+        values, left = [], []
+        for one in group:
+            series = variable_of(by_name[one.run], one, variable)
+            if series is not None:
+                # a sign that is taken in between samples is neither: back to -1, 0, 1
+                values.append(np.round(series) if variable == "direction" else series)
+                left.append(one.measured - np.stack(one.replayed))
+        low, high, mean, std = binned(np.concatenate(values), np.concatenate(left, axis=1))
+        found.append(Profile(*key, entry.units, variable, units, low, high, mean, std))
+    return tuple(found)
+
+
+def binned(values: Array, left: Array) -> tuple[Array, Array, Array, Array]:
+    """Edges of even bins with samples enough, and mean and standard deviation of each row in them."""
+    levels = np.unique(values)
+    if len(levels) <= PROFILE_BINS // 2:
+        half = 0.25 * float(np.min(np.diff(levels))) if len(levels) > 1 else 0.5
+        low, high = levels - half, levels + half
+    else:
+        first, last = np.quantile(values, (RARE, 1.0 - RARE))
+        edges = np.linspace(first, last, PROFILE_BINS + 1)
+        low, high = edges[:-1], edges[1:]
+    inside = [(values >= a) & (values <= b) for a, b in zip(low, high, strict=True)]
+    full = np.asarray([int(mask.sum()) >= FEWEST_IN_BIN for mask in inside])
+    rows = [left[:, mask] for mask, enough in zip(inside, full, strict=True) if enough]
+    shape = (len(rows), len(left))  # no bin at all keeps a row for each model
+    mean = np.asarray([part.mean(axis=1) for part in rows]).reshape(shape).T
+    std = np.asarray([part.std(axis=1) for part in rows]).reshape(shape).T
+    return low[full], high[full], mean, std
+
+
+def practical_floor(group: Sequence[Compared]) -> float:
+    """What noise leaves, or what replay leaves of a model that explains the channel, up to a few times that.
+
+    Sticking and restarts make a replay of the right model miss by more than its noise; where the last model comes
+    no closer than this, neither can a gap be told from the replay's own.
+    """
+    floor = rms([one.floor_squares() for one in group])
+    closest = min(rms([one.squares(model) for one in group]) for model in (1, 2))
+    return min(max(floor, closest), REPLAY_MISS * floor)
 
 
 def rms(squares: Sequence[Array]) -> float:

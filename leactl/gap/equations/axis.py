@@ -68,7 +68,7 @@ def axis(record: Record, s: Signals) -> Equation | None:
     )
 
 
-_DRIVES = ("q_axis_current", "torque_reference", "angle_reference", "drive_enabled")
+_DRIVES = ("q_axis_current", "q_axis_current_reference", "torque_reference", "angle_reference", "drive_enabled")
 
 
 def drive(record: Record, s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None:
@@ -79,7 +79,7 @@ def drive(record: Record, s: Signals) -> tuple[Array, dict[str, Array], dict[str
     model, clock = s.model, record.fast
     assert clock is not None
     if s.current is None:
-        logged = logged_torque(clock)
+        logged = logged_torque(clock, model)
         return None if logged is None else (logged, {}, {"torque_factor": lambda c: -logged * c})
     constant = model.torque_constant
     if constant is None:

@@ -15,7 +15,6 @@ from leactl.effects.contract import Signals
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Place = Callable[[Array], Array]
-TIMING_S = 1e-4  # what loops, sample averages and filters leave open of a delay
 
 
 @dataclass
@@ -32,6 +31,5 @@ class Equation:
     places: dict[str, Place]
     calibration: dict[str, Array]
     nuisance: dict[str, tuple[Array, float]] = field(default_factory=dict)  # column and prior standard deviation
-    shared: dict[str, tuple[Array, float]] = field(default_factory=dict)  # nuisances that all runs have in common
     width: float = 4.0
     step: int = 8

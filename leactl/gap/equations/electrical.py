@@ -3,7 +3,7 @@
 import numpy as np
 
 from leactl.effects.contract import Signals
-from leactl.gap.equations.contract import TIMING_S, Equation
+from leactl.gap.equations.contract import Equation
 from leactl.gap.record import Record
 from leactl.gap.smoothing import slope, smooth
 
@@ -113,7 +113,6 @@ def current(record: Record, s: Signals) -> Equation | None:
         {"current_following": lambda c: c},
         {},
         nuisance,
-        {"loop_timing_s": (-change, TIMING_S)},
         width=0.0,
         step=2,
     )

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.contract import Signals
-from leactl.gap.equations.contract import TIMING_S, Equation, Mask, Place
+from leactl.gap.equations.contract import Equation, Mask, Place
 from leactl.gap.equations.motion import LOAD_LAG_S
 from leactl.gap.record import Clocked, Record
 from leactl.gap.signals import averaged, held
@@ -13,7 +13,6 @@ from leactl.gap.smoothing import middle, slope, smooth
 Array = npt.NDArray[np.float64]
 SLOWEST = 0.15  # rad/s, below which a coarse encoder does not tell motion from rest
 SWING_N_M_S = 2.0  # rate of torque above which a locked rotor slides
-SWING_TIMING_S = 3e-4  # play is no spring with a mass: it leaves this much open
 SWING_REACH = 8.0  # samples
 STICKING_PRIOR = 0.5  # of nominal Coulomb friction
 
@@ -53,9 +52,7 @@ def coupled(record: Record, s: Signals) -> Equation | None:
     places["torque_reading"] = lambda c: c
     keys = ("torque", "test"), ("q_axis_current", "test"), ("angle", "test")
     mask = moving(s.velocity, 4.0) & record.fast.all_valid(*keys)
-    assert s.calm_torque is not None
-    shared = {"torque_timing_s": (-slope(s.calm_torque, s.interval), TIMING_S)}
-    return Equation("coupled_torque", "torque", "test", "N*m", left, s, mask, places, calibration, shared=shared)
+    return Equation("coupled_torque", "torque", "test", "N*m", left, s, mask, places, calibration)
 
 
 def both(record: Record, s: Signals) -> Equation | None:
@@ -143,7 +140,6 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
         places,
         {"torque_constant": more},
         nuisance,
-        {f"{name}_timing_s": (-change, SWING_TIMING_S)},
         width=2.0,
         step=6,
     )

@@ -30,7 +30,6 @@ def velocity(record: Record, s: Signals) -> Equation | None:
         clock.all_valid(("velocity", "test"), ("angle", "test")),
         {"velocity_reading": lambda c: c},
         {},
-        shared={"velocity_timing_s": (-slope(s.calm_velocity, s.interval), 0.3 * s.interval)},
         width=4.0,
         step=8,
     )
