@@ -60,6 +60,10 @@ def make_rows(
         names.append(("nuisance", run, name))
         priors[names[-1]] = prior
         raw.append(column)
+    for name, (column, prior) in equation.shared.items():
+        names.append(("nuisance", "", name))
+        priors[names[-1]] = prior
+        raw.append(column)
     fresh, more = effect_columns(equation, candidates, terms)
     names += fresh
     raw += more

@@ -31,5 +31,6 @@ class Equation:
     places: dict[str, Place]
     calibration: dict[str, Array]
     nuisance: dict[str, tuple[Array, float]] = field(default_factory=dict)  # column and prior standard deviation
+    shared: dict[str, tuple[Array, float]] = field(default_factory=dict)  # nuisances that all runs have in common
     width: float = 4.0
     step: int = 8
