@@ -19,11 +19,12 @@ Array = npt.NDArray[np.float64]
 NEAR_FLOOR = 1.1  # floors, below which no gap is left to close
 RESAMPLED = 400
 TRACE_POINTS = 1500
+SLOW = 0.05  # s between samples, from which on a trace shows the whole run: thinned out, a faster channel would alias
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """One channel of one run over time, thinned out for a page."""
+    """One channel of one run over time: slow ones whole, of fast ones the stretch where the model is farthest off."""
 
     run: str
     quantity: str
@@ -115,7 +116,7 @@ def _blocks(group: list[Compared]) -> tuple[Array, Array]:
 def _trace(group: list[Compared]) -> Trace:
     """The run in which the calibrated model is farthest off."""
     one = max(group, key=lambda c: float(np.mean(c.squares(1))))
-    keep = slice(None, None, max(1, -(-len(one.time) // TRACE_POINTS)))
+    keep = _shown(one)
     return Trace(
         one.run,
         one.quantity,
@@ -126,6 +127,16 @@ def _trace(group: list[Compared]) -> Trace:
         one.measured[keep],
         *(replayed[keep] for replayed in one.replayed),
     )
+
+
+def _shown(one: Compared) -> slice:
+    if len(one.time) <= TRACE_POINTS:
+        return slice(None)
+    if float(np.median(np.diff(one.time))) >= SLOW:
+        return slice(None, None, -(-len(one.time) // TRACE_POINTS))
+    sums = np.concatenate([[0.0], np.cumsum(one.squares(1))])
+    start = int(np.argmax(sums[TRACE_POINTS:] - sums[:-TRACE_POINTS]))
+    return slice(start, start + TRACE_POINTS)
 
 
 def _notes(jobs: Sequence[Job], channels: Sequence[Compared]) -> tuple[str, ...]:

@@ -60,7 +60,7 @@ def where(records: Sequence[Record], channels: Sequence[Compared]) -> tuple[Wher
 
 
 def profiles(records: Sequence[Record], channels: Sequence[Compared], entries: Sequence[Where]) -> tuple[Profile, ...]:
-    """Of the first entries with a gap: the residuals over the variable of their region, over time where there is none."""
+    """Of the first entries with a gap: residuals over the variable of the region, over time where there is none."""
     by_name = {record.name: record for record in records}
     found = []
     for entry in entries[:PROFILES]:

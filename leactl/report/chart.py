@@ -1,0 +1,152 @@
+"""Charts for pages: curves are SVG stretched to any width, labels are HTML beside it and keep their size."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.report.html import Html, joined, tag
+from leactl.report.plot import Axis
+
+Array = npt.NDArray[np.float64]
+TICKS = (4, 5)  # at most about so many along x and y: at 360 px, x labels have 45 px each
+FULL = 1000.0  # units of the drawing, across and down
+LONGEST_LABEL = 7  # characters
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A line through points."""
+
+    name: str
+    style: str
+    x: Array
+    y: Array
+
+    def reach(self) -> tuple[Array, Array]:
+        """What the axes have to hold."""
+        return self.x, self.y
+
+    def drawn(self, x: Axis, y: Axis) -> Html:
+        """The path; a gap where a value is not finite."""
+        path, pen = [], "M"
+        for a, b in zip(self.x.tolist(), self.y.tolist(), strict=True):
+            if not (math.isfinite(a) and math.isfinite(b)):
+                pen = "M"
+                continue
+            path.append(f"{pen}{across(x, a)} {down(y, b)}")
+            pen = "L"
+        return tag("path", d="".join(path), class_=f"curve {self.style}")
+
+
+@dataclass(frozen=True, eq=False)
+class Bins:
+    """Mean and standard deviation in bins: a bar about a stroke each."""
+
+    name: str
+    style: str
+    low: Array
+    high: Array
+    mean: Array
+    std: Array
+
+    def reach(self) -> tuple[Array, Array]:
+        """What the axes have to hold."""
+        return np.concatenate([self.low, self.high]), np.concatenate([self.mean - self.std, self.mean + self.std])
+
+    def drawn(self, x: Axis, y: Axis) -> Html:
+        """Two paths: bars and strokes."""
+        bars, strokes = [], []
+        for a, b, mean, std in np.stack([self.low, self.high, self.mean, self.std], axis=1).tolist():
+            left, right = across(x, a), across(x, b)
+            bars.append(f"M{left} {down(y, mean - std)}H{right}V{down(y, mean + std)}H{left}Z")
+            strokes.append(f"M{left} {down(y, mean)}H{right}")
+        return joined(
+            [
+                tag("path", d="".join(bars), class_=f"area {self.style}"),
+                tag("path", d="".join(strokes), class_=f"curve {self.style}"),
+            ]
+        )
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A part of one axis that is shaded."""
+
+    name: str
+    style: str
+    low: float
+    high: float
+    upright: bool = True  # a part of x; else of y
+
+    def reach(self) -> tuple[Array, Array]:
+        """A part of x is cut at the axes; one of y has to be seen."""
+        return np.empty(0), np.empty(0) if self.upright else np.asarray([self.low, self.high])
+
+    def drawn(self, x: Axis, y: Axis) -> Html:
+        """One rectangle across the other axis."""
+        if self.upright:
+            path = f"M{across(x, self.low)} 0H{across(x, self.high)}V{FULL:g}H{across(x, self.low)}Z"
+        else:
+            path = f"M0 {down(y, self.low)}H{FULL:g}V{down(y, self.high)}H0Z"
+        return tag("path", d=path, class_=f"area {self.style}")
+
+
+Layer = Curve | Bins | Stretch
+
+
+def chart(layers: Sequence[Layer], x_label: str, y_label: str) -> Html:
+    """Layers over each other, with ticks at round numbers and a legend."""
+    x, y = (axis([layer.reach()[k] for layer in layers], TICKS[k]) for k in (0, 1))
+    x_ticks = {across(x, value): short(value, text) for value, text in x.ticks.items()}
+    y_ticks = {down(y, value): short(value, text) for value, text in y.ticks.items()}
+    grid = "".join([*(f"M{at} 0V{FULL:g}" for at in x_ticks), *(f"M0 {at}H{FULL:g}" for at in y_ticks)])
+    drawing = tag(
+        "svg",
+        tag("path", d=grid, class_="grid"),
+        *(layer.drawn(x, y) for layer in layers),
+        viewBox=f"0 0 {FULL:g} {FULL:g}",
+        preserveAspectRatio="none",
+        role="img",
+        aria_label=f"{y_label} over {x_label}: {', '.join(layer.name for layer in layers)}",
+    )
+    return tag(
+        "div",
+        legend((layer.style, layer.name) for layer in layers),
+        tag("div", y_label, class_="y-label"),
+        tag("div", *(tag("span", words, style=f"top:{at / 10:.4g}%") for at, words in y_ticks.items()), class_="y"),
+        tag("div", drawing, class_="drawing"),
+        tag("div", *(tag("span", words, style=f"left:{at / 10:.4g}%") for at, words in x_ticks.items()), class_="x"),
+        tag("div", x_label, class_="x-label"),
+        class_="chart",
+    )
+
+
+def legend(entries: Iterable[tuple[str, str]]) -> Html:
+    """A swatch and a name each."""
+    items = [tag("span", tag("i", class_=f"swatch {style}"), name, class_="key") for style, name in entries]
+    return tag("div", *items, class_="legend")
+
+
+def axis(values: Sequence[Array], ticks: int) -> Axis:
+    """An axis over all finite values."""
+    every = np.concatenate(values)
+    finite = every[np.isfinite(every)]
+    return Axis([float(finite.min()), float(finite.max())] if len(finite) else [0.0, 1.0], ticks)
+
+
+def across(x: Axis, value: float) -> float:
+    """Where a value lies in the drawing, from the left, cut at its edges."""
+    return round(FULL * min(max(x.share(value), 0.0), 1.0), 1)
+
+
+def down(y: Axis, value: float) -> float:
+    """Where a value lies in the drawing, from the top, cut at its edges."""
+    return round(FULL * min(max(1.0 - y.share(value), 0.0), 1.0), 1)
+
+
+def short(value: float, text: str) -> str:
+    """A tick's text; a long one with an exponent."""
+    return text if len(text) <= LONGEST_LABEL else f"{value:.3g}"

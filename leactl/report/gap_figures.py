@@ -1,0 +1,70 @@
+"""Figures of a diagnosis: measured beside simulated, and what is left over over the variable of its region."""
+
+import numpy as np
+
+from leactl.gap.diagnosis import Diagnosis, Where
+from leactl.gap.shrinkage import Trace
+from leactl.gap.where import Profile
+from leactl.report.chart import Bins, Curve, Layer, Stretch, chart
+from leactl.report.gap_words import NEAR_FLOOR, bare_units, floors, label, region_text
+from leactl.report.html import Html, tag
+
+SHOWN = 5  # channels
+MODELS = ("nominal", "calibrated", "augmented")
+
+
+def figures(answer: Diagnosis) -> list[Html]:
+    """A card for each of the channels with the largest gaps; a gap that calibration closed counts."""
+    traces = {(one.quantity, one.role, one.mechanical): one for one in answer.extra.get("traces", ())}
+    profiles = {(one.quantity, one.role, one.mechanical): one for one in answer.extra.get("profiles", ())}
+    cards = []
+    for item in answer.where:
+        key = (item.quantity, item.role, item.mechanical)
+        if key not in traces or max(item.nominal_rms, item.calibrated_rms) < NEAR_FLOOR * item.floor_rms:
+            continue
+        charts = [over_time(traces[key])]
+        if key in profiles and len(profiles[key].low):
+            charts.append(over_variable(profiles[key], item))
+        heading = tag("h3", label(item, answer.where), tag("small", f"{floors(item)} its floor after calibration"))
+        cards.append(tag("div", heading, tag("div", *charts, class_="pair"), class_="card"))
+    return cards[:SHOWN]
+
+
+def before_and_after(effects: bool) -> tuple[tuple[str, str], tuple[str, str]]:
+    """The models to compare, with their names: around the effects, or around the calibration where none is added."""
+    before, after = ("calibrated", "augmented") if effects else ("nominal", "calibrated")
+    return (before, f"before ({before})"), (after, f"after ({after})")
+
+
+def over_time(trace: Trace) -> Html:
+    """Measured and simulated over a stretch of one run."""
+    layers: list[Layer] = [Curve("measured", "measured", trace.time, trace.measured)]
+    both = before_and_after(not np.array_equal(trace.calibrated, trace.augmented))
+    layers += [Curve(words, name, trace.time, getattr(trace, name)) for name, words in both]
+    return tag(
+        "figure",
+        tag("figcaption", f"Measured and simulated, {trace.run}, where the calibrated model is farthest off"),
+        chart(layers, "time [s]", with_units(trace.quantity, trace.units)),
+    )
+
+
+def over_variable(profile: Profile, item: Where) -> Html:
+    """What the models leave over: mean and standard deviation in bins of the variable."""
+    layers: list[Layer] = []
+    if item.region is not None:
+        layers.append(Stretch("region", "region", item.region.low, item.region.high))
+    for name, words in before_and_after(not np.array_equal(profile.mean[1], profile.mean[2])):
+        row = MODELS.index(name)
+        layers.append(Bins(words, name, profile.low, profile.high, profile.mean[row], profile.std[row]))
+    layers.append(Stretch("± floor", "floor", -item.floor_rms, item.floor_rms, upright=False))
+    where = region_text(item.region, item.share)
+    return tag(
+        "figure",
+        tag("figcaption", f"Measured minus simulated: mean ± standard deviation in each bin; {where}"),
+        chart(layers, with_units(profile.variable, profile.variable_units), f"residual [{profile.units}]"),
+    )
+
+
+def with_units(quantity: str, units: str) -> str:
+    """A label for an axis."""
+    return f"{quantity} [{units}]" if bare_units(units) else quantity

@@ -1,0 +1,189 @@
+"""A diagnosis as one HTML file: verdict, causes, how far the gap shrinks, where it sits, calibration, notes.
+
+Nothing is loaded from anywhere and nothing moves: it can be mailed, printed and read again in ten years.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from leactl.gap.diagnosis import Cause, Diagnosis, Shrinkage
+from leactl.report.gap_figures import figures
+from leactl.report.gap_style import STYLE
+from leactl.report.gap_words import (
+    PRESENT,
+    bare_units,
+    change,
+    closed_text,
+    figure,
+    floors,
+    label,
+    largest_first,
+    listed,
+    meaning,
+    open_gap,
+    parameter_text,
+    percent,
+    probability,
+    region_text,
+    sentence,
+    with_std,
+)
+from leactl.report.html import Html, document, joined, table, tag
+
+MODELS = ("nominal", "calibrated", "augmented", "floor")
+LEAST = 0.5  # of the smallest number, where the bars begin: on a log scale there is no zero
+
+
+def page(answer: Diagnosis) -> str:
+    """The whole answer as one self-contained page; the same answer gives the same page."""
+    model = answer.extra.get("augmented")
+    of = f": {model.name}" if model is not None else ""
+    body = tag(
+        "main",
+        tag("h1", f"Gap between model and bench{of}"),
+        headline(answer),
+        section("Causes", causes(answer)),
+        section("How far the gap shrinks", shrinkage(answer)),
+        section("Where the gap sits", joined([*figures(answer), where(answer)])),
+        section("Calibration", calibration(answer)),
+        section("Notes", tag("ul", *(tag("li", note) for note in answer.notes)) if answer.notes else Html("")),
+    )
+    return document(f"Gap{of}", STYLE, body)
+
+
+def section(title: str, content: Html) -> Html:
+    """A part of the page; one without content is left out."""
+    return tag("section", tag("h2", title), content) if content else content
+
+
+def headline(answer: Diagnosis) -> Html:
+    """The verdict, the chance that it misses something, and the largest gap closed."""
+    largest = largest_first(answer.shrinkage)
+    facts = [f"Probability that something unexplained acts: {probability(answer.unexplained_probability)}."]
+    if largest:
+        first = largest[0]
+        facts.append(
+            f"Largest gap: {label(first, answer.shrinkage)}, {figure(first.calibrated_rms)} {bare_units(first.units)}"
+            f" after calibration, {figure(first.augmented_rms)} with the effects, floor {figure(first.floor_rms)}"
+            f"; closed {closed_text(first)}."
+        )
+    elif answer.shrinkage:
+        facts.append(f"None of {len(answer.shrinkage)} channels is off by more than 1.1 times its floor.")
+    return tag(
+        "div",
+        tag("p", tag("strong", answer.verdict, class_="verdict"), " ", sentence(answer), class_="lead"),
+        *(tag("p", fact) for fact in facts),
+        class_="headline",
+    )
+
+
+def causes(answer: Diagnosis) -> Html:
+    """One entry for each effect, a bar for its probability."""
+    if not answer.causes:
+        return Html("")
+    intro = "Each bar is the probability that the effect is present; they need not sum to 1."
+    return joined([tag("p", intro, class_="about"), tag("ol", *map(cause, answer.causes), class_="causes")])
+
+
+def cause(item: Cause) -> Html:
+    """Name, bar, meaning, parameters, class and the experiment that separates it."""
+    share = min(max(item.probability, 0.0), 1.0) if math.isfinite(item.probability) else 0.0
+    said = [
+        tag("div", tag("span", item.effect, class_="name"), tag("span", probability(item.probability)), class_="row"),
+        tag("div", tag("i", style=f"width:{100 * share:.4g}%"), class_="bar" if share >= PRESENT else "bar weak"),
+    ]
+    if words := meaning(item.effect):
+        said.append(tag("p", words))
+    if item.parameters:
+        said.append(tag("dl", *(p for q in item.parameters for p in (tag("dt", q.name), tag("dd", parameter_text(q))))))
+    if item.share > 0.0:
+        said.append(tag("p", f"Its share of what all causes explain: {percent(item.share)}."))
+    if item.indistinguishable_from:
+        said.append(tag("p", f"Cannot be told from {listed(item.indistinguishable_from)} with these runs."))
+    if item.separating_experiment:
+        said.append(tag("p", "To separate: ", tag("code", f"leactl run {item.separating_experiment}")))
+    return tag("li", *said)
+
+
+def shrinkage(answer: Diagnosis) -> Html:
+    """Bars for the channels with a gap, and a table of all."""
+    if not answer.shrinkage:
+        return Html("")
+    shown = largest_first(answer.shrinkage)
+    parts = []
+    if shown:
+        intro = "RMS of measured minus simulated on held-out runs. The bars' scale is logarithmic, each over its floor."
+        low, high = span(shown)
+        parts += [tag("p", intro, class_="about")]
+        parts += [tag("div", *(bars(item, answer.shrinkage, low, high) for item in shown), class_="shrinkage")]
+    closed = len(answer.shrinkage) - len(shown)
+    parts.append(tag("p", f"{closed} of {len(answer.shrinkage)} channels are within 1.1 times their floor: no gap."))
+    rows = [
+        [label(item, answer.shrinkage), *map(figure, rms(item)), bare_units(item.units), closed_text(item)]
+        for item in [*shown, *(item for item in answer.shrinkage if not open_gap(item))]
+    ]
+    every = table(["channel", *MODELS, "units", "closed (95 %)"], rows, "figures")
+    return joined([*parts, tag("details", tag("summary", "All channels"), every)])
+
+
+def rms(item: Shrinkage) -> tuple[float, float, float, float]:
+    """The four numbers in the order of `MODELS`."""
+    return item.nominal_rms, item.calibrated_rms, item.augmented_rms, item.floor_rms
+
+
+def span(items: Sequence[Shrinkage]) -> tuple[float, float]:
+    """Ends of the bars' common scale, as logarithms of multiples of the floor."""
+    every = np.asarray([value / base(item) for item in items for value in rms(item)])
+    positive = every[np.isfinite(every) & (every > 0.0)]
+    return math.log(LEAST * float(positive.min())), math.log(float(positive.max()))
+
+
+def base(item: Shrinkage) -> float:
+    """What a channel's bars are multiples of: its floor, or the smallest number where there is none."""
+    positive = [value for value in rms(item) if math.isfinite(value) and value > 0.0]
+    return item.floor_rms if item.floor_rms in positive else min(positive, default=1.0)
+
+
+def bars(item: Shrinkage, among: Sequence[Shrinkage], low: float, high: float) -> Html:
+    """Four bars of one channel."""
+    drawn = []
+    for name, value in zip(MODELS, rms(item), strict=True):
+        positive = math.isfinite(value) and value > 0.0
+        share = (math.log(value / base(item)) - low) / (high - low) if positive else 0.0
+        drawn += [
+            tag("span", name),
+            tag("div", tag("i", class_=name, style=f"width:{100 * share:.4g}%"), class_="bar"),
+            tag("span", f"{figure(value)} {bare_units(item.units)}"),
+        ]
+    head = tag("h3", label(item, among), tag("small", f"closed {closed_text(item)}"))
+    return tag("div", head, tag("div", *drawn, class_="bars"), class_="card")
+
+
+def where(answer: Diagnosis) -> Html:
+    """Every channel with a gap, and the region that holds most of it."""
+    rows = [
+        [
+            label(item, answer.where),
+            figure(item.nominal_rms),
+            figure(item.calibrated_rms),
+            figure(item.floor_rms),
+            bare_units(item.units),
+            floors(item),
+            region_text(item.region, item.share),
+        ]
+        for item in answer.where
+        if open_gap(item)
+    ]
+    headings = ["channel", "nominal", "calibrated", "floor", "units", "over floor", "region, share of the residual"]
+    return table(headings, rows, "figures") if rows else Html("")
+
+
+def calibration(answer: Diagnosis) -> Html:
+    """Parameters of the nominal model before and after."""
+    rows = [
+        [item.parameter, f"{item.nominal:.6g}", with_std(item.fitted, item.std), bare_units(item.units), change(item)]
+        for item in answer.calibration
+    ]
+    return table(["parameter", "nominal", "fitted ± std", "units", "change"], rows, "figures") if rows else Html("")

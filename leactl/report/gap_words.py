@@ -1,0 +1,136 @@
+"""What a diagnosis says in words and figures, alike for the terminal and the page."""
+
+import math
+from collections.abc import Sequence
+
+from leactl.gap.diagnosis import CalibratedParameter, Cause, Diagnosis, EffectParameter, Region, Shrinkage, Where
+from leactl.report.terminal import number
+from leactl.vocabulary.effect import effect_definition, effect_names
+
+PRESENT = 0.5  # probability from which on a cause is said to act
+NEAR_FLOOR = 1.1  # floors, below which no gap is left to close
+VERDICTS = {
+    "none": "The model explains these runs; no gap is left.",
+    "calibration": "Other parameters explain these runs; no effect is missing.",
+    "effect": "The model lacks {causes}.",
+    "unknown": "A gap remains that no effect of the library explains.",
+}
+Channel = Where | Shrinkage
+
+
+def sentence(answer: Diagnosis) -> str:
+    """The verdict as one sentence that names the causes."""
+    return VERDICTS[answer.verdict].format(causes=listed(claims(answer.causes)))
+
+
+def claims(causes: Sequence[Cause]) -> list[str]:
+    """Causes that are said to act, each class once."""
+    found: list[str] = []
+    told: set[str] = set()
+    for cause in causes:
+        if cause.probability < PRESENT or cause.effect in told:
+            continue
+        members = [cause.effect, *cause.indistinguishable_from]
+        told.update(members)
+        found.append(cause.effect if len(members) == 1 else f"one of {' / '.join(members)}")
+    return found
+
+
+def listed(items: Sequence[str]) -> str:
+    """`a, b and c`."""
+    return " and ".join(filter(None, [", ".join(items[:-1]), *items[-1:]]))
+
+
+def meaning(effect: str) -> str:
+    """What an effect of the library is, in one sentence."""
+    return effect_definition(effect).meaning if effect in effect_names() else ""
+
+
+def label(item: Channel, among: Sequence[Channel]) -> str:
+    """A channel's name; its role only where another of the same quantity and set-up stands beside it."""
+    roles = {other.role for other in among if (other.quantity, other.mechanical) == (item.quantity, item.mechanical)}
+    return ", ".join(filter(None, [item.quantity, item.mechanical, item.role if len(roles) > 1 else ""]))
+
+
+def open_gap(item: Channel) -> bool:
+    """Whether the calibrated model leaves a gap in this channel."""
+    return item.calibrated_rms >= NEAR_FLOOR * item.floor_rms
+
+
+def largest_first(items: Sequence[Shrinkage]) -> list[Shrinkage]:
+    """Channels with a gap, by how many floors it is."""
+    return sorted(filter(open_gap, items), key=lambda item: -item.calibrated_rms / max(item.floor_rms, 1e-300))
+
+
+def figure(value: float) -> str:
+    """Three significant digits."""
+    if not math.isfinite(value):
+        return "not known"
+    if value == 0.0 or 1e-4 <= abs(value) < 1e5:
+        digits = max(0, 2 - math.floor(math.log10(abs(value)))) if value else 0
+        return f"{value:.{digits}f}"
+    return f"{value:.2e}"
+
+
+def with_std(value: float, std: float, units: str = "") -> str:
+    """`0.0288600 ± 0.0000080 N*m`; without an uncertainty the value alone."""
+    if not math.isfinite(std) or std <= 0.0:
+        shown = f"{value:.4g}" if math.isfinite(value) else "not known"
+    else:
+        shown = f"{number(value, std)} ± {number(std, std)}"
+    return f"{shown} {bare_units(units)}".rstrip()
+
+
+def bare_units(units: str) -> str:
+    """Units as they are written behind a number: none for a ratio."""
+    return "" if units == "1" else units
+
+
+def parameter_text(parameter: EffectParameter) -> str:
+    """Value, uncertainty and units."""
+    return with_std(parameter.value, parameter.std, parameter.units)
+
+
+def change(item: CalibratedParameter) -> str:
+    """What calibration changed, in percent; an offset from zero has none."""
+    if item.nominal == 0.0 or not math.isfinite(item.fitted):
+        return ""
+    return f"{100.0 * (item.fitted / item.nominal - 1.0):+.2f} %"
+
+
+def closed_text(item: Shrinkage) -> str:
+    """Share closed with its interval, in percent."""
+    if item.closed is None:
+        return "no gap"
+    if item.closed_low is None or item.closed_high is None:
+        return percent(item.closed)
+    return f"{percent(item.closed)} ({percent(item.closed_low)} .. {percent(item.closed_high)})"
+
+
+def probability(value: float) -> str:
+    """Two decimals, and never quite 0 or 1."""
+    if not math.isfinite(value):
+        return "not known"
+    return "> 0.99" if value > 0.99 else "< 0.01" if value < 0.01 else f"{value:.2f}"
+
+
+def percent(share: float) -> str:
+    """A share of one; -0 is 0."""
+    return f"{100.0 * share:.0f} %".replace("-0 %", "0 %") if math.isfinite(share) else "not known"
+
+
+def floors(item: Channel) -> str:
+    """The calibrated gap as a multiple of the floor."""
+    return f"{figure(item.calibrated_rms / item.floor_rms)} x" if item.floor_rms > 0.0 else "no floor"
+
+
+def region_text(region: Region | None, share: float) -> str:
+    """Where most of a gap sits."""
+    if region is None:
+        return "no narrow region"
+    if region.variable == "direction":
+        directions = {(-1.0, -1.0): "backward", (1.0, 1.0): "forward"}
+        word = directions.get((region.low, region.high), f"{region.low:g} to {region.high:g}")
+        return f"direction {word}, {percent(share)}"
+    span = f"{figure(region.low)} to {figure(region.high)} {bare_units(region.units)}".rstrip()
+    return f"{region.variable} {span}, {percent(share)}"
