@@ -1,8 +1,11 @@
 """Replay against what can be worked out by hand."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from leactl.gap.record import Record
 from leactl.gap.replay import replay
 from tests.gap.synthetic import (
     CONSTANT,
@@ -13,6 +16,7 @@ from tests.gap.synthetic import (
     INTERVAL_S,
     RESISTANCE,
     THERMAL,
+    clocked,
     model,
     record,
 )
@@ -87,6 +91,48 @@ def test_voltage_is_resistance_inductance_and_back_emf():
     assert spun.fast["q_axis_voltage", "test"][10] == pytest.approx(
         CONSTANT * spun.fast["velocity", "test"][10], abs=CONSTANT * 0.15
     )
+
+
+def servo(reference, angle, enabled=None, **changes):
+    """A pendulum of 0.5 kg at 0.2 m on a servo, without friction."""
+    count = len(reference)
+    channels = {("angle", "test"): angle, ("angle_reference", "test"): reference}
+    if enabled is not None:
+        channels["drive_enabled", "test"] = enabled
+    run = Record(Path("servo.h5"), "free", "free", clocked(count, 5e-3, channels), None, {})
+    load, drive = {"type": "pendulum", "mass": 0.5, "length": 0.2}, {"type": "position_servo", "gain": 2.0}
+    plain = {"viscous_damping": 0.0, "coulomb_friction": 0.0, "resistance_coefficient": 0.0}
+    drive["voltage_limit"] = 10.0
+    return replay(run, model(**{"load": load, "drive": drive} | plain | changes))
+
+
+def test_a_servo_holds_a_pendulum_where_its_torque_equals_the_weight():
+    job = servo(np.full(4000, 1.0), 0.8)
+    angle = job.fast["angle", "test"][-1]
+    assert CONSTANT * 2.0 * (1.0 - angle) / RESISTANCE == pytest.approx(0.5 * 9.80665 * 0.2 * np.sin(angle), rel=1e-3)
+
+
+def test_a_servo_beyond_its_voltage_runs_at_the_speed_of_its_back_emf():
+    job = servo(np.full(600, 1000.0), 0.0, load={"type": "none"})
+    assert np.diff(job.fast["angle", "test"])[-1] / 5e-3 == pytest.approx(10.0 / CONSTANT, rel=1e-3)
+
+
+def test_a_pendulum_let_go_swings_with_its_own_period():
+    job = servo(np.zeros(2000), 0.05, enabled=np.zeros(2000), rotor_inertia=1e-6)
+    angle = job.fast["angle", "test"][2:]
+    crossings = np.flatnonzero((angle[1:] > 0) & (angle[:-1] <= 0))
+    period = 5e-3 * np.mean(np.diff(crossings))
+    assert period == pytest.approx(2 * np.pi * np.sqrt(0.2 / 9.80665), rel=5e-3)
+    assert np.max(angle[-200:]) == pytest.approx(0.05, rel=0.02)
+
+
+def test_a_logged_force_drives_an_axis_that_has_no_torque_constant():
+    channels = {("angle", "test"): 0.0, ("torque_reference", "test"): 2.0}
+    run = Record(Path("axis.h5"), "free", "free", clocked(3000, 1e-3, channels), None, {})
+    axis = {"rotor_inertia": 4.0, "viscous_damping": 0.0, "coulomb_friction": 0.0, "torque_constant": None}
+    job = replay(run, model(back_emf_constant=None, **axis))
+    speed = job.fast["velocity", "test"]
+    assert speed[900] - speed[400] == pytest.approx(2.0 / 4.0 * 0.5, rel=1e-3)
 
 
 def test_heat_from_two_leads_ends_at_the_network_s_rise():

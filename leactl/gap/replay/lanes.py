@@ -40,7 +40,7 @@ class State:
 class Servo:
     """Voltage from the angle error, and the current that it drives against the back-EMF."""
 
-    reference: Array  # rad, (steps, lanes)
+    reference: Array  # rad, (steps, lanes); NaN while the drive is disabled and no current flows
     gain: Array  # V/rad
     limit: Array  # V
     resistance: Array  # ohm
@@ -91,10 +91,8 @@ def stepped(lanes: Lanes, start: State) -> Motion:
     """Step every lane to its end."""
     steps, count = lanes.drive.shape
     h = lanes.step
-    damping = lanes.damping
-    if (servo := lanes.servo) is not None:
-        damping = damping + servo.torque_constant * servo.emf / servo.resistance
-    decay, gain = _answer(damping, lanes.inertia, h)
+    servo = lanes.servo
+    decay, gain = _answer(lanes.damping, lanes.inertia, h)
     load_decay, load_gain = _answer(lanes.load_damping, lanes.load_inertia, h)
     stiffness = resonant_stiffness(lanes)
     yielding = 2.0 * SHAFT_DAMPING * np.sqrt(stiffness / (1.0 / lanes.inertia + 1.0 / lanes.load_inertia))
@@ -114,11 +112,11 @@ def stepped(lanes: Lanes, start: State) -> Motion:
         group.attach(angle, velocity, ahead, torque, twist, push)
     for index in range(steps):
         drive = lanes.drive[index]
-        if servo is not None:
-            volts = np.clip(servo.gain * (servo.reference[index] - angle), -servo.limit, servo.limit)
+        if servo is not None and out.current is not None:
+            flowing = out.current[index] = _servo_current(servo, index, angle, velocity, groups)
+            drive = servo.torque_constant * flowing
             for group in groups:
-                group.lose(volts, (volts - servo.emf * velocity) / servo.resistance)
-            drive = servo.torque_constant * volts / servo.resistance
+                group.saturate(drive, flowing)
         if shaft:
             np.multiply(stiffness, twist, out=torque)
             torque += yielding * (velocity - load_velocity)
@@ -138,7 +136,7 @@ def stepped(lanes: Lanes, start: State) -> Motion:
             elif any(group.rubs for group in groups):
                 level = held.copy()
             for group in groups:
-                group.drive(drive)
+                group.drive(drive, drive if hanging else torque)
         np.multiply(velocity, decay, out=ahead)
         push *= gain
         ahead += push
@@ -155,10 +153,19 @@ def stepped(lanes: Lanes, start: State) -> Motion:
                 load_velocity = ahead_load - np.minimum(np.maximum(ahead_load, -load_held), load_held)
                 twist -= h * load_velocity
                 out.load_velocity[index] = load_velocity
-        if servo is not None and out.current is not None:
-            out.current[index] = (volts - servo.emf * velocity) / servo.resistance
     out.end = State(angle, velocity, load_velocity, twist, bristle)
     return out
+
+
+def _servo_current(servo: Servo, index: int, angle: Array, velocity: Array, groups: "list[_Group]") -> Array:
+    """What the servo's voltage drives through the winding, none while it is disabled."""
+    wanted = servo.reference[index]
+    volts = np.clip(servo.gain * (wanted - angle), -servo.limit, servo.limit)
+    flowing = (volts - servo.emf * velocity) / servo.resistance
+    for group in groups:
+        group.lose(volts, flowing)
+        flowing = (volts - servo.emf * velocity) / servo.resistance
+    return np.where(np.isnan(wanted), 0.0, flowing)
 
 
 def _answer(damping: Array, inertia: Array, step: float) -> tuple[Array, Array]:
@@ -200,7 +207,8 @@ class _Group:
         self.plant, self.place, self.gain = plant, place, gain[place]
         self.pushes = bool(plant.ripple or plant.rotor_torque or plant.drag)
         self.rubs = bool(plant.coulomb_share or plant.coulomb_added)
-        self.acts = self.pushes or self.rubs or bool(plant.play or plant.lost_voltage or plant.friction_share)
+        electric = plant.lost_voltage or plant.torque_share
+        self.acts = self.pushes or self.rubs or bool(plant.play or electric or plant.friction_share)
 
     def attach(self, angle: Array, velocity: Array, ahead: Array, torque: Array, twist: Array, push: Array) -> None:
         """Look at this bench's part of what all lanes share; the stepper keeps it up to date."""
@@ -214,15 +222,21 @@ class _Group:
         for lost in self.plant.lost_voltage:
             volts[self.place] -= lost(current[self.place])
 
+    def saturate(self, drive: Array, flowing: Array) -> None:
+        """Scale the torque of a servo's current; that of a replayed current comes scaled."""
+        for share in self.plant.torque_share:
+            drive[self.place] *= share(flowing[self.place])
+
     def slip(self, stiffness: Array) -> None:
         """Leave the shaft unstrained within its play."""
         if self.plant.play:
             half = 0.5 * self.plant.play
             self.torque -= stiffness[self.place] * np.clip(self.twist, -half, half)
 
-    def drive(self, drive: Array) -> None:
-        """Add torques on the rotor."""
+    def drive(self, drive: Array, transmitted: Array) -> None:
+        """Add torques on the rotor; a gear below a pendulum transmits what its motor puts in."""
         self.before.drive = self.after.drive = drive[self.place]
+        self.before.transmitted = self.after.transmitted = transmitted[self.place]
         if not self.pushes:
             return
         for ripple in self.plant.ripple:
@@ -237,7 +251,7 @@ class _Group:
         if not self.rubs:
             return
         own = level[self.place]
-        for share in self.plant.coulomb_share:
-            own *= share(self.after)
         for added in self.plant.coulomb_added:
             own += self.gain * added(self.after)
+        for share in self.plant.coulomb_share:
+            own *= share(self.after)

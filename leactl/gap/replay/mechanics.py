@@ -5,59 +5,19 @@ would drift apart. A locked one never does, for friction keeps what the last mov
 once, and again wherever one did not begin where the one before it ended. A position servo runs through.
 """
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from leactl.effects.plant import Array, Plant
 from leactl.effects.shapes import play
-from leactl.gap.replay.drive import measured, spread
+from leactl.gap.replay.cutting import Cut, Index, by_servo, constants_of, cut_of, lanes_of, logged_torque
 from leactl.gap.replay.job import Job
-from leactl.gap.replay.lanes import Lanes, Motion, Servo, State, stepped
-from leactl.gap.replay.starting import reach, starting_motion
+from leactl.gap.replay.lanes import Motion, State, stepped
+from leactl.gap.replay.starting import starting_motion
 
-RESTART_S = 1.0
-LOCKED_STRETCH_S = 0.25
+SLOWEST_S = 0.05  # interval of samples, beyond which a start is lost before it is measured
 CLOSE = 3e-4  # of the largest torque, by which a stretch may begin off the end of the one before
-Index = npt.NDArray[np.intp]
-
-
-@dataclass
-class Cut:
-    """A job cut into stretches."""
-
-    job: Job
-    first: int  # sample at which the first stretch begins
-    length: int  # samples in a stretch
-    count: int
-    drive: Array  # N*m at the instants, or rad where a position servo drives
-    load_drive: Array | None
-    share: Array | None
-
-    @property
-    def steps(self) -> int:
-        """Sub-steps in a stretch."""
-        return self.length * self.job.parts
-
-    def cut(self, values: Array, lanes: Index) -> Array:
-        """Instants of some stretches, (steps, lanes); the last value goes on beyond the run's end."""
-        begin = self.first * self.job.parts
-        short = begin + self.count * self.steps - len(values)
-        whole = np.concatenate([values[begin:], np.full(max(short, 0), values[-1])])[: self.count * self.steps]
-        return np.ascontiguousarray(whole.reshape(self.count, self.steps)[lanes].T)
-
-    def put(self, name: str, values: Array, lanes: Index) -> None:
-        """Put some stretches, one after the other, into a job; what precedes the first holds its value."""
-        begin, total = self.first * self.job.parts, (len(self.job.clock.time) - 1) * self.job.parts + 1
-        whole = getattr(self.job, name) if len(lanes) < self.count else None
-        if whole is None or len(whole) < total:
-            whole = np.zeros(begin + self.count * self.steps)
-        table = whole[begin:].reshape(self.count, self.steps)
-        table[lanes] = values.T
-        whole[:begin] = table[0, 0]
-        setattr(self.job, name, whole)
 
 
 def move(jobs: Sequence[Job]) -> None:
@@ -70,6 +30,9 @@ def move(jobs: Sequence[Job]) -> None:
     for (kind, _, _), cuts in sets.items():
         # lanes of one bench side by side: its effects then act on all of them in one call
         cuts.sort(key=lambda cut: id(cut.job.plant))
+        longest = max(cut.length for cut in cuts)
+        for cut in cuts:
+            cut.length = longest  # a servo that ends earlier goes on at its last reference
         if kind == "locked":
             settle(cuts)
         else:
@@ -86,12 +49,15 @@ def kind_of(job: Job) -> str | None:
     if model.rotor_inertia is None:
         job.notes.append(f"{name}: the model has no rotor_inertia; its motion is not replayed")
         return None
-    if model.drive is not None and job.clock.get("angle_reference") is not None:
+    if by_servo(job):
         if model.phase_resistance is None or model.torque_constant is None:
             job.notes.append(f"{name}: a servo's replay needs phase_resistance and torque_constant")
             return None
         return "servo"
-    if job.current is None or model.torque_constant is None:
+    if job.clock.interval > SLOWEST_S and job.record.mechanical != "locked":
+        job.notes.append(f"{name}: {1 / job.clock.interval:.3g} samples a second are too few to replay a motion")
+        return None
+    if (job.current is None or model.torque_constant is None) and logged_torque(job) is None:
         job.notes.append(f"{name}: a replay needs a current of the test drive and a torque_constant in the model")
         return None
     if job.record.mechanical == "locked":
@@ -105,132 +71,6 @@ def kind_of(job: Job) -> str | None:
             return None
         return "turning"
     return "turning" if job.record.mechanical == "free" else None
-
-
-def cut_of(job: Job, kind: str) -> Cut:
-    """Cut a job into stretches and work out what drives it."""
-    clock, plant, parts = job.clock, job.plant, job.parts
-    samples = len(clock.time)
-    course = job.course()
-    magnets = np.ones(samples)
-    for share_of in plant.magnet_share:
-        magnets = magnets * share_of(course)
-    if kind == "servo":
-        reference = clock.values["angle_reference", "test"]
-        drive = spread(reference, parts)
-        for late in plant.loop_answer:
-            drive = late(drive, job.step)
-    else:
-        assert job.current is not None and plant.model.torque_constant is not None
-        drive = plant.model.torque_constant * spread(magnets, parts) * job.current
-        for saturates in plant.torque_share:
-            drive = drive * saturates(job.current)
-    share = None
-    if plant.friction_share:
-        share = np.ones(samples)
-        for rubs in plant.friction_share:
-            share = share * rubs(course)
-        share = spread(share, parts)
-    load_drive = None
-    if job.record.mechanical == "coupled":
-        found = measured(job, "load")
-        assert found is not None
-        load_drive = (plant.model.torque_constant or 0.0) * found[0]
-    first = 0 if kind == "locked" else reach(job)
-    seconds = {"locked": LOCKED_STRETCH_S, "turning": RESTART_S}.get(kind)
-    length = samples if seconds is None else max(1, round(seconds / clock.interval))
-    job.first = first
-    count = -(-((samples - 1 - first) * parts + 1) // (length * parts))
-    return Cut(job, first, length, count, drive, load_drive, share)
-
-
-def lanes_of(cuts: Sequence[Cut], picked: Sequence[Index]) -> Lanes:
-    """Some stretches of every cut as lanes."""
-    plants: list[tuple[Plant, slice]] = []
-    at = 0
-    for cut, lanes in zip(cuts, picked, strict=True):
-        if plants and plants[-1][0] is cut.job.plant:
-            plants[-1] = (cut.job.plant, slice(plants[-1][1].start, at + len(lanes)))
-        else:
-            plants.append((cut.job.plant, slice(at, at + len(lanes))))
-        at += len(lanes)
-
-    def each(values: Iterable[float]) -> Array:
-        return np.concatenate([np.full(len(lanes), v) for v, lanes in zip(values, picked, strict=True)])
-
-    def inputs(name: str, default: float) -> Array:
-        found = []
-        for cut, lanes in zip(cuts, picked, strict=True):
-            values = getattr(cut, name)
-            full = (cut.steps, len(lanes))
-            found.append(cut.cut(values, lanes) if values is not None else np.full(full, default))
-        return np.concatenate(found, axis=1)
-
-    constants = [constants_of(cut.job) for cut in cuts]
-    drive = inputs("drive", 0.0)
-
-    def constant(name: str) -> Array:
-        return each([c[name] for c in constants])
-
-    servo = None
-    if "servo_gain" in constants[0]:
-        servo = Servo(
-            reference=drive,
-            gain=constant("servo_gain"),
-            limit=constant("servo_limit"),
-            resistance=constant("resistance"),
-            torque_constant=constant("torque_constant"),
-            emf=constant("emf"),
-        )
-    return Lanes(
-        step=cuts[0].job.step,
-        plants=plants,
-        drive=drive,
-        load_drive=inputs("load_drive", 0.0) if any(c.load_drive is not None for c in cuts) else None,
-        friction_share=inputs("share", 1.0) if any(c.share is not None for c in cuts) else None,
-        inertia=constant("inertia"),
-        damping=constant("damping"),
-        friction=constant("friction"),
-        load_inertia=constant("load_inertia"),
-        load_damping=constant("load_damping"),
-        load_friction=constant("load_friction"),
-        stiffness=constant("stiffness"),
-        gravity=constant("gravity"),
-        servo=servo,
-    )
-
-
-def constants_of(job: Job) -> dict[str, float]:
-    """The numbers of a bench as the stepper takes them, a run's own set-up over the model's."""
-    model, setup = job.plant.model, job.record.setup
-    inertia, gravity = model.rotor_inertia or 0.0, 0.0
-    damping, friction = model.viscous_damping or 0.0, model.coulomb_friction or 0.0
-    if model.load.type == "pendulum":
-        mass, length = setup.get("load_mass", model.load.mass), setup.get("load_length", model.load.length)
-        arm = setup.get("load_arm_mass", model.load.arm_mass)
-        inertia += mass * length**2 + arm * length**2 / 3.0
-        gravity = (mass + 0.5 * arm) * model.load.gravity * length
-    mechanical = job.record.mechanical
-    found = {
-        "inertia": inertia,
-        "damping": damping,
-        "friction": friction,
-        "load_inertia": np.inf if mechanical == "locked" else model.rotor_inertia or 0.0,
-        "load_damping": model.load.viscous_damping if model.load.viscous_damping is not None else damping,
-        "load_friction": model.load.coulomb_friction if model.load.coulomb_friction is not None else friction,
-        "stiffness": 0.0 if mechanical == "free" else job.plant.stiffness or 0.0,
-        "gravity": gravity,
-    }
-    if model.drive is not None and job.clock.get("angle_reference") is not None:
-        constant = model.torque_constant or 0.0
-        found |= {
-            "servo_gain": setup.get("drive_gain", model.drive.gain),
-            "servo_limit": model.drive.voltage_limit,
-            "resistance": model.phase_resistance or 0.0,
-            "torque_constant": constant,
-            "emf": model.back_emf_constant or constant,
-        }
-    return found
 
 
 def start_of(cut: Cut, kind: str) -> State:

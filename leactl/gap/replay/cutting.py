@@ -1,0 +1,208 @@
+"""Runs cut into stretches, with what drives each of them and the constants of its bench."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.effects.plant import Array, Plant
+from leactl.gap.replay.drive import measured, spread
+from leactl.gap.replay.job import Job
+from leactl.gap.replay.lanes import Lanes, Servo
+from leactl.gap.replay.starting import reach
+
+RESTART_S = 1.0
+LOCKED_STRETCH_S = 0.25
+Index = npt.NDArray[np.intp]
+
+
+@dataclass
+class Cut:
+    """A job cut into stretches."""
+
+    job: Job
+    first: int  # sample at which the first stretch begins
+    length: int  # samples in a stretch
+    count: int
+    drive: Array  # N*m at the instants, or rad where a position servo drives
+    load_drive: Array | None
+    share: Array | None
+
+    @property
+    def steps(self) -> int:
+        """Sub-steps in a stretch."""
+        return self.length * self.job.parts
+
+    def cut(self, values: Array, lanes: Index) -> Array:
+        """Instants of some stretches, (steps, lanes); the last value goes on beyond the run's end."""
+        begin = self.first * self.job.parts
+        short = begin + self.count * self.steps - len(values)
+        whole = np.concatenate([values[begin:], np.full(max(short, 0), values[-1])])[: self.count * self.steps]
+        return np.ascontiguousarray(whole.reshape(self.count, self.steps)[lanes].T)
+
+    def put(self, name: str, values: Array, lanes: Index) -> None:
+        """Put some stretches, one after the other, into a job; what precedes the first holds its value."""
+        begin, total = self.first * self.job.parts, (len(self.job.clock.time) - 1) * self.job.parts + 1
+        whole = getattr(self.job, name) if len(lanes) < self.count else None
+        if whole is None or len(whole) < total:
+            whole = np.zeros(begin + self.count * self.steps)
+        table = whole[begin:].reshape(self.count, self.steps)
+        table[lanes] = values.T
+        whole[:begin] = table[0, 0]
+        setattr(self.job, name, whole)
+
+
+def cut_of(job: Job, kind: str) -> Cut:
+    """Cut a job into stretches and work out what drives it."""
+    clock, plant, parts = job.clock, job.plant, job.parts
+    samples = len(clock.time)
+    course = job.course()
+    magnets = np.ones(samples)
+    for share_of in plant.magnet_share:
+        magnets = magnets * share_of(course)
+    drive = asked_angle(job) if kind == "servo" else drive_torque(job, magnets)
+    share = None
+    if plant.friction_share:
+        share = np.ones(samples)
+        for rubs in plant.friction_share:
+            share = share * rubs(course)
+        share = spread(share, parts)
+    load_drive = None
+    if job.record.mechanical == "coupled":
+        found = measured(job, "load")
+        assert found is not None
+        load_drive = (plant.model.torque_constant or 0.0) * found[0]
+    first = 0 if kind == "locked" else reach(job)
+    seconds = {"locked": LOCKED_STRETCH_S, "turning": RESTART_S}.get(kind)
+    length = samples if seconds is None else max(1, round(seconds / clock.interval))
+    job.first = first
+    count = -(-((samples - 1 - first) * parts + 1) // (length * parts))
+    return Cut(job, first, length, count, drive, load_drive, share)
+
+
+def by_servo(job: Job) -> bool:
+    """Whether the model's position servo drives the run."""
+    return job.plant.model.drive is not None and job.clock.get("angle_reference") is not None
+
+
+def asked_angle(job: Job) -> Array:
+    """The angle that a servo is asked for, held until the next sample; NaN while the drive is disabled."""
+    reference, enabled = job.clock.values["angle_reference", "test"], job.clock.get("drive_enabled")
+    held = np.append(np.repeat(reference[:-1], job.parts), reference[-1])
+    for late in job.plant.loop_answer:
+        held = late(held, job.step)
+    if enabled is not None:
+        on = np.append(np.repeat(enabled[:-1], job.parts), enabled[-1])
+        held = np.where(on > 0.5, held, np.nan)
+    return np.asarray(held, np.float64)
+
+
+def drive_torque(job: Job, magnets: Array) -> Array:
+    """Torque of the test drive at the instants: of its current, else as it was logged."""
+    constant = job.plant.model.torque_constant
+    if job.current is None or constant is None:
+        logged = logged_torque(job)
+        assert logged is not None
+        return np.append(logged[:1], np.repeat(logged[1:], job.parts))
+    torque = constant * spread(magnets, job.parts) * job.current
+    for saturates in job.plant.torque_share:
+        torque = torque * saturates(job.current)
+    return torque
+
+
+def logged_torque(job: Job) -> Array | None:
+    """Torque that a free drive was told to make, where it logs that instead of a current."""
+    if job.record.mechanical != "free":
+        return None
+    told = job.clock.get("torque_reference")
+    return told if told is not None else job.clock.get("torque")
+
+
+def lanes_of(cuts: Sequence[Cut], picked: Sequence[Index]) -> Lanes:
+    """Some stretches of every cut as lanes."""
+    plants: list[tuple[Plant, slice]] = []
+    at = 0
+    for cut, lanes in zip(cuts, picked, strict=True):
+        if plants and plants[-1][0] is cut.job.plant:
+            plants[-1] = (cut.job.plant, slice(plants[-1][1].start, at + len(lanes)))
+        else:
+            plants.append((cut.job.plant, slice(at, at + len(lanes))))
+        at += len(lanes)
+
+    def each(values: Iterable[float]) -> Array:
+        return np.concatenate([np.full(len(lanes), v) for v, lanes in zip(values, picked, strict=True)])
+
+    def inputs(name: str, default: float) -> Array:
+        found = []
+        for cut, lanes in zip(cuts, picked, strict=True):
+            values = getattr(cut, name)
+            full = (cut.steps, len(lanes))
+            found.append(cut.cut(values, lanes) if values is not None else np.full(full, default))
+        return np.concatenate(found, axis=1)
+
+    constants = [constants_of(cut.job) for cut in cuts]
+    drive = inputs("drive", 0.0)
+
+    def constant(name: str) -> Array:
+        return each([c[name] for c in constants])
+
+    servo = None
+    if "servo_gain" in constants[0]:
+        servo = Servo(
+            reference=drive,
+            gain=constant("servo_gain"),
+            limit=constant("servo_limit"),
+            resistance=constant("resistance"),
+            torque_constant=constant("torque_constant"),
+            emf=constant("emf"),
+        )
+    return Lanes(
+        step=cuts[0].job.step,
+        plants=plants,
+        drive=drive,
+        load_drive=inputs("load_drive", 0.0) if any(c.load_drive is not None for c in cuts) else None,
+        friction_share=inputs("share", 1.0) if any(c.share is not None for c in cuts) else None,
+        inertia=constant("inertia"),
+        damping=constant("damping"),
+        friction=constant("friction"),
+        load_inertia=constant("load_inertia"),
+        load_damping=constant("load_damping"),
+        load_friction=constant("load_friction"),
+        stiffness=constant("stiffness"),
+        gravity=constant("gravity"),
+        servo=servo,
+    )
+
+
+def constants_of(job: Job) -> dict[str, float]:
+    """The numbers of a bench as the stepper takes them, a run's own set-up over the model's."""
+    model, record, setup = job.plant.model, job.record, job.record.setup
+    load, inertia, gravity = model.load, model.rotor_inertia or 0.0, 0.0
+    if load.type == "pendulum":
+        mass, length = setup.get("load_mass", load.mass), setup.get("load_length", load.length)
+        arm = setup.get("load_arm_mass", load.arm_mass)
+        inertia += (mass + arm / 3.0) * length**2
+        gravity = (mass + 0.5 * arm) * load.gravity * length
+    damping, friction = model.viscous_damping or 0.0, model.coulomb_friction or 0.0
+    found = {
+        "inertia": inertia,
+        "damping": damping,
+        "friction": friction,
+        "load_inertia": np.inf if record.mechanical == "locked" else model.rotor_inertia or 0.0,
+        "load_damping": load.viscous_damping if load.viscous_damping is not None else damping,
+        "load_friction": load.coulomb_friction if load.coulomb_friction is not None else friction,
+        "stiffness": 0.0 if record.mechanical == "free" else job.plant.stiffness or 0.0,
+        "gravity": gravity,
+    }
+    if by_servo(job):
+        assert model.drive is not None
+        constant = model.torque_constant or 0.0
+        found |= {
+            "servo_gain": setup.get("drive_gain", model.drive.gain),
+            "servo_limit": model.drive.voltage_limit,
+            "resistance": model.phase_resistance or 0.0,
+            "torque_constant": constant,
+            "emf": model.back_emf_constant or constant,
+        }
+    return found
