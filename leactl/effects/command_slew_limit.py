@@ -13,6 +13,7 @@ class CommandSlewLimit(Effect):
 
     name = "command_slew_limit"
     one_sided = True
+    explains = 0.75  # where in the loop the limit sits is not known
     shaped = True
     forms = ((100.0,), (300.0,), (800.0,), (2000.0,), (5000.0,))
 
@@ -35,3 +36,7 @@ class CommandSlewLimit(Effect):
         """A reference that is followed at a limited rate."""
         rate = parameters["rate"]
         plant.command.append(lambda values, interval: rate_limited(values, rate * interval))
+
+    def whole(self, form: Form, strength: float) -> Form:
+        """The rate itself: half of a limit is no limit at another rate."""
+        return form

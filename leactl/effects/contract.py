@@ -102,6 +102,10 @@ class Effect:
         """The parameters of the definition from fitted coefficients."""
         raise NotImplementedError
 
+    def whole(self, form: Form, strength: float) -> Form:
+        """The form at which a shape that was found at some strength would be whole."""
+        return (form[0] * strength, *form[1:])
+
     def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
         """How large the effect is, in units of its leading parameter; zero where it is absent."""
         return abs(next(iter(self.parameters(form, found, model).values())))

@@ -14,8 +14,9 @@ import numpy as np
 from leactl.effects import library
 from leactl.gap.evidence import Evidence, usual_unrest
 from leactl.gap.regression import Candidate, Rows
-from leactl.gap.search import Finding, Found
+from leactl.gap.search import LOOSE, Finding, Found
 
+EXACT_FORM_ERROR = 0.0005
 RIVAL_FORM_ERROR = 0.005  # of a gain, standard deviation of the difference of two forms that are both nearly right
 SURE, HALF, SLOPE = 0.998, 4.5, 1.3  # height at which an effect is as likely there as not, and how fast that changes
 CLASS = 0.2  # of the winner's weight, above which a rival is named together with it
@@ -48,8 +49,10 @@ def judge(evidence: Evidence, found: Found, held_out: Mapping[Candidate, float])
             * coverage(explained - library()[member.effect].explains)
             * (UNCONFIRMED if held_out.get(member.candidate, 0.0) < 0.0 else 1.0)
         )
-        spread = 1.0 + RIVAL_FORM_ERROR * member.gain
-        weights = [math.exp(min((r.gain - member.gain) / (2.0 * spread), 2.0)) * presence(r.height) for r in rivals[1:]]
+        weights = [
+            math.exp(min((r.gain - member.gain) / (2.0 * spread(member, r)), 2.0)) * presence(r.height)
+            for r in rivals[1:]
+        ]
         total = presence(member.height) + sum(weights)
         own = presence(member.height) / total if total > 0 else 0.0
         peers = tuple(r.effect for r, w in zip(rivals[1:], weights, strict=True) if w > CLASS * presence(member.height))
@@ -57,6 +60,12 @@ def judge(evidence: Evidence, found: Found, held_out: Mapping[Candidate, float])
         others = tuple((r, present * w / total) for r, w in zip(rivals[1:], weights, strict=True))
         judged.append(Judged(member, explained, present * together, others, peers))
     return sorted(judged, key=lambda item: -item.probability)
+
+
+def spread(member: Finding, rival: Finding) -> float:
+    """How far apart two gains may be by noise and by what forms miss; shapes that are pure lags miss next to nothing."""
+    exact = all(library()[item.effect].shaped and library()[item.effect].explains > LOOSE for item in (member, rival))
+    return 1.0 + (EXACT_FORM_ERROR if exact else RIVAL_FORM_ERROR) * member.gain
 
 
 def coverage(beyond: float) -> float:

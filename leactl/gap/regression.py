@@ -41,6 +41,7 @@ class Rows:
     white: float  # noise as the difference of neighbours has it
     noise: float = 0.0  # standard deviation of a row
     dependence: float = 1.0  # rows per independent row
+    gram: Array | None = None  # over [left_over, columns]; None where it is to be made
 
 
 def make_rows(
@@ -116,6 +117,7 @@ def more_columns(rows: Rows, equation: Equation, candidates: Sequence[Candidate]
     every = thinned_index(len(equation.left_over), equation.width, equation.step)
     table = table[np.searchsorted(every, rows.index)]
     rows.columns.update({name: table[:, k] for k, name in enumerate(names)})
+    rows.gram = None
 
 
 class TermsOf:
@@ -175,8 +177,10 @@ def stack(rows: list[Rows], calibration_priors: dict[str, float]) -> Stack:
     grams, local = [], []
     for r in rows:
         own = list(r.columns)
-        table = np.column_stack([r.left_over, *(r.columns[n] for n in own)])
-        grams.append(table.T @ table)
+        if r.gram is None:
+            table = np.column_stack([r.left_over, *(r.columns[n] for n in own)])
+            r.gram = table.T @ table
+        grams.append(r.gram)
         local.append(np.asarray([place[n] for n in own], np.intp))
     return Stack(rows, names, grams, local, priors, place)
 

@@ -6,7 +6,7 @@ is measured against the size that model error alone gives it on benches without 
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -25,6 +25,7 @@ MOST = 3  # effects in a set
 ENTRY = 4.0  # times its floor and uncertainty, that an effect must be large to enter a set
 EXCHANGES = 4
 SHORTLIST = 4
+WHOLE_ROUNDS = 2
 WAVE = ("cos", "sin")  # coefficients that make one amplitude
 LOOSE, LOOSE_ERROR = 0.8, 0.1  # the same where an effect must explain less than that by its own account
 FORM_ERROR = 0.003  # share of what a set explains in a channel that its own functional form may miss
@@ -67,7 +68,9 @@ def floor(effect: str) -> float:
     return floors().get(effect, 0.0)
 
 
-def finding(evidence: Evidence, normal: Normal, base: npt.NDArray[np.intp], candidate: Candidate) -> Finding | None:
+def finding(
+    evidence: Evidence, normal: Normal, base: npt.NDArray[np.intp], candidate: Candidate, whole: bool = False
+) -> Finding | None:
     """What one form of an effect takes away beyond a base; None where no run shows it or its sign makes no sense."""
     added = evidence.columns(candidate)
     if len(added) == 0:
@@ -78,6 +81,8 @@ def finding(evidence: Evidence, normal: Normal, base: npt.NDArray[np.intp], cand
         return None
     if effect.shaped and not SHAPE[0] < values[0] < SHAPE[1]:
         return None
+    if effect.shaped and whole:
+        gain = float((2.0 * values[0] - 1.0) / covariance[0, 0])  # of the shape as it is, not of a share of it
     names = tuple(evidence.coefficient(place) for place in added)
     found = dict(zip(names, values.tolist(), strict=True))
     size = effect.size(candidate[1], found, evidence.model)
@@ -89,17 +94,16 @@ def finding(evidence: Evidence, normal: Normal, base: npt.NDArray[np.intp], cand
 
 
 def best_of_each(
-    evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], only: Iterable[str] | None = None
+    evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], whole: bool = False
 ) -> list[Finding]:
     """The best form of every effect beyond a hypothesis, by gain, largest first."""
     base = evidence.stack.columns_of(hypothesis)
     taken = {effect for effect, _ in hypothesis}
-    wanted = set(only) if only is not None else None
     best: dict[str, Finding] = {}
     for candidate in evidence.candidates:
-        if candidate[0] in taken or (wanted is not None and candidate[0] not in wanted):
+        if candidate[0] in taken:
             continue
-        found = finding(evidence, normal, base, candidate)
+        found = finding(evidence, normal, base, candidate, whole)
         if found is not None and (candidate[0] not in best or found.gain > best[candidate[0]].gain):
             best[candidate[0]] = found
     return sorted(best.values(), key=lambda item: -item.gain)
@@ -257,18 +261,46 @@ def member(evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], 
 
 def describe(evidence: Evidence, hypothesis: list[Candidate]) -> Found:
     """Members, rivals and what would come next, under the weights of the set."""
+    hypothesis = make_whole(evidence, hypothesis)
     taken, left = taken_and_left(evidence, hypothesis)
     fit = evidence.settle(hypothesis)
     normal = evidence.normal()
     members, rivals = [], []
     for index in range(len(hypothesis)):
-        found = member(evidence, normal, hypothesis, index)
+        others = hypothesis[:index] + hypothesis[index + 1 :]
+        found = finding(evidence, normal, evidence.stack.columns_of(others), hypothesis[index], whole=True)
         assert found is not None
         members.append(found)
-        others = hypothesis[:index] + hypothesis[index + 1 :]
-        rivals.append([found, *(r for r in best_of_each(evidence, normal, others) if r.effect != found.effect)])
+        ranked = best_of_each(evidence, normal, others, whole=True)
+        rivals.append([found, *(r for r in ranked if r.effect != found.effect)])
     rest = best_of_each(evidence, normal, hypothesis)
     return Found(hypothesis, members, rivals, rest, fit, taken, left)
+
+
+def make_whole(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
+    """Bring every shape, of members and of their rivals, to the form at which it is whole, so that forms compare."""
+    for index in range(len(hypothesis)):
+        others = hypothesis[:index] + hypothesis[index + 1 :]
+        for _ in range(WHOLE_ROUNDS):
+            evidence.settle(hypothesis)
+            best = best_of_each(evidence, evidence.normal(), others)
+            shaped = [item for item in best if library()[item.effect].shaped and item.height > ENTRY]
+            fresh = [(item.effect, whole_form(item)) for item in shaped]
+            evidence.add(fresh)
+            for candidate in fresh:
+                if candidate[0] == hypothesis[index][0]:
+                    hypothesis[index] = candidate
+        normal = evidence.normal()
+        ranked = [r for r in best_of_each(evidence, normal, others, whole=True) if r.height > ENTRY]
+        if ranked and library()[ranked[0].effect].shaped and library()[hypothesis[index][0]].shaped:
+            hypothesis[index] = ranked[0].candidate
+    return hypothesis
+
+
+def whole_form(item: Finding) -> tuple[float, ...]:
+    """The form at which a shape would be whole, to three digits."""
+    form = library()[item.effect].whole(item.candidate[1], item.values[0])
+    return tuple(float(f"{value:.3g}") for value in form)
 
 
 def taken_and_left(evidence: Evidence, hypothesis: Sequence[Candidate]) -> tuple[list[float], list[float]]:
