@@ -121,7 +121,10 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked 
     interval = bridging_interval(leading)
     span = leading[-1] - leading[0]
     grid = leading[0] + interval * np.arange(int(span / interval + 1.5))
-    even = len(grid) == len(leading) and float(np.max(np.abs(grid - leading))) < 0.02 * interval
+    even = is_even(grid, leading)
+    if not even and is_even(other := np.linspace(leading[0], leading[-1], len(leading)), leading):
+        # stamps rounded to a few digits: their mean pace is right where the middle one is off by a digit
+        grid, interval, even = other, float(span / (len(leading) - 1)), True
     if not even:
         notes.append(f"{path.name}: stamps are uneven; values are taken in between at {1 / interval:.6g} Hz")
     clocked = Clocked(leading if even else grid, interval)
@@ -149,6 +152,11 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked 
         if group[0].sampling == "mean":
             clocked.means.add(key)
     return clocked
+
+
+def is_even(grid: Array, stamps: Array) -> bool:
+    """Whether stamps lie on a grid but for jitter."""
+    return len(grid) == len(stamps) and float(np.max(np.abs(grid - stamps))) < 0.02 * float(grid[1] - grid[0])
 
 
 def smallest_step(values: Array) -> float:

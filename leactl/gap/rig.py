@@ -8,7 +8,6 @@ import numpy.typing as npt
 
 from leactl.effects.contract import Signals
 from leactl.effects.shapes import play
-from leactl.gap.equations.mechanical import SLOWEST
 from leactl.gap.record import Clocked, Record
 from leactl.gap.signals import averaged
 from leactl.gap.smoothing import smooth
@@ -17,6 +16,7 @@ from leactl.model.nominal import DriveModel, LoadModel, Model
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 CREEP_COUNTS = 30.0  # of the encoder a sample, up to which an axis creeps
+FASTEST_CREEP = 0.15  # rad/s, from where on the balance of a rotor that turns takes a run
 CREEP_TRAVEL = 300.0  # counts, below which it stands
 JITTER_COUNTS = 10.0  # by which a hold overshoots and jitters without having turned back
 SLOW_SHARE = 0.02  # of a run's fast speeds, below which it counts as standing
@@ -89,19 +89,23 @@ def servo_current(clock: Clocked, servo: DriveModel, s: Signals) -> None:
     s.current = (s.extra["servo_volts"] - constant * s.extra["servo_share"] * s.velocity) / model.phase_resistance
 
 
-def logged_torque(clock: Clocked) -> Array | None:
-    """Torque or force that a drive was told to make, where it logs that instead of a current."""
-    values = averaged(clock, "torque_reference")
-    if values is None:
-        values = averaged(clock, "torque")
-    return smooth(values) if values is not None else None
+def logged_torque(clock: Clocked, model: Model) -> Array | None:
+    """Torque or force that a drive was told to make, where it logs that, or a reference alone, instead of a current."""
+    for quantity in ("torque_reference", "torque"):
+        values = averaged(clock, quantity)
+        if values is not None:
+            return smooth(values)
+    reference = averaged(clock, "q_axis_current_reference")
+    if reference is None or model.torque_constant is None:
+        return None
+    return np.asarray(model.torque_constant * smooth(reference), np.float64)
 
 
 def creeping(clock: Clocked, velocity: Array) -> bool:
     """Whether an axis gets on by a few counts of its encoder a sample, too slowly for its speed to tell its sense."""
     count = clock.counts.get(("angle", "test"), 0.0)
     fast = float(np.quantile(np.abs(velocity), 0.95))
-    slow = fast < SLOWEST and fast * clock.interval < CREEP_COUNTS * count
+    slow = fast < FASTEST_CREEP and fast * clock.interval < CREEP_COUNTS * count
     return slow and float(np.ptp(clock.values["angle", "test"])) > CREEP_TRAVEL * count
 
 

@@ -105,15 +105,18 @@ def test_a_run_without_a_servo_cannot_be_simulated_as_one(tmp_path):
         servo_runs([bare], servo_model())
 
 
-@pytest.mark.parametrize("interval", [0.001, 0.004])
-def test_a_force_on_a_carriage_gives_mass_and_friction(tmp_path, interval):
+@pytest.mark.parametrize(
+    ("interval", "quantity", "gain"),
+    [(0.001, "torque_reference", 1.0), (0.004, "torque", 1.0), (0.004, "q_axis_current_reference", 40.0)],
+)
+def test_a_force_on_a_carriage_gives_mass_and_friction(tmp_path, interval, quantity, gain):
     time = interval * np.arange(round(20.0 / interval))
     position = 0.1 * np.sin(2.0 * time) + 0.02 * np.sin(7.0 * time)
     speed = 0.2 * np.cos(2.0 * time) + 0.14 * np.cos(7.0 * time)
     acceleration = -0.4 * np.sin(2.0 * time) - 0.98 * np.sin(7.0 * time)
     force = 95.0 * acceleration + 200.0 * speed + 20.0 * np.sign(speed) - 3.0
-    parts = [channel(time, "angle", position, "m"), channel(time, "torque_reference", force, "N")]
-    model = Model(name="axis", rotor_inertia=90.0, viscous_damping=220.0, coulomb_friction=25.0)
+    parts = [channel(time, "angle", position, "m"), channel(time, quantity, force / gain, "N")]
+    model = Model(name="axis", torque_constant=40.0, rotor_inertia=90.0, viscous_damping=220.0, coulomb_friction=25.0)
     offset = [("asymmetric_friction", ())]
     (rows,) = rows_of([recorded(tmp_path, parts)], model, offset)
     assert (rows.equation, rows.units) == ("axis_torque", "N")
