@@ -1,106 +1,155 @@
-"""A diagnosis as text, as JSON and as an augmented model file."""
+"""A diagnosis as text, in the order of the questions: what, how far the gap shrinks, where; then calibration, notes."""
 
-import json
+import shutil
 import sys
+import textwrap
 from collections.abc import Sequence
-from pathlib import Path
 
-import yaml
-
-from leactl.errors import InputError
 from leactl.gap.diagnosis import Cause, Diagnosis
-from leactl.model.nominal import as_mapping
+from leactl.report.gap_words import (
+    bare_units,
+    change,
+    closed_text,
+    figure,
+    floors,
+    label,
+    largest_first,
+    listed,
+    open_gap,
+    parameter_text,
+    probability,
+    region_text,
+    sentence,
+    with_std,
+)
+from leactl.report.terminal import SMALLEST, aligned, encodable, encoding_of_stdout
 
-WORDS = {
-    "none": "none: the model explains these runs",
-    "calibration": "calibration: other parameters explain these runs; no effect is missing",
-    "effect": "effect: the model lacks something that the library knows",
-    "unknown": "unknown: a gap remains that no effect of the library explains",
-}
-
-
-def write_answers(answer: Diagnosis, json_out: Path | None, html: Path | None, model: Path | None) -> None:
-    """Write what was asked for, each file whole or not at all.
-
-    Raises
-    ------
-    InputError : a file exists already, or its folder does not.
-    """
-    files = [path for path in (json_out, html, model) if path is not None and path != Path("-")]
-    faults = [f"{path}: exists already; nothing is overwritten" for path in files if path.exists()]
-    faults += [f"{path}: no folder {path.parent}" for path in files if not path.parent.is_dir()]
-    if faults:
-        raise InputError(faults)
-    if json_out is not None:
-        text = json.dumps(answer.as_json(), indent=1, allow_nan=False) + "\n"
-        if json_out == Path("-"):
-            sys.stdout.write(text)
-        else:
-            publish(json_out, text)
-    if model is not None:
-        publish(model, yaml.safe_dump(as_mapping(answer.extra["augmented"]), sort_keys=False))
-    if html is not None:
-        from leactl.report.gap_page import page
-
-        publish(html, page(answer))
-
-
-def publish(path: Path, text: str) -> None:
-    """Write beside and rename, so that no reader meets half a file."""
-    beside = path.with_name(f".{path.name}.part")
-    beside.write_text(text, encoding="utf-8")
-    beside.replace(path)
+WIDEST = 120  # characters; notes that run wider are hard to read
+NO_BREAK = "\u00a0"  # a space at which no line ends
+REGIONS = 5  # entries of the part that says where
 
 
 def print_diagnosis(answer: Diagnosis) -> None:
-    """Print the answer for a terminal."""
-    print("\n".join(lines(answer)))
+    """Print the answer as wide as the terminal, 80 columns into a pipe."""
+    width = shutil.get_terminal_size((80, 24)).columns
+    sys.stdout.write(render(answer, width, encoding_of_stdout()))
 
 
-def lines(answer: Diagnosis) -> list[str]:
-    """The answer, line by line, within 80 columns where names allow."""
-    out = [WORDS[answer.verdict], f"probability that something unexplained acts: {answer.unexplained_probability:.2f}"]
-    if answer.where:
-        out += ["", "where               nominal  calibrated       floor  units   region"]
-        for item in answer.where:
-            place = f"{item.quantity}, {item.mechanical}"
-            region = ""
-            if item.region is not None:
-                r = item.region
-                region = f"{r.variable} {r.low:.3g} to {r.high:.3g} {r.units} ({item.share:.0%})"
-            rms = f"{item.nominal_rms:>10.4g} {item.calibrated_rms:>10.4g} {item.floor_rms:>10.4g}"
-            out.append(f"  {place:<28} {rms}  {item.units:<6} {region}".rstrip())
+def render(answer: Diagnosis, width: int = 80, encoding: str = "utf-8") -> str:
+    """The whole answer, for a stream of this width and encoding."""
+    width = min(max(width, SMALLEST), WIDEST)
+    parts = [
+        what(answer, width),
+        how_far(answer, width),
+        where(answer, width),
+        calibration(answer, width),
+        "\n".join(filled(f"note: {note}", width) for note in answer.notes),
+    ]
+    return encodable("\n\n".join(filter(None, parts)) + "\n", encoding)
+
+
+def what(answer: Diagnosis, width: int) -> str:
+    """The verdict and the causes."""
+    chance = probability(answer.unexplained_probability)
+    said = [
+        filled(f"verdict: {answer.verdict}. {sentence(answer)}", width),
+        f"probability that something unexplained acts: {chance}",
+    ]
     if answer.causes:
-        out += ["", "causes"]
-        for cause in answer.causes:
-            out += cause_lines(cause)
-    if answer.shrinkage:
-        out += ["", "gap on held-out runs: calibrated, with the effect, floor; share closed (95 %)"]
-        for s in answer.shrinkage:
-            closed = "" if s.closed is None else f"{s.closed:.3f}"
-            if s.closed_low is not None and s.closed_high is not None:
-                closed += f" ({s.closed_low:.3f} to {s.closed_high:.3f})"
-            rms = f"{s.calibrated_rms:>10.4g} {s.augmented_rms:>10.4g} {s.floor_rms:>10.4g}"
-            out.append(f"  {s.quantity + ', ' + s.mechanical:<28} {rms} {s.units:<6} {closed}".rstrip())
-    if answer.calibration:
-        out += ["", "calibration"]
-        for p in answer.calibration:
-            out.append(f"  {p.parameter:<34} {p.nominal:>10.5g} -> {p.fitted:.5g} +- {p.std:.2g} {p.units}")
-    out += [""] * bool(answer.notes) + [f"note: {note}" for note in answer.notes]
-    return out
+        said += ["", "causes"]
+    for cause in answer.causes:
+        said += cause_lines(cause, width)
+    return "\n".join(said)
 
 
-def cause_lines(cause: Cause) -> list[str]:
-    """One cause with its parameters and its class."""
-    found = [f"  {cause.probability:.2f}  {cause.effect}"]
-    found += [f"          {p.name} = {p.value:.4g} +- {p.std:.2g} {p.units}".rstrip(" 1") for p in cause.parameters]
+def cause_lines(cause: Cause, width: int) -> list[str]:
+    """One cause with its parameters, its class and the experiment that separates it."""
+    said = [f"{probability(cause.probability):>6}  {cause.effect}"]
+    long = max((len(p.name) for p in cause.parameters), default=0)
+    said += [f"          {p.name:{long}}  {parameter_text(p)}" for p in cause.parameters]
     if cause.indistinguishable_from:
-        found.append(f"          these runs cannot tell it from {named(cause.indistinguishable_from)}")
+        said.append(filled(f"cannot be told from {listed(cause.indistinguishable_from)}", width, 10))
     if cause.separating_experiment:
-        found.append(f"          to separate: leactl run {cause.separating_experiment}")
-    return found
+        said.append(filled(f"to separate: leactl run {cause.separating_experiment}", width, 10))
+    return said
 
 
-def named(names: Sequence[str]) -> str:
-    """Names in one line."""
-    return ", ".join(names)
+def how_far(answer: Diagnosis, width: int) -> str:
+    """The channels that have a gap, before and after, and how many have none."""
+    if not answer.shrinkage:
+        return ""
+    shown = largest_first(answer.shrinkage)
+    rest = len(answer.shrinkage) - len(shown)
+    tail = f"{rest} of {len(answer.shrinkage)} channels are within 1.1 times their floor: no gap to close"
+    rows = [
+        (
+            label(item, answer.shrinkage),
+            figure(item.nominal_rms),
+            figure(item.calibrated_rms),
+            figure(item.augmented_rms),
+            figure(item.floor_rms),
+            bare_units(item.units),
+            closed_text(item),
+        )
+        for item in shown
+    ]
+    if not rows:
+        return filled(tail, width)
+    headings = ("gap (RMS)", "nominal", "before", "after", "floor", "", "closed (95 %)")
+    about = "before: the calibrated model; after: with the effects; on held-out runs"
+    return "\n".join([table(headings, rows, width, spare=1), filled(about, width), filled(tail, width)])
+
+
+def where(answer: Diagnosis, width: int) -> str:
+    """The largest gaps and their regions."""
+    rows = [
+        (label(item, answer.where), floors(item), region_text(item.region, item.share))
+        for item in answer.where
+        if open_gap(item)
+    ]
+    if not rows:
+        return ""
+    said = [table(("where", "over floor", "region and its share"), rows[:REGIONS], width)]
+    if len(rows) > REGIONS:
+        said.append(f"and {len(rows) - REGIONS} more with a smaller gap")
+    return "\n".join(said)
+
+
+def calibration(answer: Diagnosis, width: int) -> str:
+    """Parameters of the nominal model, fitted again."""
+    rows = [
+        (item.parameter, f"{item.nominal:.6g}", with_std(item.fitted, item.std), bare_units(item.units), change(item))
+        for item in answer.calibration
+    ]
+    return table(("calibration", "nominal", "fitted ± std", "", "change"), rows, width, spare=1) if rows else ""
+
+
+def table(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int, spare: int | None = None) -> str:
+    """Columns where they fit, first without the one to spare; else each row's name has a line of its own."""
+    whole = aligned(headings, rows)
+    if widest(whole) <= width:
+        return whole
+    if spare is not None:
+        keep = [k for k in range(len(headings)) if k != spare]
+        without = aligned([headings[k] for k in keep], [[row[k] for k in keep] for row in rows])
+        if widest(without) <= width:
+            return without
+    said = [headings[0]]
+    for row in rows:
+        pairs = [f"{heading} {cell}".strip() for heading, cell in zip(headings[1:], row[1:], strict=True) if cell]
+        whole = ", ".join(pair.replace(" ", NO_BREAK) for pair in pairs)
+        said += [f"  {row[0]}", filled(whole, width, 4).replace(NO_BREAK, " ")]
+    return "\n".join(said)
+
+
+def widest(text: str) -> int:
+    """Length of the longest line."""
+    return max(map(len, text.splitlines()))
+
+
+def filled(text: str, width: int, indent: int = 0) -> str:
+    """Text on as many lines as it needs; long words such as paths stay whole."""
+    first, later = " " * indent, " " * (indent + 2)
+    return textwrap.fill(
+        text, width, initial_indent=first, subsequent_indent=later, break_long_words=False, break_on_hyphens=False
+    )

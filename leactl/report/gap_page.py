@@ -176,7 +176,15 @@ def where(answer: Diagnosis) -> Html:
         for item in answer.where
         if open_gap(item)
     ]
-    headings = ["channel", "nominal", "calibrated", "floor", "units", "over floor", "region, share of the residual"]
+    headings = [
+        "channel",
+        "nominal",
+        "calibrated",
+        "floor",
+        "units",
+        "over floor",
+        "region and its share of the square",
+    ]
     return table(headings, rows, "figures") if rows else Html("")
 
 

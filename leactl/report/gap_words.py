@@ -104,7 +104,8 @@ def closed_text(item: Shrinkage) -> str:
         return "no gap"
     if item.closed_low is None or item.closed_high is None:
         return percent(item.closed)
-    return f"{percent(item.closed)} ({percent(item.closed_low)} .. {percent(item.closed_high)})"
+    low, high = (percent(share).removesuffix(" %") for share in (item.closed_low, item.closed_high))
+    return f"{percent(item.closed)} ({low} .. {high})"
 
 
 def probability(value: float) -> str:

@@ -1,0 +1,67 @@
+"""A diagnosis as files: JSON, a page, and an augmented model."""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from leactl.errors import InputError
+from leactl.gap.diagnosis import Diagnosis
+from leactl.model.nominal import as_mapping
+
+STDOUT = Path("-")
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Where the answer goes; `-` for the JSON is stdout."""
+
+    json: Path | None = None
+    html: Path | None = None
+    model: Path | None = None
+
+    def check(self) -> None:
+        """Find fault with all files at once, before minutes are spent on what could not be written.
+
+        Raises
+        ------
+        InputError : a file exists already, its folder does not, or one is named twice.
+        """
+        files = [path for path in (self.json, self.html, self.model) if path is not None and path != STDOUT]
+        faults = [f"{path}: exists already; nothing is overwritten" for path in files if path.exists()]
+        faults += [f"{path}: no folder {path.parent}" for path in files if not path.parent.is_dir()]
+        twice = {path for path in files if sum(path.resolve() == other.resolve() for other in files) > 1}
+        faults += [f"{path}: is named for two outputs; give each a file of its own" for path in sorted(twice)]
+        if STDOUT in (self.html, self.model):
+            faults.append("-: only --json goes to stdout; name a file")
+        if faults:
+            raise InputError(faults)
+
+    def write(self, answer: Diagnosis) -> None:
+        """Write what was asked for, each file whole or not at all; JSON on stdout comes last."""
+        texts: list[tuple[Path, str]] = []
+        if self.model is not None:
+            texts.append((self.model, yaml.safe_dump(as_mapping(answer.extra["augmented"]), sort_keys=False)))
+        if self.html is not None:
+            from leactl.report.gap_page import page
+
+            texts.append((self.html, page(answer)))
+        if self.json is not None:
+            texts.append((self.json, json.dumps(answer.as_json(), indent=1, allow_nan=False) + "\n"))
+        for path, text in texts:
+            if path == STDOUT:
+                sys.stdout.write(text)
+            else:
+                publish(path, text)
+
+
+def publish(path: Path, text: str) -> None:
+    """Write beside and rename, so that no reader meets half a file; stopped half-way, nothing stays."""
+    beside = path.with_name(f".{path.name}.part")
+    try:
+        beside.write_text(text, encoding="utf-8")
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)

@@ -1,0 +1,54 @@
+"""Steps of a long computation on stderr: one line that is rewritten on a terminal, plain lines anywhere else."""
+
+import time
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.progress import Progress, TextColumn, TimeElapsedColumn
+
+from leactl.errors import Stopped
+
+
+class Steps:
+    """Call it with each step as it begins; when the block ends in order, it says how long all took.
+
+    Raises
+    ------
+    Stopped : by Ctrl-C within the block.
+    """
+
+    def __init__(self, console: Console | None = None) -> None:
+        self._console = console or Console(stderr=True)
+        self._began = time.monotonic()
+        self._shown: Progress | None = None
+        if self._console.is_terminal:
+            columns = (TextColumn("{task.description} ...", markup=False), TimeElapsedColumn())
+            self._shown = Progress(*columns, console=self._console, transient=True, refresh_per_second=4)
+            self._task = self._shown.add_task("reading")
+
+    def __call__(self, step: str) -> None:
+        """Tell the step that begins."""
+        if self._shown is not None:
+            self._shown.update(self._task, description=step)
+        else:
+            self._say(f"{step} ...")
+
+    def __enter__(self) -> Self:
+        if self._shown is not None:
+            self._shown.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._shown is not None:
+            self._shown.stop()
+        if kind is KeyboardInterrupt:
+            # typer would end with 130 and no word
+            raise Stopped("stopped") from error
+        if kind is None:
+            self._say(f"done in {time.monotonic() - self._began:.1f} s")
+
+    def _say(self, line: str) -> None:
+        print(line, file=self._console.file, flush=True)
