@@ -35,6 +35,53 @@ def diagnose_runs(
         print_diagnosis(answer)
 
 
+@app.command()
+def simulate(
+    model: Path = typer.Argument(help="Model file, with or without effects."),
+    run: Path = typer.Argument(help="Run whose inputs are replayed."),
+    out: Path | None = typer.Option(None, "--out", help="New run file; by default one beside RUN."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Simulate a run again: its own inputs through a model, written as a run file with the same channels and clock."""
+    from leactl.gap.replay.written import simulate as write
+
+    found = write(model, run, out)
+    typer.echo(json.dumps(found.as_json()) if as_json else str(found.path))
+    for note in () if as_json else found.notes:
+        typer.echo(f"note: {note}", err=True)
+
+
+@app.command()
+def compare(first: Path, second: Path, as_json: bool = AS_JSON) -> None:
+    """Print how far SECOND is from FIRST, channel by channel: rms, mean, correlation and lag."""
+    from leactl.gap.distance import as_json as answer
+    from leactl.gap.distance import compare_runs
+
+    found = compare_runs(first, second)
+    if as_json:
+        typer.echo(json.dumps(answer(found)))
+        return
+    for one in found:
+        name = " ".join(filter(None, (one.role, one.quantity, one.location)))
+        likeness = "stands still" if one.correlation is None else f"r {one.correlation:.4f}, lag {one.lag_s:+.4g} s"
+        typer.echo(f"{name:<34} rms {one.rms:<10.4g} mean {one.mean:<+11.4g} {one.units:<6} {likeness}")
+
+
+@app.command()
+def effects(
+    name: str | None = typer.Argument(None, help="One effect; without it all are listed."), as_json: bool = AS_JSON
+) -> None:
+    """Explain what a model may lack: equation, where it shows, what it is confused with, what shows it."""
+    from leactl.gap.explained import as_text, explained, overview
+    from leactl.vocabulary.effect import effect_names
+
+    if as_json:
+        found = [explained(one) for one in ([name] if name else effect_names())]
+        typer.echo(json.dumps(found[0] if name else {"effects": found}))
+        return
+    typer.echo(as_text(name) if name else overview())
+
+
 @blind.command("make")
 def make_blind(
     cases: int = typer.Option(..., "--cases", help="How many cases to draw."),
