@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from leactl.gap.record import Record
 from leactl.gap.replay import replay
@@ -155,3 +156,28 @@ def test_a_warm_housing_cools_with_its_time_constant():
     constant = THERMAL["housing_capacitance"] * THERMAL["housing_ambient_resistance"]
     expected = 25.0 + 40.0 * np.exp(-time / constant)
     assert job.slow["housing_temperature", "test"][1:] == pytest.approx(expected, abs=0.02)
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_the_measured_current_tells_how_a_servo_moves_its_reference(moving):
+    """A ramp of the servo's target with steps; the reference is held for a millisecond, or moves within it."""
+    fine, target = 4, np.where(np.arange(4000) % 1000 < 500, 0.0, 10.0)
+    gain, decay = 2.0, 0.97  # A s/rad, and what is left of the servo's error after a sub-step
+    error, references, recorded = 0.0, [], []
+    for index in range(1, len(target)):
+        error += target[index] - target[index - 1]
+        for _ in range(fine):
+            references.append(gain * error)
+            error *= decay
+        recorded.append(gain * error / decay if moving else references[-fine])
+    followed = np.array(references) if moving else np.repeat(recorded, fine)
+    constant = 1 / (2 * np.pi * 450.0)
+    step = INTERVAL_S / fine
+    flowing = lfilter([1 - np.exp(-step / constant)], [1, -np.exp(-step / constant)], followed)
+    current = np.concatenate([[0.0], flowing.reshape(-1, fine).mean(axis=1)])
+    reference = np.concatenate([[0.0], recorded])
+    speed = target - reference / gain
+    fast = {("velocity_reference", "test"): target, ("velocity", "test"): speed, ("q_axis_current", "test"): current}
+    job = replay(record("free", reference=reference, seconds=4.0, fast=fast), model())
+    left = job.fast["q_axis_current", "test"][10:] - current[10:]
+    assert np.sqrt(np.mean(left**2)) < 0.12

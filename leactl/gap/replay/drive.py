@@ -8,6 +8,8 @@ from leactl.gap.record import Clocked
 from leactl.gap.replay.job import Job, noise_of, quantum_of
 
 Array = npt.NDArray[np.float64]
+LONGEST_DELAY_S = 0.012  # by which a drive may follow late
+BUSIEST = 2000  # samples that tell how a reference moves
 STANDS_S = 1.0  # how long a rounding error may stay the same
 
 
@@ -16,7 +18,7 @@ def follow(job: Job) -> None:
     clock, plant = job.clock, job.plant
     bandwidth = plant.model.bench.current_loop_bandwidth
     if clock.get("q_axis_current_reference") is not None:
-        over = asked(clock, job.parts) + rounding(job)
+        over = asked(job) + rounding(job)
         for becomes in plant.command:
             over = becomes(over, job.step)
         reading, mean = answered(over, over[0], bandwidth, job.step)
@@ -33,23 +35,42 @@ def follow(job: Job) -> None:
     job.current_mean = on[1:] * (mean - plant.current_offset) / plant.current_gain
 
 
-def asked(clock: Clocked, parts: int) -> Array:
+def asked(job: Job) -> Array:
     """The reference over each sub-step: held from sample to sample, or on its way between two where a servo moves it.
 
-    A servo inside the drive moves its current reference between samples: where its own target steps, the current
-    reference jumps by its gain times the step and then goes to the next sample. That gain shows in the record.
+    A servo inside the drive may move its current reference between samples: where its own target steps, the current
+    reference jumps by its gain times the step and then goes to the next sample. That gain shows in the record, and the
+    measured current shows whether the drive does so.
     """
+    clock, parts = job.clock, job.parts
     reference = clock.values["q_axis_current_reference", "test"]
-    ends = reference[1:]
-    begins = ends
+    held = np.repeat(reference[1:], parts)
+    ways = [held]
     for name in ("velocity", "angle"):
         target, actual = clock.get(f"{name}_reference"), clock.get(name)
         if target is not None and actual is not None:
             moved = np.stack([np.diff(target), np.diff(actual), (target - actual)[1:]], axis=1)
             gain = float(np.linalg.lstsq(moved, np.diff(reference), rcond=None)[0][0])
             begins = reference[:-1] + gain * moved[:, 0]
-    way = (np.arange(parts) + 0.5) / parts
-    return np.asarray((begins[:, None] + (ends - begins)[:, None] * way).reshape(-1), np.float64)
+            way = (np.arange(parts) + 0.5) / parts
+            ways.append((begins[:, None] + (reference[1:] - begins)[:, None] * way).reshape(-1))
+    if len(ways) == 1 or clock.get("q_axis_current") is None:
+        return ways[-1]
+    return min(ways, key=lambda over: misfit(job, over))
+
+
+def misfit(job: Job, over: Array) -> float:
+    """Squares that a loop's answer leaves of the measured current where its reference moves most, at its best delay."""
+    clock, parts = job.clock, job.parts
+    flowing, reference = (clock.values[name, "test"] for name in ("q_axis_current", "q_axis_current_reference"))
+    _, mean = answered(over, over[0], job.plant.model.bench.current_loop_bandwidth, job.step)
+    total = np.concatenate([[0.0], np.cumsum(mean)])
+    delays = np.arange(round(LONGEST_DELAY_S / job.step))
+    first = -(-len(delays) // parts) + 1
+    busiest = first + np.argsort(-np.abs(np.diff(reference)[first - 1 :]))[:BUSIEST]
+    ends = busiest[:, None] * parts - delays
+    left = flowing[busiest, None] - (total[ends] - total[ends - parts]) / parts
+    return float(np.min(np.sum(left**2, axis=0)))
 
 
 def moved_by_a_servo(clock: Clocked) -> bool:

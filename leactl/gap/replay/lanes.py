@@ -232,6 +232,7 @@ class _Group:
         if self.plant.play:
             half = 0.5 * self.plant.play
             self.torque -= stiffness[self.place] * np.clip(self.twist, -half, half)
+            self.torque *= np.abs(self.twist) > half
 
     def drive(self, drive: Array, transmitted: Array) -> None:
         """Add torques on the rotor; a gear below a pendulum transmits what its motor puts in."""

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from leactl.effects.plant import Array
 from leactl.effects.shapes import play
 from leactl.gap.replay.cutting import Cut, Index, by_servo, constants_of, cut_of, lanes_of, logged_torque
 from leactl.gap.replay.job import Job
@@ -89,10 +90,15 @@ def start_of(cut: Cut, kind: str) -> State:
     if c["stiffness"]:
         # no ringing at the start: both rotors gain speed alike
         mass = c["inertia"] + c["load_inertia"]
-        twist = (c["load_inertia"] * net - c["inertia"] * load_net) / mass / c["stiffness"]
+        twist = strained((c["load_inertia"] * net - c["inertia"] * load_net) / mass, job)
         net = net + load_net
     earlier = velocity - 0.5 * job.step * net / mass * np.abs(rubbing)
     return State(angle, earlier, earlier.copy(), twist, np.sign(velocity) * np.abs(rubbing))
+
+
+def strained(torque: Array, job: Job) -> Array:
+    """Twist [rad] of a shaft that carries a torque, its play taken up."""
+    return np.asarray(torque / constants_of(job)["stiffness"] + 0.5 * job.plant.play * np.sign(torque), np.float64)
 
 
 def run(cuts: Sequence[Cut], picked: Sequence[Index], starts: Sequence[State]) -> Motion:
@@ -145,7 +151,7 @@ def resting(cut: Cut) -> State:
     torque = torque[at]
     none = np.zeros(cut.count)
     bristle = np.clip((drive[at] - torque) / max(c["friction"], 1e-12), -1.0, 1.0)
-    return State(still, none, none.copy(), torque / c["stiffness"], bristle)
+    return State(still, none, none.copy(), strained(torque, cut.job), bristle)
 
 
 def keep(cuts: Sequence[Cut], picked: Sequence[Index], motion: Motion) -> None:
