@@ -23,7 +23,11 @@ def plant_of(model: Model) -> Plant:
 
 
 def _lacking(model: Model, entry: EffectEntry) -> list[str]:
-    missing = [name for name in effect_definition(entry.effect).parameters if name not in entry.parameters]
+    missing = [
+        name
+        for name, definition in effect_definition(entry.effect).parameters.items()
+        if name not in entry.parameters and definition.default is None
+    ]
     return [
         f"model {model.name}: effect {entry.effect} has no '{name}'; `leactl gap effects {entry.effect}` explains it"
         for name in missing
