@@ -1,0 +1,104 @@
+"""The whole diagnosis on benches of the emulated plant, whose effects the library shares no equation with."""
+
+from pathlib import Path
+
+import pytest
+
+from leactl.emulation.blind.make import make
+from leactl.errors import InputError
+from leactl.gap.diagnose import Case, diagnose, read_case, split
+
+PRACTICE = Path(__file__).parents[3] / "shared" / "gap-cases" / "practice"
+
+
+@pytest.fixture(scope="session")
+def benches(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("benches")
+    for kind, seed in (("none", 11), ("unknown", 12)):
+        make(1, folder / kind, folder / f"{kind}-key", seed=seed, kinds=(kind,), strengths=("plain",), prefix=kind)
+    wanted = ("cogging", "transport_delay", "saturation")
+    make(3, folder / "one", folder / "one-key", seed=13, kinds=("single",), effects=wanted, strengths=("plain",))
+    return folder
+
+
+def answer(folder):
+    runs = sorted(folder.glob("*.h5"))
+    return diagnose(read_case([r for r in runs if "-a" in r.name], [r for r in runs if "-b" in r.name], model(folder)))
+
+
+def model(folder):
+    return folder / "nominal.yaml"
+
+
+def cases(benches, kind):
+    return sorted(path for path in (benches / kind).iterdir() if path.is_dir())
+
+
+def test_nothing_but_wrong_parameters_is_called_calibration(benches):
+    [folder] = cases(benches, "none")
+    found = answer(folder)
+    assert found.verdict == "calibration"
+    assert not found.causes
+    assert found.unexplained_probability < 0.2
+
+
+def test_each_effect_is_named_first_and_closes_its_gap(benches):
+    named = set()
+    for folder in cases(benches, "one"):
+        found = answer(folder)
+        assert found.verdict == "effect"
+        named.add(found.causes[0].effect)
+        assert found.causes[0].probability > 0.9
+        assert max(s.closed for s in found.shrinkage if s.closed is not None) > 0.8
+    assert named == {"cogging", "transport_delay", "saturation"}
+
+
+def test_what_no_effect_explains_is_owned_up_to(benches):
+    [folder] = cases(benches, "unknown")
+    found = answer(folder)
+    assert found.verdict == "unknown"
+    assert all(cause.probability < 0.5 for cause in found.causes)
+
+
+def test_the_answer_does_not_depend_on_file_names_or_order(benches, tmp_path):
+    folder = cases(benches, "one")[0]
+    runs = sorted(folder.glob("*-a.h5"))
+    renamed = []
+    for k, run in enumerate(reversed(runs)):
+        renamed.append(tmp_path / f"x{k}.h5")
+        renamed[-1].write_bytes(run.read_bytes())
+    first, second = (diagnose(read_case(group, [], model(folder))) for group in (runs, renamed))
+    assert [c.effect for c in first.causes if c.probability > 0.5] == [
+        c.effect for c in second.causes if c.probability > 0.5
+    ]
+
+
+def test_a_run_on_both_sides_is_refused(benches):
+    folder = cases(benches, "none")[0]
+    run = next(iter(folder.glob("*-a.h5")))
+    with pytest.raises(InputError, match="on one side only"):
+        read_case([run], [run], model(folder))
+
+
+def test_kinds_that_occur_twice_are_held_out(benches):
+    folder = cases(benches, "none")[0]
+    records = read_case(sorted(folder.glob("*.h5")), [], model(folder))
+    fitted, held = split([*records.fitted, *records.held_out])
+    assert {r.kind for r in fitted} == {r.kind for r in held}
+    assert isinstance(records, Case)
+
+
+def test_free_runs_alone_say_what_they_cannot_show(benches):
+    folder = cases(benches, "none")[0]
+    found = diagnose(read_case(sorted(folder.glob("free*.h5")), [], model(folder)))
+    hidden = next(note for note in found.notes if note.startswith("invisible"))
+    for effect in ("torque_sensor_gain", "backlash", "load_dependent_friction"):
+        assert effect in hidden
+    assert any("torque sensor" in note for note in found.notes)
+
+
+@pytest.mark.skipif(not PRACTICE.is_dir(), reason="the practice cases are not beside this checkout")
+def test_a_bench_of_another_simulator_with_wrong_parameters_only_gets_no_cause():
+    found = answer(PRACTICE / "practice-1")
+    assert found.verdict == "calibration"
+    assert not [cause for cause in found.causes if cause.probability >= 0.5]

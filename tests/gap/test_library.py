@@ -1,0 +1,81 @@
+"""Every effect of the library keeps its definition's words and fills known places with finite columns."""
+
+import numpy as np
+import pytest
+
+from leactl.effects import library
+from leactl.effects.contract import PLACES, Signals
+from leactl.model.nominal import Model
+from leactl.vocabulary.effect import effect_definition, effect_names
+
+MODEL = Model.model_validate(
+    {
+        "name": "m",
+        "phase_resistance": 0.264,
+        "torque_constant": 0.49,
+        "back_emf_constant": 0.49,
+        "rotor_inertia": 0.0024,
+        "viscous_damping": 0.0238,
+        "coulomb_friction": 0.208,
+        "bench": {"shaft_stiffness": 6000.0, "bus_voltage": 29.6},
+        "thermal": {
+            "winding_ambient_resistance": 5.6,
+            "winding_housing_resistance": 0.3,
+            "housing_ambient_resistance": 1.7,
+            "winding_capacitance": 22.9,
+            "housing_capacitance": 469.1,
+        },
+    }
+)
+
+
+def signals(mechanical, slow=False):
+    time = np.linspace(0, 20, 2000)
+    wave = np.sin(2.0 * time)
+    s = Signals(mechanical, time, MODEL, 0.01, "run")
+    if slow:
+        s.extra = {"heat": 20 + 5 * wave, "heat_per_ampere": wave}
+    else:
+        s.current, s.voltage, s.following = 12 * wave, 6 * wave, 12 * wave
+        s.bus_voltage = np.full_like(time, 29.6)
+        s.angle, s.acceleration = 8 * time, np.cos(time)
+        if mechanical != "free":
+            s.torque = s.calm_torque = 5 * wave
+    s.velocity = s.calm_velocity = 6 * np.cos(2.0 * time) + 0.1
+    s.sliding = np.sign(s.velocity)
+    s.winding, s.housing, s.ambient = 60 + wave, 45 + wave, np.full_like(time, 22.0)
+    s.winding_rise, s.housing_rise = s.winding - 25, s.housing - 25
+    if slow and mechanical == "heated":
+        s.line_current = np.full_like(time, 8.0)
+    return s
+
+
+CASES = [signals("coupled"), signals("locked"), signals("free"), signals("heated", True), signals("free", True)]
+
+
+def test_the_library_has_every_word_of_the_vocabulary():
+    assert tuple(library()) == effect_names()
+    assert len(library()) == 37
+
+
+@pytest.mark.parametrize("name", effect_names())
+def test_an_effect_fills_known_places_with_finite_columns_and_speaks_its_definition(name):
+    effect = library()[name]
+    forms = effect.forms or ((7.0,),)
+    touched = 0
+    for form in forms:
+        for case in CASES:
+            for place, columns in effect.terms(case, form).items():
+                assert place in PLACES
+                for column in columns.values():
+                    assert column.shape == case.time.shape
+                    assert np.all(np.isfinite(column))
+                touched += 1
+    assert touched
+    coefficients = next(columns for form in forms for case in CASES for columns in effect.terms(case, form).values())
+    found = dict.fromkeys(coefficients, 0.5)
+    parameters = effect.parameters(forms[0], found, MODEL)
+    definition = effect_definition(name).parameters
+    assert set(parameters) <= set(definition)
+    assert {key for key, item in definition.items() if item.default is None} <= set(parameters)
+    assert effect.size(forms[0], found, MODEL) > 0

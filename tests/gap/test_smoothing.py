@@ -1,0 +1,79 @@
+"""Filters of the gap's equations: exact where they say so, and no side of an equation shifted against another."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from leactl.effects.shapes import bristle, delayed, lagged, play, rate_limited
+from leactl.gap.smoothing import middle, slope, thinned, thinned_index
+
+COEFFICIENTS = st.lists(st.floats(-3, 3), min_size=4, max_size=4)
+INTERVAL = 0.01
+
+
+def cubic(coefficients, at):
+    return np.polyval(coefficients, at)
+
+
+@given(COEFFICIENTS)
+def test_slope_is_exact_for_cubics(coefficients):
+    at = INTERVAL * np.arange(50)
+    expected = np.polyval(np.polyder(coefficients), at)
+    np.testing.assert_allclose(slope(cubic(coefficients, at), INTERVAL)[2:-2], expected[2:-2], atol=1e-9)
+
+
+@given(COEFFICIENTS)
+def test_middle_is_the_mean_over_the_interval_before_for_cubics(coefficients):
+    at = INTERVAL * np.arange(50)
+    whole = np.polyint(coefficients)
+    expected = (np.polyval(whole, at[1:]) - np.polyval(whole, at[:-1])) / INTERVAL
+    np.testing.assert_allclose(middle(cubic(coefficients, at))[2:-1], expected[1:-1], atol=1e-9)
+
+
+@given(st.floats(0.5, 9), st.integers(1, 20), st.integers(120, 400))
+def test_a_thinned_ramp_is_the_ramp_at_the_samples_named(width, step, length):
+    ramp = np.arange(float(length))[:, None]
+    index = thinned_index(length, width, step)
+    rows = thinned(ramp, width, step)
+    assert len(rows) == len(index)
+    np.testing.assert_allclose(rows[:, 0], index, atol=1e-7)
+
+
+@given(st.floats(1e-4, 0.05), st.floats(-5, 5))
+def test_a_lagged_ramp_is_late_by_the_time_constant(constant, rate):
+    time = 0.001 * np.arange(3000)
+    late = lagged(rate * time, constant, 0.001)
+    assert late[-1] == pytest.approx(rate * (time[-1] - constant), abs=1e-6)
+
+
+@given(st.floats(0, 0.02))
+def test_a_delayed_ramp_is_late_by_the_delay(delay):
+    time = 0.001 * np.arange(200)
+    np.testing.assert_allclose(delayed(time, delay, 0.001)[30:], time[30:] - delay, atol=1e-12)
+
+
+SIGNALS = st.lists(st.floats(-10, 10), min_size=2, max_size=60).map(np.array)
+
+
+@given(SIGNALS, st.floats(0.01, 5))
+def test_play_stays_within_its_width_and_never_turns_before_its_drive(values, width):
+    out = play(values, width)
+    assert np.all(np.abs(values - out) <= width + 1e-9)
+    moved = np.diff(np.concatenate([[0.0], out]))
+    drive = np.diff(np.concatenate([[0.0], values]))
+    assert np.all((moved == 0) | (np.sign(moved) == np.sign(drive)) | (np.abs(drive) < 1e-9))
+
+
+@given(SIGNALS, st.floats(0.01, 5))
+def test_bristle_friction_is_bounded_and_opposes_the_last_long_slide(angle, displacement):
+    out = bristle(angle, displacement)
+    assert np.all(np.abs(out) <= 1.0)
+    long = np.concatenate([angle, angle[-1] + np.linspace(0, 40 * displacement, 20)])
+    assert bristle(long, displacement)[-1] == pytest.approx(1.0, abs=1e-6)
+
+
+@given(SIGNALS, st.floats(0.1, 5))
+def test_a_rate_limit_holds(values, step):
+    out = rate_limited(values, step)
+    assert np.all(np.abs(np.diff(out)) <= step + 1e-9)
