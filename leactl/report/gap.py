@@ -22,6 +22,7 @@ from leactl.report.gap_words import (
     sentence,
     with_std,
 )
+from leactl.report.html import fit
 from leactl.report.terminal import SMALLEST, aligned, encodable, encoding_of_stdout
 
 WIDEST = 120  # characters; notes that run wider are hard to read
@@ -45,7 +46,7 @@ def render(answer: Diagnosis, width: int = 80, encoding: str = "utf-8") -> str:
         calibration(answer, width),
         "\n".join(filled(f"note: {note}", width) for note in answer.notes),
     ]
-    return encodable("\n\n".join(filter(None, parts)) + "\n", encoding)
+    return encodable(fit("\n\n".join(filter(None, parts))) + "\n", encoding)
 
 
 def what(answer: Diagnosis, width: int) -> str:
@@ -53,7 +54,7 @@ def what(answer: Diagnosis, width: int) -> str:
     chance = probability(answer.unexplained_probability)
     said = [
         filled(f"verdict: {answer.verdict}. {sentence(answer)}", width),
-        f"probability that something unexplained acts: {chance}",
+        filled(f"probability that something unexplained acts: {chance}", width),
     ]
     if answer.causes:
         said += ["", "causes"]
@@ -137,7 +138,7 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int, sp
     said = [headings[0]]
     for row in rows:
         pairs = [f"{heading} {cell}".strip() for heading, cell in zip(headings[1:], row[1:], strict=True) if cell]
-        whole = ", ".join(pair.replace(" ", NO_BREAK) for pair in pairs)
+        whole = ", ".join(pair.replace(" ", NO_BREAK) if len(pair) < width - 8 else pair for pair in pairs)
         said += [f"  {row[0]}", filled(whole, width, 4).replace(NO_BREAK, " ")]
     return "\n".join(said)
 

@@ -66,9 +66,10 @@ def figure(value: float) -> str:
     """Three significant digits."""
     if not math.isfinite(value):
         return "not known"
-    if value == 0.0 or 1e-4 <= abs(value) < 1e5:
-        digits = max(0, 2 - math.floor(math.log10(abs(value)))) if value else 0
-        return f"{value:.{digits}f}"
+    if value == 0.0:
+        return "0"
+    if 1e-4 <= abs(value) < 1e5:
+        return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
     return f"{value:.2e}"
 
 

@@ -16,7 +16,12 @@ class Html(str):
 
 def text(words: str) -> Html:
     """Words made safe, for a body or for an attribute."""
-    return words if isinstance(words, Html) else Html(escape(UNFIT.sub("\ufffd", words), quote=True))
+    return words if isinstance(words, Html) else Html(escape(fit(words), quote=True))
+
+
+def fit(words: str) -> str:
+    """Words without what a page or a terminal cannot take."""
+    return UNFIT.sub("\ufffd", words)
 
 
 def tag(name: str, *children: str, **attributes: str) -> Html:

@@ -1,0 +1,69 @@
+"""A diagnosis as text: every line within its width, in the order of the questions."""
+
+from dataclasses import replace
+
+import pytest
+
+from leactl.gap.diagnosis import Diagnosis
+from leactl.report.gap import render
+from tests.report.answers import answer
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+@pytest.mark.parametrize("width", [40, 60, 80, 100, 200])
+def test_no_line_is_wider_than_the_terminal(width, encoding):
+    said = answer(notes=("the replay of a, b and c starts again every second " * 4,))
+    text = render(said, width, encoding)
+    assert max(map(len, text.splitlines())) <= width
+    assert text.isascii() or encoding == "utf-8"
+    assert text.endswith("\n")
+
+
+def test_the_parts_stand_in_the_order_of_the_questions():
+    text = render(answer())
+    parts = ["verdict: effect. The model lacks one of", "causes", "gap (RMS)", "where", "calibration", "note: "]
+    places = [text.index(f"\n{part}" if part != parts[0] else part) for part in parts]
+    assert places == sorted(places)
+
+
+def test_only_channels_with_a_gap_are_listed_and_the_others_counted():
+    lines = render(answer()).splitlines()
+    assert "torque, locked           0.333   0.0101  0.00912  N*m    100 % (98 .. 100)" in lines
+    assert "velocity, coupled, test  0.208   0.0454  0.0216   rad/s  87 % (84 .. 90)" in lines
+    assert not any(line.startswith("velocity, coupled, load") for line in lines)
+    assert "1 of 3 channels are within 1.1 times their floor: no gap to close" in lines
+
+
+def test_a_wide_terminal_has_the_nominal_numbers_too():
+    lines = render(answer(), 120).splitlines()
+    row = next(line for line in lines if line.startswith("torque, locked ") and "0.412" in line)
+    assert row.split()[2:6] == ["0.412", "0.333", "0.0101", "0.00912"]
+    assert "viscous_damping  0.0238   0.02514 ± 0.00021  N*m*s/rad  +5.62 %" in lines
+
+
+def test_causes_have_parameters_class_and_experiment():
+    text = render(answer())
+    assert "  0.98  saturation\n          knee   21.37 ± 0.24 A\n          order  82\n" in text
+    assert (
+        "          cannot be told from torque_sensor_gain\n          to separate: leactl run separate-by-grid\n" in text
+    )
+
+
+def test_five_regions_at_most():
+    first = answer().where[0]
+    many = tuple(replace(first, quantity=f"q{k}") for k in range(8))
+    text = render(answer(where=many))
+    assert sum(line.startswith("q") and "36.5 x" in line for line in text.splitlines()) == 5
+    assert "and 3 more with a smaller gap" in text
+
+
+def test_an_answer_without_a_gap_is_short():
+    assert render(Diagnosis("none", 0.003)) == (
+        "verdict: none. The model explains these runs; no gap is left.\n"
+        "probability that something unexplained acts: < 0.01\n"
+    )
+
+
+def test_a_name_cannot_steer_the_terminal():
+    assert "\x1b" not in render(answer(notes=("\x1b[2J\udcff",)))
+    render(answer(notes=("\udcff",))).encode("utf-8")
