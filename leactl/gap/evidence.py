@@ -39,7 +39,7 @@ PRIORS = {
     "rotor_inertia": 0.15,
     "viscous_damping": 0.3,
     "coulomb_friction": 0.3,
-    "resistance_coefficient": 0.01,
+    "resistance_coefficient": 0.005,
     "bench.shaft_stiffness": 0.08,
     "load.viscous_damping": 0.4,
     "load.coulomb_friction": 0.4,

@@ -18,7 +18,7 @@ from leactl.gap.search import LOOSE, Finding, Found
 
 EXACT_FORM_ERROR = 0.0005
 RIVAL_FORM_ERROR = 0.005  # of a gain, standard deviation of the difference of two forms that are both nearly right
-SURE, HALF, SLOPE = 0.998, 4.5, 1.3  # height at which an effect is as likely there as not, and how fast that changes
+SURE, HALF, SLOPE = 0.998, 3.8, 2.5  # height at which an effect is as likely there as not, and how fast that changes
 CLASS = 0.2  # of the winner's weight, above which a rival is named together with it
 COVERED_WIDTH = 0.02  # of the share that a set explains, over which trust changes
 UNCONFIRMED = 0.4  # of a probability, left to an effect that makes held-out runs worse

@@ -22,9 +22,10 @@ from leactl.gap.regression import Candidate, Fit, Normal, gain_of
 
 Array = npt.NDArray[np.float64]
 MOST = 3  # effects in a set
-ENTRY = 4.0  # times its floor and uncertainty, that an effect must be large to enter a set
+ENTRY = 3.2  # times its floor and uncertainty, that an effect must be large to enter a set
 EXCHANGES = 4
 SHORTLIST = 4
+USUAL_SPREAD = 1.25  # of usual noise, by which one sound bench differs from the next
 WHOLE_ROUNDS = 2
 WAVE = ("cos", "sin")  # coefficients that make one amplitude
 LOOSE, LOOSE_ERROR = 0.8, 0.1  # the same where an effect must explain less than that by its own account
@@ -310,7 +311,7 @@ def taken_and_left(evidence: Evidence, hypothesis: Sequence[Candidate]) -> tuple
     before, after = normal.fit(), normal.fit(hypothesis)
     taken = explained_by_rows(normal, after, before)
     left = [
-        max(normal.weights[k] * normal.residual(after, k) ** 2 - 1.0, 0.0) * len(rows.left_over)
+        max(normal.weights[k] * normal.residual(after, k) ** 2 - USUAL_SPREAD, 0.0) * len(rows.left_over)
         for k, rows in enumerate(normal.stack.rows)
     ]
     return taken, left
