@@ -17,6 +17,7 @@ from leactl.safety.limits import Limits
 from leactl.safety.winding import WindingEstimate
 
 SAFE_STATE_S = 1.0
+WINDING_PERIOD_S = 0.01  # no more often: the winding's fastest time constant is seconds
 CURRENT_REFERENCE = "q_axis_current_reference"
 SETPOINT_QUANTITY = {
     Mode.CURRENT: CURRENT_REFERENCE,
@@ -55,6 +56,8 @@ class _Guarded:
     quantity: str = "setpoint"  # that the engaged mode sets
     bounds: tuple[float, float] = UNLIMITED
     reference: float = 0.0  # of a current, which heats
+    squares: float = 0.0  # of the heating currents since the estimate was advanced
+    cycles: int = 0
     advanced: float = field(default=-math.inf)
 
     def turn_to(self, mode: Mode, limits: Limits) -> None:
@@ -159,8 +162,12 @@ class Supervisor:
             measured = abs(values[guarded.current])
             asked = abs(guarded.reference)
             heating = measured if measured > asked else asked  # NaN compares false: the reference counts then
-            winding = estimate.advance(now - guarded.advanced, heating)
-            guarded.advanced = now
+            guarded.squares += heating * heating
+            guarded.cycles += 1
+            if now - guarded.advanced < WINDING_PERIOD_S:
+                continue
+            winding = estimate.advance(now - guarded.advanced, math.sqrt(guarded.squares / guarded.cycles))
+            guarded.advanced, guarded.squares, guarded.cycles = now, 0.0, 0
             if not winding < hottest:
                 self.trip(f"{role} winding estimate of {winding:.1f} degC reached the limit of {hottest:g} degC")
         for watch in self._asynchronous:

@@ -80,6 +80,19 @@ def test_a_measured_velocity_past_its_limit_trips_in_the_same_cycle(bench):
         bench.supervised_cycle()
 
 
+@pytest.mark.parametrize("period", [0.001, 0.02])
+def test_the_winding_is_heated_by_the_mean_square_of_the_current_at_any_rate(bench, period):
+    bench.engage()
+    began, before = bench.clock.now(), bench.winding.winding
+    for half in range(10):
+        bench.supervisor.command("test", 0.0 if half % 2 else 20.0)
+        for _ in range(round(0.2 / period)):
+            bench.supervised_cycle(period)
+    alone = WindingEstimate(LEA, start_degc=before)
+    alone.advance(bench.clock.now() - began, 20.0 / math.sqrt(2.0))
+    assert bench.winding.winding - before == pytest.approx(alone.winding - before, rel=0.06)
+
+
 def test_a_channel_without_readings_is_too_old_not_fine():
     bench = SupervisedBench(consumer_heartbeat_ms=1000)  # the drive's silence itself is noticed after the readings'
     bench.engage()
