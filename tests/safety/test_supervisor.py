@@ -81,7 +81,8 @@ def test_a_measured_velocity_past_its_limit_trips_in_the_same_cycle(bench):
 
 
 @pytest.mark.parametrize("period", [0.001, 0.02])
-def test_the_winding_is_heated_by_the_mean_square_of_the_current_at_any_rate(bench, period):
+def test_the_winding_is_heated_by_the_mean_square_of_the_current_at_any_rate(period):
+    bench = SupervisedBench(bus_voltage_period_s=0.1)
     bench.engage()
     began, before = bench.clock.now(), bench.winding.winding
     for half in range(10):
@@ -90,6 +91,7 @@ def test_the_winding_is_heated_by_the_mean_square_of_the_current_at_any_rate(ben
             bench.supervised_cycle(period)
     alone = WindingEstimate(LEA, start_degc=before)
     alone.advance(bench.clock.now() - began, 20.0 / math.sqrt(2.0))
+    bench.drive.close()
     assert bench.winding.winding - before == pytest.approx(alone.winding - before, rel=0.06)
 
 
