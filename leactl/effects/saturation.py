@@ -24,10 +24,10 @@ class Saturation(Effect):
         return {"torque_factor": {"loss": -((np.abs(signals.current) / 25.0) ** form[0])}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Loss at 25 A."""
-        return {"loss": found["loss"]}
+        """Loss at 25 A, and how it grows."""
+        return {"loss": found["loss"], "exponent": form[0]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A torque constant that falls with the square of the current."""
-        loss = parameters["loss"]
-        plant.torque_share.append(lambda current: 1.0 - loss * (current / 25.0) ** 2)
+        """A torque constant that falls with a power of the current, the square by default."""
+        loss, exponent = parameters["loss"], parameters.get("exponent", 2.0)
+        plant.torque_share.append(lambda current: 1.0 - loss * (np.abs(current) / 25.0) ** exponent)

@@ -2,7 +2,7 @@
 
 A free run of a servo shows what its balance of torques cannot: where it sticks. Friction is `(f + c |T|) (1 + r
 exp(-|w| / v))` over the torque T that the motor puts into the gear; it takes what moves the axis and no more.
-Saturation takes from that torque a share in proportion to current, as the effect of that name does at exponent one.
+Saturation takes a share from that torque that grows with a power of the current, as the effect of that name does.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,6 +36,8 @@ SCALES: dict[str, float] = {
     "stribeck.stribeck_velocity": 0.1,
 }
 """What a fit may move, with a size that its finite differences and its damping go by; all but the zero are positive."""
+SHAPES = {"saturation.exponent": 2.0, "stribeck.shape": 1.0}
+"""What is taken as it is, with its default."""
 SIGNED = ("load_zero",)
 SATURATION_A = 25.0  # current that the loss of the effect is given at
 SAME_PACE = 0.01  # relative, by which sampling intervals may differ
@@ -108,6 +110,7 @@ def replay(runs: ServoRuns, sets: Mapping[str, Array]) -> Array:
     """Angles (sets, runs, samples) from the first measured one on; `sets` has one value a set for each parameter."""
     count = len(next(iter(sets.values())))
     p = {name: sets.get(name, np.zeros(count))[:, None] for name in SCALES}
+    p |= {name: sets.get(name, np.full(count, value))[:, None] for name, value in SHAPES.items()}
     constant, resistance = p["torque_constant"], p["phase_resistance"]
     inertia = p["rotor_inertia"] + runs.inertia
     fade = 1.0 / np.maximum(p["stribeck.stribeck_velocity"], 1e-6)
@@ -124,10 +127,13 @@ def replay(runs: ServoRuns, sets: Mapping[str, Array]) -> Array:
         for _ in range(PARTS):
             volts = np.clip(runs.gain * (wanted - angle), -runs.limit, runs.limit)
             current = share * (volts - constant * speed) / resistance
-            motor = constant * current * np.maximum(1.0 - p["saturation.loss"] * np.abs(current) / SATURATION_A, 0.0)
+            lost = p["saturation.loss"] * (np.abs(current) / SATURATION_A) ** p["saturation.exponent"]
+            motor = constant * current * np.maximum(1.0 - lost, 0.0)
             push = motor - runs.level * np.sin(angle + p["load_zero"])
             turning = np.abs(speed)
-            friction = (p["coulomb_friction"] + rub * np.abs(motor)) * (1.0 + ratio * np.exp(-turning * fade))
+            friction = (p["coulomb_friction"] + rub * np.abs(motor)) * (
+                1.0 + ratio * np.exp(-((turning * fade) ** p["stribeck.shape"]))
+            )
             friction += p["viscous_damping"] * turning
             stopping = inertia / step * speed + push
             speed += step / inertia * (push - np.clip(stopping, -friction, friction))
@@ -141,25 +147,29 @@ def late(runs: ServoRuns, delays: Array) -> Array:
     return np.stack([[np.interp(at - delay, at, one) for one in runs.reference] for delay in delays])
 
 
-def refine(runs: ServoRuns, start: Parameters, rounds: int = ROUNDS) -> tuple[Parameters, float]:
-    """Fit every parameter of `start` to the angles by free simulation (Levenberg and Marquardt), from where it is.
+def refine(runs: ServoRuns, start: Parameters) -> tuple[Parameters, float]:
+    """Fit every parameter of `start` but the shapes to the angles by free simulation, from where it is.
+
+    Levenberg and Marquardt's steps, with several dampings tried at once.
 
     Returns
     -------
     The parameters, and the sum of squares that they leave, outliers by their size.
     """
-    names = list(start)
+    names = [name for name in start if name not in SHAPES]
+    shapes = {name: value for name, value in start.items() if name in SHAPES}
     sizes = np.array([SCALES[name] for name in names])
     point = np.array([start[name] for name in names])
     damping = 1e-2
 
     def errors(points: Array) -> Array:
-        angles = replay(runs, {name: points[:, k] for k, name in enumerate(names)})
+        held = {name: np.full(len(points), value) for name, value in shapes.items()}
+        angles = replay(runs, held | {name: points[:, k] for k, name in enumerate(names)})
         return np.asarray((angles - runs.angle)[:, runs.measured], np.float64)
 
     error = errors(point[None])[0]
     cost = _cost(error)
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         moves = 1e-3 * np.maximum(np.abs(point), 0.1 * sizes)
         tangent = (errors(point + np.diag(moves)) - error) / moves[:, None]
         weighted = tangent / np.sqrt(1.0 + (error / OUTLIER_RAD) ** 2)
@@ -177,7 +187,30 @@ def refine(runs: ServoRuns, start: Parameters, rounds: int = ROUNDS) -> tuple[Pa
         point, error, cost, damping = trials[best], tried[best], float(costs[best]), float(damping * DAMPINGS[best])
         if gained < 1e-4 * cost:
             break
-    return dict(zip(names, point.tolist(), strict=True)), cost
+    return shapes | dict(zip(names, point.tolist(), strict=True)), cost
+
+
+def refitted(records: Sequence[Record], model: Model) -> Model:
+    """A model of a servo's pendulum with its parameters and those of its effects fitted by free simulation.
+
+    A balance of torques linearises what moves by half where friction and torque constant trade places; a simulation
+    does not. Effects that it does not know stay as they are and out of it.
+    """
+    own = [name for name in SCALES if "." not in name and name not in (*SIGNED, "reference_delay")]
+    start = {name: float(getattr(model, name) or 0.0) for name in own}
+    for entry in model.effects:
+        start |= {
+            place: value
+            for name, value in entry.parameters.items()
+            if (place := f"{entry.effect}.{name}") in SCALES or place in SHAPES
+        }
+    found, _ = refine(servo_runs(records, model), start)
+    document = model.model_dump()
+    document |= {name: found[name] for name in own} | {"back_emf_constant": found["torque_constant"]}
+    for entry in document["effects"]:
+        effect = entry["effect"]
+        entry["parameters"] = {n: found.get(f"{effect}.{n}", v) for n, v in entry["parameters"].items()}
+    return Model.model_validate(document)
 
 
 def _possible(points: Array, names: Sequence[str], sizes: Array) -> Array:

@@ -125,7 +125,7 @@ def test_xl330_free_runs_at_a_gain_left_out(tmp_path):
         held_out, others = runs.picked(runs.gain == gain), runs.picked(runs.gain != gain)
         calibrated, _ = refine(others, start)
         loaded, _ = refine(others, calibrated | {LOAD: 0.1, "coulomb_friction": 0.005})
-        saturated, _ = refine(others, loaded | {"saturation.loss": 0.5})
+        saturated, _ = refine(others, loaded | {"saturation.loss": 0.5, "saturation.exponent": 1.0})
         alone, both = (
             min((refine(others, base | with_stribeck(speed)) for speed in (0.1, 0.5)), key=lambda found: found[1])[0]
             for base in (calibrated, loaded)
