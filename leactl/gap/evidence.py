@@ -53,6 +53,7 @@ PRIORS = {
 """Physical priors of the nominal model's parameters: relative standard deviations unless a unit is given."""
 UNKNOWN_UNREST = 10.0  # of an equation that no bench without an effect has been seen with
 LONGEST_DEPENDENCE = 60  # rows
+NO_CORRELATION = 0.02
 ORDERS_TRIED = 3  # of each periodic effect
 
 
@@ -151,14 +152,12 @@ def rows_per_independent(left: Array) -> float:
     power = float(left @ left)
     if power == 0.0 or len(left) < 8:
         return 1.0
-    size = 1 << (2 * len(left) - 1).bit_length()
-    spectrum = np.fft.rfft(left, size)
-    correlation = np.fft.irfft(spectrum * np.conj(spectrum), size)[: min(LONGEST_DEPENDENCE, len(left) // 4)] / power
     total = 1.0
-    for value in correlation[1:].tolist():
-        if value <= 0.02:
+    for lag in range(1, min(LONGEST_DEPENDENCE, len(left) // 4)):
+        correlation = float(left[lag:] @ left[:-lag]) / power
+        if correlation <= NO_CORRELATION:
             break
-        total += 2.0 * value
+        total += 2.0 * correlation
     return max(total, 1.0)
 
 

@@ -116,8 +116,11 @@ def more_columns(rows: Rows, equation: Equation, candidates: Sequence[Candidate]
     table = thinned(np.stack(raw, axis=1), equation.width, equation.step)
     every = thinned_index(len(equation.left_over), equation.width, equation.step)
     table = table[np.searchsorted(every, rows.index)]
+    before = np.column_stack([rows.left_over, *rows.columns.values()])
     rows.columns.update({name: table[:, k] for k, name in enumerate(names)})
-    rows.gram = None
+    if rows.gram is not None:
+        cross = before.T @ table
+        rows.gram = np.block([[rows.gram, cross], [cross.T, table.T @ table]])
 
 
 class TermsOf:
