@@ -14,7 +14,7 @@ import numpy.typing as npt
 from leactl.errors import InputError
 from leactl.gap.record import Clocked, Record
 from leactl.gap.rig import drive_of, level_torque, load_inertia, load_of
-from leactl.model.nominal import Model
+from leactl.model.nominal import EffectEntry, Model
 
 Array = npt.NDArray[np.float64]
 Parameters = dict[str, float]
@@ -38,6 +38,12 @@ SCALES: dict[str, float] = {
 """What a fit may move, with a size that its finite differences and its damping go by; all but the zero are positive."""
 SHAPES = {"saturation.exponent": 2.0, "stribeck.shape": 1.0}
 """What is taken as it is, with its default."""
+BEGINNING = {
+    "load_dependent_friction.coefficient": 0.3,
+    "saturation.loss": 0.1,
+    "stribeck.breakaway_ratio": 0.1,
+}
+"""Share of its strength that an effect joins a fit with."""
 SIGNED = ("load_zero",)
 SATURATION_A = 25.0  # current that the loss of the effect is given at
 SAME_PACE = 0.01  # relative, by which sampling intervals may differ
@@ -198,19 +204,26 @@ def refitted(records: Sequence[Record], model: Model) -> Model:
     """
     own = [name for name in SCALES if "." not in name and name not in (*SIGNED, "reference_delay")]
     start = {name: float(getattr(model, name) or 0.0) for name in own}
-    for entry in model.effects:
-        start |= {
-            place: value
-            for name, value in entry.parameters.items()
-            if (place := f"{entry.effect}.{name}") in SCALES or place in SHAPES
-        }
-    found, _ = refine(servo_runs(records, model), start)
+    runs, added = servo_runs(records, model), [known(entry) for entry in model.effects]
+    at_once = {name: value for one in added for name, value in one.items()}
+    together = refine(runs, start | at_once)
+    # where the model is far off, effects that join one after the other find their way sooner than all together
+    step = refine(runs, start)
+    for one in added:
+        step = refine(runs, step[0] | {name: BEGINNING.get(name, 1.0) * value for name, value in one.items()})
+    found, _ = min((together, step), key=lambda result: result[1])
     document = model.model_dump()
     document |= {name: found[name] for name in own} | {"back_emf_constant": found["torque_constant"]}
     for entry in document["effects"]:
         effect = entry["effect"]
         entry["parameters"] = {n: found.get(f"{effect}.{n}", v) for n, v in entry["parameters"].items()}
     return Model.model_validate(document)
+
+
+def known(entry: EffectEntry) -> Parameters:
+    """What the simulation knows of an effect, by its full name."""
+    every = {f"{entry.effect}.{name}": value for name, value in entry.parameters.items()}
+    return {name: value for name, value in every.items() if name in SCALES or name in SHAPES}
 
 
 def _possible(points: Array, names: Sequence[str], sizes: Array) -> Array:
