@@ -101,3 +101,31 @@ def make_blind(
         typer.echo(json.dumps({"cases": cases, "out": str(out), "key": str(key_dir), "key_sha256": digest}))
         return
     typer.echo(f"{cases} cases in {out}; their key in {key_dir}, SHA-256 {digest}")
+
+
+@blind.command("score")
+def score_blind(
+    cases: Path = typer.Option(..., "--cases", help="Folder of runs that `blind make` wrote."),
+    key: Path = typer.Option(..., "--key", help="Folder of their key; opened after the last diagnosis."),
+    out: Path | None = typer.Option(None, "--out", help="Write the report, a .md."),
+    answers: Path | None = typer.Option(None, "--answers", help="Folder of answers; by default CASES-answers."),
+    processes: int = typer.Option(1, "--processes", min=1, help="How many cases are diagnosed at a time."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Diagnose every case, then open the key and say how often the diagnosis was right; a stop keeps what is done."""
+    from leactl.emulation.blind.key import read_key
+    from leactl.gap.blind.check import check
+    from leactl.gap.blind.score import score
+    from leactl.report.blind import as_json as document
+    from leactl.report.blind import markdown
+    from leactl.runfile.publish import new_file, refuse_existing
+
+    if out is not None:
+        refuse_existing(out)
+    beside = answers or cases.with_name(f"{cases.name}-answers")
+    marks = check(cases, beside, lambda: read_key(key, cases), processes, lambda step: typer.echo(step, err=True))
+    found, command = score(marks), f"leactl gap blind score --cases {cases.name} --key {key.name}"
+    if out is not None:
+        with new_file(out) as path:
+            path.write_text(markdown(found, command), encoding="utf-8")
+    typer.echo(json.dumps(document(found, command)) if as_json else markdown(found, command))

@@ -1,0 +1,1 @@
+"""The check on withheld causes: every case answered with the key shut, then each answer beside the truth."""

@@ -1,0 +1,63 @@
+"""Diagnose every case of a folder and write each answer as soon as it stands; what stands is not done again."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from leactl.errors import InputError
+from leactl.gap.blind.pool import Progress, each
+from leactl.gap.diagnose import diagnose, read_case
+from leactl.runfile.publish import replacement
+
+MODEL = "nominal.yaml"
+
+
+def case_names(cases: Path) -> list[str]:
+    """The folders of a set of cases, each with its nominal model.
+
+    Raises
+    ------
+    InputError : there is none.
+    """
+    names = sorted(path.parent.name for path in cases.glob(f"*/{MODEL}"))
+    if not names:
+        raise InputError(f"{cases}: no case in it; a folder that `leactl gap blind make` wrote was expected")
+    return names
+
+
+def answer_all(cases: Path, answers: Path, processes: int, progress: Progress) -> list[str]:
+    """Diagnose the cases that have no answer yet; gives the names of all.
+
+    The last run of every kind is held out, as `leactl gap diagnose` does where nobody names one.
+
+    Raises
+    ------
+    InputError : no case, or some that cannot be diagnosed.
+    """
+    names = case_names(cases)
+    answers.mkdir(parents=True, exist_ok=True)
+    jobs = [(cases / name, answers / f"{name}.json") for name in names if not (answers / f"{name}.json").exists()]
+    each(answer, jobs, processes, "diagnosed", progress)
+    return names
+
+
+def answer(case: Path, out: Path) -> None:
+    """Diagnose one case and write its answer whole."""
+    write(out, diagnose(read_case(runs_of(case), [], case / MODEL)).as_json())
+
+
+def runs_of(case: Path) -> list[Path]:
+    """The run files of a case."""
+    return sorted(case.glob("*.h5"))
+
+
+def write(out: Path, document: dict[str, Any]) -> None:
+    """Write a document whole or not at all, so that a stop never leaves half of one."""
+    with replacement(out) as path:
+        path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def read(folder: Path, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Every case's document of a folder."""
+    return {name: json.loads((folder / f"{name}.json").read_text(encoding="utf-8")) for name in names}

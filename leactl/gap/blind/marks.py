@@ -1,0 +1,127 @@
+"""One answer beside the truth: what was right, what was missed, and by how much."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from leactl.gap.blind.truth import Truth
+
+NAMED = 0.5  # probability from which a cause counts as named
+LEAST_MOVED = 1.0  # floors, below which a gap drowns in noise wherever it is
+AS_GOOD = 0.9  # of the most floors moved: test and load actuator tell the speed of one shaft
+GAP = 1.1  # floors, below which an oracle finds no gap to close
+SAME_NUMBER = "back_emf_constant"  # in power-invariant units the torque constant again
+REPLACED = {"shaft_compliance": "bench.shaft_stiffness"}  # an effect whose parameter stands for one of the model's
+NO_TRUTH = "ambient_offset"  # of the plant's ambient, which has none of its own
+Document = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Departure:
+    """A calibrated parameter against its true value."""
+
+    parameter: str
+    stds: float  # fitted minus true, in standard errors
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One case."""
+
+    name: str
+    truth: Truth
+    verdict: str
+    causes: tuple[tuple[str, float], ...]  # effect and probability, as in the answer
+    reported: tuple[str, ...]  # first cause with what it cannot be told from
+    moved_right: bool | None  # whether `where` begins with what the effects move most; None where they move nothing
+    left_right: bool | None  # the same of what recalibration leaves of that
+    closed: float | None  # on the channel that carries the gap
+    oracle_closed: float | None
+    departures: tuple[Departure, ...]
+
+    @property
+    def first(self) -> str | None:
+        """The first cause."""
+        return self.causes[0][0] if self.causes else None
+
+    @property
+    def first_probability(self) -> float:
+        """Its probability; none where nothing is named."""
+        return self.causes[0][1] if self.causes else 0.0
+
+    @property
+    def first_right(self) -> bool:
+        """Whether the first cause truly acts."""
+        return self.first in self.truth.effects
+
+    @property
+    def in_set(self) -> bool:
+        """Whether something of the reported set truly acts."""
+        return any(name in self.truth.effects for name in self.reported)
+
+    @property
+    def all_named(self) -> bool:
+        """Whether everything that acts is named, at even odds or better or in the reported set."""
+        named = {name for name, probability in self.causes if probability >= NAMED} | set(self.reported)
+        return set(self.truth.effects) <= named
+
+    @property
+    def names_a_cause(self) -> bool:
+        """Whether any cause is named at even odds or better."""
+        return any(probability >= NAMED for _, probability in self.causes)
+
+    @property
+    def owned_up(self) -> bool:
+        """Whether the answer is that something acts which it cannot name."""
+        return self.verdict == "unknown" and not self.names_a_cause
+
+
+def mark(name: str, truth: Truth, answer: Document, measured: Document) -> Mark:
+    """Compare one answer with the truth and with what the key made measurable."""
+    causes = tuple((cause["effect"], float(cause["probability"])) for cause in answer["causes"])
+    first: Sequence[Document] = answer["causes"][:1]
+    reported = tuple(n for cause in first for n in (cause["effect"], *cause["indistinguishable_from"]))
+    closed = oracle_closed = None
+    moved, left = (farthest(measured["moved"], by) for by in ("by_effects", "after_calibration"))
+    if left:
+        closed, oracle_closed = shares_closed(left[0], answer["shrinkage"], measured["oracle"])
+    begins = place(answer["where"][0]) if answer["where"] else None
+    verdict = answer["verdict"]
+    moved_right, left_right = (begins in places if places else None for places in (moved, left))
+    departures = tuple(departures_of(truth, answer["calibration"]))
+    return Mark(name, truth, verdict, causes, reported, moved_right, left_right, closed, oracle_closed, departures)
+
+
+def farthest(lines: Sequence[Document], by: str) -> list[tuple[str, str, str]]:
+    """Channels and set-ups that are moved most, and as good as most; none where all move less than their floor."""
+    ranked = sorted(lines, key=lambda line: -float(line[by]))
+    most = float(ranked[0][by]) if ranked else 0.0
+    return [place(line) for line in ranked if line[by] >= max(LEAST_MOVED, AS_GOOD * most)]
+
+
+def place(line: Document) -> tuple[str, str, str]:
+    """The channel and set-up of a line."""
+    return line["quantity"], line["role"], line["mechanical"]
+
+
+def shares_closed(
+    at: tuple[str, str, str], answered: Sequence[Document], told: Sequence[Document]
+) -> tuple[float | None, float | None]:
+    """Share of a channel's gap that an answer and the oracle close, both of the gap and floor that the oracle has."""
+    found = next((line for line in answered if place(line) == at), None)
+    best = next((line for line in told if place(line) == at), None)
+    if found is None or best is None or best["calibrated_rms"] <= GAP * best["floor_rms"]:
+        return None, None
+    room = best["calibrated_rms"] - best["floor_rms"]
+    shares = [(best["calibrated_rms"] - line["augmented_rms"]) / room for line in (found, best)]
+    return shares[0], shares[1]
+
+
+def departures_of(truth: Truth, calibration: Sequence[Document]) -> list[Departure]:
+    """How far fitted parameters are from the true ones, where the truth is one number."""
+    replaced = {REPLACED[name] for name in truth.effects if name in REPLACED} | {SAME_NUMBER, NO_TRUTH}
+    return [
+        Departure(line["parameter"], (line["fitted"] - truth.base[line["parameter"]]) / line["std"])
+        for line in calibration
+        if line["parameter"] not in replaced and line["parameter"] in truth.base and line["std"]
+    ]

@@ -1,0 +1,176 @@
+"""Marks made into figures: shares with their intervals, the calibration of probabilities, and what was missed."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.gap.blind.marks import Departure, Mark
+
+Z = 1.959964  # of a 95 % interval
+BINS = 10
+MEDIAN_WITHIN, MOST_WITHIN = 0.03, 0.08  # of the oracle's share: half and nine tenths of the cases are to be so close
+STDS = 2.0  # that a calibrated parameter may be off
+Test = Callable[[Mark], bool]
+
+
+@dataclass(frozen=True)
+class Share:
+    """So many of so many, with the 95 % interval of Wilson (1927)."""
+
+    question: str
+    target: str
+    count: int
+    total: int
+
+    @property
+    def share(self) -> float | None:
+        """The share; None of nothing."""
+        return self.count / self.total if self.total else None
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """The 95 % interval of the share."""
+        if not self.total:
+            return None
+        n, p = self.total, self.count / self.total
+        middle = (p + Z * Z / (2 * n)) / (1 + Z * Z / n)
+        half = Z / (1 + Z * Z / n) * math.sqrt(p * (1 - p) / n + Z * Z / (4 * n * n))
+        # rounding aside, all or none leave an end at one or zero
+        return max(middle - half, 0.0) if self.count else 0.0, min(middle + half, 1.0) if self.count < n else 1.0
+
+
+@dataclass(frozen=True)
+class Bin:
+    """Cases whose first cause has a probability between two tenths."""
+
+    low: float
+    high: float
+    count: int
+    probability: float  # mean
+    right: float  # share
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How far the probabilities of first causes can be trusted."""
+
+    bins: tuple[Bin, ...]
+    count: int
+    base_rate: float
+    error: float  # expected calibration error
+    skill: float | None  # of Brier against the base rate; None where all or none were right
+
+
+@dataclass(frozen=True)
+class Miss:
+    """A case that went wrong: what acts, and what was said."""
+
+    case: str
+    question: str
+    truth: str
+    answer: str
+
+
+@dataclass(frozen=True)
+class Score:
+    """Everything that the report shows."""
+
+    cases: int
+    shares: tuple[Share, ...]
+    set_size: float | None  # mean of the reported sets where one effect acts
+    calibration: Calibration
+    calibration_of_named: Calibration  # of the cases with a cause alone
+    behind_oracle: tuple[float, float] | None  # median and 90 % quantile of the distance
+    parameters: tuple[Share, ...]  # within two standard errors, by parameter
+    misses: tuple[Miss, ...]
+
+
+def score(marks: Sequence[Mark]) -> Score:
+    """All figures of a set of marks."""
+    single = [m for m in marks if m.truth.kind == "single"]
+    pair, none, unknown = ([m for m in marks if m.truth.kind == kind] for kind in ("pair", "none", "unknown"))
+    faint = [m for m in single if m.truth.strength == "faint"]
+    plain = [m for m in single if m.truth.strength != "faint"]
+    moved = [m for m in marks if m.moved_right is not None]
+    left = [m for m in marks if m.left_right is not None]
+    asked: list[tuple[str, str, Sequence[Mark], Test]] = [
+        ("one effect, plain or strong: first cause right", ">= 98 %", plain, lambda m: m.first_right),
+        ("one effect, faint: first cause right", ">= 92 %", faint, lambda m: m.first_right),
+        ("one effect, any: in the reported set", ">= 98 %", single, lambda m: m.in_set),
+        ("two effects: one of them first", ">= 98 %", pair, lambda m: m.first_right),
+        ("two effects: both named", ">= 85 %", pair, lambda m: m.all_named),
+        ("nothing but wrong parameters: an effect named", "<= 2 %", none, lambda m: m.names_a_cause),
+        ("an effect outside the vocabulary: unknown, no cause named", ">= 95 %", unknown, lambda m: m.owned_up),
+        ("first entry of `where`: what the effects move most", ">= 97 %", moved, lambda m: m.moved_right is True),
+        ("first entry of `where`: what calibration leaves most of", ">= 97 %", left, lambda m: m.left_right is True),
+    ]
+    shares = [Share(text, target, sum(map(test, among)), len(among)) for text, target, among, test in asked]
+    misses = [
+        Miss(m.name, text, what_acts(m), what_was_said(m))
+        for text, target, among, test in asked
+        for m in among
+        if test(m) == target.startswith("<=")
+    ]
+    known = [m for m in marks if m.truth.kind != "unknown"]
+    departures = [d for m in known for d in m.departures]
+    shares.append(within("calibrated parameters within 2 standard errors of the truth", departures))
+    behind = [abs(m.closed - m.oracle_closed) for m in marks if m.closed is not None and m.oracle_closed is not None]
+    names = sorted({d.parameter for d in departures})
+    sets = [len(m.reported) for m in single if m.reported]
+    return Score(
+        len(marks),
+        (*shares, *near_oracle(behind)),
+        float(np.mean(sets)) if sets else None,
+        calibration(marks),
+        calibration([m for m in marks if m.causes]),
+        (float(np.median(behind)), float(np.quantile(behind, 0.9))) if behind else None,
+        tuple(within(name, [d for d in departures if d.parameter == name]) for name in names),
+        tuple(misses),
+    )
+
+
+def within(question: str, departures: Sequence[Departure]) -> Share:
+    """Calibrated parameters within two standard errors of the truth."""
+    return Share(question, "92 to 98 %", sum(abs(d.stds) <= STDS for d in departures), len(departures))
+
+
+def near_oracle(behind: Sequence[float]) -> tuple[Share, Share]:
+    """Cases in which the share closed is close to that of an oracle."""
+    first, second = ((sum(b <= bound for b in behind), bound) for bound in (MEDIAN_WITHIN, MOST_WITHIN))
+    text = "share closed within {:.2f} of an oracle that is told the effect"
+    return (
+        Share(text.format(first[1]), ">= 50 %", first[0], len(behind)),
+        Share(text.format(second[1]), ">= 90 %", second[0], len(behind)),
+    )
+
+
+def calibration(marks: Sequence[Mark]) -> Calibration:
+    """Probability of the first cause, its class counted together, against whether something of the class acts."""
+    stated = np.asarray([m.first_probability for m in marks], float)
+    right = np.asarray([m.in_set for m in marks], float)
+    bins, error = [], 0.0
+    places = np.minimum((stated * BINS).astype(int), BINS - 1)
+    for k in range(BINS):
+        inside = places == k
+        if inside.any():
+            mean, share = float(stated[inside].mean()), float(right[inside].mean())
+            bins.append(Bin(k / BINS, (k + 1) / BINS, int(inside.sum()), mean, share))
+            error += float(inside.mean()) * abs(mean - share)
+    rate = float(right.mean()) if len(right) else 0.0
+    spread = rate * (1.0 - rate)
+    skill = 1.0 - float(np.mean((stated - right) ** 2)) / spread if spread > 0.0 else None
+    return Calibration(tuple(bins), len(marks), rate, error, skill)
+
+
+def what_acts(m: Mark) -> str:
+    """The truth of a case in a few words."""
+    effects = " + ".join(m.truth.effects) or " + ".join(f"({name})" for name in m.truth.unlisted) or "nothing"
+    return f"{effects}, {m.truth.strength}" if m.truth.strength else effects
+
+
+def what_was_said(m: Mark) -> str:
+    """The answer to a case in a few words."""
+    said = ", ".join(f"{name} {probability:.2f}" for name, probability in m.causes[:4])
+    return f"{m.verdict}: {said}" if said else m.verdict

@@ -1,0 +1,124 @@
+"""What the key makes known of a case: where its gap truly lies, and what a diagnosis that was told the effect closes.
+
+The bench with its true parameters is replayed through the held-out runs with the true effects and without them. How
+far apart the two are in a channel, in multiples of the floor, is what the effects move there; how far the former is
+from the nominal model as calibrated alone is what recalibration leaves of it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leactl.effects import library
+from leactl.gap.blind.answers import MODEL, runs_of, write
+from leactl.gap.diagnose import Case, read_case
+from leactl.gap.evidence import ORDERS_TRIED, Evidence
+from leactl.gap.orders import strongest
+from leactl.gap.parameters import calibrated, effect_parameters, with_calibration, with_effects
+from leactl.gap.regression import Candidate
+from leactl.gap.replay.compared import Compared
+from leactl.gap.search import best_of_each, refine
+from leactl.gap.shrinkage import shrinkage
+from leactl.model.nominal import Model, as_mapping
+
+UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True)
+class Truth:
+    """One case's entry of the key."""
+
+    kind: str  # none, single, pair, unknown
+    effects: tuple[str, ...]  # of the vocabulary
+    unlisted: tuple[str, ...]
+    strength: str | None
+    parameters: Mapping[str, Mapping[str, float]]
+    base: Mapping[str, float]  # true parameters under the names of a model file
+
+    @classmethod
+    def of(cls, entry: Mapping[str, Any]) -> "Truth":
+        """From the key file."""
+        effects = tuple(name for name in entry["effects"] if name != UNKNOWN)
+        unlisted = tuple(entry["unlisted"])
+        return cls(entry["kind"], effects, unlisted, entry["strength"], entry["parameters"], entry["true_base"])
+
+
+def measure(case: Path, entry: Mapping[str, Any], out: Path) -> None:
+    """Work out what only the key allows, and write it: floors `moved` by channel, `oracle` of shrinkage."""
+    truth, read = Truth.of(entry), read_case(runs_of(case), [], case / MODEL)
+    found: dict[str, Any] = {"moved": [], "oracle": []}
+    if truth.effects:
+        tuned, augmented = oracle(read, truth.effects)
+        found["moved"] = [asdict(line) for line in moved(read, truth, tuned)]
+        found["oracle"] = [asdict(line) for line in shrinkage(read.held_out, read.model, tuned, augmented).shrinkage]
+    write(out, found)
+
+
+@dataclass(frozen=True)
+class Moved:
+    """What the true effects do to one channel, in floors."""
+
+    quantity: str
+    role: str
+    mechanical: str
+    by_effects: float  # with them against without them
+    after_calibration: float  # with them against the calibrated nominal model
+
+
+def moved(case: Case, truth: Truth, tuned: Model) -> list[Moved]:
+    """Every channel of the held-out runs."""
+    without = true_model(case.model, truth.base)
+    with_them = with_effects(without, [(name, truth.parameters[name]) for name in truth.effects])
+    groups: dict[tuple[str, str, str], list[Compared]] = {}
+    for one in shrinkage(case.held_out, without, tuned, with_them).channels:
+        groups.setdefault((one.quantity, one.role, one.mechanical), []).append(one)
+    return [Moved(*key, *(distance(group, model) for model in (0, 1))) for key, group in groups.items()]
+
+
+def distance(group: Sequence[Compared], model: int) -> float:
+    """Root mean square between a model and the last one, over the floor's."""
+    apart = np.concatenate([one.replayed[model] - one.replayed[-1] for one in group])
+    floor = np.concatenate([one.floor_squares() for one in group])
+    return float(np.sqrt(np.mean(apart**2) / np.mean(floor)))
+
+
+def true_model(nominal: Model, base: Mapping[str, float]) -> Model:
+    """The nominal model with the parameters that the bench truly has."""
+    document = as_mapping(nominal)
+    for name, value in base.items():
+        *path, last = name.split(".")
+        at = document
+        for part in path:
+            at = at.setdefault(part, {})
+        if path or last in Model.model_fields:
+            at[last] = value
+    return Model.model_validate(document)
+
+
+def oracle(case: Case, effects: Sequence[str]) -> tuple[Model, Model]:
+    """The calibrated and the augmented model of a diagnosis that is told which effects act, all else as usual."""
+    told = [(name, form) for name in effects for form in library()[name].forms if not library()[name].periodic]
+    evidence = Evidence(case.fitted, case.model, only=told)
+    hypothesis = true_set(evidence, effects)
+    tuned = with_calibration(case.model, calibrated(evidence, evidence.settle([])))
+    fit = evidence.settle(hypothesis)
+    named = [(one[0], {p.name: p.value for p in effect_parameters(evidence, fit, one)}) for one in hypothesis]
+    return tuned, with_effects(with_calibration(case.model, calibrated(evidence, fit)), named)
+
+
+def true_set(evidence: Evidence, effects: Sequence[str]) -> list[Candidate]:
+    """The best form of each effect with the others there; one that no run shows is left out."""
+    hypothesis: list[Candidate] = []
+    # orders are looked for in what the others leave over, then each is tried again beside all others
+    for name in (*sorted(effects, key=lambda name: bool(library()[name].periodic)), *effects):
+        others = [one for one in hypothesis if one[0] != name]
+        fit = evidence.settle(others)
+        if library()[name].periodic:
+            orders = strongest(evidence.stack, fit, evidence.weights, ORDERS_TRIED)
+            evidence.add([one for one in orders if one[0] == name])
+        found = best_of_each(evidence, evidence.normal(), others)
+        hypothesis = [*others, *(one.candidate for one in found if one.effect == name)]
+    return refine(evidence, hypothesis)

@@ -1,0 +1,96 @@
+"""The score of a check on withheld causes as Markdown and as JSON."""
+
+from dataclasses import asdict
+from typing import Any
+
+from leactl.gap.blind.score import Calibration, Score, Share
+
+FORMAT, VERSION = "leactl-gap-score", 1
+MEANINGS = """\
+Each case is an emulated bench with parameters off its nominal model and with no effect, one, two, or one that the
+library lacks. The last run of each kind was held out. Answers were written before the key was opened; the key's
+SHA-256 is the one beside the runs. Intervals are Wilson's 95 %.
+
+- *First cause right*: the first entry of `causes` truly acts. *Reported set*: that entry with its
+  `indistinguishable_from`. *Named*: a probability of 0.5 or more, or in the reported set.
+- *What the effects move*: the bench's true parameters are replayed through the held-out runs with the true effects and
+  without them; channels and set-ups rank by how far apart the two are in multiples of the floor. *What calibration
+  leaves*: the same, the nominal model as calibrated alone in the place of the true bench without effects. The first
+  entry of `where` is right where it is the first of that rank or within a tenth of it; where nothing is moved by a
+  floor, there is nothing to point at, and the case is left out.
+- *Oracle*: told which effects act, it fits their parameters and the calibration as the diagnosis does. Compared is the
+  share of the gap closed on the channel that calibration leaves most of, gap and floor being the oracle's; cases in
+  which calibration alone comes within 1.1 floors of the data there have no gap to close and are left out.
+- *Within 2 standard errors*: every calibrated parameter of every case whose effects the library has, whatever the
+  answer. Left out are `back_emf_constant`, which is the torque constant again, `ambient_offset`, which the emulated
+  bench has none of, and the shaft's stiffness where `shaft_compliance` replaces it. Parameters of one case are not
+  independent of each other: the interval is too narrow for that.
+"""
+
+
+def as_json(score: Score, command: str) -> dict[str, Any]:
+    """The score for other programs."""
+    return {
+        "format": FORMAT,
+        "format_version": VERSION,
+        "command": command,
+        "cases": score.cases,
+        "shares": [line(share) for share in score.shares],
+        "mean_set_size": score.set_size,
+        "calibration": asdict(score.calibration),
+        "calibration_of_named": asdict(score.calibration_of_named),
+        "behind_oracle": None
+        if score.behind_oracle is None
+        else dict(zip(("median", "quantile_90"), score.behind_oracle, strict=True)),
+        "parameters": [line(share) for share in score.parameters],
+        "misses": [asdict(miss) for miss in score.misses],
+    }
+
+
+def line(share: Share) -> dict[str, Any]:
+    """One share with its interval."""
+    low, high = share.interval or (None, None)
+    return {**asdict(share), "share": share.share, "low": low, "high": high}
+
+
+def markdown(score: Score, command: str) -> str:
+    """The report, with the command that made it."""
+    out = ["# The check on withheld causes", "", "```", command, "```", "", f"{score.cases} cases.", "", MEANINGS]
+    out += ["| question | target | found | count | 95 % interval |", "|---|---|---|---|---|"]
+    out += [row(share) for share in score.shares]
+    if score.set_size is not None:
+        out.append(f"| one effect: mean size of the reported set | <= 1.5 | {score.set_size:.2f} | | |")
+    if score.behind_oracle is not None:
+        median, most = score.behind_oracle
+        out.append(f"| distance from the oracle: median / 90 % | 0.03 / 0.08 | {median:.3f} / {most:.3f} | | |")
+    for title, found in (("all cases", score.calibration), ("cases with a cause", score.calibration_of_named)):
+        skill = "-" if found.skill is None else f"{found.skill:.3f}"
+        figures = f"{found.error:.3f} / {skill}"
+        out.append(f"| probabilities, {title}: calibration error / Brier skill | 0.04 / 0.8 | {figures} | | |")
+    out += ["", "## Probability of the first cause", ""]
+    out += ["An answer without a cause counts with probability 0: nothing that it names acts.", ""]
+    out += reliability(score.calibration)
+    out += ["", "## Calibrated parameters within 2 standard errors", ""]
+    out += ["| parameter | target | found | count | 95 % interval |", "|---|---|---|---|---|"]
+    out += [row(share) for share in score.parameters]
+    out += ["", "## Every miss", "", "| case | question | acts | answer |", "|---|---|---|---|"]
+    out += [f"| {m.case} | {m.question} | {m.truth} | {m.answer} |" for m in score.misses]
+    return "\n".join(out) + "\n"
+
+
+def row(share: Share) -> str:
+    """One share as a row of a table."""
+    if share.share is None or share.interval is None:
+        return f"| {share.question} | {share.target} | - | 0 of 0 | |"
+    low, high = share.interval
+    figures = f"{share.share:.1%} | {share.count} of {share.total} | {low:.1%} to {high:.1%}"
+    return f"| {share.question} | {share.target} | {figures} |"
+
+
+def reliability(found: Calibration) -> list[str]:
+    """The ten bins of probabilities."""
+    out = ["| stated | cases | mean stated | right |", "|---|---|---|---|"]
+    out += [f"| {b.low:.1f} to {b.high:.1f} | {b.count} | {b.probability:.3f} | {b.right:.3f} |" for b in found.bins]
+    out.append("")
+    out.append(f"{found.count} cases, {found.base_rate:.1%} of them with a first cause that acts.")
+    return out

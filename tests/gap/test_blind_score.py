@@ -1,0 +1,230 @@
+"""The withheld check: answers before the key, nothing done twice, figures that mean what they say."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from leactl.cli.main import app
+from leactl.emulation.blind.make import make
+from leactl.errors import InputError
+from leactl.gap.blind import check as checking
+from leactl.gap.blind.marks import Departure, Mark, mark
+from leactl.gap.blind.score import Share, calibration, score
+from leactl.gap.blind.truth import Truth
+
+EFFECTS = ("quadratic_drag", "current_sensor_offset")
+
+
+@pytest.fixture(scope="session")
+def cases(tmp_path_factory):
+    """Two whole cases with one effect each, nobody misses either."""
+    folder = tmp_path_factory.mktemp("blind")
+    make(2, folder / "cases", folder / "key", seed=5, kinds=("single",), effects=EFFECTS, strengths=("strong",))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def scored(cases):
+    """The command, run once."""
+    arguments = ["gap", "blind", "score", "--cases", str(cases / "cases"), "--key", str(cases / "key")]
+    return CliRunner().invoke(app, [*arguments, "--out", str(cases / "report.md"), "--json"])
+
+
+def test_both_cases_are_named_and_their_gap_is_closed(scored):
+    assert scored.exit_code == 0, scored.output
+    found = json.loads(scored.stdout)
+    assert found["format"] == "leactl-gap-score"
+    shares = {line["question"]: (line["count"], line["total"]) for line in found["shares"]}
+    assert shares["one effect, plain or strong: first cause right"] == (2, 2)
+    assert shares["one effect, any: in the reported set"] == (2, 2)
+    assert shares["share closed within 0.08 of an oracle that is told the effect"] == (2, 2)
+    assert shares["two effects: both named"] == (0, 0)
+    assert found["mean_set_size"] == 1.0
+    assert not any("first cause" in miss["question"] for miss in found["misses"])
+
+
+def test_report_holds_the_command_and_every_question(cases, scored):
+    text = (cases / "report.md").read_text()
+    assert "leactl gap blind score --cases cases --key key" in text
+    assert "| one effect, faint: first cause right | >= 92 % | - | 0 of 0 | |" in text
+    assert str(cases) not in text
+
+
+def test_progress_tells_the_time_left(scored):
+    assert "2 of 2 diagnosed, about 0.0 min left" in scored.stderr
+
+
+def test_what_is_answered_is_not_done_again(cases, scored, monkeypatch):
+    def again(*_):
+        raise AssertionError("a case was done twice")
+
+    monkeypatch.setattr("leactl.gap.blind.answers.diagnose", again)
+    monkeypatch.setattr("leactl.gap.blind.check.measure", again)
+    entries = json.loads((cases / "key" / "key.json").read_text())
+    marks = checking.check(cases / "cases", cases / "cases-answers", lambda: entries, 1, lambda _: None)
+    assert [m.first for m in marks] == [entries["cases"][m.name]["effects"][0] for m in marks]
+
+
+def test_a_key_of_other_runs_is_an_error_after_the_answers(cases, scored, tmp_path):
+    (tmp_path / "key.json").write_text("{}")
+    arguments = ["gap", "blind", "score", "--cases", str(cases / "cases"), "--key", str(tmp_path)]
+    result = CliRunner().invoke(app, arguments)
+    assert isinstance(result.exception, InputError)
+    assert result.exception.exit_status == 2
+    assert "not the key of these runs" in str(result.exception)
+
+
+def test_a_key_is_opened_after_the_last_answer_only(tmp_path, monkeypatch):
+    for name in ("case-1", "case-2"):
+        (tmp_path / "cases" / name).mkdir(parents=True)
+        (tmp_path / "cases" / name / "nominal.yaml").touch()
+    order = []
+    monkeypatch.setattr("leactl.gap.blind.answers.answer", lambda case, out: order.append(case.name))
+
+    def open_key():
+        order.append("key")
+        return {"cases": {}}
+
+    with pytest.raises(InputError, match="no such case"):
+        checking.check(tmp_path / "cases", tmp_path / "answers", open_key, 1, lambda _: None)
+    assert order == ["case-1", "case-2", "key"]
+
+
+def test_a_case_that_cannot_be_read_is_told_after_all_others(tmp_path, monkeypatch):
+    done = []
+    for name in ("case-1", "case-2", "case-3"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "nominal.yaml").touch()
+
+    def answer(case, out):
+        if case.name == "case-1":
+            raise InputError("case-1: broken")
+        done.append(case.name)
+
+    monkeypatch.setattr("leactl.gap.blind.answers.answer", answer)
+    with pytest.raises(InputError, match="case-1: broken"):
+        checking.check(tmp_path, tmp_path / "answers", lambda: {}, 1, lambda _: None)
+    assert done == ["case-2", "case-3"]
+
+
+def test_a_folder_without_cases_is_an_error(tmp_path):
+    with pytest.raises(InputError, match="no case in it"):
+        checking.check(tmp_path, tmp_path / "answers", lambda: {}, 1, lambda _: None)
+
+
+def answer_of(*causes, verdict="effect", where=(), shrinkage=(), parameters=()):
+    named = [{"effect": name, "probability": p, "indistinguishable_from": peers} for name, p, peers in causes]
+    return {
+        "verdict": verdict,
+        "causes": named,
+        "where": list(where),
+        "shrinkage": list(shrinkage),
+        "calibration": list(parameters),
+    }
+
+
+def truth_of(*effects, kind="single", strength="plain", base=None):
+    return Truth(kind, effects, (), strength, {}, base or {})
+
+
+UNMEASURED = {"moved": [], "oracle": []}
+
+
+def test_a_class_counts_as_reported_but_its_first_alone_as_first():
+    answer = answer_of(("time_skew", 0.6, ["torque_sensor_lag"]), ("torque_sensor_lag", 0.4, []))
+    found = mark("c", truth_of("torque_sensor_lag"), answer, UNMEASURED)
+    assert found.reported == ("time_skew", "torque_sensor_lag")
+    assert (found.first_right, found.in_set, found.all_named) == (False, True, True)
+
+
+def test_a_pair_is_named_only_with_both():
+    answer = answer_of(("cogging", 0.99, []), ("unbalance", 0.3, []))
+    found = mark("c", truth_of("cogging", "unbalance", kind="pair"), answer, UNMEASURED)
+    assert (found.first_right, found.all_named) == (True, False)
+
+
+def test_an_unknown_is_owned_up_to_without_a_cause_only():
+    truth = truth_of(kind="unknown")
+    assert mark("c", truth, answer_of(verdict="unknown"), UNMEASURED).owned_up
+    assert not mark("c", truth, answer_of(("cogging", 0.7, []), verdict="effect"), UNMEASURED).owned_up
+    assert not mark("c", truth, answer_of(verdict="none"), UNMEASURED).owned_up
+
+
+def line(quantity, role="test", **values):
+    return {"quantity": quantity, "role": role, "mechanical": "coupled", **values}
+
+
+def test_where_is_right_on_a_channel_as_good_as_the_first():
+    moved = [
+        line("velocity", "load", by_effects=45.3, after_calibration=2.0),
+        line("velocity", "test", by_effects=45.1, after_calibration=9.0),
+        line("torque", by_effects=20.0, after_calibration=1.0),
+    ]
+    told = {"moved": moved, "oracle": []}
+    first = mark("c", truth_of("unbalance"), answer_of(where=[line("velocity")]), told)
+    assert (first.moved_right, first.left_right) == (True, True)
+    other = mark("c", truth_of("unbalance"), answer_of(where=[line("velocity", "load")]), told)
+    assert (other.moved_right, other.left_right) == (True, False)
+    drowned = {"moved": [line("torque", by_effects=0.5, after_calibration=0.4)], "oracle": []}
+    assert mark("c", truth_of("unbalance"), answer_of(where=[line("torque")]), drowned).moved_right is None
+
+
+def test_shares_closed_have_the_oracles_gap_and_floor_in_common():
+    told = {
+        "moved": [line("torque", by_effects=5.0, after_calibration=4.0)],
+        "oracle": [line("torque", calibrated_rms=1.1, augmented_rms=0.1, floor_rms=0.1)],
+    }
+    answer = answer_of(shrinkage=[line("torque", augmented_rms=0.6)])
+    found = mark("c", truth_of("unbalance"), answer, told)
+    assert (found.closed, found.oracle_closed) == (pytest.approx(0.5), pytest.approx(1.0))
+
+
+def test_departures_leave_out_what_has_no_one_truth():
+    parameters = [
+        {"parameter": "rotor_inertia", "fitted": 2.0, "std": 0.5},
+        {"parameter": "back_emf_constant", "fitted": 2.0, "std": 0.5},
+        {"parameter": "bench.shaft_stiffness", "fitted": 1.0, "std": 0.5},
+    ]
+    base = {"rotor_inertia": 1.0, "back_emf_constant": 1.0, "bench.shaft_stiffness": 1.0}
+    found = mark("c", truth_of("shaft_compliance", base=base), answer_of(parameters=parameters), UNMEASURED)
+    assert found.departures == (Departure("rotor_inertia", 2.0),)
+
+
+def test_wilson_interval_of_known_figures():
+    low, high = Share("", "", 8, 10).interval
+    assert (low, high) == (pytest.approx(0.4902, abs=1e-4), pytest.approx(0.9433, abs=1e-4))
+    assert Share("", "", 10, 10).interval[1] == 1.0
+    assert Share("", "", 0, 0).interval is None
+
+
+def marks_of(stated, right):
+    plain = Mark("c", truth_of("cogging"), "effect", (("cogging", 0.5),), ("cogging",), None, None, None, None, ())
+    return [
+        replace(plain, causes=(("cogging", p),), reported=("cogging",) if good else ("backlash",))
+        for p, good in zip(stated, right, strict=True)
+    ]
+
+
+def test_sound_probabilities_have_no_calibration_error_and_the_skill_of_their_spread():
+    random = np.random.default_rng(0)
+    stated = np.repeat([0.05, 0.95], 5000)
+    found = calibration(marks_of(stated, random.random(10_000) < stated))
+    assert found.error < 0.01
+    assert found.skill == pytest.approx(1 - 0.05 * 0.95 / 0.25, abs=0.02)
+    assert [(b.low, b.count) for b in found.bins] == [(0.0, 5000), (0.9, 5000)]
+
+
+def test_proud_probabilities_are_shown_up():
+    found = calibration(marks_of([1.0] * 10, [True] * 6 + [False] * 4))
+    assert found.error == pytest.approx(0.4)
+    assert found.skill < 0
+
+
+def test_every_miss_is_listed_with_what_was_said():
+    answer = answer_of(("backlash", 0.9, []))
+    misses = score([mark("case-7", truth_of("presliding"), answer, UNMEASURED)]).misses
+    assert {(m.case, m.truth, m.answer) for m in misses} == {("case-7", "presliding, plain", "effect: backlash 0.90")}
+    assert len(misses) == 2
