@@ -10,6 +10,8 @@ from leactl.gap.replay.job import Job, noise_of, quantum_of
 Array = npt.NDArray[np.float64]
 LONGEST_DELAY_S = 0.012  # by which a drive may follow late
 BUSIEST = 2000  # samples that tell how a reference moves
+CEILING = 0.96  # of bus voltage over sqrt(2), from which a drive may no longer hold its current
+RECOVERS = 12  # samples around the ceiling in which the loop is still on its way back
 STANDS_S = 1.0  # how long a rounding error may stay the same
 
 
@@ -24,6 +26,7 @@ def follow(job: Job) -> None:
         reading, mean = answered(over, over[0], bandwidth, job.step)
         for becomes in plant.loop_answer:
             reading, mean = becomes(reading, job.step), becomes(mean, job.step)
+        reading, mean = held_back(job, reading, mean)
     else:
         found = measured(job, "test")
         if found is None:
@@ -33,6 +36,25 @@ def follow(job: Job) -> None:
     on = spread(np.round(enabled), job.parts) if enabled is not None else np.ones_like(reading)
     job.current = on * (reading - plant.current_offset) / plant.current_gain
     job.current_mean = on[1:] * (mean - plant.current_offset) / plant.current_gain
+
+
+def held_back(job: Job, reading: Array, mean: Array) -> tuple[Array, Array]:
+    """The measured current where the drive's voltage stands at its ceiling: no loop follows a reference there."""
+    volts, bus = job.clock.get("q_axis_voltage"), job.plant.model.bench.bus_voltage
+    found = measured(job, "test")
+    if volts is None or bus is None or found is None:
+        return reading, mean
+    at_ceiling = np.abs(volts) > CEILING * bus / np.sqrt(2.0)
+    if not at_ceiling.any():
+        return reading, mean
+    near = np.convolve(at_ceiling, np.ones(2 * RECOVERS + 1), "same") > 0
+    steps = np.repeat(near[1:], job.parts)
+    job.notes.append(
+        f"{job.record.path.name}: {int(at_ceiling.sum())} samples at the voltage ceiling; the measured current drives"
+        " the replay there"
+    )
+    instants = np.concatenate([steps[:1], steps])
+    return np.where(instants, found[0], reading), np.where(steps, found[1], mean)
 
 
 def asked(job: Job) -> Array:
