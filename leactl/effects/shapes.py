@@ -18,7 +18,7 @@ def lagged(values: Array, time_constant: float, interval: float) -> Array:
 def delayed(values: Array, delay: float, interval: float) -> Array:
     """The values a delay earlier, linear in between, the first value before the start."""
     at = np.arange(len(values)) - delay / interval
-    return np.interp(at, np.arange(len(values)), values)
+    return np.asarray(np.interp(at, np.arange(len(values)), values), np.float64)
 
 
 def play(values: Array, half_width: float) -> Array:

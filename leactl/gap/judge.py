@@ -63,7 +63,7 @@ def judge(evidence: Evidence, found: Found, held_out: Mapping[Candidate, float])
 
 
 def spread(member: Finding, rival: Finding) -> float:
-    """How far apart two gains may be by noise and by what forms miss; shapes that are pure lags miss next to nothing."""
+    """How far apart two gains may be by noise and by what forms miss; pure lags miss next to nothing."""
     exact = all(library()[item.effect].shaped and library()[item.effect].explains > LOOSE for item in (member, rival))
     return 1.0 + (EXACT_FORM_ERROR if exact else RIVAL_FORM_ERROR) * member.gain
 
