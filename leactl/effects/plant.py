@@ -15,6 +15,7 @@ import numpy.typing as npt
 from leactl.model.nominal import Model
 
 Array: TypeAlias = npt.NDArray[np.float64]
+GIVE = 5e-5  # rad; bearings have 1e-6 to 1e-4
 
 
 @dataclass
@@ -51,7 +52,8 @@ class Plant:
     stiffness: float | None  # N*m/rad, of the shaft
     resistance_coefficient: float  # 1/K
     play: float = 0.0  # rad, whole width between actuator and shaft
-    bristle: float = 0.0  # rad, over which friction builds up
+    bristle: float = 0.0  # rad, over which friction builds up by an effect
+    give: float = GIVE  # rad, over which it builds up in any bearing
     current_gain: float = 1.0  # measured current over current
     current_offset: float = 0.0  # A
     bus_resistance: float = 0.0  # ohm

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from leactl.gap.diagnosis import Shrinkage
 from leactl.gap.record import Record
 from leactl.gap.replay import replay_all
+from leactl.gap.replay.bearing import give_of
 from leactl.gap.replay.compared import Compared, compare
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.plants import plant_of
@@ -61,6 +62,9 @@ def shrinkage(records: Sequence[Record], nominal: Model, calibrated: Model, augm
     """
     models = (nominal, calibrated, augmented)
     plants = [plant_of(model) for model in models]
+    give = give_of(records, augmented)
+    for plant in plants:
+        plant.give = give
     random = np.random.default_rng(seed)
     sets = []
     for record in records:

@@ -24,7 +24,7 @@ WARM = {WINDING, HOUSING}
 CASES = [
     ("ambient_drift", {"change": 6.0}, "heated", WARM | {LINE}),
     ("asymmetric_friction", {"asymmetry": 0.2}, "free", {VELOCITY, VOLTAGE}),
-    ("backlash", {"width": 0.01}, "coupled", TURNING),
+    ("backlash", {"width": 0.01}, "locked", SHAKEN),
     ("bus_sag", {"resistance": 0.2}, "locked", {BUS}),
     ("cogging", {"amplitude": 0.05, "order": 24.0, "phase": 0.3}, "free", {VELOCITY, VOLTAGE}),
     ("command_slew_limit", {"rate": 300.0}, "locked", SHAKEN | {CURRENT} | WARM),

@@ -14,8 +14,7 @@ Array = npt.NDArray[np.float64]
 BLOCK_S = 1.0
 FEWEST_BLOCKS = 20  # a slow clock has longer blocks, for its errors last
 LAG = 4  # samples between the values whose differences tell the noise
-TRIMMED = 0.98  # share of the differences that tell the noise: the others are steps that a model does not time right
-TRIMMED_SCALE = 0.9343  # standard deviation of what is left of a Gaussian
+STRETCH = 500  # samples that tell it once
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,9 +79,10 @@ def _compared(
     if len(index) < 2:
         return None
     left = [values[index] - row[index] for row in rows[:-1]]
-    noise = max(min(white(residual) for residual in left), quantum_of(values) / np.sqrt(12.0))
     time = clock.time - clock.time[0]
     length = BLOCK_S if clock is record.fast else max(BLOCK_S, float(time[-1]) / FEWEST_BLOCKS)
+    block = (time[index] / length).astype(np.intp)
+    noise = max(min(white(residual) for residual in left), quantum_of(values) / np.sqrt(12.0))
     return Compared(
         run=record.name,
         kind=record.kind,
@@ -91,7 +91,7 @@ def _compared(
         role=key[1],
         time=time[index],
         index=index,
-        block=(time[index] / length).astype(np.intp),
+        block=block,
         measured=values[index],
         replayed=tuple(row[index] for row in rows[:-1]),
         disturbed=rows[-1][index],
@@ -101,7 +101,12 @@ def _compared(
 
 
 def white(values: Array) -> float:
-    """Standard deviation of what changes within a few samples: filters of a channel reach no further."""
-    steps = np.sort(np.abs(values[LAG:] - values[:-LAG])) if len(values) > LAG else np.abs(values)
-    kept = steps[: max(1, int(TRIMMED * len(steps)))]
-    return float(np.sqrt(np.mean(kept**2) / 2.0)) / TRIMMED_SCALE
+    """Standard deviation of what changes within a few samples, as half of the stretches have it or less.
+
+    Filters of a channel reach no further than these samples; what a model gets wrong in some stretches is no noise.
+    """
+    steps = np.abs(values[LAG:] - values[:-LAG])
+    if len(steps) == 0:
+        return 0.0
+    parts = np.array_split(steps, max(1, len(steps) // STRETCH))
+    return float(np.median([np.median(part) for part in parts]) / (0.6745 * np.sqrt(2.0)))

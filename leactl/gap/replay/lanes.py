@@ -15,7 +15,6 @@ import numpy.typing as npt
 from leactl.effects.plant import Moment, Plant
 
 Array = npt.NDArray[np.float64]
-BRISTLE = 5e-5  # rad, over which friction builds up where no effect says otherwise; bearings have 1e-5 to 1e-4
 BRISTLE_DAMPING = 0.2  # of critical, while bristles bend: without it a rotor that sticks would ring for ever
 SHAFT_DAMPING = 0.03  # of critical, as steel shafts with clamped couplings have
 STIFFEST = 1.0  # rad, half the phase that a shaft's resonance may turn in a step; a stiffer one is as good as rigid
@@ -179,9 +178,9 @@ class _Bristles:
     """Friction of the test rotors, as what bends and then slides."""
 
     def __init__(self, lanes: Lanes, gain: Array) -> None:
-        reach = np.full(len(gain), BRISTLE)
+        reach = np.empty(len(gain))
         for plant, place in lanes.plants:
-            reach[place] = plant.bristle or BRISTLE
+            reach[place] = plant.bristle or plant.give
         # bristles stiffer than a step resolves would drive the rotor back and forth
         reach = np.maximum(reach, 0.5 * lanes.step * gain * lanes.friction)
         self.per_turn = lanes.step / reach
