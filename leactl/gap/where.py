@@ -184,20 +184,22 @@ def since_reversal(speed: Array, interval: float) -> Array:
 def narrowest(values: Array, squares: Array) -> tuple[float, float, float, float] | None:
     """Interval with the least data that holds most of the squares: low, high, share held and part of the data."""
     order = np.argsort(values, kind="stable")
+    ordered = values[order]
     held = np.concatenate([[0.0], np.cumsum(squares[order])])
-    if held[-1] <= 0.0 or values[order[0]] == values[order[-1]]:
+    if held[-1] <= 0.0 or ordered[0] == ordered[-1]:
         return None
-    edges = np.linspace(0, len(order), BINS + 1).astype(np.intp)
+    cuts = np.linspace(0, len(order), BINS + 1).astype(np.intp)[:-1]
+    # a cut within a level, such as one direction, moves to where the level begins
+    edges = np.append(np.unique(np.searchsorted(ordered, ordered[cuts])), len(order))
     best: tuple[int, int] | None = None
-    for first in range(BINS):
-        for last in range(first + 1, BINS + 1):
+    for first in range(len(edges) - 1):
+        for last in range(first + 1, len(edges)):
             if held[edges[last]] - held[edges[first]] >= MOST * held[-1]:
-                if best is None or last - first < best[1] - best[0]:
-                    best = (first, last)
+                if best is None or edges[last] - edges[first] < best[1] - best[0]:
+                    best = (int(edges[first]), int(edges[last]))
                 break
     if best is None:
         return None
-    first, last = best
-    share = float((held[edges[last]] - held[edges[first]]) / held[-1])
-    low, high = float(values[order[edges[first]]]), float(values[order[edges[last] - 1]])
-    return low, high, share, (last - first) / BINS
+    start, stop = best
+    share = float((held[stop] - held[start]) / held[-1])
+    return float(ordered[start]), float(ordered[stop - 1]), share, (stop - start) / len(order)

@@ -11,7 +11,7 @@ from leactl.report.html import Html, joined, tag
 from leactl.report.plot import Axis
 
 Array = npt.NDArray[np.float64]
-TICKS = (4, 5)  # at most about so many along x and y: at 360 px, x labels have 45 px each
+TICKS = (5, 5)  # at most about so many along x and y: at 360 px, x labels have 47 px each
 FULL = 1000.0  # units of the drawing, across and down
 LONGEST_LABEL = 7  # characters
 

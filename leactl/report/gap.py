@@ -5,11 +5,14 @@ import sys
 import textwrap
 from collections.abc import Sequence
 
-from leactl.gap.diagnosis import Cause, Diagnosis
+from leactl.gap.diagnosis import Cause, Diagnosis, Shrinkage
 from leactl.report.gap_words import (
     bare_units,
     change,
+    claims,
+    closed_by_calibration,
     closed_text,
+    counted,
     figure,
     floors,
     label,
@@ -80,37 +83,46 @@ def how_far(answer: Diagnosis, width: int) -> str:
     if not answer.shrinkage:
         return ""
     shown = largest_first(answer.shrinkage)
-    rest = len(answer.shrinkage) - len(shown)
-    tail = f"{rest} of {len(answer.shrinkage)} channels are within 1.1 times their floor: no gap to close"
-    rows = [
-        (
-            label(item, answer.shrinkage),
-            figure(item.nominal_rms),
-            figure(item.calibrated_rms),
-            figure(item.augmented_rms),
-            figure(item.floor_rms),
-            bare_units(item.units),
-            closed_text(item),
-        )
-        for item in shown
-    ]
-    if not rows:
-        return filled(tail, width)
-    headings = ("gap (RMS)", "nominal", "before", "after", "floor", "", "closed (95 %)")
-    about = "before: the calibrated model; after: with the effects; on held-out runs"
-    return "\n".join([table(headings, rows, width, spare=1), filled(about, width), filled(tail, width)])
+    said: list[str] = []
+    headings: tuple[str, ...]
+    if shown and claims(answer.causes):
+        headings = ("gap (RMS)", "nominal", "before", "after", "floor", "", "closed (95 %)")
+        said.append(table(headings, [effect_row(item, answer.shrinkage) for item in shown], width, spare=1))
+        said.append(filled("before: the calibrated model; after: with the effects; on held-out runs", width))
+    else:
+        shown = shown or closed_by_calibration(answer.shrinkage)[:REGIONS]
+    if shown and not said:
+        headings = ("gap (RMS)", "nominal", "calibrated", "floor", "", "over floor")
+        said.append(table(headings, [calibration_row(item, answer.shrinkage) for item in shown], width))
+    return "\n".join([*said, filled(counted(answer.shrinkage), width)])
+
+
+def effect_row(item: Shrinkage, among: Sequence[Shrinkage]) -> list[str]:
+    """A channel before and after the effects."""
+    numbers = (item.nominal_rms, item.calibrated_rms, item.augmented_rms, item.floor_rms)
+    return [label(item, among), *map(figure, numbers), bare_units(item.units), closed_text(item)]
+
+
+def calibration_row(item: Shrinkage, among: Sequence[Shrinkage]) -> list[str]:
+    """A channel before and after calibration, where no effect is added."""
+    numbers = (item.nominal_rms, item.calibrated_rms, item.floor_rms)
+    return [label(item, among), *map(figure, numbers), bare_units(item.units), floors(item)]
 
 
 def where(answer: Diagnosis, width: int) -> str:
     """The largest gaps and their regions."""
     rows = [
-        (label(item, answer.where), floors(item), region_text(item.region, item.share))
+        (
+            label(item, answer.where),
+            f"{figure(item.calibrated_rms)} {bare_units(item.units)}",
+            region_text(item.region, item.share),
+        )
         for item in answer.where
         if open_gap(item)
     ]
     if not rows:
         return ""
-    said = [table(("where", "over floor", "region and its share"), rows[:REGIONS], width)]
+    said = [table(("where", "calibrated", "region and its share"), rows[:REGIONS], width)]
     if len(rows) > REGIONS:
         said.append(f"and {len(rows) - REGIONS} more with a smaller gap")
     return "\n".join(said)
@@ -126,15 +138,25 @@ def calibration(answer: Diagnosis, width: int) -> str:
 
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int, spare: int | None = None) -> str:
-    """Columns where they fit, first without the one to spare; else each row's name has a line of its own."""
+    """Columns where they fit, first without the one to spare, then with the last cell of long rows on the next line.
+
+    Where that does not fit either, each row's name has a line of its own.
+    """
     whole = aligned(headings, rows)
     if widest(whole) <= width:
         return whole
-    if spare is not None:
-        keep = [k for k in range(len(headings)) if k != spare]
-        without = aligned([headings[k] for k in keep], [[row[k] for k in keep] for row in rows])
-        if widest(without) <= width:
-            return without
+    keep = [k for k in range(len(headings)) if k != spare]
+    headings, rows = [headings[k] for k in keep], [[row[k] for k in keep] for row in rows]
+    short = aligned([*headings[:-1], ""], [[*row[:-1], ""] for row in rows]).splitlines()
+    lasts = [headings[-1], *(row[-1] for row in rows)]
+    start = max(map(len, short)) + 2
+    if start + len(headings[-1]) <= width and max(map(len, lasts)) + 4 <= width:
+        one, two = "{0:{1}}{2}", "{0}\n    {2}"
+        joined = (
+            (one if start + len(last) <= width else two).format(line, start, last)
+            for line, last in zip(short, lasts, strict=True)
+        )
+        return "\n".join(line.rstrip() for line in joined)
     said = [headings[0]]
     for row in rows:
         pairs = [f"{heading} {cell}".strip() for heading, cell in zip(headings[1:], row[1:], strict=True) if cell]

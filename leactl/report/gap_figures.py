@@ -6,7 +6,7 @@ from leactl.gap.diagnosis import Diagnosis, Where
 from leactl.gap.shrinkage import Trace
 from leactl.gap.where import Profile
 from leactl.report.chart import Bins, Curve, Layer, Stretch, chart
-from leactl.report.gap_words import NEAR_FLOOR, bare_units, floors, label, region_text
+from leactl.report.gap_words import NEAR_FLOOR, bare_units, floors, label, open_gap, region_text
 from leactl.report.html import Html, tag
 
 SHOWN = 5  # channels
@@ -18,14 +18,20 @@ def figures(answer: Diagnosis) -> list[Html]:
     traces = {(one.quantity, one.role, one.mechanical): one for one in answer.extra.get("traces", ())}
     profiles = {(one.quantity, one.role, one.mechanical): one for one in answer.extra.get("profiles", ())}
     cards = []
-    for item in answer.where:
+    closed = sorted(
+        (one for one in answer.where if not open_gap(one)),
+        key=lambda one: -one.nominal_rms / max(one.floor_rms, 1e-300),
+    )
+    for item in [*filter(open_gap, answer.where), *closed]:
         key = (item.quantity, item.role, item.mechanical)
         if key not in traces or max(item.nominal_rms, item.calibrated_rms) < NEAR_FLOOR * item.floor_rms:
             continue
         charts = [over_time(traces[key])]
         if key in profiles and len(profiles[key].low):
             charts.append(over_variable(profiles[key], item))
-        heading = tag("h3", label(item, answer.where), tag("small", f"{floors(item)} its floor after calibration"))
+        heading = tag(
+            "h3", label(item, answer.where), tag("small", f"{floors(item)} its practical floor after calibration")
+        )
         cards.append(tag("div", heading, tag("div", *charts, class_="pair"), class_="card"))
     return cards[:SHOWN]
 
@@ -43,7 +49,7 @@ def over_time(trace: Trace) -> Html:
     layers += [Curve(words, name, trace.time, getattr(trace, name)) for name, words in both]
     return tag(
         "figure",
-        tag("figcaption", f"Measured and simulated, {trace.run}, where the calibrated model is farthest off"),
+        tag("figcaption", f"Measured and simulated where the calibrated model is farthest off, {trace.run}"),
         chart(layers, "time [s]", with_units(trace.quantity, trace.units)),
     )
 

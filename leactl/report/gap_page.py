@@ -15,7 +15,10 @@ from leactl.report.gap_words import (
     PRESENT,
     bare_units,
     change,
+    claims,
+    closed_by_calibration,
     closed_text,
+    counted,
     figure,
     floors,
     label,
@@ -33,6 +36,7 @@ from leactl.report.gap_words import (
 from leactl.report.html import Html, document, joined, table, tag
 
 MODELS = ("nominal", "calibrated", "augmented", "floor")
+CARDS = 12  # channels with bars, where no effect is added
 LEAST = 0.5  # of the smallest number, where the bars begin: on a log scale there is no zero
 
 
@@ -60,17 +64,15 @@ def section(title: str, content: Html) -> Html:
 
 def headline(answer: Diagnosis) -> Html:
     """The verdict, the chance that it misses something, and the largest gap closed."""
-    largest = largest_first(answer.shrinkage)
     facts = [f"Probability that something unexplained acts: {probability(answer.unexplained_probability)}."]
-    if largest:
-        first = largest[0]
+    for item in largest_first(answer.shrinkage)[:1]:
+        after = f", {figure(item.augmented_rms)} with the effects" if claims(answer.causes) else ""
+        closed = f"; closed {closed_text(item)}" if claims(answer.causes) else ""
         facts.append(
-            f"Largest gap: {label(first, answer.shrinkage)}, {figure(first.calibrated_rms)} {bare_units(first.units)}"
-            f" after calibration, {figure(first.augmented_rms)} with the effects, floor {figure(first.floor_rms)}"
-            f"; closed {closed_text(first)}."
+            f"Largest gap: {label(item, answer.shrinkage)}, {figure(item.calibrated_rms)} {bare_units(item.units)}"
+            f" after calibration{after}, floor {figure(item.floor_rms)}{closed}."
         )
-    elif answer.shrinkage:
-        facts.append(f"None of {len(answer.shrinkage)} channels is off by more than 1.1 times its floor.")
+    facts += [f"{counted(answer.shrinkage)}."] if answer.shrinkage else []
     return tag(
         "div",
         tag("p", tag("strong", answer.verdict, class_="verdict"), " ", sentence(answer), class_="lead"),
@@ -111,18 +113,19 @@ def shrinkage(answer: Diagnosis) -> Html:
     """Bars for the channels with a gap, and a table of all."""
     if not answer.shrinkage:
         return Html("")
-    shown = largest_first(answer.shrinkage)
+    effects = bool(claims(answer.causes))
+    largest = largest_first(answer.shrinkage)
+    shown = largest if effects else [*largest, *closed_by_calibration(answer.shrinkage)][:CARDS]
     parts = []
     if shown:
         intro = "RMS of measured minus simulated on held-out runs. The bars' scale is logarithmic, each over its floor."
         low, high = span(shown)
         parts += [tag("p", intro, class_="about")]
-        parts += [tag("div", *(bars(item, answer.shrinkage, low, high) for item in shown), class_="shrinkage")]
-    closed = len(answer.shrinkage) - len(shown)
-    parts.append(tag("p", f"{closed} of {len(answer.shrinkage)} channels are within 1.1 times their floor: no gap."))
+        parts += [tag("div", *(bars(item, answer.shrinkage, low, high, effects) for item in shown), class_="shrinkage")]
+    parts.append(tag("p", f"{counted(answer.shrinkage)}."))
     rows = [
         [label(item, answer.shrinkage), *map(figure, rms(item)), bare_units(item.units), closed_text(item)]
-        for item in [*shown, *(item for item in answer.shrinkage if not open_gap(item))]
+        for item in [*largest, *(item for item in answer.shrinkage if not open_gap(item))]
     ]
     every = table(["channel", *MODELS, "units", "closed (95 %)"], rows, "figures")
     return joined([*parts, tag("details", tag("summary", "All channels"), every)])
@@ -146,10 +149,12 @@ def base(item: Shrinkage) -> float:
     return item.floor_rms if item.floor_rms in positive else min(positive, default=1.0)
 
 
-def bars(item: Shrinkage, among: Sequence[Shrinkage], low: float, high: float) -> Html:
-    """Four bars of one channel."""
+def bars(item: Shrinkage, among: Sequence[Shrinkage], low: float, high: float, effects: bool) -> Html:
+    """The bars of one channel; without an effect the augmented model is the calibrated one and has none."""
     drawn = []
     for name, value in zip(MODELS, rms(item), strict=True):
+        if name == "augmented" and not effects:
+            continue
         positive = math.isfinite(value) and value > 0.0
         share = (math.log(value / base(item)) - low) / (high - low) if positive else 0.0
         drawn += [
@@ -157,7 +162,8 @@ def bars(item: Shrinkage, among: Sequence[Shrinkage], low: float, high: float) -
             tag("div", tag("i", class_=name, style=f"width:{100 * share:.4g}%"), class_="bar"),
             tag("span", f"{figure(value)} {bare_units(item.units)}"),
         ]
-    head = tag("h3", label(item, among), tag("small", f"closed {closed_text(item)}"))
+    told = f"closed {closed_text(item)}" if effects else f"{floors(item)} its floor after calibration"
+    head = tag("h3", label(item, among), tag("small", told))
     return tag("div", head, tag("div", *drawn, class_="bars"), class_="card")
 
 
@@ -180,12 +186,13 @@ def where(answer: Diagnosis) -> Html:
         "channel",
         "nominal",
         "calibrated",
-        "floor",
+        "practical floor",
         "units",
         "over floor",
         "region and its share of the square",
     ]
-    return table(headings, rows, "figures") if rows else Html("")
+    about = "The practical floor is what noise leaves, or a replay that explains the channel, up to a few times that."
+    return joined([table(headings, rows, "figures"), tag("p", about, class_="about")]) if rows else Html("")
 
 
 def calibration(answer: Diagnosis) -> Html:

@@ -31,6 +31,7 @@ dt { color: var(--faint); }
 dd { margin: 0; font-variant-numeric: tabular-nums; }
 .shrinkage { display: grid; gap: 0.75rem; grid-template-columns: repeat(auto-fill, minmax(min(100%, 24rem), 1fr)); }
 .shrinkage .card { margin: 0; }
+.shrinkage + p { margin-top: 0.75rem; }
 .bars { display: grid; grid-template-columns: auto 1fr auto; gap: 0.15rem 0.5rem; align-items: center;
   font-size: 0.875rem; font-variant-numeric: tabular-nums; }
 .bars .bar { background: none; }

@@ -54,12 +54,26 @@ def label(item: Channel, among: Sequence[Channel]) -> str:
 
 def open_gap(item: Channel) -> bool:
     """Whether the calibrated model leaves a gap in this channel."""
-    return item.calibrated_rms >= NEAR_FLOOR * item.floor_rms
+    return item.calibrated_rms > 0.0 and item.calibrated_rms >= NEAR_FLOOR * item.floor_rms
 
 
 def largest_first(items: Sequence[Shrinkage]) -> list[Shrinkage]:
     """Channels with a gap, by how many floors it is."""
     return sorted(filter(open_gap, items), key=lambda item: -item.calibrated_rms / max(item.floor_rms, 1e-300))
+
+
+def closed_by_calibration(items: Sequence[Shrinkage]) -> list[Shrinkage]:
+    """Channels whose gap is gone once the model's own parameters are fitted, the largest first."""
+    near = [item for item in items if not open_gap(item) and item.nominal_rms >= NEAR_FLOOR * item.floor_rms]
+    return sorted(near, key=lambda item: -item.nominal_rms / max(item.floor_rms, 1e-300))
+
+
+def counted(items: Sequence[Shrinkage]) -> str:
+    """How many channels have no gap, and how many of them owe it to calibration."""
+    rest = sum(not open_gap(item) for item in items)
+    by_calibration = len(closed_by_calibration(items))
+    owed = f", {by_calibration} of them by calibration" if by_calibration else ""
+    return f"{rest} of {len(items)} channels are within 1.1 times their floor{owed}"
 
 
 def figure(value: float) -> str:
@@ -131,8 +145,7 @@ def region_text(region: Region | None, share: float) -> str:
     if region is None:
         return "no narrow region"
     if region.variable == "direction":
-        directions = {(-1.0, -1.0): "backward", (1.0, 1.0): "forward"}
-        word = directions.get((region.low, region.high), f"{region.low:g} to {region.high:g}")
+        word = "forward" if region.low >= 0.0 else "backward" if region.high <= 0.0 else "of both signs"
         return f"direction {word}, {percent(share)}"
     span = f"{figure(region.low)} to {figure(region.high)} {bare_units(region.units)}".rstrip()
     return f"{region.variable} {span}, {percent(share)}"

@@ -31,7 +31,7 @@ def test_only_channels_with_a_gap_are_listed_and_the_others_counted():
     assert "torque, locked           0.333   0.0101  0.00912  N*m    100 % (98 .. 100)" in lines
     assert "velocity, coupled, test  0.208   0.0454  0.0216   rad/s  87 % (84 .. 90)" in lines
     assert not any(line.startswith("velocity, coupled, load") for line in lines)
-    assert "1 of 3 channels are within 1.1 times their floor: no gap to close" in lines
+    assert "1 of 3 channels are within 1.1 times their floor, 1 of them by calibration" in lines
 
 
 def test_a_wide_terminal_has_the_nominal_numbers_too():
@@ -39,6 +39,23 @@ def test_a_wide_terminal_has_the_nominal_numbers_too():
     row = next(line for line in lines if line.startswith("torque, locked ") and "0.412" in line)
     assert row.split()[2:6] == ["0.412", "0.333", "0.0101", "0.00912"]
     assert "viscous_damping  0.0238   0.02514 ± 0.00021  N*m*s/rad  +5.62 %" in lines
+
+
+def test_without_an_effect_the_table_shows_what_calibration_did():
+    lines = render(answer(verdict="calibration", causes=())).splitlines()
+    assert "gap (RMS)                nominal  calibrated  floor           over floor" in lines
+    assert "torque, locked           0.412    0.333       0.00912  N*m    36.5 x" in lines
+    closed = replace(answer().shrinkage[1], role="test")
+    lines = render(answer(verdict="calibration", causes=(), shrinkage=(closed,))).splitlines()
+    assert "velocity, coupled  0.464    0.0236      0.0226  rad/s  1.04 x" in lines
+
+
+def test_a_row_that_is_too_long_goes_on_below():
+    long = replace(answer().shrinkage[2], quantity="housing_temperature", closed_low=-22.53, closed_high=31.0)
+    lines = render(answer(shrinkage=(long, answer().shrinkage[0])), 76).splitlines()
+    place = lines.index("    100 % (-2253 .. 3100)")
+    assert lines[place - 1] == "housing_temperature, locked  0.333   0.0101  0.00912  N*m"
+    assert lines[place + 1] == "velocity, coupled            0.208   0.0454  0.0216   rad/s  87 % (84 .. 90)"
 
 
 def test_causes_have_parameters_class_and_experiment():
@@ -53,7 +70,7 @@ def test_five_regions_at_most():
     first = answer().where[0]
     many = tuple(replace(first, quantity=f"q{k}") for k in range(8))
     text = render(answer(where=many))
-    assert sum(line.startswith("q") and "36.5 x" in line for line in text.splitlines()) == 5
+    assert sum(line.startswith("q") and "0.333 N*m" in line for line in text.splitlines()) == 5
     assert "and 3 more with a smaller gap" in text
 
 
