@@ -27,7 +27,7 @@ def diagnose_runs(
     from leactl.report.steps import Steps
 
     outputs = Outputs(json_out, html, write_model)
-    outputs.check()
+    outputs.check([*runs, *held_out, model])
     with Steps() as step:
         answer = diagnose(read_case(runs, held_out, model), step)
         outputs.write(answer)

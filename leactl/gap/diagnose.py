@@ -123,7 +123,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         parameters,
         causes,
         shrunk.shrinkage,
-        notes + shrunk.notes + questions(case.model, case.fitted, evidence),
+        tuple(dict.fromkeys(notes + shrunk.notes + questions(case.model, case.fitted, evidence))),
         {
             "calibrated": tuned,
             "augmented": augmented,

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,15 +23,19 @@ class Outputs:
     html: Path | None = None
     model: Path | None = None
 
-    def check(self) -> None:
+    def check(self, inputs: Sequence[Path] = ()) -> None:
         """Find fault with all files at once, before minutes are spent on what could not be written.
+
+        An earlier answer of the same name is replaced; what was read never is.
 
         Raises
         ------
-        InputError : a file exists already, its folder does not, or one is named twice.
+        InputError : a file is an input or no plain file, its folder does not exist, or one is named twice.
         """
+        read = {path.resolve() for path in inputs}
         files = [path for path in (self.json, self.html, self.model) if path is not None and path != STDOUT]
-        faults = [f"{path}: exists already; nothing is overwritten" for path in files if path.exists()]
+        faults = [f"{path}: is an input; name another file" for path in files if path.resolve() in read]
+        faults += [f"{path}: is no plain file" for path in files if path.exists() and not path.is_file()]
         faults += [f"{path}: no folder {path.parent}" for path in files if not path.parent.is_dir()]
         twice = {path for path in files if sum(path.resolve() == other.resolve() for other in files) > 1}
         faults += [f"{path}: is named for two outputs; give each a file of its own" for path in sorted(twice)]

@@ -228,14 +228,13 @@ def test_files_are_refused_before_anything_is_computed(case, tmp_path):
     kept.write_text("mine")
     done = leactl(
         "gap", "diagnose", *case.fitted, "--model", case.nominal,
-        "--json", kept, "--html", tmp_path / "no" / "page.html", "--write-model", kept,
+        "--json", kept, "--html", tmp_path / "no" / "page.html", "--write-model", case.nominal,
     )  # fmt: skip
     assert done.returncode == 2
     assert done.stdout == ""
     assert [line for line in done.stderr.splitlines() if not line.startswith("leactl: ")] == []
-    assert "exists already" in done.stderr
+    assert f"{case.nominal}: is an input" in done.stderr
     assert "no folder" in done.stderr
-    assert "two outputs" in done.stderr
     assert kept.read_text() == "mine"
 
 
