@@ -81,6 +81,7 @@ th, td { text-align: left; padding: 0.2rem 0.9rem 0.2rem 0; border-bottom: 1px s
 th { font-weight: 500; }
 thead th { color: var(--faint); }
 details, .scroll { margin-top: 0.75rem; }
-@media print { body { font-size: 11pt; } .card, .causes li, figure { break-inside: avoid; }
+@media print { body { font-size: 11pt; } details::details-content { content-visibility: visible; }
+  .card, .causes li, figure { break-inside: avoid; }
   .bar, .bar i, .swatch { print-color-adjust: exact; } .scroll { overflow: visible; } }
 """
