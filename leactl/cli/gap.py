@@ -30,6 +30,7 @@ def diagnose_runs(
     outputs.check([*runs, *held_out, model])
     with Steps() as step:
         answer = diagnose(read_case(runs, held_out, model), step)
+        step("writing")
         outputs.write(answer)
     if json_out != STDOUT:
         print_diagnosis(answer)

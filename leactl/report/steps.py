@@ -1,5 +1,6 @@
 """Steps of a long computation on stderr: one line that is rewritten on a terminal, plain lines anywhere else."""
 
+import signal
 import time
 from types import TracebackType
 from typing import Self
@@ -21,6 +22,7 @@ class Steps:
     def __init__(self, console: Console | None = None) -> None:
         self._console = console or Console(stderr=True)
         self._began = time.monotonic()
+        self._asked = False
         self._shown: Progress | None = None
         if self._console.is_terminal:
             columns = (TextColumn("{task.description} ...", markup=False), TimeElapsedColumn())
@@ -28,13 +30,16 @@ class Steps:
             self._task = self._shown.add_task("reading")
 
     def __call__(self, step: str) -> None:
-        """Tell the step that begins."""
+        """Tell the step that begins, or end here where somebody asked for it."""
+        if self._asked:
+            raise Stopped("stopped")
         if self._shown is not None:
             self._shown.update(self._task, description=step)
         else:
             self._say(f"{step} ...")
 
     def __enter__(self) -> Self:
+        self._before = signal.signal(signal.SIGINT, self._stop)
         if self._shown is not None:
             self._shown.start()
         return self
@@ -42,6 +47,7 @@ class Steps:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        signal.signal(signal.SIGINT, self._before)
         if self._shown is not None:
             self._shown.stop()
         if kind is KeyboardInterrupt:
@@ -49,6 +55,11 @@ class Steps:
             raise Stopped("stopped") from error
         if kind is None:
             self._say(f"done in {time.monotonic() - self._began:.1f} s")
+
+    def _stop(self, number: int, frame: object) -> None:
+        # where HDF5 calls back, an exception is printed and dropped: the flag is what the next step goes by
+        self._asked = True
+        raise KeyboardInterrupt
 
     def _say(self, line: str) -> None:
         print(line, file=self._console.file, flush=True)

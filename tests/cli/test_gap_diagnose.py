@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import subprocess
-import time
 from types import SimpleNamespace
 
 import pytest
@@ -255,7 +254,6 @@ def test_ctrl_c_ends_in_order(case, tmp_path):
     ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         assert running.stderr.readline().endswith(" ...\n")
-        time.sleep(0.2)
         running.send_signal(signal.SIGINT)
         out, error = running.communicate(timeout=60)
     assert running.returncode == 4
