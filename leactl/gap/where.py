@@ -17,6 +17,7 @@ MOST = 0.8  # of the squared residual that a region is to hold
 BINS = 12
 NARROW = 0.75  # of the data, above which a region says nothing
 NEAR_FLOOR = 1.1
+BROUGHT_DOWN = 0.7  # of the calibrated distance, below which a channel's gap is what the causes explain
 REPLAY_MISS = 6.0  # times the noise, that a replay of the right model may miss by
 OTHER_UNITS = {"direction": "1", "frequency": "Hz", "time": "s", "time_since_reversal": "s"}
 PROFILES = 5  # entries that come with a profile
@@ -102,14 +103,17 @@ def binned(values: Array, left: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def practical_floor(group: Sequence[Compared]) -> float:
-    """What noise leaves, or what replay leaves of a model that explains the channel, up to a few times that.
+    """What noise leaves; where the last model comes no closer than the calibrated one, what replay itself may leave.
 
-    Sticking and restarts make a replay of the right model miss by more than its noise; where the last model comes
-    no closer than this, neither can a gap be told from the replay's own.
+    Sticking and restarts make a replay of the right model miss by more than its noise. A channel that the causes bring
+    down has its gap from them, and the noise is its floor; in one that they leave as it was, the replay's own miss
+    cannot be told from a gap up to a few times the noise.
     """
     floor = rms([one.floor_squares() for one in group])
-    closest = min(rms([one.squares(model) for one in group]) for model in (1, 2))
-    return min(max(floor, closest), REPLAY_MISS * floor)
+    calibrated, last = (rms([one.squares(model) for one in group]) for model in (1, 2))
+    if last < BROUGHT_DOWN * calibrated:
+        return floor
+    return min(max(floor, min(calibrated, last)), REPLAY_MISS * floor)
 
 
 def rms(squares: Sequence[Array]) -> float:
