@@ -83,6 +83,23 @@ def effects(
     typer.echo(as_text(name) if name else overview())
 
 
+@app.command("plan")
+def plan_runs(
+    runs: list[Path] = typer.Argument(None, metavar="[RUN]...", help="Run files that there are."),
+    model: Path = typer.Option(..., "--model", help="Nominal model, a .yaml."),
+    protocols: list[str] = typer.Option([], "--protocol", help="A protocol that will be run; may be repeated."),
+    noise: list[str] = typer.Option([], "--noise", metavar="QUANTITY=STD", help="Noise of a planned channel, SI."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Say which effects runs and protocols can and cannot reveal, and which experiment would reveal more."""
+    from leactl.gap.planning.advice import advise, read_noise
+    from leactl.report.gap_plan import as_json as document
+    from leactl.report.gap_plan import lines
+
+    advice = advise(model, runs or [], protocols, read_noise(noise))
+    typer.echo(json.dumps(document(advice)) if as_json else "\n".join(lines(advice)))
+
+
 @blind.command("make")
 def make_blind(
     cases: int = typer.Option(..., "--cases", help="How many cases to draw."),

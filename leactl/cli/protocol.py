@@ -25,8 +25,9 @@ def list_protocols(as_json: bool = AS_JSON) -> None:
         rows = [{"name": p.name, "title": p.title, "setup": p.setup, "duration_s": p.duration_s} for p in plans]
         typer.echo(json.dumps({"protocols": rows}))
         return
+    width = max(len(plan.name) for plan in plans)
     for plan in plans:
-        typer.echo(f"{plan.name:<18} {plan.setup:<8} {_duration(plan.duration_s):>10}  {plan.title}")
+        typer.echo(f"{plan.name:<{width}}  {plan.setup:<8} {_duration(plan.duration_s):>10}  {plan.title}")
 
 
 @app.command()

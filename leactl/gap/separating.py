@@ -2,22 +2,18 @@
 
 from collections.abc import Sequence
 
+from leactl.protocol import protocolfile
+
 
 def separating_experiment(effect: str, peers: Sequence[str]) -> str | None:
-    """Name of the shipped protocol for a class; None where the data already tells."""
+    """The shipped protocol that separates most of a class, the shortest of several.
+
+    None where the data already tells, or where no protocol separates two of the class: gains that only a reference
+    instrument tells apart.
+    """
     if not peers:
         return None
     members = {effect, *peers}
-    for protocol, separates in EXPERIMENTS:
-        if len(members & separates) > 1 or (members & separates and not peers):
-            return protocol
-    return "separate-by-grid"
-
-
-EXPERIMENTS: tuple[tuple[str, frozenset[str]], ...] = (
-    ("separate-sensor-timing", frozenset({"torque_sensor_lag", "time_skew", "torque_sensor_hysteresis"})),
-    ("separate-drive-timing", frozenset({"transport_delay", "command_slew_limit"})),
-    ("separate-slow-friction", frozenset({"stribeck", "presliding", "backlash", "friction_run_in", "quadratic_drag"})),
-    ("separate-angle", frozenset({"cogging", "torque_ripple", "unbalance", "position_dependent_friction"})),
-    ("separate-heat", frozenset({"third_thermal_node", "ambient_drift", "nonlinear_convection", "forced_convection"})),
-)
+    plans = [protocolfile.load(name) for name in protocolfile.names()]
+    best = max(plans, key=lambda plan: (len(members.intersection(plan.separates)), -plan.duration_s))
+    return best.name if len(members.intersection(best.separates)) > 1 else None

@@ -216,6 +216,7 @@ class Plan:
     actions: tuple[Action, ...]
     acceptance: tuple[Acceptance, ...]
     text: str  # the protocol file, byte for byte
+    separates: tuple[str, ...] = ()  # effects of the gap's vocabulary that its runs tell apart
 
     @property
     def duration_s(self) -> float:

@@ -11,6 +11,7 @@ conditions: {loaded: {hold_s: 8}}
 steps: [...]                    # see steps.py
 acceptance:
   - {result: torque_constant, low: 0.4, high: 0.6, unit: N*m/A}
+separates: [time_skew, torque_sensor_lag]     # effects that `leactl gap diagnose` can tell apart by its runs
 """
 
 import math
@@ -124,6 +125,7 @@ def expanded(document: yamlfile.Document, folder: Path, overrides: Mapping[str, 
         actions=tuple(timeline.actions),
         acceptance=tuple(_bounds(limit) for limit in head.acceptance),
         text=document.text,
+        separates=head.separates,
     )
 
 

@@ -5,10 +5,19 @@ from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ModelWrapValidatorHandler, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    model_validator,
+)
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from leactl.protocol.setpointkeys import Spelling
+from leactl.vocabulary.effect import effect_names
 
 MAX_DURATION_S = 7 * 24 * 3600.0
 MAX_ACTIONS = 100_000
@@ -110,6 +119,15 @@ class Limit(Block):
     unit: Annotated[str, Field(min_length=1, max_length=20)]
 
 
+def _known_effect(name: str) -> str:
+    if name not in effect_names():
+        raise ValueError(f"effect '{name}' is not known; known: {', '.join(effect_names())}")
+    return name
+
+
+EffectName = Annotated[str, AfterValidator(_known_effect)]
+
+
 class Head(Block):
     """The whole file; parameters, conditions and steps are read on their own, so that every fault is found at once."""
 
@@ -123,6 +141,7 @@ class Head(Block):
     conditions: Any = None
     steps: Annotated[list[Any], Field(min_length=1)]
     acceptance: tuple[Limit, ...] = ()
+    separates: tuple[EffectName, ...] = ()
 
 
 def divides(part_hz: float, whole_hz: float) -> bool:

@@ -22,6 +22,14 @@ class ParameterDefinition(BaseModel):
     default: float | None = None  # of a shape that may be left out
 
 
+class Size(BaseModel):
+    """A size of an effect in the unit that a diagnosis measures it in."""
+
+    model_config = STRICT
+    size: float
+    units: str
+
+
 class EffectDefinition(BaseModel):
     """What an effect is, where it shows, what it is taken for, and which experiment shows it."""
 
@@ -32,6 +40,13 @@ class EffectDefinition(BaseModel):
     shows_in: str
     confused_with: str
     shown_by: str
+    faint: Size | None = None  # where the first parameter's `low` is not it
+
+    @property
+    def worth_knowing(self) -> Size:
+        """The smallest size that a diagnosis is to find."""
+        first = next(iter(self.parameters.values()))
+        return self.faint or Size(size=first.low, units=first.units)
 
 
 @cache

@@ -5,6 +5,7 @@ from importlib import resources
 
 import pytest
 
+from leactl.protocol import protocolfile
 from tests.cli.terminal import leactl
 
 MINE = """\
@@ -31,9 +32,10 @@ def mine(tmp_path):
 def test_list():
     done = leactl("protocol", "list")
     assert (done.returncode, done.stderr) == (0, "")
-    assert [line.split()[0] for line in done.stdout.splitlines()] == ["friction", "torque-constant"]
+    assert [line.split()[0] for line in done.stdout.splitlines()] == protocolfile.names()
     rows = json.loads(leactl("protocol", "list", "--json").stdout)["protocols"]
-    assert [(row["name"], row["setup"]) for row in rows] == [("friction", "free"), ("torque-constant", "coupled")]
+    setups = {row["name"]: row["setup"] for row in rows}
+    assert (setups["friction"], setups["torque-constant"]) == ("free", "coupled")
 
 
 def test_show_prints_the_file_as_it_is():
@@ -117,5 +119,5 @@ def test_a_protocol_that_is_not_known(command):
     done = leactl("protocol", command, "torque")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == (
-        "leactl: protocol 'torque' is not known; known: friction, torque-constant, or a path to a .yaml\n"
+        f"leactl: protocol 'torque' is not known; known: {', '.join(protocolfile.names())}, or a path to a .yaml\n"
     )

@@ -1,0 +1,110 @@
+"""Which effects stay in the dark, and which shipped protocol lights most of them per second of bench time."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from leactl.errors import InputError
+from leactl.gap.evidence import Evidence
+from leactl.gap.planning.records import planned_record, usual_noise
+from leactl.gap.planning.reveal import Sight, planned_candidates, sights
+from leactl.gap.record import Record, read_record
+from leactl.model.nominal import read_model
+from leactl.protocol import protocolfile
+from leactl.protocol.plan import Plan
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A shipped protocol beside what there is."""
+
+    protocol: str
+    duration_s: float
+    shows: tuple[str, ...]  # effects that it makes visible at every size worth knowing
+    separates: tuple[tuple[str, str], ...]  # pairs that it tells apart
+
+    @property
+    def gain(self) -> float:
+        """Questions answered per second."""
+        return (len(self.shows) + len(self.separates)) / self.duration_s
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What there is shows, and what would show more, the most per second first."""
+
+    sights: tuple[Sight, ...]
+    experiments: tuple[Experiment, ...]
+    dark: tuple[str, ...]  # effects that neither what there is nor any one of the protocols shows
+    notes: tuple[str, ...]
+
+
+def read_noise(given: Sequence[str]) -> dict[str, float]:
+    """Standard deviations from `quantity=std` as it stands on the command line.
+
+    Raises
+    ------
+    InputError : no such channel, or no such number; one line each.
+    """
+    found, faults = {}, []
+    for item in given:
+        name, _, text = item.partition("=")
+        try:
+            found[name] = float(text)
+        except ValueError:
+            found[name] = -1.0
+        if name not in usual_noise():
+            faults.append(f"--noise {item}: one of {', '.join(usual_noise())} was expected")
+        elif not 0.0 <= found[name] < math.inf:
+            faults.append(f"--noise {item}: quantity=std was expected, a number of zero or more")
+    if faults:
+        raise InputError(faults)
+    return found
+
+
+def advise(model_file: Path, runs: Sequence[Path], protocols: Sequence[str], noise: Mapping[str, float]) -> Advice:
+    """Judge runs and protocols together, then every shipped protocol beside them.
+
+    Raises
+    ------
+    InputError : files or names that cannot be used, or nothing to judge.
+    """
+    model, _ = read_model(model_file)
+    spread = usual_noise() | dict(noise)
+    given = [read_record(path) for path in runs]
+    plans = [protocolfile.load(name) for name in protocols]
+    known = {plan.name for plan in plans}
+    further = [plan for name in protocolfile.names() if (plan := protocolfile.load(name)).name not in known]
+    given += [planned_record(plan, model, spread) for plan in plans]
+    notes: list[str] = []
+    extra: list[tuple[Plan, Record]] = []
+    for plan in further:
+        try:
+            extra.append((plan, planned_record(plan, model, spread)))
+        except InputError as error:
+            notes += error.faults
+    if not given and not extra:
+        raise InputError(["there is nothing to plan with", *notes])
+    evidence = Evidence([*given, *(record for _, record in extra)], model, only=planned_candidates(model))
+    base = [record.name for record in given]
+    now = sights(evidence, base)
+    experiments = [experiment(plan, now, sights(evidence, [*base, record.name])) for plan, record in extra]
+    useful = sorted((e for e in experiments if e.gain > 0.0), key=lambda e: -e.gain)
+    shown = {s.effect for s in now if s.seen}.union(*(e.shows for e in useful))
+    return Advice(tuple(now), tuple(useful), tuple(s.effect for s in now if s.effect not in shown), tuple(notes))
+
+
+def experiment(plan: Plan, before: Sequence[Sight], after: Sequence[Sight]) -> Experiment:
+    """What a protocol adds."""
+    shows = tuple(b.effect for a, b in zip(before, after, strict=True) if b.seen and not a.seen)
+    old, new = pairs(before), pairs(after)
+    # two effects of which one was invisible were not taken for each other, and still are not told apart
+    visible = {s.effect for s in after if s.smallest is not None}
+    told = tuple(sorted(pair for pair in old - new if set(pair) <= visible))
+    return Experiment(plan.name, plan.duration_s, shows, told)
+
+
+def pairs(found: Sequence[Sight]) -> set[tuple[str, str]]:
+    """Pairs of effects that are not told apart."""
+    return {(s.effect, other) for s in found for other in s.alike if s.effect < other}

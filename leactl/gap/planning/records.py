@@ -1,0 +1,216 @@
+"""A protocol as the record that a nominal bench would give: motion by the model, channels by replay, noise on top.
+
+Servos are taken to follow their reference within hundredths of a second; the current that this takes is what they ask
+for. Machines start cold, and every channel that a set-up can have is recorded, temperatures among them.
+"""
+
+from collections.abc import Mapping
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import lfilter
+
+from leactl import yamlfile
+from leactl.driver.contract import Mode
+from leactl.errors import InputError
+from leactl.gap.record import Clocked, Key, Record
+from leactl.gap.replay import replay
+from leactl.gap.rig import load_of
+from leactl.model.nominal import Model
+from leactl.protocol.plan import Engage, Plan, Segment
+
+Array = npt.NDArray[np.float64]
+CAMERA_S = 0.1  # between temperatures, at most as often as the rest
+SERVO_S = 0.02  # time constant of a servo, twice in series
+AMBIENT = 25.0  # degC
+NEEDED = ("torque_constant", "rotor_inertia", "viscous_damping", "coulomb_friction")
+SERVOS = (Mode.VELOCITY, Mode.ANGLE)
+
+
+@cache
+def usual_noise() -> dict[str, float]:
+    """Standard deviation of one sample by quantity."""
+    entry = resources.files("leactl.gap.planning") / "noise.yaml"
+    found: dict[str, float] = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data
+    return found
+
+
+def planned_record(plan: Plan, model: Model, noise: Mapping[str, float]) -> Record:
+    """The record of one protocol.
+
+    Raises
+    ------
+    InputError : a motion that the model cannot predict, or a protocol that changes a role's mode on its way.
+    """
+    asked = Asked(plan)
+    record = Record(Path(f"{plan.name} (planned)"), plan.name, plan.setup, *clocks(plan, asked, model), {})
+    job = replay(record, model)
+    random = np.random.default_rng(0)
+    for clock, answer in ((record.fast, job.fast), (record.slow, job.slow)):
+        if clock is None:
+            continue
+        for key, values in answer.items():
+            if key in clock.values and np.isfinite(values).any():
+                first = values[np.isfinite(values)][0]
+                clock.values[key] = np.where(np.isfinite(values), values, first)
+        if plan.setup == "locked" and model.bench.shaft_stiffness is not None:
+            clock.values |= twisted(clock, model.bench.shaft_stiffness)
+        for key in clock.values:
+            spoil(clock, key, noise, random)
+    return record
+
+
+class Asked:
+    """What a protocol asks of each role, sample by sample; waits, prompts and pauses of recording take no time."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.name = plan.name
+        self.interval = 1.0 / plan.record_Hz
+        samples = max(int(plan.duration_s * plan.record_Hz), 2)
+        self.time: Array = self.interval * np.arange(samples, dtype=np.float64)
+        self.values = {role: np.zeros_like(self.time) for role in ("test", "load")}
+        self.modes: dict[str, Mode] = {}
+        start = 0.0
+        for action in plan.actions:
+            if isinstance(action, Engage):
+                self._engage(action, start)
+            elif isinstance(action, Segment):
+                for role, profile in action.setpoints.items():
+                    at = int(np.searchsorted(self.time, start - 1e-9))
+                    end = int(np.searchsorted(self.time, start + action.duration_s - 1e-9))
+                    moments = (self.time[at:end] - start).tolist()
+                    self.values[role][at:end] = [profile.at(moment) for moment in moments]
+                    self.values[role][end:] = profile.at(action.duration_s)
+                start += action.duration_s
+
+    def _engage(self, action: Engage, start: float) -> None:
+        for role, mode in action.modes.items():
+            if mode is Mode.OFF:
+                continue
+            if self.modes.setdefault(role, mode) is not mode:
+                raise InputError(f"protocol '{self.name}' changes the mode of {role} on its way; plan its parts alone")
+            self.values[role][int(np.searchsorted(self.time, start)) :] = 0.0
+
+    def current(self, role: str) -> Array | None:
+        """The current that a role is asked for; None where it follows something else."""
+        mode = self.modes.get(role)
+        return self.values[role] if mode in (Mode.CURRENT, Mode.TORQUE_PROFILE) else None
+
+    def speed(self, role: str) -> Array | None:
+        """The speed at which a role's servo turns; None where none does."""
+        mode = self.modes.get(role)
+        if mode not in SERVOS:
+            return None
+        decay = float(np.exp(-self.interval / SERVO_S))
+        followed = self.values[role]
+        for _ in range(2):
+            followed = lfilter([1.0 - decay], [1.0, -decay], followed, zi=[decay * followed[0]])[0]
+        return followed if mode is Mode.VELOCITY else np.gradient(followed, self.interval)
+
+
+def clocks(plan: Plan, asked: Asked, model: Model) -> tuple[Clocked | None, Clocked]:
+    """The channels of a set-up, those that a replay fills still zero."""
+    every = max(round(CAMERA_S / asked.interval), 1)
+    slow: dict[Key, Array] = {
+        (name, role): np.full_like(asked.time[::every], AMBIENT)
+        for name, role in (("winding_temperature", "test"), ("housing_temperature", "test"))
+    }
+    slow["ambient_temperature", "bench"] = np.full_like(asked.time[::every], AMBIENT)
+    if plan.setup == "heated":
+        heating = asked.current("test")
+        slow["line_current", "test"] = (np.zeros_like(asked.time) if heating is None else heating)[::every]
+        slow["line_voltage", "test"] = np.zeros_like(asked.time[::every])
+        return None, clocked(asked.time[::every], slow)
+    current, load_current, speed = motion(plan, asked, model)
+    fast: dict[Key, Array] = {
+        ("q_axis_current_reference", "test"): current,
+        ("q_axis_current", "test"): current,
+        ("q_axis_voltage", "test"): np.zeros_like(current),
+        ("angle", "test"): np.cumsum(speed) * asked.interval,
+        ("velocity", "test"): speed,
+        ("bus_voltage", "bench"): np.zeros_like(current),
+    }
+    if asked.modes.get("test") in SERVOS:
+        fast["velocity_reference", "test"] = speed
+    if plan.setup != "free":
+        fast["torque", "test"] = np.zeros_like(current)
+    if plan.setup == "coupled":
+        fast["q_axis_current", "load"], fast["velocity", "load"] = load_current, speed
+    return clocked(asked.time, fast), clocked(asked.time[::every], slow)
+
+
+def clocked(time: Array, values: dict[Key, Array]) -> Clocked:
+    """Channels on one even clock, all of them valid; current and voltage are means, as drives average them."""
+    valid = {key: np.ones(len(time), bool) for key in values}
+    means = {("q_axis_current", "test"), ("q_axis_voltage", "test")} & set(values)
+    values = {key: np.array(column) for key, column in values.items()}
+    return Clocked(time, float(time[1] - time[0]), values, valid, means)
+
+
+def motion(plan: Plan, asked: Asked, model: Model) -> tuple[Array, Array, Array]:
+    """Current of test and load actuator and the shaft's speed."""
+    none = np.zeros_like(asked.time)
+    test = asked.current("test")
+    if plan.setup == "locked":
+        return (none if test is None else test), none, none
+    missing = [name for name in NEEDED if getattr(model, name) is None]
+    if (
+        missing
+        or model.drive is not None
+        or load_of(Record(Path(plan.name), "", "", None, None, {}), model).type != "none"
+    ):
+        what = ", ".join(missing) or "a bench without a pendulum or a position servo"
+        raise InputError(f"protocol '{plan.name}' cannot be planned with model '{model.name}': it needs {what}")
+    turning = next((speed for role in ("test", "load") if (speed := asked.speed(role)) is not None), None)
+    rotors = 2 if plan.setup == "coupled" else 1
+    load = asked.current("load") if rotors == 2 else none
+    if turning is None:
+        both = (none if test is None else test) + (none if load is None else load)
+        turning = spun(both, rotors, asked.interval, model)
+    # the servo's current is whatever the motion takes beyond the other's
+    taken = rotors * resisted(turning, asked.interval, model) / (model.torque_constant or 1.0)
+    if test is None:
+        test = taken - (none if load is None else load)
+    elif load is None or asked.current("load") is None:
+        load = taken - test
+    return test, none if load is None else load, turning
+
+
+def resisted(speed: Array, interval: float, model: Model) -> Array:
+    """Torque that one rotor takes."""
+    friction = (model.viscous_damping or 0.0) * speed + (model.coulomb_friction or 0.0) * np.sign(speed)
+    return np.asarray((model.rotor_inertia or 0.0) * np.gradient(speed, interval) + friction, np.float64)
+
+
+def spun(current: Array, rotors: int, interval: float, model: Model) -> Array:
+    """Speed of a shaft that nothing but currents turns; friction holds it until they exceed it."""
+    inertia, damping = rotors * (model.rotor_inertia or 1.0), rotors * (model.viscous_damping or 0.0)
+    friction, decay = rotors * (model.coulomb_friction or 0.0), float(np.exp(-damping * interval / inertia))
+    reach = (1.0 - decay) / damping if damping else interval / inertia
+    speed, found = 0.0, []
+    for torque in ((model.torque_constant or 0.0) * current).tolist():
+        free = decay * speed + reach * torque
+        held = reach * friction
+        speed = 0.0 if abs(free) <= held else free - (held if free > 0.0 else -held)
+        found.append(speed)
+    return np.asarray(found)
+
+
+def twisted(clock: Clocked, stiffness: float) -> dict[Key, Array]:
+    """The angle of a locked rotor: the shaft's twist."""
+    torque = clock.values.get(("torque", "test"))
+    return {} if torque is None else {("angle", "test"): torque / stiffness}
+
+
+def spoil(clock: Clocked, key: Key, noise: Mapping[str, float], random: np.random.Generator) -> None:
+    """Put a sensor's noise on a channel; an angle is counted."""
+    spread = noise.get(key[0], 0.0)
+    if key[0] == "angle" and spread > 0.0:
+        count = spread * np.sqrt(12.0)
+        clock.values[key] = np.rint(clock.values[key] / count) * count
+        clock.counts[key] = float(count)
+    elif spread > 0.0:
+        clock.values[key] = clock.values[key] + spread * random.standard_normal(len(clock.time))

@@ -1,0 +1,127 @@
+"""Planning: what protocols can and cannot reveal, by the model alone, and whether separating ones separate."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from leactl.cli.main import app
+from leactl.errors import InputError
+from leactl.gap.evidence import Evidence
+from leactl.gap.planning.advice import advise, read_noise
+from leactl.gap.planning.records import planned_record, usual_noise
+from leactl.gap.planning.reveal import planned_candidates, sights
+from leactl.gap.separating import separating_experiment
+from leactl.model.nominal import as_mapping
+from leactl.protocol import protocolfile
+from leactl.vocabulary.effect import effect_definition, effect_names
+from tests.gap.synthetic import model
+
+SEPARATING = [name for name in protocolfile.names() if protocolfile.load(name).separates]
+
+
+def seen_in(name, noise=None):
+    plan, nominal = protocolfile.load(name), model()
+    record = planned_record(plan, nominal, usual_noise() | (noise or {}))
+    evidence = Evidence([record], nominal, only=planned_candidates(nominal))
+    return {sight.effect: sight for sight in sights(evidence, [record.name])}
+
+
+@pytest.fixture(scope="module")
+def model_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("model") / "nominal.yaml"
+    path.write_text(yaml.safe_dump(as_mapping(model())))
+    return path
+
+
+@pytest.mark.parametrize("name", SEPARATING)
+def test_a_separating_protocol_tells_apart_what_it_says(name):
+    found, named = seen_in(name), protocolfile.load(name).separates
+    assert len(named) > 1
+    for one in named:
+        assert not set(found[one].alike) & set(named)
+    # one that shows is told from one that does not, but two that do not show are not told apart
+    assert sum(found[one].smallest is None for one in named) <= 1
+
+
+def test_a_class_gets_the_protocol_that_separates_most_of_it():
+    assert separating_experiment("time_skew", ["torque_sensor_lag"]) == "separate-sensor-timing"
+    assert separating_experiment("third_thermal_node", ["ambient_drift"]) == "separate-heat"
+    assert separating_experiment("stribeck", ["presliding", "friction_run_in"]) == "separate-slow-friction"
+    assert separating_experiment("cogging", []) is None
+
+
+def test_gains_that_only_a_reference_tells_apart_get_no_protocol():
+    assert separating_experiment("torque_sensor_gain", ["current_sensor_gain"]) is None
+
+
+def test_a_protocol_that_separates_an_unknown_effect_is_refused(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("name: mine\nsetup: free\nrate_Hz: 50\nseparates: [gremlins]\nsteps: [{hold: {duration_s: 1}}]\n")
+    with pytest.raises(InputError, match=r"mine.yaml:4:\d+ .*gremlins"):
+        protocolfile.load(str(path))
+
+
+def test_free_turning_hides_what_needs_a_shaft_that_carries_torque():
+    found = seen_in("friction")
+    assert found["torque_sensor_gain"].smallest is None
+    assert found["load_dependent_friction"].smallest is None
+    assert found["unbalance"].seen
+    assert "current_sensor_offset" in found["asymmetric_friction"].alike
+
+
+def test_a_locked_shaft_shows_no_drag_but_a_late_torque():
+    found = seen_in("separate-sensor-timing")
+    assert found["quadratic_drag"].smallest is None
+    assert found["time_skew"].smallest is not None
+
+
+def test_more_noise_hides_more():
+    quiet, loud = (seen_in("separate-sensor-timing", {"torque": noise}) for noise in (0.008, 0.8))
+    assert loud["torque_sensor_hysteresis"].smallest > 3 * quiet["torque_sensor_hysteresis"].smallest
+    assert quiet["torque_sensor_hysteresis"].seen
+    assert not loud["torque_sensor_hysteresis"].seen
+
+
+def test_a_planned_record_moves_as_the_model_does():
+    plan, nominal = protocolfile.load("friction"), model()
+    record = planned_record(plan, nominal, {})
+    clock = record.fast
+    held = clock.time > 1.0
+    current, speed = clock.values["q_axis_current_reference", "test"], clock.values["velocity", "test"]
+    steady = held & (np.abs(np.gradient(speed, clock.interval)) < 1e-6) & (np.abs(speed) > 1.0)
+    assert steady.any()
+    expected = (0.49 * np.abs(current[steady]) - 0.208) / 0.0238
+    np.testing.assert_allclose(np.abs(speed[steady]), expected, rtol=1e-3)
+
+
+def test_advice_names_what_stays_dark_and_what_would_help(model_file):
+    advice = advise(model_file, [], ["friction"], {})
+    seen = {sight.effect for sight in advice.sights if sight.seen}
+    assert "unbalance" in seen
+    assert "friction" not in {e.protocol for e in advice.experiments}
+    assert [e.gain for e in advice.experiments] == sorted((e.gain for e in advice.experiments), reverse=True)
+    assert any("torque_sensor_gain" in e.shows for e in advice.experiments)
+    helped = {effect for e in advice.experiments for effect in e.shows}
+    assert set(advice.dark) == set(effect_names()) - {"resistance_temperature"} - seen - helped
+
+
+def test_the_command_prints_text_and_json(model_file):
+    arguments = ["gap", "plan", "--model", str(model_file), "--protocol", "separate-drive-timing"]
+    text = CliRunner().invoke(app, arguments)
+    assert text.exit_code == 0, text.output
+    assert "leactl run " in text.stdout
+    found = json.loads(CliRunner().invoke(app, [*arguments, "--json"]).stdout)
+    assert found["format"] == "leactl-gap-plan"
+    delay = next(line for line in found["effects"] if line["effect"] == "transport_delay")
+    assert delay["shown"] is True
+    assert delay["found_from"] <= effect_definition("transport_delay").worth_knowing.size
+
+
+def test_wrong_noise_is_told_by_item():
+    with pytest.raises(InputError) as caught:
+        read_noise(["tork=1", "torque=loud", "torque=-1", "torque=0.1"])
+    assert len(caught.value.faults) == 3
+    assert read_noise(["torque=0.1"]) == {"torque": 0.1}
