@@ -23,11 +23,16 @@ RECIPROCAL = (
 )
 """Parameters whose reciprocal is what the equations are linear in."""
 MODEL_ERROR = {
-    "rotor_inertia": 5e-4,
-    "phase_inductance": 5e-3,
-    "bench.shaft_stiffness": 8e-3,
-    "thermal.winding_capacitance": 3e-3,
-    "thermal.winding_housing_resistance": 1e-3,
+    "phase_resistance": 6e-5,
+    "phase_inductance": 7e-3,
+    "resistance_coefficient": 6e-4,
+    "rotor_inertia": 1.1e-3,
+    "bench.shaft_stiffness": 1.4e-2,
+    "thermal.winding_ambient_resistance": 2.8e-3,
+    "thermal.winding_housing_resistance": 8e-4,
+    "thermal.housing_ambient_resistance": 9e-4,
+    "thermal.winding_capacitance": 3.6e-3,
+    "thermal.housing_capacitance": 8e-4,
 }
 """Relative error of a parameter that the discretised equations leave, beside noise."""
 LEAST_MODEL_ERROR = 5e-5

@@ -13,7 +13,7 @@ from leactl.gap.record import Record
 from leactl.model.thermal_network import ThermalNetwork
 
 Array = npt.NDArray[np.float64]
-START_PRIOR = 0.5  # K, of the temperatures at the start
+START_PRIOR = 5.0  # K: a winding that begins hot falls by kelvins within the smoothing
 
 
 def temperatures(record: Record, s: Signals) -> list[Equation]:
