@@ -136,12 +136,14 @@ def score_blind(
     from leactl.gap.blind.score import score
     from leactl.report.blind import as_json as document
     from leactl.report.blind import markdown
+    from leactl.report.steps import Steps
     from leactl.runfile.publish import new_file, refuse_existing
 
     if out is not None:
         refuse_existing(out)
     beside = answers or cases.with_name(f"{cases.name}-answers")
-    marks = check(cases, beside, lambda: read_key(key, cases), processes, lambda step: typer.echo(step, err=True))
+    with Steps() as step:
+        marks = check(cases, beside, lambda: read_key(key, cases), processes, step)
     found, command = score(marks), f"leactl gap blind score --cases {cases.name} --key {key.name}"
     if out is not None:
         with new_file(out) as path:

@@ -1,6 +1,11 @@
 """The withheld check: answers before the key, nothing done twice, figures that mean what they say."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -108,6 +113,43 @@ def test_a_case_that_cannot_be_read_is_told_after_all_others(tmp_path, monkeypat
     with pytest.raises(InputError, match="case-1: broken"):
         checking.check(tmp_path, tmp_path / "answers", lambda: {}, 1, lambda _: None)
     assert done == ["case-2", "case-3"]
+
+
+def half_a_second(out):
+    time.sleep(0.5)
+    out.write_text("done")
+
+
+STOPPED = """
+import sys
+from pathlib import Path
+from leactl.gap.blind.pool import each
+from tests.gap.test_blind_score import half_a_second
+
+if __name__ == "__main__":
+    jobs = [(Path(sys.argv[1]) / str(number),) for number in range(40)]
+    each(half_a_second, jobs, 2, "done", lambda step: print(step, flush=True))
+"""
+
+
+def test_a_stop_keeps_what_is_done_and_ends_soon(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(STOPPED)
+    (tmp_path / "out").mkdir()
+    with subprocess.Popen(
+        [sys.executable, str(script), str(tmp_path / "out")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | {"PYTHONPATH": os.getcwd()},
+        start_new_session=True,
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does it
+        assert process.wait(timeout=60) != 0
+    done = sorted((tmp_path / "out").iterdir())
+    assert 1 <= len(done) <= 8
+    assert {path.read_text() for path in done} == {"done"}
 
 
 def test_a_folder_without_cases_is_an_error(tmp_path):
