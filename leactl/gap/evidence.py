@@ -10,6 +10,7 @@ from importlib import resources
 
 import numpy as np
 import numpy.typing as npt
+from scipy.fft import irfft, next_fast_len, rfft
 
 from leactl import yamlfile
 from leactl.effects import library
@@ -39,7 +40,7 @@ PRIORS = {
     "rotor_inertia": 0.15,
     "viscous_damping": 0.3,
     "coulomb_friction": 0.3,
-    "resistance_coefficient": 0.005,
+    "resistance_coefficient": 0.008,
     "bench.shaft_stiffness": 0.08,
     "load.viscous_damping": 0.4,
     "load.coulomb_friction": 0.4,
@@ -54,6 +55,7 @@ PRIORS = {
 UNKNOWN_UNREST = 10.0  # of an equation that no bench without an effect has been seen with
 LONGEST_DEPENDENCE = 60  # rows
 NO_CORRELATION = 0.02
+FEW_LAGS = 6
 ORDERS_TRIED = 3  # of each periodic effect
 
 
@@ -152,13 +154,25 @@ def rows_per_independent(left: Array) -> float:
     power = float(left @ left)
     if power == 0.0 or len(left) < 8:
         return 1.0
+    longest = min(LONGEST_DEPENDENCE, len(left) // 4)
     total = 1.0
-    for lag in range(1, min(LONGEST_DEPENDENCE, len(left) // 4)):
+    for lag in range(1, longest):
+        if lag == FEW_LAGS:  # beyond a few, all at once costs less than one by one
+            rest = correlations(left, longest)[lag:] / power
+            ends = np.flatnonzero(rest <= NO_CORRELATION)
+            return max(total + 2.0 * float(rest[: ends[0] if len(ends) else None].sum()), 1.0)
         correlation = float(left[lag:] @ left[:-lag]) / power
         if correlation <= NO_CORRELATION:
             break
         total += 2.0 * correlation
     return max(total, 1.0)
+
+
+def correlations(values: Array, lags: int) -> Array:
+    """Sums of products with what comes so many rows later, from none on."""
+    size = next_fast_len(len(values) + lags, real=True)
+    spectrum = rfft(values, size)
+    return np.asarray(irfft(spectrum * np.conj(spectrum), size)[:lags], np.float64)
 
 
 def every_form(model: Model) -> list[Candidate]:
