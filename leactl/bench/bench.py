@@ -9,10 +9,9 @@ from leactl.driver import registry
 from leactl.driver.can_port import CanPort
 from leactl.driver.contract import Driver, MotionDevice, Row
 from leactl.driver.i2c_port import I2cPort
+from leactl.driver.stopping import doubt, make_safe
 from leactl.errors import DeviceError, InputError
 from leactl.quantities import ChannelSpec
-
-OPENING_SAFE_S = 0.5
 
 
 class Bench:
@@ -56,25 +55,26 @@ class Bench:
         return {"loop": self.loop_channels, **own} if self.loop_channels else own
 
     def open(self) -> None:
-        """Open every device in the file's order; where one fails, those before it are made safe and closed again.
+        """Open every device in the file's order; where one fails, all are made safe and closed again.
+
+        It comes first, then the others, opened or not: whoever had a drive before may have left it in operation.
 
         Raises
         ------
-        DeviceError : with the device's name.
+        DeviceError : with the device's name, and with what could not be confirmed safe.
         """
-        opened: list[Driver] = []
         for name, driver in self.drivers.items():
             try:
                 driver.open()
-                opened.append(driver)
             except BaseException as error:
-                for before in opened:
-                    before.safe_state(OPENING_SAFE_S)
+                doubts = doubt(make_safe([driver, *[other for other in self.drivers.values() if other is not driver]]))
                 self.close()
                 if not isinstance(error, DeviceError):
+                    if doubts:
+                        error.add_note(doubts)
                     raise
-                text = str(error)
-                raise type(error)(text if text.startswith(f"{name}:") else f"{name}: {text}") from None
+                text = str(error) if str(error).startswith(f"{name}:") else f"{name}: {error}"
+                raise type(error)(f"{text}; {doubts}" if doubts else text) from None
 
     def close(self) -> None:
         """Let every device go."""

@@ -16,6 +16,8 @@ from leactl.driver.far_end import CanEmulator, I2cEmulator, Physics
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 
+SAFE_STATE_S = 1.0  # what a device has to confirm its safe state; no answer and no watchdog may take longer
+
 
 class DriverSettings(BaseModel):
     """Settings of one device in the bench file; every field's name carries its unit."""
@@ -69,6 +71,9 @@ class Driver(ABC):
     @abstractmethod
     def safe_state(self, deadline_s: float) -> Confirmation:
         """Bring the device to where it cannot hurt, from any state, within the deadline; never raises."""
+
+    def stop_now(self) -> None:  # noqa: B027 (optional: a device that only measures has nothing to send)
+        """Send what takes the power away and wait for no answer: it comes before any device's `safe_state`."""
 
     @abstractmethod
     def open(self) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from leactl.driver import stopping
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver, Mode, MotionDevice, Row
 from leactl.errors import InputError, SafetyTrip
@@ -16,7 +17,6 @@ from leactl.quantities import UNITS, ChannelSpec
 from leactl.safety.limits import Limits
 from leactl.safety.winding import WindingEstimate
 
-SAFE_STATE_S = 1.0
 WINDING_PERIOD_S = 0.01  # no more often: the winding's fastest time constant is seconds
 CURRENT_REFERENCE = "q_axis_current_reference"
 SETPOINT_QUANTITY = {
@@ -223,14 +223,7 @@ class Supervisor:
     def make_safe(self) -> dict[str, Confirmation]:
         """Bring every device to its safe state: test drive, load drive, then the rest; never raises."""
         drives = [self._axes[role].axis.driver for role in ("test", "load") if role in self._axes]
-        outcome: dict[str, Confirmation] = {}
-        for device in (*drives, *self._others):
-            name = getattr(device, "name", type(device).__name__)
-            try:
-                outcome[name] = device.safe_state(SAFE_STATE_S)
-            except Exception as error:  # noqa: BLE001 (a broken driver must not keep the others from being made safe)
-                outcome[name] = Confirmation(False, f"{type(error).__name__}: {error}")
-        return outcome
+        return stopping.make_safe((*drives, *self._others))
 
 
 def check_setpoints(limits: Limits, peaks: Mapping[tuple[str, str], float]) -> None:

@@ -50,6 +50,12 @@ class FailingDrive(ElmoEmulator):
         """Fall back to switch-on disabled, as Gold drives do after a lapse of their bus."""
         self._go("disabled")
 
+    def run_away(self) -> None:
+        """Be in operation at 5 rad/s, as another program has left it."""
+        self.state = "enabled"
+        self._values[0x6060, 0], self._values[0x60FF, 0] = 9, round(5 * self._counts_per_rad)
+        self._follow()
+
     def lack(self, index: int, sub: int) -> None:
         """Be a firmware without this object."""
         del self._entries[index, sub]

@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from leactl_plugins.elmo_can.cia402 import State, state_of
+from leactl_plugins.elmo_can.settings import ElmoSettings
+from pydantic import ValidationError
 
 from leactl.driver.contract import Mode
 from leactl.driver.far_end import Frame
@@ -179,7 +181,7 @@ def test_a_fault_at_start_is_named_and_reset_only_on_request(make_bench):
     bench.far.fault(0x7121)
     bench.drive.open()
     words = [data[4:6] for data in bench.sent(0x601) if data[1:3] == b"\x40\x60"]
-    assert words == [b"\x00\x00", b"\x80\x00", b"\x00\x00"]
+    assert words == [b"\x00\x00", b"\x00\x00", b"\x80\x00", b"\x00\x00"]
 
 
 def test_holding_the_reset_bit_never_resets(make_bench):
@@ -251,7 +253,34 @@ def test_safe_state_says_what_it_could_not_confirm(make_bench):
     assert not found.safe
     assert "no SDO answer" in found.detail
     if bench.exact:
-        assert bench.clock.now() - before < 0.5 + 0.3
+        assert bench.clock.now() - before < 0.5 + 0.001
+
+
+def test_no_wait_of_a_set_up_drive_may_outlast_its_safe_state():
+    for change in ({"sdo_timeout_s": 1.01}, {"consumer_heartbeat_ms": 1001}):
+        with pytest.raises(ValidationError):
+            ElmoSettings(node=1, counts_per_turn=4, **change)
+
+
+def test_a_drive_found_in_operation_is_out_of_it_before_anything_is_configured(make_bench):
+    bench = make_bench()
+    bench.far.run_away()
+    bench.drive.open()
+    sdo = bench.sent(0x601)
+    writes = [data for data in sdo if data[0] != 0x40]
+    assert writes[0] == bytes.fromhex("2b40600000000000")
+    assert bench.far.follows() == ["off", 0.0]
+
+
+def test_stop_now_reaches_a_drive_in_any_network_state_and_waits_for_nothing(make_bench):
+    bench = make_bench()
+    bench.far.run_away()
+    before = bench.clock.now()
+    bench.drive.stop_now()
+    if bench.exact:
+        assert bench.clock.now() == before
+    bench.wait_until(lambda: bench.far.follows()[0] == "off")
+    assert bench.drive.safe_state(bench.drive.settings.sdo_timeout_s).safe  # not misled by the first frame's answer
 
 
 def test_the_bus_voltage_comes_by_sdo_with_its_own_stamps(make_bench):

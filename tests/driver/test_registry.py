@@ -63,7 +63,7 @@ def test_info_shows_units_defaults_and_ranges():
     shown = leactl("driver", "info", "elmo_can")
     assert shown.returncode == 0
     line = next(line for line in shown.stdout.splitlines() if "consumer_heartbeat_ms" in line)
-    assert line.split() == ["consumer_heartbeat_ms", "integer", "default", "100", ">=", "10", "<=", "5000"]
+    assert line.split() == ["consumer_heartbeat_ms", "integer", "default", "100", ">=", "10", "<=", "1000"]
 
 
 def test_check_answers_in_json_and_by_exit_status():

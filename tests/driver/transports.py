@@ -46,7 +46,7 @@ class CanElsewhere:
     """A real bus; other load on the machine may hold up either side, so the times allowed are long."""
 
     exact = False
-    settings = {"consumer_heartbeat_ms": 5000, "sdo_timeout_s": 5.0}
+    settings = {"consumer_heartbeat_ms": 1000, "sdo_timeout_s": 1.0}
 
     def __init__(self, process, place):
         self.clock = MonotonicClock()

@@ -26,6 +26,7 @@ CURRENT_MODES = (Mode.CURRENT, Mode.TORQUE_PROFILE)
 OFF, ANGLE, VELOCITY, ENABLED = Mode.OFF, Mode.ANGLE, Mode.VELOCITY, State.ENABLED
 FAULTS = (State.FAULT, State.FAULT_REACTION)
 ENABLE_TIME_S = 2.0
+DISABLE_VOLTAGE_BY_SDO = bytes.fromhex("2b40600000000000")
 READ_BUS_VOLTAGE = bytes.fromhex("4079600000000000")
 NAN = math.nan
 
@@ -77,11 +78,7 @@ class ElmoCan(Driver):
         trouble = "no time was left"
         while self._clock.now() < until:
             try:
-                self._connect()
-                self._send_demand(cia402.DISABLE_VOLTAGE)
-                self._port.sync()
-                self._sdo.write(0x6040, 0, "u16", cia402.DISABLE_VOLTAGE)
-                word = self._sdo.read(0x6041, 0, "u16")
+                word = self._disable_voltage(until)
             except DeviceError as error:
                 trouble = str(error)
                 try:
@@ -97,8 +94,39 @@ class ElmoCan(Driver):
             trouble = f"still {state}, statusword 0x{word:04X}"
         return Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble}")
 
+    def _disable_voltage(self, until: float) -> int:
+        """Disable the voltage and read the statusword; no wait goes on after `until`."""
+        self._sdo.wait_no_longer_than(until)
+        try:
+            self._connect()
+            self._send_demand(cia402.DISABLE_VOLTAGE)
+            self._port.sync()
+            self._sdo.write(0x6040, 0, "u16", cia402.DISABLE_VOLTAGE)
+            return self._sdo.read(0x6041, 0, "u16")
+        finally:
+            self._sdo.wait_no_longer_than(math.inf)
+
+    def stop_now(self) -> None:
+        """Send what disables the voltage, and wait for nothing; over a fresh connection if need be.
+
+        By PDO for a drive that is mapped and operational, by SDO for one that somebody else has set up.
+        """
+        self._turn_to(Mode.OFF)
+        for _ in range(2):
+            try:
+                self._connect()
+                self._send_demand(cia402.DISABLE_VOLTAGE)
+                self._port.sync()
+                self._port.send(0x600 + self._node, DISABLE_VOLTAGE_BY_SDO)
+            except DeviceError:
+                if not self._opened:
+                    return  # no bus to reach it by, which `safe_state` will tell
+                self._port.reopen()
+            else:
+                return
+
     def open(self) -> None:
-        """Identify the drive, read its scales, write and read back its dead-man, map its PDOs, start its node.
+        """Identify the drive, take it out of operation, read its scales, arm its dead-man, map its PDOs, start it.
 
         Raises
         ------
@@ -106,6 +134,7 @@ class ElmoCan(Driver):
         """
         self._connect()
         self._check_identity()
+        self._sdo.write(0x6040, 0, "u16", cia402.DISABLE_VOLTAGE)  # whoever had it last may have left it in operation
         self._leave_fault()
         self._read_scales()
         self._arm_dead_man()

@@ -1,6 +1,7 @@
 """SDO transfers over a port without threads: `canopen`'s client, whose wait for an answer pumps the port."""
 
 import logging
+import math
 import queue
 import struct
 from typing import Any
@@ -21,10 +22,11 @@ class _PumpedQueue(queue.Queue[bytes]):
     def __init__(self, port: CanPort) -> None:
         super().__init__()
         self._port = port
+        self.until = math.inf
 
     def get(self, block: bool = True, timeout: float | None = None) -> bytes:
         if block:
-            deadline = self._port.clock.now() + (timeout or 0.0)
+            deadline = min(self._port.clock.now() + (timeout or 0.0), self.until)
             self._port.pump_until(lambda: not self.empty(), deadline)
         return super().get(block=False)
 
@@ -53,10 +55,16 @@ class Sdo:
         self._client.network = _Sender(port)
         self._answers = self._client.responses = _PumpedQueue(port)
         self._client.RESPONSE_TIMEOUT = timeout_s
+        self._asked = b""
+
+    def wait_no_longer_than(self, until: float) -> None:
+        """End every wait for an answer at this moment of the port's clock at the latest; infinity lifts that."""
+        self._answers.until = until
 
     def on_frame(self, data: bytearray, timestamp: float) -> None:
-        """Take an answer of the node."""
-        self._client.on_response(0x580 + self._node, bytes(data), timestamp)
+        """Take an answer of the node; one about an object that is not asked for now is late, or nobody's."""
+        if data[1:4] == self._asked:
+            self._client.on_response(0x580 + self._node, bytes(data), timestamp)
 
     def read(self, index: int, sub: int, kind: str) -> int:
         """Read an integer object.
@@ -66,7 +74,7 @@ class Sdo:
         NoAnswer : nothing came in time.
         DeviceError : the node aborted the transfer, or answered another length.
         """
-        raw = self._guard(index, sub, self._client.upload, index, sub)
+        raw = self._guard(index, sub, self._client.upload)
         try:
             (value,) = struct.unpack(FORMATS[kind], raw)
         except struct.error:
@@ -83,7 +91,7 @@ class Sdo:
         NoAnswer : nothing came in time.
         DeviceError : the node aborted the transfer.
         """
-        self._guard(index, sub, self._client.download, index, sub, struct.pack(FORMATS[kind], value))
+        self._guard(index, sub, self._client.download, struct.pack(FORMATS[kind], value))
 
     def write_verified(self, index: int, sub: int, kind: str, value: int) -> None:
         """Write an integer object and read it back.
@@ -99,8 +107,9 @@ class Sdo:
 
     def _guard(self, index: int, sub: int, call: Any, *arguments: Any) -> Any:
         self._answers.clear()
+        self._asked = struct.pack("<HB", index, sub)
         try:
-            return call(*arguments)
+            return call(index, sub, *arguments)
         except SdoAbortedError as error:
             raise DeviceError(
                 f"node {self._node}: 0x{index:04X}:{sub} refused, abort 0x{error.code:08X} ({error})"

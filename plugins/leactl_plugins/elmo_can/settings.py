@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from leactl.driver.contract import DriverSettings
+from leactl.driver.contract import SAFE_STATE_S, DriverSettings
 
 
 class CurrentConvention(StrEnum):
@@ -41,13 +41,13 @@ class ElmoSettings(DriverSettings):
     sign: Literal[-1, 1] = 1
     current_convention: CurrentConvention = CurrentConvention.AMPLITUDE
     host_node: Annotated[int, Field(ge=1, le=127)] = 127
-    consumer_heartbeat_ms: Annotated[int, Field(ge=10, le=5000)] = 100
+    consumer_heartbeat_ms: Annotated[int, Field(ge=10, le=round(SAFE_STATE_S * 1000))] = 100
     producer_heartbeat_ms: Annotated[int, Field(ge=5, le=5000)] = 50
     abort_option: Literal[1, 2, 3] = 2
     torque_slope_per_mille_s: Annotated[int, Field(ge=1, le=2**32 - 1)] | None = None
     q_axis_voltage: VoltageObject | None = None
     bus_voltage_period_s: Annotated[float, Field(ge=0.05, le=60)] = 1.0
-    sdo_timeout_s: Annotated[float, Field(gt=0, le=5)] = 0.3
+    sdo_timeout_s: Annotated[float, Field(gt=0, le=SAFE_STATE_S)] = 0.3
     reset_fault_at_start: bool = False
     # what the emulated drive holds in 0x6075; a real drive's own value is read from it. 13.7 A continuous / sqrt(3/2)
     emulated_rated_current_mA: Annotated[int, Field(ge=1, le=1_000_000)] = 11186  # noqa: N815

@@ -1,0 +1,32 @@
+"""The one way to make devices safe: power is taken from all of them first, and only then does each one confirm.
+
+A device that does not answer uses up its deadline; by then the others have long been told.
+"""
+
+from collections.abc import Iterable, Mapping
+
+from leactl.driver.contract import SAFE_STATE_S, Confirmation, Driver
+
+
+def make_safe(devices: Iterable[Driver]) -> dict[str, Confirmation]:
+    """Bring these devices to their safe state in this order; never raises."""
+    ordered = list(devices)
+    outcome: dict[str, Confirmation] = {}
+    for device in ordered:
+        try:
+            device.stop_now()
+        except Exception:  # noqa: BLE001 (a broken driver must not keep the others waiting; it is asked again below)
+            continue
+    for device in ordered:
+        name = getattr(device, "name", type(device).__name__)
+        try:
+            outcome[name] = device.safe_state(SAFE_STATE_S)
+        except Exception as error:  # noqa: BLE001 (a broken driver must not keep the others from being made safe)
+            outcome[name] = Confirmation(False, f"{type(error).__name__}: {error}")
+    return outcome
+
+
+def doubt(outcome: Mapping[str, Confirmation]) -> str:
+    """What could not be confirmed, in one line; empty where everything was."""
+    doubtful = [f"{name}: {confirmation.detail}" for name, confirmation in outcome.items() if not confirmation.safe]
+    return "NOT CONFIRMED SAFE, switch off the supply: " + "; ".join(doubtful) if doubtful else ""
