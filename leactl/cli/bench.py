@@ -33,13 +33,13 @@ def check(bench: str, as_json: bool = AS_JSON) -> None:
     found, devices, _document = load(bench)
     if as_json:
         rows = [{"name": d.name, "driver": d.entry.driver, "role": d.entry.role} for d in devices]
-        answer = {"bench": found.name, "devices": rows, "limits": found.limits.model_dump()}
+        answer = {"bench": found.name, "devices": rows, "limits": found.limits.model_dump(exclude_none=True)}
         typer.echo(json.dumps(answer))
         return
     typer.echo(f"{found.name}: {found.title}".rstrip(": "))
     for device in devices:
         typer.echo(f"  {device.name:<16} {device.entry.driver:<10} {device.entry.bus or '-':<6} {device.entry.role}")
-    for name, value in found.limits.model_dump().items():
+    for name, value in found.limits.model_dump(exclude_none=True).items():
         typer.echo(f"  limit {name:<26} {value:g}")
 
 

@@ -63,6 +63,7 @@ class Loop:
         ------
         SafetyTrip, Stopped, DeviceError, RecordingFailed : whatever ended it early.
         """
+        self._supervisor.begin(self._period)
         self._cycle()
         for action in self._plan.actions:
             self._perform(action)

@@ -4,11 +4,16 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+CYCLES_OF_SILENCE = 3
+LEAST_CYCLIC_AGE_S = 0.05
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class Limits(BaseModel):
-    """The `limits:` block of a bench file; every one is required, none defaults to infinity."""
+    """The `limits:` block of a bench file; what protects a motor is required, none of that defaults to infinity.
+
+    `cyclic_age_s` is for what a drive returns in every exchange, `age_s` for streams at a pace of their own.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -19,6 +24,8 @@ class Limits(BaseModel):
     bus_voltage_high_V: Positive  # noqa: N815
     age_s: Positive
     winding_temperature_degC: Annotated[float, Field(gt=25, le=200)]  # noqa: N815
+    cyclic_age_s: Positive | None = None  # None: three cycles, 50 ms at the least
+    angle_rad: Positive | None = None  # to either side of the encoder's zero; None: the shaft may turn on and on
 
     @model_validator(mode="after")
     def _low_below_high(self) -> "Limits":
@@ -40,8 +47,14 @@ class Limits(BaseModel):
         }.get(quantity)
         if symmetric is not None:
             return -symmetric, symmetric
+        if quantity in ("angle", "angle_reference") and self.angle_rad is not None:
+            return -self.angle_rad, self.angle_rad
         if quantity == "bus_voltage":
             return self.bus_voltage_low_V, self.bus_voltage_high_V
         if quantity == "winding_temperature":
             return -40.0, self.winding_temperature_degC
         return None
+
+    def cyclic_age(self, period: float) -> float:
+        """How old a value of the loop's own exchange may be where a cycle takes this long [s]."""
+        return self.cyclic_age_s or max(CYCLES_OF_SILENCE * period, LEAST_CYCLIC_AGE_S)

@@ -8,7 +8,7 @@ import pytest
 
 from leactl.bench import benchfile
 from leactl.driver.far_end import Frame
-from leactl.errors import DeviceError, DeviceFault, InputError, LeactlError, NoAnswer, SafetyTrip
+from leactl.errors import DeviceFault, InputError, LeactlError, NoAnswer, SafetyTrip
 from leactl.runfile.integrity import verify
 from leactl.runfile.reader import Run
 from leactl.runner import latch
@@ -113,9 +113,9 @@ def test_a_cable_pulled_out_fails_the_run_and_says_what_is_not_confirmed(spin):
         bench.wires["can0"].cut = True
 
     outcome, bench = spin(at=[(0.4, pull)])
-    assert isinstance(outcome.error, NoAnswer)
-    assert outcome.status == "failed"
-    assert "no heartbeat of node" in outcome.reason
+    assert isinstance(outcome.error, SafetyTrip)  # the exchange falls silent long before the heartbeat runs out
+    assert outcome.status == "tripped"
+    assert "no reading for 0.0" in outcome.reason
     assert not outcome.safe["drive_test"].safe
     assert any("NOT CONFIRMED SAFE" in note for note in outcome.error.__notes__)
     assert drives_off(bench)  # by their own dead-man
@@ -138,7 +138,8 @@ def test_a_frozen_drive_is_noticed(spin):
         bench.far_ends["drive_test"].frozen = True
 
     outcome, _bench = spin(at=[(0.4, freeze)])
-    assert isinstance(outcome.error, DeviceError)
+    assert isinstance(outcome.error, SafetyTrip)
+    assert "test q_axis_current: no reading for 0.0" in outcome.reason
     assert not outcome.safe["drive_test"].safe
     assert outcome.safe["drive_load"].safe
 
@@ -194,6 +195,50 @@ def test_a_programming_error_still_leaves_the_bench_safe(spin, monkeypatch):
     assert (outcome.status, outcome.reason) == ("failed", "no such luck")
     assert drives_off(bench)
     assert verify(outcome.path) == []
+
+
+ANGLE = """
+name: angle
+setup: free
+rate_Hz: 50
+steps:
+  - mode: {test: angle}
+  - hold: {role: test, angle_rad: 0, duration_s: 0.1}
+  - ramp: {role: test, to_angle_rad: 2, rate_rad_s: 20}
+  - hold: {role: test, angle_rad: $to_rad, duration_s: 0.4}
+parameters: {to_rad: 2}
+"""
+
+
+def test_an_angle_is_reached_by_a_ramp_and_never_by_a_leap(spin):
+    outcome, _bench = spin(ANGLE, sets=())
+    assert outcome.status == "complete"
+    assert recorded(outcome, "angle").values[-1] == pytest.approx(2, abs=0.2)
+    outcome, bench = spin(ANGLE, sets=("to_rad=20",))
+    assert isinstance(outcome.error, SafetyTrip)
+    assert "test angle_reference of 20 rad is 18.4 rad from 1.6 rad" in outcome.reason
+    assert np.nanmax(recorded(outcome, "angle_reference").values) == pytest.approx(1.6, abs=1e-3)
+    assert drives_off(bench)
+
+
+def test_a_slow_disk_before_the_loop_begins_ages_nothing(spin, monkeypatch):
+    from leactl.emulation.emulated_bench import EmulatedBench
+    from leactl.runner import session
+
+    clocks, wired, made = [], session._wiring, session.RunWriter
+
+    def wiring(request) -> EmulatedBench:
+        clocks.append((bench := wired(request)).clock)
+        return bench
+
+    def slow(*arguments):
+        clocks[0].sleep_until(clocks[0].now() + 3.0)
+        return made(*arguments)
+
+    monkeypatch.setattr(session, "_wiring", wiring)
+    monkeypatch.setattr(session, "RunWriter", slow)
+    outcome, _bench = spin()
+    assert (outcome.status, outcome.reason) == ("complete", "")
 
 
 # -- refusals ----------------------------------------------------------------------------------------------------------

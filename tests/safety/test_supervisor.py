@@ -95,13 +95,101 @@ def test_the_winding_is_heated_by_the_mean_square_of_the_current_at_any_rate(per
     assert bench.winding.winding - before == pytest.approx(alone.winding - before, rel=0.06)
 
 
-def test_a_channel_without_readings_is_too_old_not_fine():
-    bench = SupervisedBench(consumer_heartbeat_ms=1000)  # the drive's silence itself is noticed after the readings'
+@pytest.mark.parametrize(
+    ("period", "own", "least", "most"),
+    [(0.001, None, 0.05, 0.053), (0.02, None, 0.06, 0.085), (0.02, 0.2, 0.2, 0.225)],
+)
+def test_a_channel_of_the_exchange_is_too_old_within_cycles_not_seconds(period, own, least, most):
+    limits = LIMITS.model_copy(update={"cyclic_age_s": own, "age_s": 2.5})
+    bench = SupervisedBench(limits, consumer_heartbeat_ms=1000)  # the drive's silence itself is noticed later
+    bench.supervisor.begin(period)
     bench.engage()
-    bench.far.frozen = True
-    with pytest.raises(SafetyTrip, match=r"no reading for 0\.50"):
+    bench.supervised_cycle(period)
+    bench.far.frozen, frozen = True, bench.clock.now()
+    with pytest.raises(SafetyTrip, match=r"test q_axis_current: no reading for 0\."):
         for _ in range(600):
+            bench.supervised_cycle(period)
+    assert least <= bench.clock.now() - frozen + period <= most + period
+
+
+def test_an_angle_alone_that_stays_away_is_too_old(bench):
+    bench.engage()
+    cycle = bench.drive.end_cycle
+
+    def without_angle(deadline):
+        cycle(deadline)
+        bench.drive.values[5] = math.nan
+
+    bench.drive.end_cycle = without_angle
+    with pytest.raises(SafetyTrip, match=r"test angle: no reading for 0\.05"):
+        for _ in range(100):
             bench.supervised_cycle()
+
+
+def test_ages_count_from_where_the_loop_begins(bench):
+    bench.clock.sleep_until(bench.clock.now() + 3.0)
+    bench.drive._heard = bench.clock.now()
+    bench.supervisor.begin(0.001)
+    bench.supervised_cycle()
+
+
+ANGLE_RAD = 7.0
+
+
+@pytest.fixture
+def turned(bench):
+    """In angle mode at 50 Hz, engaged with the shaft well away from zero."""
+    bench.shaft.angle = ANGLE_RAD
+    bench.supervisor.begin(0.02)
+    bench.supervisor.engage("test", Mode.ANGLE)
+    while not bench.drive.engaged:
+        bench.supervised_cycle(0.02)
+    bench.supervised_cycle(0.02)
+    return bench
+
+
+@pytest.mark.parametrize("step", [0.7, -0.7])
+def test_angles_follow_one_another_as_fast_as_the_shaft_may_turn(turned, step):
+    for number in range(1, 20):
+        turned.supervisor.command("test", ANGLE_RAD + step * number)
+        turned.shaft.angle = ANGLE_RAD + step * number
+        turned.supervised_cycle(0.02)
+    assert turned.shaft.following == ("angle", pytest.approx(ANGLE_RAD + 19 * step, abs=1e-3))
+
+
+@pytest.mark.parametrize("value", [20.0, -20.0, 0.0, 8.3, math.nan])
+def test_a_leap_of_the_angle_never_reaches_the_drive(turned, value):
+    for _ in range(15):  # a hold meanwhile does not make room for a leap
+        turned.supervised_cycle(0.02)
+    with pytest.raises(SafetyTrip, match="test angle_reference of"):
+        turned.supervisor.command("test", value)
+    assert turned.shaft.following == ("angle", pytest.approx(ANGLE_RAD, abs=1e-3))
+
+
+def test_many_setpoints_of_one_cycle_reach_no_further_than_one(turned):
+    with pytest.raises(SafetyTrip, match="rad from 7 rad"):
+        for number in range(1, 20):
+            turned.supervisor.command("test", ANGLE_RAD + 0.5 * number)
+
+
+def test_an_angle_is_refused_while_the_shaft_has_not_been_seen(bench):
+    bench.supervisor.engage("test", Mode.ANGLE)
+    with pytest.raises(SafetyTrip, match="while the shaft's angle is not known"):
+        bench.supervisor.command("test", 0.0)
+
+
+def test_a_bench_may_limit_the_angle_itself():
+    bench = SupervisedBench(LIMITS.model_copy(update={"angle_rad": 1.0}))
+    bench.supervisor.begin(0.02)
+    bench.engage(Mode.ANGLE)
+    with pytest.raises(SafetyTrip, match="outside the limits"):
+        bench.supervisor.command("test", 1.01)
+    with pytest.raises(InputError, match="load angle_reference: 3 rad is above the bench limit of 1 rad"):
+        check_setpoints(bench.supervisor._limits, {("load", "angle_reference"): 3.0})
+    bench = SupervisedBench(LIMITS.model_copy(update={"angle_rad": 1.0}))
+    bench.shaft.angle = -1.1
+    with pytest.raises(SafetyTrip, match=r"test angle of -1.1 rad passed the limit of -1 rad"):
+        bench.supervised_cycle()
 
 
 def test_a_stream_that_never_spoke_is_too_old(bench):
