@@ -14,7 +14,7 @@ from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver, Mode, MotionDevice, Row
 from leactl.errors import InputError, SafetyTrip
 from leactl.quantities import UNITS, ChannelSpec
-from leactl.safety.limits import Limits
+from leactl.safety.limits import CYCLES_OF_SILENCE, Limits
 from leactl.safety.winding import WindingEstimate
 
 WINDING_PERIOD_S = 0.01  # no more often: the winding's fastest time constant is seconds
@@ -23,6 +23,7 @@ SETPOINT_QUANTITY = {
     Mode.CURRENT: CURRENT_REFERENCE,
     Mode.TORQUE_PROFILE: CURRENT_REFERENCE,
     Mode.VELOCITY: "velocity_reference",
+    Mode.ANGLE: "angle_reference",
 }
 UNLIMITED = (-math.inf, math.inf)
 NOTHING_PASSES = (math.nan, math.nan)
@@ -45,6 +46,7 @@ class _Watch:
     unit: str
     low: float
     high: float
+    age: float  # the longest without a number [s]
     seen: float
 
 
@@ -53,19 +55,53 @@ class _Guarded:
     axis: Axis
     watches: list[_Watch]
     current: int  # where the q-axis current stands among the values
+    angle: int | None
     quantity: str = "setpoint"  # that the engaged mode sets
     bounds: tuple[float, float] = UNLIMITED
     reference: float = 0.0  # of a current, which heats
     squares: float = 0.0  # of the heating currents since the estimate was advanced
     cycles: int = 0
     advanced: float = field(default=-math.inf)
+    path: "_AnglePath | None" = None  # in angle mode alone
 
-    def turn_to(self, mode: Mode, limits: Limits) -> None:
+    def turn_to(self, mode: Mode, limits: Limits, now: float) -> None:
         """Take the limits of what this mode sets."""
         quantity = SETPOINT_QUANTITY.get(mode)
         self.quantity = quantity or "setpoint"
-        self.bounds = (limits.of(quantity) or NOTHING_PASSES) if quantity else UNLIMITED
-        self.reference = 0.0
+        self.reference, self.path = 0.0, None
+        if mode is Mode.ANGLE:
+            self.bounds = limits.of("angle_reference") or UNLIMITED  # the path bounds each step
+            self.path = _AnglePath(self.measured_angle, now)
+        else:
+            self.bounds = (limits.of(quantity) or NOTHING_PASSES) if quantity else UNLIMITED
+
+    @property
+    def measured_angle(self) -> float:
+        """The angle of the last exchange; NaN where none came."""
+        return math.nan if self.angle is None else self.axis.motion.values[self.angle]
+
+
+class _AnglePath:
+    """Where the setpoints of angle mode have led so far, so that none is further away than the shaft may turn."""
+
+    def __init__(self, measured: float, now: float) -> None:
+        self.sent, self.sent_at = measured, now  # of the last exchange
+        self._asked: tuple[float, float] | None = None  # since then
+        self._held = False
+
+    def ask(self, value: float, now: float) -> None:
+        """A setpoint for the exchange to come; the last one before it counts."""
+        self._asked = value, now
+
+    def exchanged(self, measured: float, engaged: bool, now: float) -> None:
+        """An exchange has ended: until the drive follows its setpoint, that is wherever the shaft is."""
+        if not engaged or math.isnan(self.sent):
+            self.sent, self.sent_at = (self.sent if math.isnan(measured) else measured), now
+        elif self._held and self._asked is not None:
+            self.sent, self.sent_at = self._asked
+        else:
+            self.sent_at = now
+        self._held, self._asked = engaged, None
 
 
 class Supervisor:
@@ -74,28 +110,42 @@ class Supervisor:
     def __init__(self, limits: Limits, axes: Mapping[str, Axis], others: Sequence[Driver], clock: Clock) -> None:
         self._limits, self._clock, self._others = limits, clock, list(others)
         self._longest_age, self._hottest = limits.age_s, limits.winding_temperature_degC
+        self._period = 0.0
         self.tripped: str = ""
         now = clock.now()
         self._axes = {role: self._guard(axis, now) for role, axis in axes.items()}
         self._own: dict[str, list[_Watch]] = {}
         for device in (*[axis.driver for axis in axes.values()], *others):
             for stream in device.streams:
-                self._own[stream.name] = self._watches(stream.channels, now)
+                self._own[stream.name] = self._watches(stream.channels, limits.age_s, now)
         self._asynchronous = [watch for watches in self._own.values() for watch in watches]
 
     def _guard(self, axis: Axis, now: float) -> _Guarded:
         channels = axis.motion.loop_channels
-        current = next(i for i, channel in enumerate(channels) if channel.quantity == "q_axis_current")
-        return _Guarded(axis, self._watches(channels, now), current, advanced=now)
+        place = {channel.quantity: index for index, channel in enumerate(channels)}
+        watches = self._watches(channels, self._limits.cyclic_age(0.0), now)
+        return _Guarded(axis, watches, place["q_axis_current"], place.get("angle"), advanced=now)
 
-    def _watches(self, channels: Sequence[ChannelSpec], now: float) -> list[_Watch]:
+    def _watches(self, channels: Sequence[ChannelSpec], age: float, now: float) -> list[_Watch]:
         watches = []
         for index, channel in enumerate(channels):
             bounds = self._limits.of(channel.quantity)
+            if channel.quantity == "angle":
+                bounds = bounds or UNLIMITED  # its age is watched in any case
             if bounds is not None and not channel.quantity.endswith("_reference"):
                 label = f"{channel.role} {channel.quantity}"
-                watches.append(_Watch(index, label, channel.unit, *bounds, seen=now))
+                watches.append(_Watch(index, label, channel.unit, *bounds, age=age, seen=now))
         return watches
+
+    def begin(self, period: float) -> None:
+        """The loop begins: ages count from here, for opening devices and making a file take what time they take."""
+        now, self._period = self._clock.now(), period
+        for guarded in self._axes.values():
+            guarded.advanced = now
+            for watch in guarded.watches:
+                watch.seen, watch.age = now, self._limits.cyclic_age(period)
+        for watch in self._asynchronous:
+            watch.seen = now
 
     # -- commands ----------------------------------------------------------------------------------------------------
 
@@ -109,13 +159,13 @@ class Supervisor:
         if self.tripped:
             raise SafetyTrip(self.tripped)
         guarded = self._axes[role]
-        guarded.turn_to(mode, self._limits)
+        guarded.turn_to(mode, self._limits, self._clock.now())
         guarded.axis.motion.engage(mode)
 
     def release(self, role: str) -> None:
         """Let a drive leave operation; always allowed."""
         guarded = self._axes[role]
-        guarded.turn_to(Mode.OFF, self._limits)
+        guarded.turn_to(Mode.OFF, self._limits, self._clock.now())
         guarded.axis.motion.release()
 
     def engaged(self, role: str) -> bool:
@@ -127,7 +177,8 @@ class Supervisor:
 
         Raises
         ------
-        SafetyTrip : a trip is latched, or the setpoint is outside the limits; nothing is passed on.
+        SafetyTrip : a trip is latched, or the setpoint is outside the limits, or an angle is further from the one
+            before than the shaft may turn in the time between; nothing is passed on.
         """
         if self.tripped:
             raise SafetyTrip(self.tripped)
@@ -137,7 +188,23 @@ class Supervisor:
             self.trip(f"{role} {guarded.quantity} of {value:g} is outside the limits {guarded.bounds}")
         if guarded.quantity == CURRENT_REFERENCE:
             guarded.reference = value
+        if guarded.path is not None:
+            self._judge_angle(role, guarded.path, value)
         guarded.axis.motion.command(value)
+
+    def _judge_angle(self, role: str, path: _AnglePath, value: float) -> None:
+        if math.isnan(path.sent):
+            self.trip(f"{role} angle_reference of {value:g} rad while the shaft's angle is not known")
+        now, period = self._clock.now(), self._period
+        # a segment may end half a cycle late; after a stall the shaft must not be sent to where it would be without one
+        elapsed = min(max(now - path.sent_at, period), CYCLES_OF_SILENCE * period) + 0.5 * period
+        limit = self._limits.velocity_rad_s
+        if not abs(value - path.sent) <= limit * elapsed * (1 + 1e-9):
+            self.trip(
+                f"{role} angle_reference of {value:g} rad is {abs(value - path.sent):.4g} rad from {path.sent:.4g} rad;"
+                f" {limit * elapsed:.4g} rad can be reached in a cycle at the velocity limit of {limit:g} rad/s"
+            )
+        path.ask(value, now)
 
     # -- samples -----------------------------------------------------------------------------------------------------
 
@@ -150,7 +217,7 @@ class Supervisor:
         """
         if self.tripped:
             raise SafetyTrip(self.tripped)
-        oldest, hottest = now - self._longest_age, self._hottest
+        hottest = self._hottest
         for role, guarded in self._axes.items():
             _, motion, estimate = guarded.axis
             values = motion.values
@@ -158,7 +225,11 @@ class Supervisor:
                 if watch.low <= values[watch.index] <= watch.high:
                     watch.seen = now
                 else:
-                    self._question(watch, values[watch.index], now, oldest)
+                    self._question(watch, values[watch.index])
+                    if now - watch.seen > watch.age:
+                        self._too_old(watch, now)
+            if guarded.path is not None:
+                guarded.path.exchanged(guarded.measured_angle, motion.engaged, now)
             measured = abs(values[guarded.current])
             asked = abs(guarded.reference)
             heating = measured if measured > asked else asked  # NaN compares false: the reference counts then
@@ -170,6 +241,7 @@ class Supervisor:
             guarded.advanced, guarded.squares, guarded.cycles = now, 0.0, 0
             if not winding < hottest:
                 self.trip(f"{role} winding estimate of {winding:.1f} degC reached the limit of {hottest:g} degC")
+        oldest = now - self._longest_age
         for watch in self._asynchronous:
             if watch.seen < oldest:
                 self._too_old(watch, now)
@@ -190,19 +262,17 @@ class Supervisor:
             if watch.low <= value <= watch.high:
                 watch.seen = row.time
             else:
-                self._question(watch, value, row.time, -math.inf)
+                self._question(watch, value)
 
-    def _question(self, watch: _Watch, value: float, now: float, oldest: float) -> None:
-        """What to do about a value that is not inside its limits: it is outside, or no number."""
+    def _question(self, watch: _Watch, value: float) -> None:
+        """A value that is not inside its limits: it is outside, or no number, which only its age tells against."""
         if value == value:
             bound = watch.low if value < watch.low else watch.high
             self.trip(f"{watch.label} of {value:.4g} {watch.unit} passed the limit of {bound:g} {watch.unit}")
-        if watch.seen < oldest:
-            self._too_old(watch, now)
 
     def _too_old(self, watch: _Watch, now: float) -> None:
         age = now - watch.seen
-        self.trip(f"{watch.label}: no reading for {age:.3f} s, {self._longest_age:g} s are allowed")
+        self.trip(f"{watch.label}: no reading for {age:.3f} s, {watch.age:g} s are allowed")
 
     def trip(self, cause: str) -> None:
         """Latch a trip and end the run; the first cause stays.
