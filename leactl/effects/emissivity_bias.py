@@ -14,6 +14,10 @@ class EmissivityBias(Effect):
 
     name = "emissivity_bias"
 
+    def applies(self, model: Model) -> bool:
+        """Only a resistance that knows the temperature contradicts a camera: the network scales with it unseen."""
+        return model.resistance_coefficient > 0.0
+
     def terms(self, signals: Signals, form: Form) -> Terms:
         """The camera's rise, and the resistance that goes by a rise it does not see."""
         if signals.winding is None or signals.ambient is None:

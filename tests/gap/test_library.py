@@ -12,6 +12,7 @@ MODEL = Model.model_validate(
     {
         "name": "m",
         "phase_resistance": 0.264,
+        "resistance_coefficient": 0.004,
         "torque_constant": 0.49,
         "back_emf_constant": 0.49,
         "rotor_inertia": 0.0024,
