@@ -76,10 +76,15 @@ class Bench:
                 text = str(error) if str(error).startswith(f"{name}:") else f"{name}: {error}"
                 raise type(error)(f"{text}; {doubts}" if doubts else text) from None
 
-    def close(self) -> None:
-        """Let every device go."""
-        for driver in self.drivers.values():
-            driver.close()
+    def close(self) -> list[str]:
+        """Let every device go, whatever one of them does; a line for each that failed to."""
+        faults = []
+        for name, driver in self.drivers.items():
+            try:
+                driver.close()
+            except Exception as error:  # noqa: BLE001 (a broken driver must not keep the others' buses open)
+                faults.append(f"{name}: was not closed in order: {type(error).__name__}: {error}")
+        return faults
 
     def exchange(self, deadline: float) -> list[float]:
         """One cycle with all drives: demands out, SYNC, readings in; the values of `loop_channels` in order.

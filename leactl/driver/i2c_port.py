@@ -6,6 +6,7 @@ two would reach into the next register as well.
 
 import errno
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Protocol
 
 from leactl.errors import DeviceError, NoAnswer
@@ -57,9 +58,11 @@ class I2cPort:
     def close(self) -> None:
         """Disconnect when the last user has let go."""
         self._users = max(0, self._users - 1)
-        if self._users == 0 and self._bus is not None:
-            self._bus.close()
+        bus = self._bus
+        if self._users == 0 and bus is not None:
             self._bus = None
+            with suppress(OSError):  # it is gone already, which is what was asked for
+                bus.close()
 
     def read(self, address: int, register: int) -> int:
         """Read a 16-bit register.

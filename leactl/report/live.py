@@ -1,9 +1,13 @@
 """The live view of a run in a terminal: step, progress, time left, and the newest value of every channel.
 
-It draws from a thread of its own four times a second and only reads what the loop has left for it.
+It draws from a thread of its own four times a second and only reads what the loop has left for it. A terminal that
+takes nothing (Ctrl-S, a dead connection) holds that thread and nothing else: the view is left behind, never waited for.
 """
 
+import io
 import math
+import os
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -15,27 +19,59 @@ from rich.table import Table
 from rich.text import Text
 
 from leactl.quantities import ChannelSpec
+from leactl.runner.operators import HOW
 from leactl.runner.progress import Progress
 
 FRAMES_PER_S = 4
+PATIENCE_S = 1.0  # how long a view may take to clear the screen
 SHORT = {"q_axis_": "", "_reference": " ref", "drive_enabled": "enabled", "_": " "}
 
 
 @contextmanager
 def live_view(progress: Progress, console: Console) -> Iterator[None]:
-    """Show a run while the block lasts; a console that is no terminal shows nothing."""
+    """Show a run while the block lasts; a console that is no terminal shows nothing.
+
+    What goes wrong with the view is left in `progress.view_fault`.
+    """
     if not console.is_terminal:
         yield
         return
-    with Live(
-        console=console,
-        get_renderable=lambda: draw(progress, console.width),
-        refresh_per_second=FRAMES_PER_S,
-        transient=True,
-        redirect_stdout=False,
-        redirect_stderr=False,
-    ):
+    ended = threading.Event()
+    thread = threading.Thread(target=_show, args=(progress, console, ended), name="leactl-view", daemon=True)
+    thread.start()
+    try:
         yield
+    finally:
+        ended.set()
+        thread.join(PATIENCE_S)
+        if thread.is_alive():
+            progress.view_fault = f"the terminal takes no output; the view was left behind after {PATIENCE_S:g} s"
+
+
+def _show(progress: Progress, console: Console, ended: threading.Event) -> None:
+    try:
+        own = _apart(console)
+        with Live(
+            console=own,
+            get_renderable=lambda: draw(progress, own.width),
+            auto_refresh=False,
+            transient=True,
+            redirect_stdout=False,
+            redirect_stderr=False,
+        ) as live:
+            while not ended.wait(1 / FRAMES_PER_S):
+                live.refresh()
+    except Exception as error:  # noqa: BLE001 (nothing in a view is worth a run)
+        progress.view_fault = f"the view has failed: {type(error).__name__}: {error}"
+
+
+def _apart(console: Console) -> Console:
+    """The same terminal by a descriptor of its own: a write that never ends holds no lock that the run's end needs."""
+    try:
+        place = os.dup(console.file.fileno())
+    except (OSError, io.UnsupportedOperation):
+        return console
+    return Console(file=os.fdopen(place, "w", encoding="utf-8", errors="replace"), force_terminal=True)
 
 
 def draw(progress: Progress, width: int) -> RenderableType:
@@ -46,11 +82,11 @@ def draw(progress: Progress, width: int) -> RenderableType:
     head.add_column(justify="right", no_wrap=True)
     head.add_row(Text(progress.title, style="bold"), f"{duration(progress.done_s)} of {duration(progress.total_s)}")
     shown = f"{progress.share:.0%}" + (f", {duration(left)} left" if math.isfinite(left) else "")
-    head.add_row(progress.step or "starting", shown)
+    head.add_row(Text(progress.step or "starting"), shown)
     bar = ProgressBar(total=1.0, completed=progress.share, width=min(width, 120))
     parts: list[RenderableType] = [head, bar, _channels(progress, width)]
     if progress.prompt:
-        parts.append(Text(f"{progress.prompt}  [Enter to go on]", style="bold yellow"))
+        parts.append(Text(f"{progress.prompt}  {HOW}", style="bold yellow"))
     return Group(*parts)
 
 
@@ -77,7 +113,7 @@ def _channels(progress: Progress, width: int) -> Table:
     for row in range(rows):
         line: list[Any] = []
         for name, value in cells[row::rows]:
-            line += [Text(name, style="dim"), value]
+            line += [Text(name, style="dim"), Text(value)]
         table.add_row(*line)
     return table
 

@@ -41,19 +41,12 @@ class RunWriter:
     thread flushes. Rows count as recorded once `flush` has returned.
     """
 
-    def __init__(
-        self,
-        directory: Path,
-        info: RunInfo,
-        streams: Mapping[str, Sequence[ChannelSpec]],
-        flush_s: float = 1.0,
-    ) -> None:
+    def __init__(self, directory: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> None:
         if faults := faults_of(info, streams):
             raise InputError(faults)
         self.path = directory / f"{info.run_id}.h5"
         self.closed = False
-        self._flush_s = flush_s
-        self._flushed_at = float("-inf")
+        self._fault = ""  # the first one, for whoever comes after it
         self._disk = threading.Lock()
         self._buffers = {name: RowBuffer(len(specs)) for name, specs in streams.items()}
         self._written = dict.fromkeys(streams, 0)
@@ -64,6 +57,10 @@ class RunWriter:
         refuse_existing(partial)
         try:
             directory.mkdir(parents=True, exist_ok=True)
+        except OSError as fault:
+            text = f"{directory}: cannot create the run file: {fault.strerror or fault}; choose another directory"
+            raise InputError(text) from None
+        try:
             self._file = create(partial, info, streams)
             self._datasets = {
                 name: opened_columns(self._file["streams"][name], specs) for name, specs in streams.items()
@@ -94,14 +91,6 @@ class RunWriter:
         row = {"time": float(time), "level": str(level), "source": str(source), "message": str(message)}
         self._tables["events"].append(row)
 
-    def flush_if_due(self, monotonic_now: float) -> bool:
-        """Flush where the last flush is longer ago than `flush_s`; says whether it did."""
-        if monotonic_now - self._flushed_at < self._flush_s:
-            return False
-        self._flushed_at = monotonic_now
-        self.flush()
-        return True
-
     def flush(self) -> None:
         """Bring everything so far into the file, where a reader or a recovery finds it."""
         with self._disk:
@@ -112,6 +101,8 @@ class RunWriter:
         if status not in layout.CLOSED_STATUSES:
             raise ValueError(f"status {status!r} is none of {', '.join(layout.CLOSED_STATUSES)}")
         with self._disk:
+            if self._fault:
+                raise self._ended()
             if not self.closed:
                 self._on_disk(self._write_pending)
                 self._on_disk(self._file.close)
@@ -171,12 +162,13 @@ class RunWriter:
             action()
         # HDF5 reports a full disk as OSError while writing and as RuntimeError while flushing or closing
         except (OSError, RuntimeError, NotWritten) as fault:
-            self._abandon()
             hint = "free space on the disk, then run: leactl runs recover"
-            raise RecordingFailed(f"{self.path}: recording failed: {one_line(str(fault))}; {hint}") from fault
+            self._fault = f"{self.path}: recording failed: {one_line(str(fault))}; {hint}"
+            self._abandon()
+            raise RecordingFailed(self._fault) from fault
 
     def _ended(self) -> RecordingFailed:
-        return RecordingFailed(f"{self.path}: the recording has ended; start a new run")
+        return RecordingFailed(self._fault or f"{self.path}: the recording has ended; start a new run")
 
     def _abandon(self) -> None:
         self.closed = True

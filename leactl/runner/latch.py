@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from leactl.errors import LeactlError, SafetyTrip
+from leactl.runfile.publish import force_to_disk
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ def state_directory() -> Path:
 
 
 def latch(bench: str, cause: str, run: Path) -> None:
-    """Latch a bench.
+    """Latch a bench, on the disk when this returns; a write that is cut short latches it too, with a cause unknown.
 
     Raises
     ------
@@ -39,7 +40,11 @@ def latch(bench: str, cause: str, run: Path) -> None:
     path = _path(bench)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(asdict(trip), indent=1) + "\n", encoding="utf-8")
+        with path.open("w", encoding="utf-8") as file:
+            file.write(json.dumps(asdict(trip), indent=1) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        force_to_disk(path.parent)
     except OSError as error:
         raise LeactlError(f"{path}: the trip could not be latched: {error.strerror or error}") from None
 

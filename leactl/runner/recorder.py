@@ -36,7 +36,7 @@ class ThreadedFlush:
     def __init__(self, writer: RunWriter) -> None:
         self._writer = writer
         self._ended = threading.Event()
-        self._failure: RecordingFailed | None = None
+        self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="leactl-flush", daemon=True)
         self._thread.start()
 
@@ -44,7 +44,7 @@ class ThreadedFlush:
         while not self._ended.wait(FLUSH_S):
             try:
                 self._writer.flush()
-            except RecordingFailed as failure:
+            except BaseException as failure:  # noqa: BLE001 (a thread that dies in silence would record nothing more)
                 self._failure = failure
                 return
 
@@ -55,12 +55,23 @@ class ThreadedFlush:
         ------
         RecordingFailed : the disk takes no more.
         """
-        if self._failure is not None:
-            raise self._failure
+        failure = self._failure
+        if failure is None:
+            return
+        if isinstance(failure, RecordingFailed):
+            raise failure
+        raise RecordingFailed(f"{self._writer.path}: recording failed: {type(failure).__name__} {failure}") from failure
 
     def stop(self) -> None:
-        """End the thread; the writer's own lock keeps a flush that is under way whole."""
+        """End the thread, after a flush that is under way.
+
+        Raises
+        ------
+        RecordingFailed : rows were lost.
+        """
         self._ended.set()
+        self._thread.join()
+        self.after_cycle()
 
 
 Flush = InlineFlush | ThreadedFlush

@@ -1,12 +1,13 @@
 """One run from checked inputs to a closed file: opens the bench, runs the loop, and ends in the same order always.
 
-The end does not depend on what caused it: devices safe first (by the supervisor: test drive, load drive, the rest),
-then the file closed with its status, then the devices let go, then a trip latched.
+The end does not depend on what caused it, and nothing that may fail or wait comes before what keeps people safe:
+devices safe first (by the supervisor: test drive, load drive, the rest), then a trip latched, then the view left, the
+file closed with its status, and the devices let go.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, closing
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -15,15 +16,15 @@ from leactl.bench.bench import Bench
 from leactl.bench.benchfile import BenchFile, CheckedDevice
 from leactl.bench.wiring import MachineWiring, Wiring
 from leactl.driver.contract import Confirmation, MotionDevice
-from leactl.errors import DeviceError, InputError, LeactlError, SafetyTrip, Stopped
+from leactl.errors import DeviceError, InputError, SafetyTrip, Stopped
 from leactl.model.motor import Motor, load_motor
 from leactl.protocol.plan import Engage, Plan
 from leactl.runfile.writer import RunInfo, RunWriter, new_run_id
-from leactl.runner import latch
+from leactl.runner import exclusive, latch
 from leactl.runner.loop import Loop, Operator
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import InlineFlush, ThreadedFlush
-from leactl.runner.signals import listening
+from leactl.runner.signals import StopRequest, listening
 from leactl.safety.supervisor import Axis, Supervisor, check_setpoints
 from leactl.safety.winding import ThermalParameters, WindingEstimate
 
@@ -62,6 +63,7 @@ class Outcome:
     safe: Mapping[str, Confirmation]
     duration_s: float
     overruns: int
+    notes: Sequence[str] = ()  # what went wrong beside the run and changes nothing of it
 
 
 def execute(request: Request, operator: Operator, watch: Watch) -> Outcome:
@@ -71,51 +73,90 @@ def execute(request: Request, operator: Operator, watch: Watch) -> Outcome:
     ------
     InputError : plan and bench do not fit; nothing was touched.
     SafetyTrip : the bench is latched; nothing was touched.
-    DeviceError : a device could not be opened; those that were are safe and closed.
+    DeviceError : another run holds the bench, or a device could not be opened; those that were are safe and closed.
     RecordingFailed : the run file could not be made.
     """
     motors = _check(request)
-    latch.refuse_latched(request.bench.name)
-    with listening() as stop:
+    alone = nullcontext() if request.in_process else exclusive.held(request.bench, request.devices)
+    with alone, listening() as stop:
+        latch.refuse_latched(request.bench.name)
         bench = Bench(request.bench, request.devices, _wiring(request))
         _check_roles(request, bench)
         supervisor = _supervisor(request, bench, motors)
         bench.open()
-        with closing(bench):
-            try:
-                writer = RunWriter(request.directory, _info(request), bench.streams())
-            except BaseException:
-                supervisor.make_safe()
-                raise
-            paced = request.realtime or not request.in_process
-            flush = ThreadedFlush(writer) if paced else InlineFlush(writer)
-            plan = request.plan
-            progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
-            loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator)
-            error: BaseException | None = None
-            try:
-                _introduce(request, writer)
-                with watch(progress):
-                    loop.run()
-            except BaseException as caught:  # noqa: BLE001 (whatever ended the run, the bench is made safe before anything else)
-                error = caught
-            safe = supervisor.make_safe()
-            flush.stop()
-            error = _unconfirmed(error, safe)
-            status, reason = _status(error)
-            for name, confirmation in safe.items():
-                level = "info" if confirmation.safe else "error"
-                writer.event(loop.time, level, name, f"safe state: {confirmation.detail}")
-            try:
-                writer.close(status, reason)
-            except LeactlError as failure:
-                if error is None:
-                    error, status, reason = failure, "failed", str(failure)
-                else:
-                    error.add_note(str(failure))
+        try:
+            outcome = _run(request, bench, supervisor, stop, operator, watch)
+        finally:
+            left = bench.close()
+    return replace(outcome, notes=[*outcome.notes, *left])
+
+
+def _run(
+    request: Request, bench: Bench, supervisor: Supervisor, stop: StopRequest, operator: Operator, watch: Watch
+) -> Outcome:
+    """Run on an open bench, and leave it safe."""
+    plan = request.plan
+    try:
+        writer = RunWriter(request.directory, _info(request), bench.streams())
+        paced = request.realtime or not request.in_process
+        flush = ThreadedFlush(writer) if paced else InlineFlush(writer)
+        progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
+        loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator)
+    except BaseException:
+        supervisor.make_safe()
+        raise
+    with _shown(watch, progress):
+        error: BaseException | None = None
+        try:
+            _introduce(request, writer)
+            loop.run()
+        except BaseException as caught:  # noqa: BLE001 (whatever ended the run, the bench is made safe before anything else)
+            error = caught
+        safe = supervisor.make_safe()
+        error = _unconfirmed(error, safe)
         if isinstance(error, SafetyTrip):
-            latch.latch(request.bench.name, reason, writer.path)
-    return Outcome(writer.path, status, reason, error, safe, loop.time, loop.overruns)
+            _latch(request.bench.name, error, writer.path)
+    notes = [progress.view_fault] if progress.view_fault else []
+    try:
+        flush.stop()
+    except Exception as failure:  # noqa: BLE001 (what ended the run is told whatever becomes of its file)
+        error = _joined(error, failure)
+    for name, confirmation in safe.items():
+        level = "info" if confirmation.safe else "error"
+        writer.event(loop.time, level, name, f"safe state: {confirmation.detail}")
+    for note in notes:
+        writer.event(loop.time, "warning", "view", note)
+    try:
+        writer.close(*_status(error))
+    except Exception as failure:  # noqa: BLE001 (as above)
+        error = _joined(error, failure)
+    status, reason = _status(error)
+    return Outcome(writer.path, status, reason, error, safe, loop.time, loop.overruns, notes)
+
+
+@contextmanager
+def _shown(watch: Watch, progress: Progress) -> Iterator[None]:
+    """Show a run while the block lasts; a view that fails is noted, and is never the run's error."""
+    view = ExitStack()
+    try:
+        view.enter_context(watch(progress))
+    except BaseException as error:  # noqa: BLE001 (nothing in a view is worth a run)
+        progress.view_fault = f"the view has failed: {type(error).__name__}: {error}"
+    try:
+        yield
+    finally:
+        try:
+            view.close()
+        except BaseException as error:  # noqa: BLE001 (as above)
+            progress.view_fault = f"the view has failed: {type(error).__name__}: {error}"
+
+
+def _latch(bench: str, error: SafetyTrip, run: Path) -> None:
+    """Latch a trip; where that fails the trip is still what ended the run."""
+    try:
+        latch.latch(bench, _status(error)[1], run)
+    except Exception as failure:  # noqa: BLE001 (a trip is told whatever becomes of its latch)
+        error.add_note(f"THE BENCH IS NOT LATCHED: {failure}")
 
 
 def _check(request: Request) -> dict[str, Motor]:
@@ -202,6 +243,15 @@ def _unconfirmed(error: BaseException | None, safe: Mapping[str, Confirmation]) 
     if error is None:
         return DeviceError(text)
     error.add_note(text)
+    return error
+
+
+def _joined(error: BaseException | None, further: Exception) -> BaseException:
+    """What ended the run stays its error; what came after is part of it."""
+    if error is None:
+        return further
+    if str(further) != str(error):
+        error.add_note(str(further) or type(further).__name__)
     return error
 
 

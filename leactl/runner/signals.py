@@ -30,9 +30,11 @@ class StopRequest:
 
 @contextmanager
 def listening() -> Iterator[StopRequest]:
-    """Take SIGINT, SIGTERM and SIGHUP until the block is left."""
+    """Take SIGINT, SIGTERM and SIGHUP until the block is left; one that is ignored (nohup) stays ignored."""
     request = StopRequest()
-    before = {number: signal.signal(number, request.note) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    wanted = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    heeded = [number for number in wanted if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, request.note) for number in heeded}
     try:
         yield request
     finally:

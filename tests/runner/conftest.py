@@ -32,7 +32,18 @@ def own_state(tmp_path, monkeypatch):
 def spin(tmp_path, monkeypatch):
     """Run `spin` or another text; `at` is a list of (second, action on the emulated bench)."""
 
-    def run(text=SPIN, *, at=(), sets=("seed=3",), condition="design", bench="emulated", operator=granted):
+    def run(
+        text=SPIN,
+        *,
+        at=(),
+        sets=("seed=3",),
+        condition="design",
+        bench="emulated",
+        operator=granted,
+        watch=lambda _progress: nullcontext(),
+        out=tmp_path / "runs",
+        realtime=False,
+    ):
         path = tmp_path / "protocol.yaml"
         path.write_text(text)
         benches = []
@@ -50,8 +61,8 @@ def spin(tmp_path, monkeypatch):
                     self.coming.pop(0)[1](self)
 
         monkeypatch.setattr(emulated_bench, "EmulatedBench", Rehearsed)
-        request = prepare(str(path), bench, sets, "a1", condition, "", tmp_path / "runs", False)
-        outcome = execute(request, operator, lambda _progress: nullcontext())
+        request = prepare(str(path), bench, sets, "a1", condition, "", out, realtime)
+        outcome = execute(request, operator, watch)
         return outcome, benches[0]
 
     return run

@@ -1,0 +1,117 @@
+"""What comes after the bench is safe may fail: a trip is latched and told, whatever file, bus or disk do then."""
+
+import json
+import os
+import signal
+import threading
+
+import pytest
+from leactl_plugins.ads1115.driver import Ads1115
+
+from leactl.emulation.wires import EmulatedI2cBus
+from leactl.errors import InputError, SafetyTrip
+from leactl.runfile import writer
+from leactl.runfile.writer import RecordingFailed
+from leactl.runner import latch
+from tests.cli.terminal import leactl
+from tests.runner.conftest import SPIN
+
+TRIPPING = ("current_A=2.5", "hold_s=2")
+
+
+@pytest.mark.parametrize("place", [EmulatedI2cBus, Ads1115])
+def test_a_device_that_fails_to_close_hides_no_trip(spin, monkeypatch, place):
+    def fail(_self):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(place, "close", fail, raising=False)
+    outcome, bench = spin(sets=TRIPPING)
+    assert isinstance(outcome.error, SafetyTrip)
+    assert latch.latched("emulated").run == str(outcome.path)
+    assert bench.wires["can0"].hosts == []
+    if place is Ads1115:
+        assert outcome.notes == ["torque_sensor: was not closed in order: OSError: [Errno 5] Input/output error"]
+
+
+def test_a_trip_is_latched_before_the_file_is_closed(spin, monkeypatch):
+    latched = []
+
+    def killed(_self, _status, _reason):
+        latched.append(latch.latched("emulated"))
+        raise RuntimeError("killed here")
+
+    monkeypatch.setattr(writer.RunWriter, "close", killed)
+    outcome, _bench = spin(sets=TRIPPING)
+    assert latched[0].cause == outcome.reason
+    assert outcome.status == "tripped"
+    assert "killed here" in outcome.error.__notes__
+
+
+def test_the_latch_is_on_the_disk_when_it_is_said_to_be(tmp_path, monkeypatch):
+    forced = []
+    monkeypatch.setattr(os, "fsync", lambda place: forced.append(os.fstat(place).st_ino))
+    latch.latch("emulated", "too fast", tmp_path)
+    path = latch.state_directory() / "emulated.trip.json"
+    assert forced == [path.stat().st_ino, path.parent.stat().st_ino]
+
+
+def test_a_latch_that_cannot_be_written_is_a_note_and_the_trip_is_told(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "spin.yaml").write_text(SPIN)
+    sets = [word for value in TRIPPING for word in ("--set", value)]
+    done = leactl("run", "spin.yaml", *sets, "--json", **os.environ | {"LEACTL_STATE": "/proc/nowhere"})
+    assert done.returncode == 3, done.stderr
+    assert json.loads(done.stdout)["status"] == "tripped"
+    note, cause = done.stderr.splitlines()
+    assert note.startswith("leactl: THE BENCH IS NOT LATCHED: /proc/nowhere/emulated.trip.json: ")
+    assert cause.startswith("leactl: test velocity of ")
+
+
+# -- the recording -----------------------------------------------------------------------------------------------------
+
+
+def fail_in_the_thread(monkeypatch, name, fault):
+    original = getattr(writer, name)
+
+    def failing(*arguments):
+        if threading.current_thread().name == "leactl-flush":
+            raise fault
+        return original(*arguments)
+
+    monkeypatch.setattr(writer, name, failing)
+
+
+@pytest.mark.parametrize("hold", ["1.6", "0.7"])
+def test_memory_that_runs_out_while_flushing_fails_the_run(spin, monkeypatch, hold):
+    fail_in_the_thread(monkeypatch, "write_rows", MemoryError("no room"))
+    outcome, _bench = spin(sets=(f"hold_s={hold}",), realtime=True)
+    assert (outcome.status, type(outcome.error)) == ("failed", RecordingFailed)
+    assert "recording failed: MemoryError no room" in outcome.reason
+
+
+def test_a_full_disk_is_the_cause_that_everything_after_it_tells(spin, monkeypatch):
+    fail_in_the_thread(monkeypatch, "write_rows", OSError(28, "No space left on device"))
+    monkeypatch.setattr("leactl.runner.recorder.ThreadedFlush.after_cycle", lambda _self: None)  # the loop is first
+    outcome, _bench = spin(sets=("hold_s=1.6",), realtime=True)
+    assert outcome.status == "failed"
+    assert "No space left on device" in outcome.reason
+    assert not hasattr(outcome.error, "__notes__")
+
+
+@pytest.mark.parametrize("place", ["file", "file/below", "/proc/nowhere"])
+def test_a_directory_that_cannot_be_made_is_an_input_fault(spin, tmp_path, place):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(InputError, match="cannot create the run file"):
+        spin(out=tmp_path / place)
+
+
+# -- signals -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_signal_that_is_ignored_stays_ignored(spin):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as under nohup
+    try:
+        outcome, _bench = spin(at=[(0.3, lambda _bench: signal.raise_signal(signal.SIGHUP))])
+        assert outcome.status == "complete"
+    finally:
+        signal.signal(signal.SIGHUP, before)
