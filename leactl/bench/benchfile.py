@@ -107,12 +107,22 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
     if path.suffix not in (".yaml", ".yml"):
         raise InputError(f"bench '{name_or_path}' is not known; known: {', '.join(names())}, or a path to a .yaml")
     document = yamlfile.load(path)
-    bench = document.validate(BenchFile)
     faults: list[str] = []
+    try:
+        bench = document.validate(BenchFile)
+    except InputError as error:
+        raise InputError([*error.faults, *_unusable_drivers(document)]) from None
     checked = [_check(document, bench, name, entry, faults) for name, entry in bench.devices.items()]
+    usable = [device for device in checked if device is not None]
+    faults += _shared_addresses(document, usable)
     if faults:
         raise InputError(faults)
-    return bench, [device for device in checked if device is not None], document
+    return bench, usable, document
+
+
+def host_silences(devices: Sequence[CheckedDevice]) -> dict[str, float | None]:
+    """How long each device goes on without a sign of life from the host; None where it listens for none."""
+    return {device.name: device.settings.host_silence_s for device in devices}
 
 
 def put_elsewhere(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus]:
@@ -134,6 +144,35 @@ def put_elsewhere(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus]:
             )
         changed[name] = bus.model_copy(update={"interface": interface, "channel": channel})
     return changed
+
+
+def _unusable_drivers(document: yamlfile.Document) -> list[str]:
+    """Drivers that cannot be loaded, of a file with faults of its own, so that all are told at once."""
+    devices = document.data.get("devices") if isinstance(document.data, dict) else None
+    faults = []
+    for name, entry in devices.items() if isinstance(devices, dict) else ():
+        driver = entry.get("driver") if isinstance(entry, dict) else None
+        if isinstance(driver, str):
+            try:
+                registry.load(driver)
+            except InputError as error:
+                faults.append(document.fault(("devices", name, "driver"), str(error)))
+    return faults
+
+
+def _shared_addresses(document: yamlfile.Document, devices: Sequence[CheckedDevice]) -> list[str]:
+    """Two devices that would answer at one place: each would take the other's commands for its own."""
+    first: dict[tuple[str, int], str] = {}
+    faults = []
+    for device in devices:
+        bus, address = device.entry.bus, device.settings.bus_address
+        if bus is None or address is None:
+            continue
+        holder = first.setdefault((bus, address), device.name)
+        if holder != device.name:
+            message = f"address {address} on bus '{bus}' is that of {holder}; another one was expected"
+            faults.append(document.fault(("devices", device.name, "settings"), message))
+    return faults
 
 
 def _check(

@@ -64,10 +64,13 @@ def plan(
 
     expanded = load(protocol, read_overrides(overrides), condition)
     if bench:
+        from leactl.bench.benchfile import host_silences
         from leactl.bench.benchfile import load as load_bench
-        from leactl.safety.supervisor import check_setpoints
+        from leactl.safety.supervisor import check_rate, check_setpoints
 
-        check_setpoints(load_bench(bench)[0].limits, expanded.peaks())
+        file, devices, _document = load_bench(bench)
+        check_setpoints(file.limits, expanded.peaks())
+        check_rate(expanded.rate_Hz, host_silences(devices))
     if as_json:
         rows = [row._asdict() for row in expanded.timeline()]
         typer.echo(json.dumps({**_head(expanded), "peaks": _peaks(expanded), "timeline": rows}))

@@ -24,6 +24,16 @@ class DriverSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    @property
+    def bus_address(self) -> int | None:
+        """Where the device answers on its bus, which no other there may; None where the bus knows no addresses."""
+        return None
+
+    @property
+    def host_silence_s(self) -> float | None:
+        """How long the device goes on without a sign of life from the host; None where it listens for none."""
+        return None
+
 
 class Confirmation(NamedTuple):
     """What a device answered when it was told to become safe."""

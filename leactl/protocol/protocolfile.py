@@ -56,18 +56,20 @@ def locate(name_or_path: str) -> Path:
 
 
 def read_overrides(given: Sequence[str]) -> dict[str, str]:
-    """Texts by parameter from `name=value` as it stands on the command line; the last of a name counts.
+    """Texts by parameter from `name=value` as it stands on the command line.
 
     `seed` is left out: it belongs to the emulated bench of a run, and no protocol has it.
 
     Raises
     ------
-    InputError : one line for each that is no `name=value`.
+    InputError : one line for each that is no `name=value`, and for each name that was given before.
     """
     faults = [f"--set {item}: name=value was expected" for item in given if not item.partition("=")[1]]
+    pairs = [item.partition("=") for item in given]
+    set_here = [name.strip() for name, equals, _value in pairs if equals]
+    faults += [f"--set {name}: given twice" for name in dict.fromkeys(set_here) if set_here.count(name) > 1]
     if faults:
         raise InputError(faults)
-    pairs = (item.partition("=") for item in given)
     return {name.strip(): value.strip() for name, _equals, value in pairs if name.strip() != "seed"}
 
 

@@ -7,6 +7,7 @@ from leactl.bench import benchfile
 from leactl.errors import InputError
 from leactl.protocol import protocolfile
 from leactl.runner.session import Request
+from leactl.safety.supervisor import check_rate
 
 MOST_SEED = 2**63 - 1
 
@@ -33,8 +34,10 @@ def prepare(
     seed = _seed(overrides.pop("seed", None))
     file, devices, document = benchfile.load(bench)
     file = file.model_copy(update={"buses": file.buses | benchfile.put_elsewhere(file, buses)})
+    plan = protocolfile.load(protocol, overrides, condition)
+    check_rate(plan.rate_Hz, benchfile.host_silences(devices))
     return Request(
-        plan=protocolfile.load(protocol, overrides, condition),
+        plan=plan,
         bench=file,
         devices=devices,
         bench_document=document,

@@ -17,6 +17,7 @@ from leactl.quantities import UNITS, ChannelSpec
 from leactl.safety.limits import CYCLES_OF_SILENCE, Limits
 from leactl.safety.winding import WindingEstimate
 
+SIGNS_OF_LIFE = 3  # that fall into the time a device goes on without any: two may be lost
 WINDING_PERIOD_S = 0.01  # no more often: the winding's fastest time constant is seconds
 CURRENT_REFERENCE = "q_axis_current_reference"
 SETPOINT_QUANTITY = {
@@ -309,5 +310,27 @@ def check_setpoints(limits: Limits, peaks: Mapping[tuple[str, str], float]) -> N
         if bounds is not None and not abs(peak) <= bounds[1]:
             unit = UNITS[quantity]
             faults.append(f"{role} {quantity}: {peak:g} {unit} is above the bench limit of {bounds[1]:g} {unit}")
+    if faults:
+        raise InputError(faults)
+
+
+def check_rate(rate_hz: float, silences: Mapping[str, float | None]) -> None:
+    """Refuse a loop so slow that a device which waits for the host's sign of life would stop between two.
+
+    Parameters
+    ----------
+    silences : how long each device goes on without a sign of life; None where it listens for none.
+
+    Raises
+    ------
+    InputError : one line for each device whose time holds fewer than three cycles.
+    """
+    faults = []
+    for name, silence in silences.items():
+        if silence is not None and rate_hz * silence < SIGNS_OF_LIFE * (1 - 1e-9):
+            faults.append(
+                f"rate_Hz: {rate_hz:g} Hz is too slow for {name}, which stops after {silence:g} s without the host;"
+                f" at least {SIGNS_OF_LIFE / silence:.4g} Hz was expected"
+            )
     if faults:
         raise InputError(faults)

@@ -23,6 +23,7 @@ def test_shipped_benches_are_accepted(name):
     [
         ("driver: ads1115", "driver: ads1116", "devices.torque_sensor.driver: driver 'ads1116' is not registered"),
         ("bus: i2c1", "bus: can0", "devices.torque_sensor.bus: 'can0': ads1115 needs i2c1"),
+        ("node: 2,", "node: 1,", "devices.drive_load.settings: address 1 on bus 'can0' is that of drive_test; another"),
         ("node: 2,", "node: 200,", "devices.drive_load.settings.node: 200: input should be less than or equal to 127"),
         ("  current_A: 30\n", "", "limits.current_A: is required and missing"),
         ("  current_A: 30\n", "  current_mA: 30000\n", "limits.current_mA: unknown key"),
@@ -39,6 +40,25 @@ def test_faults_are_told_with_their_place(tmp_path, old, new, message):
     with pytest.raises(InputError) as caught:
         benchfile.load(str(path))
     assert any(message in fault and fault.startswith(f"{path}:") for fault in caught.value.faults), caught.value.faults
+
+
+def test_an_unknown_driver_is_told_together_with_other_faults(tmp_path):
+    text = text_of("emulated").replace("driver: ads1115", "driver: ads1116").replace("  current_A: 30\n", "")
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        benchfile.load(str(path))
+    told = "\n".join(caught.value.faults)
+    assert "limits.current_A: is required and missing" in told
+    assert "devices.torque_sensor.driver: driver 'ads1116' is not registered" in told
+
+
+def test_one_address_on_two_buses_is_two_places(tmp_path):
+    text = text_of("emulated").replace("  i2c1:", "  can1: {kind: can, interface: emulated}\n  i2c1:")
+    head, load = text.split("  drive_load:")
+    path = tmp_path / "mine.yaml"
+    path.write_text(head + "  drive_load:" + load.replace("bus: can0", "bus: can1", 1).replace("node: 2,", "node: 1,"))
+    assert len(benchfile.load(str(path))[1]) == 3
 
 
 def test_an_unknown_bench_lists_the_known():

@@ -52,10 +52,12 @@ def test_text_that_only_contains_a_name_stays_as_it_is():
 
 
 def test_command_line_texts():
-    assert read_overrides(["a=1", "b = x=y", "seed=4", "a=2"]) == {"a": "2", "b": "x=y"}
+    assert read_overrides(["a=1", "b = x=y", "seed=4"]) == {"a": "1", "b": "x=y"}
     with pytest.raises(InputError) as caught:
         read_overrides(["a", "b=1", "c"])
     assert len(caught.value.faults) == 2
+    with pytest.raises(InputError, match="--set a: given twice"):
+        read_overrides(["a=1", "b=1", "a=1"])
 
 
 @pytest.mark.parametrize(

@@ -250,6 +250,15 @@ def test_setpoints_above_the_limits_are_refused_before_the_run(spin, tmp_path):
     assert not (tmp_path / "runs").exists()
 
 
+def test_a_loop_too_slow_for_the_drives_dead_man_is_refused_at_the_door(spin, tmp_path):
+    slow = "rate_Hz: 14 Hz is too slow for drive_test, which stops after 0.2 s without the host; at least 15 Hz was"
+    with pytest.raises(InputError) as caught:
+        spin(SPIN.replace("rate_Hz: 100", "rate_Hz: 14"))
+    assert [fault[: len(slow)] for fault in caught.value.faults] == [slow, slow.replace("_test", "_load")]
+    assert not (tmp_path / "runs").exists()
+    assert spin(SPIN.replace("rate_Hz: 100", "rate_Hz: 15"))[0].status == "complete"
+
+
 def test_a_bench_in_another_setup_is_refused(spin, tmp_path):
     path = tmp_path / "locked.yaml"
     path.write_text((benchfile.SHIPPED / "emulated.yaml").read_text() + "setup: locked\n")

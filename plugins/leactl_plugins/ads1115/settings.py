@@ -56,6 +56,11 @@ class Ads1115Settings(DriverSettings):
     address: Literal[0x48, 0x49, 0x4A, 0x4B] = 0x48
     inputs: Annotated[tuple[Input, ...], Field(min_length=1, max_length=8)]
 
+    @property
+    def bus_address(self) -> int:
+        """The I2C address."""
+        return self.address
+
     @field_validator("inputs")
     @classmethod
     def _names_differ(cls, value: tuple[Input, ...]) -> tuple[Input, ...]:

@@ -53,6 +53,16 @@ class ElmoSettings(DriverSettings):
     emulated_rated_current_mA: Annotated[int, Field(ge=1, le=1_000_000)] = 11186  # noqa: N815
     vendor_id: int | None = 0x9A
 
+    @property
+    def bus_address(self) -> int:
+        """The node."""
+        return self.node
+
+    @property
+    def host_silence_s(self) -> float:
+        """The consumer heartbeat time."""
+        return 1e-3 * self.consumer_heartbeat_ms
+
     @model_validator(mode="after")
     def _nodes_differ(self) -> "ElmoSettings":
         if self.node == self.host_node:
