@@ -37,6 +37,9 @@ class Bench:
                 if isinstance(port, CanPort) and entry.bus:
                     synchronised[entry.bus] = port
         self._sync = [port.sync for port in synchronised.values()]
+        self._noticing = [
+            (name, driver) for name, driver in self.drivers.items() if type(driver).notices is not Driver.notices
+        ]
         self._asynchronous = [driver for driver in self.drivers.values() if driver.streams]
         self.loop_channels: tuple[ChannelSpec, ...] = tuple(
             channel._replace(name=f"{channel.role}_{channel.name}")
@@ -114,6 +117,10 @@ class Bench:
         for driver in self._asynchronous:
             rows += driver.take()
         return rows
+
+    def notices(self) -> list[tuple[str, str]]:
+        """What devices have noticed since the last call, each with the device's name."""
+        return [(name, text) for name, driver in self._noticing for text in driver.notices()]
 
     def feed(self) -> None:
         """Send the host's sign of life to every drive; only the control loop calls this, after a supervised cycle."""

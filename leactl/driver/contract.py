@@ -117,6 +117,10 @@ class Driver(ABC):
         """Rows of the own streams that have come in since the last call."""
         return ()
 
+    def notices(self) -> Sequence[str]:
+        """What the device has done by itself since the last call and a reader of the run should know, a line each."""
+        return ()
+
 
 @runtime_checkable
 class CyclicDevice(Protocol):

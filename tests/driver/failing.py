@@ -3,7 +3,7 @@
 import math
 
 from leactl_plugins.ads1115.emulator import Ads1115Emulator
-from leactl_plugins.elmo_can.emulator import ElmoEmulator
+from leactl_plugins.elmo_can.emulator import PRE_OPERATIONAL, STOPPED, ElmoEmulator
 
 from leactl.driver.far_end import Frame
 from leactl.emulation.wires import CanWire
@@ -55,6 +55,24 @@ class FailingDrive(ElmoEmulator):
         self.state = "enabled"
         self._values[0x6060, 0], self._values[0x60FF, 0] = 9, round(5 * self._counts_per_rad)
         self._follow()
+
+    def reboot(self) -> None:
+        """Lose the supply for a moment: boot-up, pre-operational, heartbeats as before."""
+        self._go("disabled")
+        self.nmt, self._booted = PRE_OPERATIONAL, False
+
+    def stop_node(self) -> None:
+        """Be stopped by somebody else's NMT command; heartbeats go on."""
+        self.nmt = STOPPED
+
+    def allow(self, most_torque: int, most_current: int) -> None:
+        """Let no more flow than these per mille of the rated ones."""
+        self._values[0x6072, 0], self._values[0x6073, 0] = most_torque, most_current
+        self._follow()
+
+    def turn(self, angle: float) -> None:
+        """Stand at this angle."""
+        self.shaft.angle = angle
 
     def lack(self, index: int, sub: int) -> None:
         """Be a firmware without this object."""

@@ -283,6 +283,86 @@ def test_stop_now_reaches_a_drive_in_any_network_state_and_waits_for_nothing(mak
     assert bench.drive.safe_state(bench.drive.settings.sdo_timeout_s).safe  # not misled by the first frame's answer
 
 
+@pytest.mark.parametrize(("how", "said"), [("reboot", "boot-up"), ("stop_node", "stopped")])
+def test_a_node_that_leaves_the_operational_state_is_noticed_by_its_next_heartbeat(bench, how, said):
+    bench.engage(Mode.CURRENT)
+    bench.wait_until(lambda: bench.cycle() and bench.drive._standing.operational)
+    getattr(bench.far, how)()
+    before = bench.clock.now()
+    with pytest.raises(DeviceFault, match=rf"node 1 rebooted or left the operational state \({said}\)"):
+        for _ in range(5000):
+            bench.cycle(answer_s=0.002)
+    if bench.exact:
+        assert bench.clock.now() - before < 0.055
+
+
+def test_only_operational_is_a_sign_of_life(make_bench):
+    bench = make_bench(producer_heartbeat_ms=20)
+    bench.drive.open()
+    bench.far.stop_node()
+    with pytest.raises((NoAnswer, DeviceFault), match=r"no heartbeat of node 1|left the operational state"):
+        for _ in range(5000):
+            bench.cycle(answer_s=0.002)
+
+
+def test_the_angle_goes_on_where_the_drives_counter_goes_round(bench):
+    count = 2 * math.pi / 40000
+    angles = []
+    for counts in (0x7FFFFFF0, 0x80000010, 0x80000030, 0x7FFFFFF8):
+        bench.far.turn(counts * count)
+        angles.append(bench.cycle()[5] / count)
+    assert angles == pytest.approx([0x7FFFFFF0, 0x80000010, 0x80000030, 0x7FFFFFF8], abs=0.01)
+
+
+def test_an_angle_is_demanded_in_the_drives_32_bits(bench):
+    count = 2 * math.pi / 40000
+    for counts in (0x7FFFFFF0, 0x80000010):
+        bench.far.turn(counts * count)
+        bench.cycle()
+    bench.engage(Mode.ANGLE)
+    assert bench.sent(0x301)[-1] == struct.pack("<ii", 0x80000010 - 2**32, 0)
+    bench.drive.command(0x80000100 * count)
+    values = bench.cycle()
+    assert bench.sent(0x301)[-1] == struct.pack("<ii", 0x80000100 - 2**32, 0)
+    assert values[2] == pytest.approx(0x80000100 * count)
+    with pytest.raises(InputError):
+        bench.drive.command(-0x100 * count)
+
+
+@pytest.mark.parametrize("most", [(500, 50000), (50000, 500)])
+def test_a_current_above_what_the_drive_lets_flow_is_refused(make_bench, most):
+    bench = make_bench()
+    bench.far.allow(*most)
+    bench.drive.open()
+    bench.engage(Mode.CURRENT)
+    bench.drive.command(-q_axis(500))
+    with pytest.raises(InputError, match=r"above the 6.85 A that the drive lets flow \(0x6072, 0x6073: 500 per mille"):
+        bench.drive.command(q_axis(501))
+
+
+def test_a_drive_that_lets_nothing_flow_is_refused(make_bench):
+    bench = make_bench()
+    bench.far.allow(0, 1000)
+    with pytest.raises(DeviceError, match="0x6072 is 0"):
+        bench.drive.open()
+
+
+def test_a_drive_that_limits_its_demand_is_noticed_once_an_onset(bench):
+    bench.engage(Mode.CURRENT)
+    bench.drive.command(q_axis(600))
+    bench.cycle()
+    bench.cycle()
+    assert not bench.drive.notices()
+    found = []
+    for most in (500, 50000, 500):
+        bench.far.allow(most, most)
+        began = bench.clock.now()
+        while bench.clock.now() - began < 1.1:
+            bench.cycle(period=0.01)
+            found += bench.drive.notices()
+    assert found == ["the drive limits its demand by itself (bit 11 of statusword 0x0E37)"] * 2
+
+
 def test_the_bus_voltage_comes_by_sdo_with_its_own_stamps(make_bench):
     bench = make_bench(bus_voltage_period_s=0.05)
     bench.drive.open()

@@ -19,7 +19,10 @@ from leactl_plugins.elmo_can.sdo import Sdo
 from leactl_plugins.elmo_can.settings import ElmoSettings
 
 NMT_START, NMT_PRE_OPERATIONAL = 0x01, 0x80
-OPERATIONAL = 0x05
+BOOTED, OPERATIONAL = 0x00, 0x05
+NETWORK_STATES = {0x00: "boot-up", 0x04: "stopped", 0x7F: "pre-operational"}
+INTERNAL_LIMIT = 0x0800  # statusword bit 11
+QUIET_S = 1.0  # at most one notice in this time: a drive at its limit may go in and out of it every cycle
 MODES = {Mode.OFF: 0, Mode.TORQUE_PROFILE: 4, Mode.ANGLE: 8, Mode.VELOCITY: 9, Mode.CURRENT: 10}
 CURRENT_MODES = (Mode.CURRENT, Mode.TORQUE_PROFILE)
 # by names of this module in what runs every cycle: an enum's attribute takes ten times as long (Python 3.11)
@@ -36,10 +39,26 @@ _status = struct.Struct("<Hbhh")
 _motion = struct.Struct("<ii")
 
 
+def _of_32_bits(counts: int) -> int:
+    """A count as the drive's 32 bits hold it, which go round."""
+    return (counts + 0x80000000 & 0xFFFFFFFF) - 0x80000000
+
+
+class _Standing:
+    """What a drive has shown of itself apart from its samples."""
+
+    def __init__(self) -> None:
+        self.started = False  # its node was told to start
+        self.operational = False  # and has said since that it did
+        self.most_per_mille = 0  # of its rated current that it lets flow
+        self.notices: list[str] = []
+        self.quiet_until = -math.inf
+
+
 class ElmoCan(Driver):
     """One Elmo Gold drive; its PDO exchange is one SYNC a cycle.
 
-    It has 29 attributes: with more than 30, Python 3.11 reads each of them half as fast again.
+    It has 30 attributes: with more than 30, Python 3.11 reads each of them half as fast again.
     """
 
     Settings = ElmoSettings
@@ -69,6 +88,8 @@ class ElmoCan(Driver):
         self._asked = -math.inf
         self._rows: list[Row] = []
         self._located = False  # the shaft's angle is known: no operation before that
+        self._counts = 0  # of the encoder, going on where the drive's 32 bits go round
+        self._standing = _Standing()
         self.values = [NAN] * len(self.loop_channels)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
@@ -132,6 +153,7 @@ class ElmoCan(Driver):
         ------
         DeviceError : the drive is absent, another one, or refuses a setting; `DeviceFault` where it is in fault.
         """
+        self._standing = _Standing()
         self._connect()
         self._check_identity()
         self._sdo.write(0x6040, 0, "u16", cia402.DISABLE_VOLTAGE)  # whoever had it last may have left it in operation
@@ -143,6 +165,7 @@ class ElmoCan(Driver):
         self._sdo.write(0x1017, 0, "u16", self.settings.producer_heartbeat_ms)
         self._nmt(NMT_START)
         self._heard = self._clock.now()
+        self._standing.started = True
 
     def close(self) -> None:
         """Stop listening and let the bus go."""
@@ -213,15 +236,22 @@ class ElmoCan(Driver):
 
         Raises
         ------
-        InputError : not finite, or outside what the drive's object holds.
+        InputError : not finite, outside what the drive's object holds, or a current above what the drive lets flow.
         """
-        current = self._mode in CURRENT_MODES
-        scale, limit = (self._current_per_mille, 0x7FFF) if current else (self._angle_per_count, 0x7FFFFFFF)
+        mode, scale, limit, origin = self._mode, self._angle_per_count, 0x7FFFFFFF, 0
+        if mode in CURRENT_MODES:
+            scale, limit = self._current_per_mille, self._standing.most_per_mille
+        elif mode is ANGLE:
+            origin = self._counts  # half a round of the counter is the furthest that its 32 bits can tell
         demand = value / scale
-        if not abs(demand) <= limit:
-            raise InputError(
-                f"{self.name}: a demand of {value:g} is outside what the drive can hold ({limit * abs(scale):g})"
-            )
+        if not abs(demand - origin) <= limit:
+            reach = limit * abs(scale)
+            if mode in CURRENT_MODES and limit < 0x7FFF:
+                raise InputError(
+                    f"{self.name}: a demand of {value:g} A is above the {reach:g} A that the drive lets flow"
+                    f" (0x6072, 0x6073: {limit} per mille of its rated current)"
+                )
+            raise InputError(f"{self.name}: a demand of {value:g} is outside what the drive can hold ({reach:g})")
         self._value = round(demand)
 
     def begin_cycle(self) -> None:
@@ -266,6 +296,14 @@ class ElmoCan(Driver):
         if now - self._asked >= self.settings.bus_voltage_period_s:
             self._asked = now
             self._port.send(0x600 + self._node, READ_BUS_VOLTAGE)
+
+    def notices(self) -> list[str]:
+        """One line each time the drive began to limit its demand by itself, which it tells by statusword bit 11."""
+        standing = self._standing
+        if not standing.notices:
+            return standing.notices
+        found, standing.notices = standing.notices, []
+        return found
 
     def take(self) -> list[Row]:
         """Bus voltages that have come in since the last call."""
@@ -338,6 +376,13 @@ class ElmoCan(Driver):
             )
         q_per_mille = rated_current_ma * 1e-6 * self.settings.current_convention.to_q_axis
         self._current_per_mille = self.settings.sign * q_per_mille
+        most = {index: self._sdo.read(index, 0, "u16") for index in (0x6072, 0x6073)}
+        if not all(most.values()):
+            raise DeviceError(
+                f"{self.name}: most torque 0x6072 is {most[0x6072]}, most current 0x6073 {most[0x6073]} per mille of"
+                " the rated one; with 0 the drive lets nothing flow"
+            )
+        self._standing.most_per_mille = min(0x7FFF, *most.values())
 
     def _arm_dead_man(self) -> None:
         """The drive itself must stop when the host falls silent; a start is refused where that does not stick."""
@@ -381,23 +426,26 @@ class ElmoCan(Driver):
         torque = value if mode in CURRENT_MODES else 0
         self._port.send(0x200 + self._node, _torque_demand.pack(word, torque, self._mode_number))
         if mode is ANGLE:
-            self._port.send(0x300 + self._node, _motion_demand.pack(value, 0))
+            self._port.send(0x300 + self._node, _motion_demand.pack(_of_32_bits(value), 0))
         elif mode is VELOCITY:
-            self._port.send(0x300 + self._node, _motion_demand.pack(self._counts, value))
-
-    _counts = 0
+            self._port.send(0x300 + self._node, _motion_demand.pack(_of_32_bits(self._counts), value))
 
     def _on_status(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == 7:
             word, self._shown_mode, _torque, current = _status.unpack(data)
             self.values[3] = current * self._current_per_mille
             if word != self.statusword:
+                if word & ~self.statusword & INTERNAL_LIMIT:
+                    self._note_limiting(word)
                 self.statusword, self.state = word, cia402.state_of(word)
             self._fresh[0] = True
 
     def _on_motion(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == 8:
             counts, speed = _motion.unpack(data)
+            turned = counts - self._counts
+            if turned > 0x7FFFFFFF or turned < -0x80000000:
+                counts = self._counts + _of_32_bits(turned)
             values, scale = self.values, self._angle_per_count
             self._counts, values[4], values[5] = counts, speed * scale, counts * scale
             self._fresh[1] = self._located = True
@@ -416,7 +464,20 @@ class ElmoCan(Driver):
             self._sdo.on_frame(data, timestamp)
 
     def _on_heartbeat(self, data: bytearray, _timestamp: float) -> None:
-        self._heard = self._clock.now()
+        """Only "operational" is a sign of life; frames sent before the node's start may still come in after it."""
+        state, standing = (data[0] & 0x7F if data else -1), self._standing
+        if state == OPERATIONAL:
+            standing.operational = standing.started
+            self._heard = self._clock.now()
+        elif standing.started and (standing.operational or state == BOOTED) and not self._emergency:
+            shown = NETWORK_STATES.get(state, f"heartbeat {bytes(data).hex() or 'empty'}")
+            self._emergency = f"node {self._node} rebooted or left the operational state ({shown})"
+
+    def _note_limiting(self, word: int) -> None:
+        now, standing = self._clock.now(), self._standing
+        if now >= standing.quiet_until:
+            standing.quiet_until = now + QUIET_S
+            standing.notices.append(f"the drive limits its demand by itself (bit 11 of statusword 0x{word:04X})")
 
     def _on_emergency(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == 8 and emergency.code_of(data) != emergency.CODE_RESET:

@@ -26,6 +26,7 @@ from leactl_plugins.elmo_can.dictionary import (
 PRE_OPERATIONAL, OPERATIONAL, STOPPED = 0x7F, 0x05, 0x04
 _FOLLOW = {4: "current", 8: "angle", 9: "velocity", 10: "current"}
 _WORD = {"disabled": 0x0240, "ready": 0x0231, "on": 0x0233, "enabled": 0x0637, "quick": 0x0617, "fault": 0x0218}
+_INTERNAL_LIMIT = 0x0800
 _ABORT_BAD_COMMAND = 0x05040001
 _FOREIGN_COB_MASK = 0x7FF
 _CONTROLWORD = (0x6040, 0)
@@ -66,6 +67,7 @@ class ElmoEmulator:
         self._values[0x6075, 0] = self._values[0x6076, 0] = rated_current_ma
         self.nmt = PRE_OPERATIONAL
         self.state = "disabled"
+        self._limiting = False  # the current, to less than was asked for
         self.frozen = False  # a drive that has stopped answering
         self._pending: dict[int, bytes] = {}
         self._receive: list[_Pdo] = []
@@ -87,6 +89,8 @@ class ElmoEmulator:
         """Take one frame from the bus and answer it."""
         if self.frozen:
             return []
+        if not self._booted:
+            return [*self.tick(now), *self.receive(frame, now)]  # it answers nobody before it has booted
         identifier, data = frame
         if identifier == 0x080 and self.nmt == OPERATIONAL:
             return self._sync()
@@ -293,7 +297,7 @@ class ElmoEmulator:
         counts = round(angle * self._counts_per_rad)
         values[0x6064, 0] = (counts + 0x80000000 & 0xFFFFFFFF) - 0x80000000  # 32 bits, going round
         values[0x606C, 0] = round(velocity * self._counts_per_rad)
-        values[0x6041, 0] = _WORD[self.state]
+        values[0x6041, 0] = _WORD[self.state] | (_INTERNAL_LIMIT if self._limiting else 0)
         values[0x6061, 0] = values[0x6060, 0]
         values[0x6079, 0] = max(0, round(self._machine.bus_voltage * 1e3))
         if self._voltage is not None:
@@ -327,6 +331,7 @@ class ElmoEmulator:
 
     def _go(self, state: str) -> None:
         self.state = state
+        self._limiting = False
         if state != "enabled":
             self._machine.command("off", 0.0)
 
@@ -338,7 +343,9 @@ class ElmoEmulator:
         if mode is None:
             self._machine.command("off", 0.0)
         elif mode == "current":
-            self._machine.command("current", values[0x6071, 0] * self._q_per_mille)
+            asked, most = values[0x6071, 0], min(values[0x6072, 0], values[0x6073, 0])
+            self._limiting = abs(asked) > most
+            self._machine.command("current", max(-most, min(most, asked)) * self._q_per_mille)
         else:
             target = values[0x607A, 0] if mode == "angle" else values[0x60FF, 0]
             self._machine.command(mode, target / self._counts_per_rad)
