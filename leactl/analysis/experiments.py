@@ -16,6 +16,7 @@ import leactl.analysis
 from leactl import yamlfile
 from leactl.analysis.estimate import Estimate, Plot, Result
 from leactl.errors import InputError
+from leactl.runfile.integrity import altered
 from leactl.runfile.reader import Run
 
 Analysis = Callable[..., Result]
@@ -61,13 +62,15 @@ def analyze_runs(paths: Sequence[Path | str], **options: Any) -> Result:
 
     Raises
     ------
-    InputError : files that are no runs, of different experiments, given twice, or that cannot answer.
+    InputError : files that are no runs, hold other values than at their close, are of different experiments, given
+        twice, or cannot answer.
     """
     with ExitStack() as opened:
         runs = [opened.enter_context(Run.open(path)) for path in paths]
         if not runs:
             raise InputError("no run to analyse; give one run file or more")
         refuse_repeated(runs)
+        refuse_altered(runs)
         asked = {run.path: experiment_of(run) for run in runs}
         first = asked[runs[0].path]
         for run in runs[1:]:
@@ -119,6 +122,13 @@ def refuse_repeated(runs: Sequence[Run]) -> None:
         if identity in seen:
             raise InputError(f"{run.path}: the same run as {seen[identity]}; give each run once")
         seen[identity] = run.path
+
+
+def refuse_altered(runs: Sequence[Run]) -> None:
+    """Refuse runs whose values are not those of their checksums: figures from them would stand for no measurement."""
+    findings = [finding for run in runs for finding in altered(run.path)]
+    if findings:
+        raise InputError([f"{finding}; nothing is worked out from it" for finding in findings])
 
 
 def refuse_unknown(experiment: str, analyze: Analysis, options: dict[str, Any]) -> None:

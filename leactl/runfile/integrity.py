@@ -44,6 +44,18 @@ def verify(path: Path) -> list[str]:
             return [f"{path}: damaged: {' '.join(str(fault).split())}"]
 
 
+def altered(path: Path) -> list[str]:
+    """Values that are not those stored when the run was closed, one line each; no checksum at all is no finding.
+
+    Raises
+    ------
+    InputError : not a run file.
+    """
+    file, _live = open_run_file(path)
+    with file, reading(path):
+        return [f"{path}: {finding}" for finding in wrong_checksums(file)]
+
+
 def unfinished(file: Any, live: bool) -> list[str]:
     """Whether the recording came to its orderly end."""
     status = layout.plain(file.attrs.get("status", ""))

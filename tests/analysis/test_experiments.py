@@ -81,6 +81,15 @@ def test_a_run_given_twice_is_refused(bench, tmp_path):
             analyze_runs([path, again])
 
 
+def test_a_run_whose_values_are_not_those_of_its_close_gives_no_figures(bench):
+    whole, path = bench.friction(), bench.friction(condition="loaded")
+    with h5py.File(path, "r+") as file:
+        file["streams/loop/" + next(name for name in file["streams/loop"] if name != "time")][3] += 0.5
+    with pytest.raises(InputError, match=r"checksum mismatch.*; nothing is worked out from it") as caught:
+        analyze_runs([whole, path])
+    assert [fault.startswith(f"{path}: /streams/loop/") for fault in caught.value.faults] == [True]
+
+
 def test_no_run_and_options_that_an_experiment_lacks_are_refused(bench):
     with pytest.raises(InputError, match="no run to analyse"):
         analyze_runs([])
