@@ -177,6 +177,7 @@ def _record(timeline: Timeline, step: Step, _pass_number: int) -> None:
 
 def _tare(timeline: Timeline, step: Step, _pass_number: int) -> None:
     timeline.add(step, Tare(step.content.samples))
+    timeline.charge(step, steps=0, duration_s=step.content.samples / timeline.rate_hz)
 
 
 def _prompt(timeline: Timeline, step: Step, _pass_number: int) -> None:

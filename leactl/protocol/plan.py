@@ -220,8 +220,8 @@ class Plan:
 
     @property
     def duration_s(self) -> float:
-        """Sum of the segments; waits, prompts, taring and enabling take the time they take."""
-        return math.fsum(action.duration_s for action in self.actions if isinstance(action, Segment))
+        """Sum of the segments and of taring; waits, prompts and enabling take the time they take."""
+        return math.fsum(map(self._lasts, self.actions))
 
     def peaks(self) -> dict[tuple[str, str], float]:
         """Largest magnitude of each setpoint, by role and quantity."""
@@ -244,8 +244,15 @@ class Plan:
                 rows.append(Row(start, action.name, action.duration_s, action.settle_s, ", ".join(shown)))
                 start += action.duration_s
             else:
-                rows.append(Row(start, _NAMES[type(action)], 0.0, 0.0, _told(action)))
+                rows.append(Row(start, _NAMES[type(action)], self._lasts(action), 0.0, _told(action)))
+                start += self._lasts(action)
         return rows
+
+    def _lasts(self, action: Action) -> float:
+        """How long an action takes at the least; a reading to tare by comes once a cycle, however fast its sensor."""
+        if isinstance(action, Tare):
+            return action.samples / self.rate_Hz
+        return action.duration_s if isinstance(action, Segment) else 0.0
 
     def _with_modes(self) -> Iterator[tuple[Action, dict[str, Mode]]]:
         modes: dict[str, Mode] = {}

@@ -204,7 +204,8 @@ def test_actions_that_are_no_setpoints():
         WaitUntil("velocity", "test", -1.0, 0.1, 5.0),
         Engage({"test": Mode.OFF}),
     )
-    assert found.duration_s == 0
+    assert found.duration_s == 5.0  # taring: a reading a cycle, at 100 Hz
+    assert [(row.start_s, row.duration_s) for row in found.timeline()][1:3] == [(0.0, 5.0), (5.0, 0.0)]
 
 
 def test_the_timeline_tells_each_action_in_a_row():

@@ -9,6 +9,7 @@ import pytest
 from leactl.bench import benchfile
 from leactl.driver.far_end import Frame
 from leactl.errors import DeviceFault, InputError, LeactlError, NoAnswer, SafetyTrip
+from leactl.protocol import protocolfile
 from leactl.runfile.integrity import verify
 from leactl.runfile.reader import Run
 from leactl.runner import latch
@@ -287,6 +288,9 @@ def test_tare_moves_the_zero_that_the_run_then_records(spin, tmp_path):
     shipped = (benchfile.SHIPPED / "emulated.yaml").read_text()
     bench.write_text(shipped + "  effects: [{name: torque_sensor_offset, offset: 0.25}]\n")
     outcome, _bench = spin(text, bench=str(bench))
+    planned = protocolfile.load(str(tmp_path / "protocol.yaml")).duration_s
+    assert planned == pytest.approx(0.2 + 0.8)
+    assert planned <= outcome.duration_s < planned + 0.15  # of enabling
     torque = recorded(outcome, "torque")
     assert np.mean(torque.values[:15]) == pytest.approx(0.25, abs=0.01)
     assert np.mean(torque.values[-15:]) == pytest.approx(0.0, abs=0.01)

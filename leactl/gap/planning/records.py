@@ -64,12 +64,13 @@ def planned_record(plan: Plan, model: Model, noise: Mapping[str, float]) -> Reco
 
 
 class Asked:
-    """What a protocol asks of each role, sample by sample; waits, prompts and pauses of recording take no time."""
+    """What a protocol asks of each role, sample by sample; waits, prompts, taring and pauses of recording take no time."""
 
     def __init__(self, plan: Plan) -> None:
         self.name = plan.name
         self.interval = 1.0 / plan.record_Hz
-        samples = max(int(plan.duration_s * plan.record_Hz), 2)
+        lasts = sum(action.duration_s for action in plan.actions if isinstance(action, Segment))
+        samples = max(int(lasts * plan.record_Hz), 2)
         self.time: Array = self.interval * np.arange(samples, dtype=np.float64)
         self.values = {role: np.zeros_like(self.time) for role in ("test", "load")}
         self.modes: dict[str, Mode] = {}
