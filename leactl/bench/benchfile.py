@@ -10,6 +10,7 @@ from leactl import yamlfile
 from leactl.driver import registry
 from leactl.driver.contract import DriverSettings
 from leactl.errors import InputError
+from leactl.quantities import UNITS
 from leactl.safety.limits import Limits
 
 STRICT = ConfigDict(frozen=True, extra="forbid")
@@ -195,4 +196,15 @@ def _check(
     except ValidationError as error:
         faults.extend(document.explain(error, (*place, "settings")))
         return None
+    for shown in settings.shown():
+        bounds = bench.limits.of(shown.quantity)
+        if bounds is not None and not shown.low <= bounds[0] <= bounds[1] <= shown.high:
+            unit = UNITS[shown.quantity]
+            faults.append(
+                document.fault(
+                    (*place, "settings", *shown.place),
+                    f"tells {shown.quantity} from {shown.low:.4g} to {shown.high:.4g} {unit}; its limits of"
+                    f" {bounds[0]:g} to {bounds[1]:g} {unit} would never trip: lower them, or widen the sensor's range",
+                )
+            )
     return CheckedDevice(name=name, entry=entry, settings=settings)

@@ -24,6 +24,10 @@ class DriverSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    def shown(self) -> "list[Shown]":
+        """What the device can tell of its quantities, where the settings say it: a limit outside would never trip."""
+        return []
+
     @property
     def bus_address(self) -> int | None:
         """Where the device answers on its bus, which no other there may; None where the bus knows no addresses."""
@@ -40,6 +44,15 @@ class Confirmation(NamedTuple):
 
     safe: bool
     detail: str
+
+
+class Shown(NamedTuple):
+    """Lowest and highest value of a quantity that a device can tell, and where its settings say so."""
+
+    place: tuple[str | int, ...]
+    quantity: str
+    low: float
+    high: float
 
 
 class StreamSpec(NamedTuple):

@@ -28,6 +28,16 @@ def test_shipped_benches_are_accepted(name):
         ("  current_A: 30\n", "", "limits.current_A: is required and missing"),
         ("  current_A: 30\n", "  current_mA: 30000\n", "limits.current_mA: unknown key"),
         ("pins: A0-A1", "pins: A1-A0", "settings.inputs[0].pins: 'A1-A0'"),
+        (
+            "range_V: 6.144, scale_per_V: 3.0",
+            "range_V: 4.096, scale_per_V: 3.0",
+            "settings.inputs[0]: tells torque from -12.29 to 12.29 N*m; its limits of -17 to 17 N*m would never trip",
+        ),
+        (
+            "range_V: 6.144, scale_per_V: 3.0",
+            "range_V: 6.144, scale_per_V: 10.8, offset_V: 1.6667, high_V: 3.0",
+            "tells torque from -84.35 to 14.4 N*m",
+        ),
         ("kind: i2c", "kind: spi", "buses.i2c1"),
         ("motors: {test: lea, load: lea}", "motors: {load: lea}", "motors.test is required"),
     ],

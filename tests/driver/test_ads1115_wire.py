@@ -94,6 +94,48 @@ def test_tare_makes_the_present_torque_zero(bench):
     assert bench.rows(2)[-1].values[0] == pytest.approx(0.0, abs=1e-6)
 
 
+RAILED = {**TORQUE, "scale_per_V": 10.8, "offset_V": 1.6667, "low_V": 0.05, "high_V": 3.27, "pins": "A0"}
+
+
+@pytest.mark.parametrize("volts", [3.3, 3.2702, 0.0498, 0.0, -0.2])
+def test_a_sensor_at_its_rail_is_a_fault_not_a_value(make_adc, volts):
+    bench = make_adc(RAILED)
+    bench.adc.open()
+    bench.far.apply(volts)
+    (row,) = bench.rows(1)
+    assert math.isnan(row.values[0])
+    assert (
+        row.fault
+        == f"input torque at {round(volts * 8000) / 8000:.4g} V is outside the 0.05 to 3.27 V that its sensor tells"
+    )
+
+
+@pytest.mark.parametrize("volts", [3.2699, 1.6667, 0.0501])
+def test_a_sensor_inside_its_rails_is_read(make_adc, volts):
+    bench = make_adc(RAILED)
+    bench.adc.open()
+    bench.far.apply(volts)
+    (row,) = bench.rows(1)
+    assert row.values == (pytest.approx(10.8 * (volts - 1.6667), abs=10.8 / 8000),)
+
+
+def test_a_tare_under_load_is_refused_with_its_value_and_moves_nothing(bench):
+    bench.far.apply(0.25)
+    with pytest.raises(DeviceError, match=r"by \+0.25 V \(\+0.75 N\*m\); tare_limit_V is 0.2048 V"):
+        bench.adc.tare({"torque_sensor": bench.rows(1)[0].values[0]})
+    assert bench.rows(2)[-1].values[0] == pytest.approx(0.75, abs=1e-3)
+
+
+def test_tares_do_not_creep_past_the_limit(make_adc):
+    bench = make_adc({**TORQUE, "tare_limit_V": 0.1})
+    bench.adc.open()
+    bench.adc.tare({"torque_sensor": -0.2})
+    with pytest.raises(DeviceError, match=r"by -0.1333 V \(-0.4 N\*m\); tare_limit_V is 0.1 V"):
+        bench.adc.tare({"torque_sensor": -0.2})
+    with pytest.raises(DeviceError, match="nan V"):
+        bench.adc.tare({"torque_sensor": math.nan})
+
+
 def test_several_inputs_take_turns_each_with_its_own_stream(make_adc):
     voltage = {"name": "line", "quantity": "line_voltage", "role": "test", "pins": "A2", "scale_per_V": 1.0}
     bench = make_adc(TORQUE, voltage)
@@ -117,7 +159,14 @@ def test_a_conversion_that_never_ends_is_no_answer(bench):
 
 
 def test_settings_are_checked():
-    for change in ({"pins": "A1-A0"}, {"range_V": 5.0}, {"quantity": "torqe"}, {"rate_sps": 900}, {"scale_per_V": 0}):
+    for change in (
+        {"pins": "A1-A0"},
+        {"range_V": 5.0},
+        {"quantity": "torqe"},
+        {"rate_sps": 900},
+        {"scale_per_V": 0},
+        {"low_V": 2.0, "high_V": 1.0},
+    ):
         with pytest.raises(ValidationError):
             Ads1115Settings(inputs=({**TORQUE, **change},))
 

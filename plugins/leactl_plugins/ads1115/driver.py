@@ -12,7 +12,7 @@ from leactl.driver.contract import Confirmation, Driver, Row, StreamSpec
 from leactl.driver.far_end import I2cEmulator, Physics
 from leactl.driver.i2c_port import I2cPort
 from leactl.errors import DeviceError, NoAnswer
-from leactl.quantities import ChannelSpec
+from leactl.quantities import UNITS, ChannelSpec
 from leactl_plugins.ads1115.settings import MUX, RANGES_V, RATES_SPS, Ads1115Settings, Input
 
 CONVERSION, CONFIG = 0x00, 0x01
@@ -43,6 +43,11 @@ class _Converter:
         self.conversion_s = 1.0 / settings.rate_sps + WAKE_UP_S
         self.per_count = settings.sign * settings.scale_per_V * settings.range_V / 32768
         self.offset = settings.sign * settings.scale_per_V * settings.offset_V
+        self.calibrated = self.offset
+        low, high = settings.window_V
+        count = settings.range_V / 32768
+        self.lowest, self.highest = math.ceil(low / count - 1e-6), math.floor(high / count + 1e-6)
+        self.most_tare = settings.scale_per_V * settings.most_tare_V
 
 
 class Ads1115(Driver):
@@ -138,8 +143,22 @@ class Ads1115(Driver):
         return (row,)
 
     def tare(self, means: Mapping[str, float]) -> dict[str, float]:
-        """Take these mean readings, by stream, as zero from now on; the new offsets by channel name."""
+        """Take these mean readings, by stream, as zero from now on; the new offsets by channel name.
+
+        Raises
+        ------
+        DeviceError : a zero would move further from the calibrated one than `tare_limit_V`; none is moved then.
+        """
         tared = [converter for converter in self._converters if converter.stream in means]
+        for converter in tared:
+            moved = converter.offset + means[converter.stream] - converter.calibrated
+            if not abs(moved) <= converter.most_tare:
+                item = converter.settings
+                raise DeviceError(
+                    f"{self.name}: a tare would move the zero of input {item.name} by {moved / item.scale_per_V:+.4g} V"
+                    f" ({moved:+.4g} {UNITS[item.quantity]}); tare_limit_V is {item.most_tare_V:g} V: take the load off"
+                    " the sensor, or mend offset_V"
+                )
         for converter in tared:
             converter.offset += means[converter.stream]
         return {converter.settings.name: converter.offset for converter in tared}
@@ -151,8 +170,15 @@ class Ads1115(Driver):
     def _row(self, converter: _Converter, raw: int, started: float) -> Row:
         count = raw - 0x10000 if raw & 0x8000 else raw
         stamp = started + converter.conversion_s / 2
-        if count in (0x7FFF, -0x8000):
-            item = converter.settings
-            fault = f"input {item.name} is saturated at {'+' if count > 0 else '-'}{item.range_V} V"
-            return Row(converter.stream, stamp, (math.nan,), fault)
+        if not converter.lowest <= count <= converter.highest:
+            return self._unreadable(converter.settings, count, converter.stream, stamp)
         return Row(converter.stream, stamp, (count * converter.per_count - converter.offset,))
+
+    def _unreadable(self, item: Input, count: int, stream: str, stamp: float) -> Row:
+        if count in (0x7FFF, -0x8000):
+            fault = f"input {item.name} is saturated at {'+' if count > 0 else '-'}{item.range_V} V"
+        else:
+            low, high = item.window_V
+            volts = count * item.range_V / 32768
+            fault = f"input {item.name} at {volts:.4g} V is outside the {low:.4g} to {high:.4g} V that its sensor tells"
+        return Row(stream, stamp, (math.nan,), fault)

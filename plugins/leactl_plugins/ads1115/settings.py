@@ -2,14 +2,16 @@
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from leactl.driver.contract import DriverSettings
+from leactl.driver.contract import DriverSettings, Shown
 from leactl.quantities import ROLES, UNITS
 
 MUX = {"A0-A1": 0, "A0-A3": 1, "A1-A3": 2, "A2-A3": 3, "A0": 4, "A1": 5, "A2": 6, "A3": 7}
 RANGES_V = {6.144: 0, 4.096: 1, 2.048: 2, 1.024: 3, 0.512: 4, 0.256: 5}
 RATES_SPS = (8, 16, 32, 64, 128, 250, 475, 860)
+TARE_SHARE = 0.05  # of the range: what a zero drifts by, and no load of note
+Volts = Annotated[float, Field(ge=-6.144, le=6.144)]
 
 
 class Input(BaseModel):
@@ -27,6 +29,34 @@ class Input(BaseModel):
     offset_V: Annotated[float, Field(ge=-6.144, le=6.144)] = 0.0  # noqa: N815
     scale_per_V: Annotated[float, Field(gt=0)]  # noqa: N815
     sign: Literal[-1, 1] = 1
+    low_V: Volts | None = None  # noqa: N815 (below and above these the sensor is at its rail, and its reading a fault)
+    high_V: Volts | None = None  # noqa: N815
+    tare_limit_V: Annotated[float, Field(gt=0, le=6.144)] | None = None  # noqa: N815
+
+    @property
+    def window_V(self) -> tuple[float, float]:  # noqa: N802
+        """Voltages between which a reading is one: the codes at the range's ends and the sensor's rails are outside."""
+        count = self.range_V / 32768
+        low, high = -self.range_V + count, self.range_V - 2 * count
+        return (low if self.low_V is None else max(low, self.low_V)), (
+            high if self.high_V is None else min(high, self.high_V)
+        )
+
+    @property
+    def most_tare_V(self) -> float:  # noqa: N802
+        """How far a tare may move the zero from `offset_V`."""
+        return TARE_SHARE * self.range_V if self.tare_limit_V is None else self.tare_limit_V
+
+    def value_of(self, volts: float) -> float:
+        """What the sensor says by this voltage."""
+        return self.sign * self.scale_per_V * (volts - self.offset_V)
+
+    @model_validator(mode="after")
+    def _zero_in_window(self) -> "Input":
+        low, high = self.window_V
+        if not low < high:
+            raise ValueError(f"low_V to high_V leave nothing of the range of +-{self.range_V:g} V")
+        return self
 
     @field_validator("quantity")
     @classmethod
@@ -60,6 +90,14 @@ class Ads1115Settings(DriverSettings):
     def bus_address(self) -> int:
         """The I2C address."""
         return self.address
+
+    def shown(self) -> list[Shown]:
+        """What each input can tell from its rail."""
+        found = []
+        for place, item in enumerate(self.inputs):
+            low, high = sorted(item.value_of(volts) for volts in item.window_V)
+            found.append(Shown(("inputs", place), item.quantity, low, high))
+        return found
 
     @field_validator("inputs")
     @classmethod
