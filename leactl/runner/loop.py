@@ -19,6 +19,7 @@ from leactl.safety.supervisor import Supervisor
 
 ANSWER_SHARE = 0.6  # of a period that the drives' answers may take
 LEAST_ANSWER_S = 0.002
+NOTICES_EVERY = 16  # cycles: nothing is done about them, so they need not cost every cycle
 
 Operator = Callable[[str], Callable[[], bool]]
 """Asks for something to be done; what it returns says whether the operator has confirmed it."""
@@ -64,10 +65,13 @@ class Loop:
         SafetyTrip, Stopped, DeviceError, RecordingFailed : whatever ended it early.
         """
         self._supervisor.begin(self._period)
-        self._cycle()
-        for action in self._plan.actions:
-            self._perform(action)
-        self._cycle()
+        try:
+            self._cycle()
+            for action in self._plan.actions:
+                self._perform(action)
+            self._cycle()
+        finally:
+            self._pass_on_notices()
 
     def _perform(self, action: Action) -> None:
         match action:
@@ -104,6 +108,8 @@ class Loop:
         bench.feed()
         self._flush.after_cycle()
         self.cycles += 1
+        if not self.cycles % NOTICES_EVERY:
+            self._pass_on_notices()
         progress = self._progress
         progress.values, progress.own = row, self._newest
         self._pace(began)
@@ -118,6 +124,10 @@ class Loop:
             due = now
         self._clock.sleep_until(due)
         self._next = due
+
+    def _pass_on_notices(self) -> None:
+        for source, text in self._bench.notices():
+            self._note("warning", source, text)
 
     def _note(self, level: str, source: str, message: str) -> None:
         self._writer.event(self._clock.now() - self._start, level, source, message)

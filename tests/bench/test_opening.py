@@ -43,9 +43,7 @@ def test_what_cannot_be_confirmed_stands_in_the_error(emulated):
     wiring, bench = emulated
     wiring.far_ends["drive_test"].frozen = True
     run_away(wiring.far_ends["drive_load"])
-    with pytest.raises(
-        DeviceError, match=r"^drive_test: .*NOT CONFIRMED SAFE, [^:]*: drive_test: [^;]*$"
-    ):
+    with pytest.raises(DeviceError, match=r"^drive_test: .*NOT CONFIRMED SAFE, [^:]*: drive_test: [^;]*$"):
         bench.open()
     assert wiring.far_ends["drive_load"].state == "disabled"
 
