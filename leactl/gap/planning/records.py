@@ -64,7 +64,7 @@ def planned_record(plan: Plan, model: Model, noise: Mapping[str, float]) -> Reco
 
 
 class Asked:
-    """What a protocol asks of each role, sample by sample; waits, prompts, taring and pauses of recording take no time."""
+    """What a protocol asks of each role, sample by sample; waits, prompts, taring and pauses take no time."""
 
     def __init__(self, plan: Plan) -> None:
         self.name = plan.name
