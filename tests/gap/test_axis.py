@@ -62,9 +62,9 @@ def test_a_servo_balance_closes_on_its_own_model(tmp_path):
 
 def test_a_servo_balance_shows_friction_that_grows_with_load(tmp_path):
     records = swung(tmp_path, **{"load_dependent_friction.coefficient": 0.3, "load_zero": 0.02})
-    load = [("load_dependent_friction", ())]
+    load = [("load_dependent_friction", (0.0,))]
     _, _, found = fitted(rows_of(records, servo_model(), load), load)
-    assert found["effect", "load_dependent_friction", "()", "coefficient"] == pytest.approx(0.3, abs=0.05)
+    assert found["effect", "load_dependent_friction", "(0.0,)", "coefficient"] == pytest.approx(0.3, abs=0.05)
     assert found["nuisance", "", "load_zero_rad"] == pytest.approx(0.02, abs=0.005)
 
 

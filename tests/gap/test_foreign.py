@@ -101,7 +101,7 @@ def test_xl330_friction_grows_with_load(tmp_path, folder):
     assert sorted({record.setup["drive_gain"] for record in records}) == pytest.approx(
         [1.8204, 3.6408, 7.2816, 14.5632]
     )
-    model, pair = nominal("bam_xl330"), [("load_dependent_friction", ()), ("saturation", (1.0,))]
+    model, pair = nominal("bam_xl330"), [("load_dependent_friction", (0.0,)), ("saturation", (1.0,))]
     rows = rows_of(records, model, pair)
     assert {r.equation for r in rows} == {"axis_torque"}
     assert "share one scale" in records[0].notes[-1]
@@ -111,7 +111,7 @@ def test_xl330_friction_grows_with_load(tmp_path, folder):
         left.append(np.sqrt(np.mean([normal.residual(fit, index) ** 2 for index in range(len(rows))])))
     assert left[1] < 0.85 * left[0]
     assert left[2] < 0.75 * left[1]
-    assert found["effect", "load_dependent_friction", "()", "coefficient"] > 0.1
+    assert found["effect", "load_dependent_friction", "(0.0,)", "coefficient"] > 0.1
 
 
 @pytest.mark.long
