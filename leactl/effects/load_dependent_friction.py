@@ -4,9 +4,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.contract import Array, Effect, Form, Signals, Terms
 from leactl.effects.plant import Plant
+from leactl.effects.shapes import stuck_between
 from leactl.model.nominal import Model
+
+TANGENT = 0.01  # in whose place a form of zero stands where a rotor sticks
 
 
 class LoadDependentFriction(Effect):
@@ -14,17 +17,18 @@ class LoadDependentFriction(Effect):
 
     name = "load_dependent_friction"
     one_sided = True
-    forms = ((0.0,), (0.03,), (0.08,), (0.15,), (0.25,))  # how much of it the model's torque already has to do without
+    # how much of it the model's torque already has to do without
+    forms = ((0.0,), (0.03,), (0.06,), (0.09,), (0.12,), (0.15,), (0.18,), (0.22,))
     continuous = False
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """A drag in proportion to shaft torque."""
-        if (
-            signals.sliding is None
-            or signals.velocity is None
-            or signals.torque is None
-            or signals.mechanical == "locked"
-        ):
+        if signals.mechanical == "locked":
+            current = signals.extra.get("sharp_current", signals.current)
+            return (
+                {} if current is None else {"drag": {"coefficient": stuck(current, signals.model, form[0] or TANGENT)}}
+            )
+        if signals.sliding is None or signals.velocity is None or signals.torque is None:
             return {}
         # the friction itself takes from a torque that drives and adds to one that brakes
         carried = np.abs(signals.torque) / (1.0 + form[0] * np.sign(signals.torque * signals.velocity))
@@ -38,3 +42,16 @@ class LoadDependentFriction(Effect):
         """Coulomb friction in proportion to shaft torque."""
         coefficient = parameters["coefficient"]
         plant.coulomb_added.append(lambda now: coefficient * np.abs(now.transmitted))
+
+
+def stuck(current: Array, model: Model, coefficient: float) -> Array:
+    """What a locked rotor hides of its torque beyond the model's, per coefficient.
+
+    Rising levels lose a share of themselves and falling ones keep as much: their mean gains c^2, which is a torque
+    sensor's gain to whoever lacks this.
+    """
+    force = (model.torque_constant or 0.0) * current
+    friction, sign = model.coulomb_friction or 0.0, np.sign
+    low = (force - friction) / (1.0 + coefficient * sign(force - friction))
+    high = (force + friction) / (1.0 - coefficient * sign(force + friction))
+    return (stuck_between(force - friction, force + friction) - stuck_between(low, high)) / coefficient

@@ -34,6 +34,16 @@ def play(values: Array, half_width: float) -> Array:
     return out
 
 
+def stuck_between(low: Array, high: Array) -> Array:
+    """What stays as it is until a bound takes it along; zero at first."""
+    out = np.empty(len(low))
+    kept = 0.0
+    for index, (least, most) in enumerate(zip(low.tolist(), high.tolist(), strict=True)):
+        kept = min(max(kept, least), most)
+        out[index] = kept
+    return out
+
+
 def bristle(angle: Array, displacement: float) -> Array:
     """Friction over its Coulomb level that builds up exponentially over an angle (Dahl, 1968), in -1 .. 1."""
     steps = np.diff(angle, prepend=angle[0])
