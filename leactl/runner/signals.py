@@ -30,10 +30,14 @@ class StopRequest:
 
 @contextmanager
 def listening() -> Iterator[StopRequest]:
-    """Take SIGINT, SIGTERM and SIGHUP until the block is left; one that is ignored (nohup) stays ignored."""
+    """Take SIGINT, SIGTERM and SIGHUP until the block is left; a hangup that is ignored (nohup) stays ignored.
+
+    A shell script's background job begins with SIGINT ignored; who sends it one still means to stop the bench.
+    """
     request = StopRequest()
-    wanted = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    heeded = [number for number in wanted if signal.getsignal(number) is not signal.SIG_IGN]
+    heeded = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        heeded.append(signal.SIGHUP)
     before = {number: signal.signal(number, request.note) for number in heeded}
     try:
         yield request
