@@ -52,6 +52,12 @@ PRIORS = {
     "thermal.housing_capacitance": 0.2,
 }
 """Physical priors of the nominal model's parameters: relative standard deviations unless a unit is given."""
+GAINS = (
+    "torque_sensor_gain",
+    "current_sensor_gain",
+)  # not to be asked where no back-EMF tells the torque constant
+READINGS = {"coupled_torque", "locked_torque", "swung_torque"}  # a torque sensor taken at its word tells it then
+PINNED = 1e-4  # prior of a torque constant that nothing tells
 UNKNOWN_UNREST = 10.0  # of an equation that no bench without an effect has been seen with
 LONGEST_DEPENDENCE = 60  # rows
 NO_CORRELATION = 0.02
@@ -75,7 +81,13 @@ class Evidence:
             if (rows := make_rows(name, kind, equation, self.candidates, self._terms)) is not None
         ]
         self._made = made
-        self.stack: Stack = stack([rows for _, rows in made], PRIORS)
+        self.priors = dict(PRIORS)
+        names = {rows.equation for _, rows in made}
+        if unscaled(names):
+            self.candidates = [c for c in self.candidates if c[0] not in GAINS]
+            if not names & READINGS:
+                self.priors["torque_constant"] = PINNED
+        self.stack: Stack = stack([rows for _, rows in made], self.priors)
         self.weigh_as_usual()
         if only is None and made:
             self.add(strongest(self.stack, self.settle([]), self.weights, ORDERS_TRIED))
@@ -94,7 +106,7 @@ class Evidence:
         self.candidates += fresh
         for equation, rows in self._made:
             more_columns(rows, equation, fresh, self._terms)
-        self.stack = stack([rows for _, rows in self._made], PRIORS)
+        self.stack = stack([rows for _, rows in self._made], self.priors)
 
     @property
     def weights(self) -> list[float]:
@@ -173,6 +185,11 @@ def correlations(values: Array, lags: int) -> Array:
     size = next_fast_len(len(values) + lags, real=True)
     spectrum = rfft(values, size)
     return np.asarray(irfft(spectrum * np.conj(spectrum), size)[:lags], np.float64)
+
+
+def unscaled(names: set[str]) -> bool:
+    """Whether torques are balanced against each other alone: zero of everything would satisfy that too."""
+    return "voltage" not in names and "axis_torque" not in names and any(name.endswith("_torque") for name in names)
 
 
 def every_form(model: Model) -> list[Candidate]:

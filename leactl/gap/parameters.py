@@ -73,7 +73,7 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
         if nominal is None:
             continue
         std = math.hypot(std, MODEL_ERROR.get(parameter, LEAST_MODEL_ERROR))
-        factor = 1.0 / max(1.0 - change, 0.05) if parameter in RECIPROCAL else max(1.0 + change, 0.0)
+        factor = 1.0 / max(1.0 - change, 0.05) if parameter in RECIPROCAL else max(1.0 + change, 0.05)
         slope = factor**2 if parameter in RECIPROCAL else 1.0
         units = UNITS.get(parameter, "")
         found.append(CalibratedParameter(parameter, nominal, nominal * factor, nominal * std * slope, units))
