@@ -13,6 +13,8 @@ from leactl import __version__
 from leactl.cli import analyze, bench, demo, doctor, driver, gap, motor, protocol, run, runs
 from leactl.errors import InputError, LeactlError, Stopped
 
+CTRL_C_OF_TYPER = 130
+
 app = typer.Typer(
     name="leactl",
     help="Characterise electric actuators: protocols in, HDF5 runs and fitted parameters out.",
@@ -59,6 +61,10 @@ def main() -> None:
         sys.exit(LeactlError.exit_status)
     except KeyboardInterrupt:
         _end(["stopped"], Stopped.exit_status)
+    except SystemExit as end:  # typer's own answer to Ctrl-C, without a word
+        if end.code == CTRL_C_OF_TYPER:
+            _end(["stopped"], Stopped.exit_status)
+        raise
     except Exception as error:
         if os.environ.get("LEACTL_TRACE"):
             raise

@@ -16,7 +16,7 @@ class Steps:
 
     Raises
     ------
-    Stopped : by Ctrl-C within the block.
+    Stopped : at the step after a Ctrl-C that a library called back had swallowed.
     """
 
     def __init__(self, console: Console | None = None) -> None:
@@ -50,9 +50,6 @@ class Steps:
         signal.signal(signal.SIGINT, self._before)
         if self._shown is not None:
             self._shown.stop()
-        if kind is KeyboardInterrupt:
-            # typer would end with 130 and no word
-            raise Stopped("stopped") from error
         if kind is None:
             self._say(f"done in {time.monotonic() - self._began:.1f} s")
 

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 from h5py import h5s
 
-from leactl.errors import InputError, LeactlError, SafetyTrip, Stopped
+from leactl.errors import InputError, SafetyTrip, Stopped
 from leactl.quantities import ChannelSpec
 from leactl.runfile import layout
 from leactl.runfile.buffer import RowBuffer
@@ -30,8 +30,8 @@ LIVE_TABLE_ROWS = 16
 COLUMN_BYTES = 8192  # attributes and index of one dataset, generously
 
 
-class RecordingFailed(LeactlError):
-    """The disk took no more data; what was flushed before stays readable."""
+class RecordingFailed(InputError):
+    """The place that was chosen for the run takes no more data; what was flushed before stays readable."""
 
 
 class RunWriter:

@@ -16,6 +16,7 @@ from leactl.bench.bench import Bench
 from leactl.bench.benchfile import BenchFile, CheckedDevice
 from leactl.bench.wiring import MachineWiring, Wiring
 from leactl.driver.contract import Confirmation, MotionDevice
+from leactl.driver.stopping import doubt
 from leactl.errors import DeviceError, InputError, SafetyTrip, Stopped
 from leactl.model.motor import Motor, load_motor
 from leactl.protocol.plan import Engage, Plan
@@ -236,10 +237,9 @@ def _introduce(request: Request, writer: RunWriter) -> None:
 
 def _unconfirmed(error: BaseException | None, safe: Mapping[str, Confirmation]) -> BaseException | None:
     """A device that could not be confirmed safe is an error of its own, or part of the one there is."""
-    doubtful = [f"{name}: {confirmation.detail}" for name, confirmation in safe.items() if not confirmation.safe]
-    if not doubtful:
+    text = doubt(safe)
+    if not text:
         return error
-    text = "NOT CONFIRMED SAFE, switch off the supply: " + "; ".join(doubtful)
     if error is None:
         return DeviceError(text)
     error.add_note(text)

@@ -1,12 +1,15 @@
 """`leactl protocol` as a person's shell sees it."""
 
 import json
+import os
+import signal
+import subprocess
 from importlib import resources
 
 import pytest
 
 from leactl.protocol import protocolfile
-from tests.cli.terminal import leactl
+from tests.cli.terminal import COMMAND, leactl
 
 MINE = """\
 name: mine
@@ -121,3 +124,15 @@ def test_a_protocol_that_is_not_known(command):
     assert done.stderr == (
         f"leactl: protocol 'torque' is not known; known: {', '.join(protocolfile.names())}, or a path to a .yaml\n"
     )
+
+
+def test_ctrl_c_while_a_file_is_read_ends_as_stopped_by_a_person(tmp_path):
+    pipe = tmp_path / "endless.yaml"
+    os.mkfifo(pipe)
+    command = [*COMMAND, "protocol", "check", str(pipe)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        ours = os.open(pipe, os.O_WRONLY)  # returns once the command has opened its end and reads
+        running.send_signal(signal.SIGINT)
+        out, error = running.communicate(timeout=60)
+    os.close(ours)
+    assert (running.returncode, out, error) == (4, "", "leactl: stopped\n")

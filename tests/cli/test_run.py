@@ -158,7 +158,7 @@ def test_a_full_disk_fails_the_run_and_keeps_what_was_flushed(here):
         preexec_fn=small_disk,
         check=False,
     )
-    assert done.returncode == 1, done.stderr
+    assert done.returncode == 2, done.stderr
     assert "recording failed" in done.stderr
     answer = json.loads(done.stdout)
     assert answer["status"] == "failed"

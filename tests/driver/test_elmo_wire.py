@@ -256,6 +256,16 @@ def test_safe_state_says_what_it_could_not_confirm(make_bench):
         assert bench.clock.now() - before < 0.5 + 0.001
 
 
+def test_safe_state_wakes_a_node_that_was_told_to_stop(make_bench):
+    bench = make_bench(sdo_timeout_s=0.2)
+    bench.drive.open()
+    bench.engage(Mode.CURRENT)
+    bench.far.stop_node()
+    found = bench.drive.safe_state(1.0)
+    assert found.safe
+    assert bench.far.follows() == ["off", 0.0]
+
+
 def test_no_wait_of_a_set_up_drive_may_outlast_its_safe_state():
     for change in ({"sdo_timeout_s": 1.01}, {"consumer_heartbeat_ms": 1001}):
         with pytest.raises(ValidationError):

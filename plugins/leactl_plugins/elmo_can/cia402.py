@@ -16,6 +16,8 @@ class State(StrEnum):
     FAULT = "fault"
 
 
+FAULTS = (State.FAULT, State.FAULT_REACTION)
+
 DISABLE_VOLTAGE = 0x0000
 QUICK_STOP = 0x0002
 SHUTDOWN = 0x0006

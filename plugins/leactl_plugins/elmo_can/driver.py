@@ -14,7 +14,8 @@ from leactl.driver.far_end import CanEmulator, Physics
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.elmo_can import cia402, emergency
-from leactl_plugins.elmo_can.cia402 import State
+from leactl_plugins.elmo_can.cia402 import FAULTS, State
+from leactl_plugins.elmo_can.commissioning import Commissioning
 from leactl_plugins.elmo_can.sdo import Sdo
 from leactl_plugins.elmo_can.settings import ElmoSettings
 
@@ -27,7 +28,6 @@ MODES = {Mode.OFF: 0, Mode.TORQUE_PROFILE: 4, Mode.ANGLE: 8, Mode.VELOCITY: 9, M
 CURRENT_MODES = (Mode.CURRENT, Mode.TORQUE_PROFILE)
 # by names of this module in what runs every cycle: an enum's attribute takes ten times as long (Python 3.11)
 OFF, ANGLE, VELOCITY, ENABLED = Mode.OFF, Mode.ANGLE, Mode.VELOCITY, State.ENABLED
-FAULTS = (State.FAULT, State.FAULT_REACTION)
 ENABLE_TIME_S = 2.0
 DISABLE_VOLTAGE_BY_SDO = bytes.fromhex("2b40600000000000")
 READ_BUS_VOLTAGE = bytes.fromhex("4079600000000000")
@@ -104,6 +104,7 @@ class ElmoCan(Driver):
                 trouble = str(error)
                 try:
                     self._port.reopen()
+                    self._nmt(NMT_PRE_OPERATIONAL)  # a node that was told to stop answers no SDO until it is woken
                 except DeviceError as worse:
                     trouble = str(worse)
                     self._clock.sleep_until(min(until, self._clock.now() + 0.01))
@@ -155,14 +156,16 @@ class ElmoCan(Driver):
         """
         self._standing = _Standing()
         self._connect()
-        self._check_identity()
-        self._sdo.write(0x6040, 0, "u16", cia402.DISABLE_VOLTAGE)  # whoever had it last may have left it in operation
-        self._leave_fault()
-        self._read_scales()
-        self._arm_dead_man()
+        setup = Commissioning(self.name, self.settings, self._sdo)
+        setup.check_identity()
+        setup.disable_voltage()
+        if setup.leave_fault():
+            self._emergency = ""
+        self._current_per_mille, self._standing.most_per_mille = setup.read_scales()
+        setup.arm_dead_man()
         self._nmt(NMT_PRE_OPERATIONAL)
-        self._map_pdos()
-        self._sdo.write(0x1017, 0, "u16", self.settings.producer_heartbeat_ms)
+        setup.map_pdos()
+        setup.start_heartbeat()
         self._nmt(NMT_START)
         self._heard = self._clock.now()
         self._standing.started = True
@@ -317,12 +320,7 @@ class ElmoCan(Driver):
         ------
         DeviceFault : the drive is still in fault afterwards, its cause is still there.
         """
-        self._sdo.write(0x6040, 0, "u16", 0x0000)
-        self._sdo.write(0x6040, 0, "u16", cia402.FAULT_RESET)
-        self._sdo.write(0x6040, 0, "u16", 0x0000)
-        word = self._sdo.read(0x6041, 0, "u16")
-        if cia402.state_of(word) in FAULTS:
-            raise DeviceFault(f"{self.name}: still in fault after a reset, {self._fault_text(word)}")
+        Commissioning(self.name, self.settings, self._sdo).reset_fault()
         self._emergency = ""
 
     # -- set-up ------------------------------------------------------------------------------------------------------
@@ -345,73 +343,6 @@ class ElmoCan(Driver):
             0x580 + self._node: self._on_sdo,
             0x700 + self._node: self._on_heartbeat,
         }
-
-    def _check_identity(self) -> None:
-        expected = self.settings.vendor_id
-        found = self._sdo.read(0x1018, 1, "u32")
-        if expected is not None and found != expected:
-            raise DeviceError(f"{self.name}: vendor 0x{found:08X} at node {self._node}, 0x{expected:08X} was expected")
-
-    def _leave_fault(self) -> None:
-        word = self._sdo.read(0x6041, 0, "u16")
-        if cia402.state_of(word) in FAULTS:
-            if not self.settings.reset_fault_at_start:
-                text = self._fault_text(word)
-                raise DeviceFault(f"{self.name}: in fault at start, {text}; mend it, or set reset_fault_at_start: true")
-            self.reset_fault()
-
-    def _fault_text(self, word: int) -> str:
-        code = self._sdo.read(0x603F, 0, "u16")
-        return f"statusword 0x{word:04X}, error 0x{code:04X} ({emergency.CODES.get(code, 'unnamed')})"
-
-    def _read_scales(self) -> None:
-        rated_current_ma = self._sdo.read(0x6075, 0, "u32")
-        rated_torque = self._sdo.read(0x6076, 0, "u32")
-        if rated_current_ma == 0:
-            raise DeviceError(f"{self.name}: rated current 0x6075 is 0 mA; the drive has not been tuned to a motor")
-        if rated_torque != rated_current_ma:
-            raise DeviceError(
-                f"{self.name}: rated torque 0x6076 is {rated_torque}, rated current 0x6075 {rated_current_ma}; equal"
-                " numbers were expected, so that per mille of torque are per mille of current"
-            )
-        q_per_mille = rated_current_ma * 1e-6 * self.settings.current_convention.to_q_axis
-        self._current_per_mille = self.settings.sign * q_per_mille
-        most = {index: self._sdo.read(index, 0, "u16") for index in (0x6072, 0x6073)}
-        if not all(most.values()):
-            raise DeviceError(
-                f"{self.name}: most torque 0x6072 is {most[0x6072]}, most current 0x6073 {most[0x6073]} per mille of"
-                " the rated one; with 0 the drive lets nothing flow"
-            )
-        self._standing.most_per_mille = min(0x7FFF, *most.values())
-
-    def _arm_dead_man(self) -> None:
-        """The drive itself must stop when the host falls silent; a start is refused where that does not stick."""
-        settings = self.settings
-        self._sdo.write_verified(0x6007, 0, "i16", settings.abort_option)
-        self._sdo.write_verified(0x1016, 1, "u32", settings.host_node << 16 | settings.consumer_heartbeat_ms)
-
-    def _map_pdos(self) -> None:
-        node = self._node
-        self._map(0x1400, 0x1600, 0x200 + node, (0x60400010, 0x60710010, 0x60600008))
-        self._map(0x1401, 0x1601, 0x300 + node, (0x607A0020, 0x60FF0020))
-        self._map(0x1800, 0x1A00, 0x180 + node, (0x60410010, 0x60610008, 0x60770010, 0x60780010))
-        self._map(0x1801, 0x1A01, 0x280 + node, (0x60640020, 0x606C0020))
-        voltage = self.settings.q_axis_voltage
-        if voltage is not None:
-            bits = 16 if voltage.type == "i16" else 32
-            self._map(0x1802, 0x1A02, 0x380 + node, (voltage.index << 16 | voltage.subindex << 8 | bits,))
-        if self.settings.torque_slope_per_mille_s is not None:
-            self._sdo.write_verified(0x6087, 0, "u32", self.settings.torque_slope_per_mille_s)
-
-    def _map(self, communication: int, mapping: int, identifier: int, entries: tuple[int, ...]) -> None:
-        """Remap one PDO in the order CiA 301 asks for: invalid, type, empty, entries, count, valid."""
-        self._sdo.write(communication, 1, "u32", 0x80000000 | identifier)
-        self._sdo.write(communication, 2, "u8", 1)
-        self._sdo.write(mapping, 0, "u8", 0)
-        for number, entry in enumerate(entries, start=1):
-            self._sdo.write(mapping, number, "u32", entry)
-        self._sdo.write(mapping, 0, "u8", len(entries))
-        self._sdo.write(communication, 1, "u32", identifier)
 
     def _nmt(self, command: int) -> None:
         self._port.send(NMT_ID, bytes((command, self._node)))
