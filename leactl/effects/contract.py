@@ -25,7 +25,6 @@ PLACES = (
     "emf_factor",  # relative change of the back-EMF constant
     "voltage",  # V, beyond the model's
     "torque_reading",  # N*m, reading minus torque
-    "sticking",  # N*m, torque that friction hides at standstill
     "current_reading",  # A, reading minus current of the test drive
     "angle_reading",  # rad, reading minus angle
     "velocity_reading",  # rad/s, reading with the model's filter undone, minus velocity
@@ -53,7 +52,6 @@ class Signals:
     interval: float
     run: str = ""
     current: Array | None = None
-    current_reference: Array | None = None
     following: Array | None = None  # A, what the model's loop makes of the reference
     voltage: Array | None = None
     angle: Array | None = None
@@ -63,7 +61,6 @@ class Signals:
     torque: Array | None = None
     calm_torque: Array | None = None  # the same and
     calm_velocity: Array | None = None  # smoothed until the encoder's steps no longer show: what lags are made of
-    travel: Array | None = None  # rad, since the run's start
     winding_rise: Array | None = None  # K above the model's reference temperature
     housing_rise: Array | None = None
     winding: Array | None = None  # degC

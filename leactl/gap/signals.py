@@ -39,7 +39,6 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
     s.bus_voltage = clock.get("bus_voltage", "bench")
     reference = clock.get("q_axis_current_reference")
     if reference is not None and model.bench.current_loop_bandwidth:
-        s.current_reference = reference
         s.following = loop_mean(reference, model.bench.current_loop_bandwidth, dt)
     angle = clock.get("angle")
     if angle is not None:
@@ -52,7 +51,6 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
         s.acceleration = slope(s.velocity, dt)
     if s.velocity is not None:
         s.sliding = smooth(np.sign(s.velocity))
-        s.travel = np.cumsum(np.abs(s.velocity)) * dt
     temperatures(s, slow, clock.time)
     s.torque = transmitted(s)
     if s.torque is not None:

@@ -1,5 +1,6 @@
 """Where the gap sits: channel by channel the distance of the model, and the smallest region that holds most of it."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,7 +18,6 @@ MOST = 0.8  # of the squared residual that a region is to hold
 BINS = 12
 NARROW = 0.75  # of the data, above which a region says nothing
 NEAR_FLOOR = 1.1
-BROUGHT_DOWN = 0.7  # of the calibrated distance, below which a channel's gap is what the causes explain
 REPLAY_MISS = 6.0  # times the noise, that a replay of the right model may miss by
 OTHER_UNITS = {"direction": "1", "frequency": "Hz", "time": "s", "time_since_reversal": "s"}
 PROFILES = 5  # entries that come with a profile
@@ -103,17 +103,16 @@ def binned(values: Array, left: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def practical_floor(group: Sequence[Compared]) -> float:
-    """What noise leaves; where the last model comes no closer than the calibrated one, what replay itself may leave.
+    """The noise, raised where a replay of the right model would miss by more, so that the ratio counts only the excess.
 
-    Sticking and restarts make a replay of the right model miss by more than its noise. A channel that the causes bring
-    down has its gap from them, and the noise is its floor; in one that they leave as it was, the replay's own miss
-    cannot be told from a gap up to a few times the noise.
+    Sticking and restarts make such a replay miss by a few times the noise: where the last model misses as well, that
+    much of the calibrated distance is no gap. What lies beyond it, in squares, counts in units of the noise.
     """
     floor = rms([one.floor_squares() for one in group])
     calibrated, last = (rms([one.squares(model) for one in group]) for model in (1, 2))
-    if last < BROUGHT_DOWN * calibrated:
-        return floor
-    return min(max(floor, min(calibrated, last)), REPLAY_MISS * floor)
+    missed = min(max(floor, min(calibrated, last)), REPLAY_MISS * floor)
+    beyond = floor**2 + calibrated**2 - missed**2
+    return calibrated * floor / math.sqrt(beyond) if beyond > 0.0 else floor
 
 
 def rms(squares: Sequence[Array]) -> float:
