@@ -56,6 +56,13 @@ class I2cEmulator(Protocol):
     def write(self, register: int, value: int, now: float) -> None:
         """Write a register."""
 
+    def tick(self, now: float) -> None:
+        """What the device does by itself up to now."""
+
+    @property
+    def due(self) -> float:
+        """Time at which `tick` next has something to do; emulated time stops there."""
+
 
 class RegisterStore(Protocol):
     """Plain 16-bit registers that the host and a far end both read and write; the kernel's i2c-stub is one."""

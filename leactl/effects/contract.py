@@ -59,6 +59,8 @@ class Signals:
     acceleration: Array | None = None
     sliding: Array | None = None
     torque: Array | None = None
+    settled: npt.NDArray[np.bool_] | bool = True  # whether it is known where a locked rotor sticks,
+    unleapt: npt.NDArray[np.bool_] | bool = True  # and how it slides
     calm_torque: Array | None = None  # the same and
     calm_velocity: Array | None = None  # smoothed until the encoder's steps no longer show: what lags are made of
     winding_rise: Array | None = None  # K above the model's reference temperature

@@ -14,10 +14,15 @@ class EmulatedClock:
         self._time = 0.0
         self._wall = time.monotonic() if realtime else None
         self._followers: list[Callable[[float], None]] = []
+        self._stops: list[Callable[[], float]] = []
 
     def follow(self, advance: Callable[[float], None]) -> None:
         """Call `advance(time)` whenever time has passed."""
         self._followers.append(advance)
+
+    def stop_at(self, due: Callable[[], float]) -> None:
+        """Let no time step go past the moment that this gives, in the future or infinity."""
+        self._stops.append(due)
 
     def now(self) -> float:
         """Emulated seconds since the bench was made."""
@@ -25,9 +30,10 @@ class EmulatedClock:
 
     def sleep_until(self, moment: float) -> None:
         """Let time pass up to the moment."""
-        if moment > self._time:
+        while moment > self._time:
+            until = min([moment, *(stop for due in self._stops if (stop := due()) > self._time)])
             if self._wall is not None:
-                time.sleep(max(0.0, self._wall + moment - time.monotonic()))
-            self._time = moment
+                time.sleep(max(0.0, self._wall + until - time.monotonic()))
+            self._time = until
             for advance in self._followers:
-                advance(moment)
+                advance(until)

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.linalg import expm
 
-from leactl.emulation.regime import SIZE, STATES, Array, Plant, Regime, Switch, electric, equations, net_torque_row
+from leactl.emulation.regime import STATES, Array, Plant, Regime, electric, equations, net_torque_row
 
 TICK = 0.02 / 640  # s
 FINE_LEVEL = 3  # up to 0.25 ms margins are looked at every tick, above it every 0.25 ms: 11 times a shaft period
@@ -15,7 +15,6 @@ class Propagator:
 
     def __init__(self, plant: Plant, regime: Regime) -> None:
         self._generator, self.margins, self.switches = equations(plant, regime)
-        self._active = self._generator[:STATES]
         self._electric = tuple(electric(plant, regime, k) for k in (0, 1))
         self._plant, self._regime = plant, regime
         self.count = len(self.switches)
@@ -54,10 +53,3 @@ class Propagator:
             term *= duration / order
             total += term
         return total
-
-    def is_lost(self, looks: Array, tolerance: float) -> bool:
-        """Whether any margin looked at is below zero."""
-        return bool(looks.min() < -tolerance) if self.count else False
-
-
-__all__ = ["SIZE", "TICK", "TOP_LEVEL", "Propagator", "Switch"]

@@ -83,8 +83,9 @@ def equations(plant: Plant, regime: Regime) -> tuple[Array, Array, list[Switch]]
     generator = np.zeros((SIZE, SIZE))
     margins: list[tuple[Array, Switch]] = []
     bench = plant.bench
-    coupled = regime.setup == "coupled"
+    coupled = regime.setup in ("coupled", "locked")
     for k in (0, 1):
+        held = k == 1 and regime.setup == "locked"  # the lock is at the far end of the shaft
         x, parameters, own = k * PER_ACTUATOR, plant.actuators[k], regime.actuators[k]
         margins += _drive(plant, regime, k, generator)
         net = _unit(x + CURRENT, parameters.torque_constant) + _unit(STATES + k * INPUTS + TORQUE)
@@ -95,7 +96,7 @@ def equations(plant: Plant, regime: Regime) -> tuple[Array, Array, list[Switch]]
             net[VELOCITY] -= side * damping
             net[PER_ACTUATOR + VELOCITY] += side * damping
         friction = _unit(ONE, parameters.coulomb_friction)
-        if regime.setup != "locked":
+        if not held:
             if own.slip:
                 moving = net - own.slip * friction
                 moving[x + VELOCITY] -= parameters.viscous_damping
@@ -126,8 +127,7 @@ def net_torque_row(plant: Plant, regime: Regime, k: int) -> Array:
     """Row of the torque on a rotor at standstill, friction apart."""
     own = list(regime.actuators)
     own[k] = own[k]._replace(slip=0)
-    setup = "free" if regime.setup == "locked" else regime.setup
-    _, rows, switches = equations(plant, regime._replace(setup=setup, actuators=(own[0], own[1])))
+    _, rows, switches = equations(plant, regime._replace(actuators=(own[0], own[1])))
     upper = rows[switches.index(Switch(k, "slip", 1))]
     return np.asarray(_unit(ONE, plant.actuators[k].coulomb_friction) - upper)
 

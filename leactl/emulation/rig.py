@@ -328,7 +328,7 @@ class Rig:
     def _settle_signs(self) -> None:
         """Take back a velocity that a forced tick turned against its own slip."""
         for k, own in enumerate(self._regime.actuators):
-            if self._regime.setup != "locked" and own.slip * self.state(k * PER_ACTUATOR + VELOCITY) < 0.0:
+            if own.slip * self.state(k * PER_ACTUATOR + VELOCITY) < 0.0:
                 self._point[k * PER_ACTUATOR + VELOCITY] = 0.0
 
     def _refine(self, which: int, duration: float, share: float) -> float:

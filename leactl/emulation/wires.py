@@ -4,6 +4,7 @@ Synchronous and without threads: a frame is answered inside `send`, and emulated
 """
 
 import errno
+import math
 from collections import deque
 
 import can
@@ -97,6 +98,13 @@ class EmulatedI2cBus:
     def __init__(self, clock: EmulatedClock) -> None:
         self._clock = clock
         self.devices: dict[int, I2cEmulator] = {}
+        clock.follow(self._pass_time)
+        clock.stop_at(lambda: min((device.due for device in self.devices.values()), default=math.inf))
+
+    def _pass_time(self, now: float) -> None:
+        for device in self.devices.values():
+            if now >= device.due:
+                device.tick(now)
 
     def _device(self, address: int) -> I2cEmulator:
         device = self.devices.get(address)

@@ -111,7 +111,9 @@ class Evidence:
     @property
     def weights(self) -> list[float]:
         """Of each rows: one over its noise variance, for as many rows as are independent."""
-        return [1.0 / (rows.noise**2 * rows.dependence) for rows in self.stack.rows]
+        return [
+            1.0 / (rows.noise**2 * max(rows.dependence, len(rows.left_over) / rows.levels)) for rows in self.stack.rows
+        ]
 
     def normal(self) -> Normal:
         """Normal equations under the present weights."""

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from leactl.effects import library
 from leactl.gap.diagnosis import CalibratedParameter, EffectParameter
 from leactl.gap.evidence import Evidence
-from leactl.gap.regression import Candidate, Fit
+from leactl.gap.regression import Candidate, Fit, disagreement
 from leactl.model.nominal import EffectEntry, Model, as_mapping
 from leactl.vocabulary.effect import effect_definition
 
@@ -60,12 +60,13 @@ UNITS = {
 def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
     """The nominal model's parameters as a fit has them."""
     found = []
+    normal = evidence.normal()
     for index, place in enumerate(fit.columns):
         name = evidence.stack.names[place]
         if name[0] != "calibration":
             continue
         parameter, change = name[1], float(fit.values[index])
-        std = math.sqrt(max(float(fit.covariance[index, index]), 0.0))
+        std = math.sqrt(max(float(fit.covariance[index, index]), 0.0)) * disagreement(normal, fit, index)
         nominal = nominal_value(evidence.model, parameter)
         if parameter == "ambient_offset":
             found.append(CalibratedParameter(parameter, 0.0, change, std, UNITS[parameter]))

@@ -4,6 +4,7 @@ Each equation on each run becomes a Gram matrix over its own columns; a hypothes
 small solve. Rows are weighted by the equation's noise, and counted by how many of them are independent.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -19,6 +20,7 @@ Array = npt.NDArray[np.float64]
 Column = tuple[str, ...]  # ("calibration", name), ("nuisance", run, name), ("effect", effect, form, coefficient)
 Candidate = tuple[str, Form]  # effect and form
 FEWEST_ROWS = 20
+LEAST_TOLD = 0.02  # of what all say of a coefficient, below which a run's own say in it does not count
 
 
 @dataclass
@@ -41,6 +43,7 @@ class Rows:
     white: float  # noise as the difference of neighbours has it
     noise: float = 0.0  # standard deviation of a row
     dependence: float = 1.0  # rows per independent row
+    levels: float = math.inf  # that a rounded channel takes
     gram: Array | None = None  # over [left_over, columns]; None where it is to be made
 
 
@@ -88,7 +91,8 @@ def make_rows(
         index,
         (index * interval / length).astype(np.intp),
         equation.signals,
-        white_noise(left),
+        max(white_noise(left), equation.rounding),
+        levels=equation.levels,
     )
 
 
@@ -246,6 +250,30 @@ def residuals(stacked: Stack, fit: Fit, index: int) -> Array:
         if value is not None:
             out -= value * column
     return out
+
+
+def disagreement(normal: Normal, fit: Fit, index: int) -> float:
+    """How much further runs and equations lie apart about one coefficient than their noise says; 1 where they do not.
+
+    Each has an optimum of its own along the direction in which the others follow that coefficient. The root of their
+    chi-square over its degrees of freedom widens the standard error (Birge, 1932).
+    """
+    direction = np.zeros(len(normal.stack.names))
+    direction[fit.columns] = fit.covariance[:, index] / fit.covariance[index, index]
+    full = np.zeros(len(normal.stack.names))
+    full[fit.columns] = fit.values
+    scores, informations = [], []
+    for gram, local, weight in zip(normal.stack.grams, normal.stack.local, normal.weights, strict=True):
+        along = direction[local]
+        scores.append(weight * float(along @ (gram[1:, 0] - gram[1:, 1:] @ full[local])))
+        informations.append(weight * float(along @ gram[1:, 1:] @ along))
+    information = np.asarray(informations)
+    told = information > LEAST_TOLD * information.sum()
+    freedom = int(told.sum()) - 1
+    if freedom < 1:
+        return 1.0
+    squares = float(np.sum(np.asarray(scores)[told] ** 2 / information[told]))
+    return float(np.sqrt(max(squares / freedom, 1.0)))
 
 
 def gain_of(normal: Normal, base: npt.NDArray[np.intp], added: npt.NDArray[np.intp]) -> tuple[float, Array, Array]:

@@ -8,7 +8,7 @@ sharp one.
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
+from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from leactl.effects.contract import Signals
 from leactl.effects.shapes import play
@@ -18,8 +18,12 @@ from leactl.model.nominal import Model
 from leactl.model.thermal_network import ThermalNetwork
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 SLOW_SMOOTHING_S = 1.0
 CALM = 5.0  # samples
+SWING_DAMPING = 0.03  # of critical, as shafts without a damper have it
+RINGS_S = 0.05  # how long a locked rotor may swing on its shaft
+STICKS, SLIDES = 0.5, 1.0  # swings, in its friction, that leave open where a rotor sticks, and how it slides
 SHARP = 0.7  # samples, smoothing of the current where friction sticks: enough that noise does not work the play
 
 
@@ -31,15 +35,20 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
     dt = clock.interval
     s = Signals(record.mechanical, clock.time - clock.time[0], model, dt, record.name)
     current = averaged(clock, "q_axis_current")
+    reference = clock.get("q_axis_current_reference")
+    if reference is not None and model.bench.current_loop_bandwidth:
+        ends, means = loop(reference, model.bench.current_loop_bandwidth, dt)
+        s.following = means
+        if ("q_axis_current", "test") not in clock.means:
+            s.following = ends
+            if current is not None and not moved_by_a_servo(clock):
+                current = current + means - middle(ends)  # what a step does between two instants
     if current is not None:
         s.current = smooth(current)
         s.extra["sharp_current"] = smooth(current, SHARP)
     voltage = averaged(clock, "q_axis_voltage")
     s.voltage = smooth(voltage) if voltage is not None else None
     s.bus_voltage = clock.get("bus_voltage", "bench")
-    reference = clock.get("q_axis_current_reference")
-    if reference is not None and model.bench.current_loop_bandwidth:
-        s.following = loop_mean(reference, model.bench.current_loop_bandwidth, dt)
     angle = clock.get("angle")
     if angle is not None:
         speed = np.diff(angle, prepend=angle[0]) / dt
@@ -58,6 +67,7 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
         s.calm_torque = s.torque if s.mechanical == "locked" else smooth(s.torque, CALM)
     if s.velocity is not None:
         s.calm_velocity = smooth(s.velocity, CALM)
+    s.settled, s.unleapt = settled(s, STICKS), settled(s, SLIDES)
     return s
 
 
@@ -69,13 +79,44 @@ def averaged(clock: Clocked, quantity: str, role: str = "test") -> Array | None:
     return middle(values)
 
 
-def loop_mean(reference: Array, bandwidth: float, interval: float) -> Array:
-    """Mean over each interval of a first-order loop's answer to the reference that held during it."""
+def moved_by_a_servo(clock: Clocked) -> bool:
+    """Whether a loop inside the drive moves the current reference between samples."""
+    return clock.get("velocity_reference") is not None or clock.get("angle_reference") is not None
+
+
+def loop(reference: Array, bandwidth: float, interval: float) -> tuple[Array, Array]:
+    """A first-order loop's answer to references that hold over an interval each: at its end, and its mean over it."""
     constant = 1.0 / (2.0 * np.pi * bandwidth)
     decay = float(np.exp(-interval / constant))
     ends: Array = lfilter([1 - decay], [1, -decay], reference, zi=[decay * reference[0]])[0]
     begins = np.concatenate([reference[:1], ends[:-1]])
-    return np.asarray(reference + (begins - reference) * (constant / interval) * (1 - decay), np.float64)
+    return ends, np.asarray(reference + (begins - reference) * (constant / interval) * (1 - decay), np.float64)
+
+
+def settled(s: Signals, swing: float) -> Mask:
+    """Samples at which it is known where a locked rotor sticks; all of them in any other set-up.
+
+    A current that leaps sets the rotor swinging on its shaft, by `swing` times its friction or more, and where it
+    sticks after that depends on the last swing.
+    It is known again once the drive's torque has gone on by twice the friction from where it was least or most.
+    """
+    model, known = s.model, np.ones(len(s.time), bool)
+    stiffness, inertia, friction = model.bench.shaft_stiffness, model.rotor_inertia, model.coulomb_friction or 0.0
+    if s.mechanical != "locked" or s.current is None or not stiffness or not inertia or not model.torque_constant:
+        return known
+    force, rate = model.torque_constant * s.extra["sharp_current"], np.sqrt(stiffness / inertia)
+    if rate * s.interval > np.pi:
+        return known
+    above, below, _ = cont2discrete(([rate**2], [1.0, 2.0 * SWING_DAMPING * rate, rate**2]), s.interval, "foh")
+    swung = lfilter(above[0], below, force, zi=lfilter_zi(above[0], below) * force[0])[0]  # without friction
+    leaps = np.flatnonzero(np.abs(swung - force) > swing * friction)
+    for leap, following in zip(leaps, np.append(leaps, len(force))[1:], strict=True):
+        rings = leap + round(RINGS_S / s.interval)
+        after = force[rings:following]
+        gone = np.maximum(after - np.minimum.accumulate(after), np.maximum.accumulate(after) - after)
+        again = np.flatnonzero(gone > 2.0 * friction)
+        known[leap : rings + int(again[0]) if len(again) else following] = False
+    return known
 
 
 def temperatures(s: Signals, slow: Signals | None, time: Array) -> None:

@@ -66,7 +66,17 @@ def test_locked_current_step_is_first_order_of_the_stated_bandwidth():
         rig.advance(k * 1e-4)
         expected = 7.5 * (1.0 - math.exp(-2.0 * math.pi * 450.0 * k * 1e-4))
         assert actuator.current == pytest.approx(expected, rel=1e-8)
-        assert actuator.velocity_true == 0.0
+
+
+def test_the_lock_is_beyond_the_torque_sensor():
+    rig = Rig("locked")
+    test, load = rig.actuators["test"], rig.actuators["load"]
+    for k in range(1, 901):
+        test.command("current", 10.0 * min(k / 600.0, 1.0))
+        rig.advance(k * 1e-3)
+    assert 4.9 - 0.208 - 1e-6 <= rig.shaft_torque <= 4.9
+    assert test.angle == pytest.approx(rig.shaft_torque / rig.bench.shaft_stiffness, rel=1e-6)
+    assert (test.velocity_true, load.velocity_true, load.angle) == (0.0, 0.0, 0.0)
 
 
 def levels(order: list[float]) -> dict[float, float]:

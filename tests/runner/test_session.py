@@ -37,7 +37,7 @@ def test_a_run_records_what_the_plan_asked_for_and_leaves_the_bench_safe(spin):
         assert hold.parameters["current_A"] == 0.7
         assert hold.stop - hold.start == pytest.approx(0.6, abs=1e-9)
         reference = run.channel("q_axis_current_reference", "test")
-        inside = (reference.time >= hold.start - 1e-9) & (reference.time < hold.stop - 1e-9)
+        inside = (reference.time > hold.start + 1e-9) & (reference.time < hold.stop + 1e-9)  # what was followed
         assert inside.sum() == 60
         # a demand goes out in whole per mille of the drive's rated current: 13.7 mA
         np.testing.assert_allclose(reference.values[inside], 0.7, atol=0.007)
@@ -218,7 +218,7 @@ def test_an_angle_is_reached_by_a_ramp_and_never_by_a_leap(spin):
     outcome, bench = spin(ANGLE, sets=("to_rad=20",))
     assert isinstance(outcome.error, SafetyTrip)
     assert "test angle_reference of 20 rad is 18.4 rad from 1.6 rad" in outcome.reason
-    assert np.nanmax(recorded(outcome, "angle_reference").values) == pytest.approx(1.6, abs=1e-3)
+    assert np.nanmax(recorded(outcome, "angle_reference").values) <= 1.6 + 1e-3
     assert drives_off(bench)
 
 

@@ -4,6 +4,7 @@
 sample at the run's rate; `width` and `step` say how it is smoothed and thinned before it becomes rows of a regression.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -32,5 +33,7 @@ class Equation:
     calibration: dict[str, Array]
     nuisance: dict[str, tuple[Array, float]] = field(default_factory=dict)  # column and prior standard deviation
     shared: dict[str, tuple[Array, float]] = field(default_factory=dict)  # nuisances that all runs have in common
+    rounding: float = 0.0  # standard deviation that a channel's rounding gives a row
+    levels: float = math.inf  # that a rounded channel takes: no more independent values than that are in its rows
     width: float = 4.0
     step: int = 8

@@ -129,6 +129,7 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
         "current_reading": lambda c: -constant * c * np.clip(sliding, 0.0, 1.0),
     }
     swings = smooth(np.abs(change), SWING_REACH) > SWING_N_M_S
+    mask = record.fast.all_valid(("torque", "test"), ("q_axis_current", "test")) & (swings == swinging)
     return Equation(
         name,
         "torque",
@@ -136,7 +137,7 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
         "N*m",
         reading - s.torque,
         s,
-        record.fast.all_valid(("torque", "test"), ("q_axis_current", "test")) & (swings == swinging),
+        mask & (s.unleapt if swinging else s.settled),
         places,
         {"torque_constant": more},
         nuisance,

@@ -1,14 +1,17 @@
 """Angle against velocity, and the shaft between two actuators."""
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import Equation
-from leactl.gap.record import Record
-from leactl.gap.smoothing import middle, slope, smooth
+from leactl.gap.record import Record, smallest_step
+from leactl.gap.smoothing import BASE, middle, slope, smooth
 
 Array = npt.NDArray[np.float64]
+VELOCITY_WIDTH = 4.0
 LOAD_LAG_S = 1e-3  # the model says nothing of the load's own velocity filter
 
 
@@ -27,12 +30,20 @@ def velocity(record: Record, s: Signals) -> Equation | None:
         "rad/s",
         restored(middle(measured), filter_constant(s), s.interval) - s.velocity,
         s,
-        clock.all_valid(("velocity", "test"), ("angle", "test")),
+        clock.all_valid(("velocity", "test"), ("angle", "test")) & s.unleapt,
         {"velocity_reading": lambda c: c},
         {},
-        width=4.0,
+        rounding=rounded_speed(clock.values["angle", "test"], clock.interval),
+        width=VELOCITY_WIDTH,
         step=8,
     )
+
+
+def rounded_speed(angle: Array, interval: float) -> float:
+    """Standard deviation [rad/s] that an encoder's counts leave in a row of speed."""
+    count = smallest_step(np.diff(angle))  # a fast shaft skips counts from sample to sample, but not in their change
+    spread = math.hypot(BASE, VELOCITY_WIDTH)
+    return count / math.sqrt(12.0) / interval * math.sqrt(1.0 / (4.0 * math.sqrt(math.pi) * spread**3))
 
 
 def filter_constant(s: Signals) -> float:
@@ -91,10 +102,11 @@ def lock(record: Record, s: Signals) -> Equation | None:
         "rad",
         angle - np.mean(angle) - twist,
         s,
-        clock.all_valid(("angle", "test")),
+        clock.all_valid(("angle", "test")) & s.unleapt,
         {"twist": lambda c: c},
         {"bench.shaft_stiffness": -twist},
         nuisance={"lock_angle": (np.ones_like(twist), 0.1)},
+        levels=1.0 + float(np.ptp(angle)) / max(clock.counts.get(("angle", "test"), 0.0), 1e-12),
         width=8.0,
         step=16,
     )

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.record import Clocked, Key, Record
+from leactl.gap.record import Clocked, Key, Mask, Record
 from leactl.gap.replay.job import Job, quantum_of
+from leactl.gap.signals import fast_signals
 from leactl.gap.smoothing import smooth
 
 Array = npt.NDArray[np.float64]
@@ -47,6 +48,7 @@ class Compared:
 def compare(record: Record, jobs: Sequence[Job], disturbed: Job) -> list[Compared]:
     """Every channel that all replays of a run reach."""
     found = []
+    swung = fast_signals(record, jobs[0].plant.model, None) if record.mechanical == "locked" else None
     for name, clock in (("fast", record.fast), ("slow", record.slow)):
         if clock is None:
             continue
@@ -57,7 +59,10 @@ def compare(record: Record, jobs: Sequence[Job], disturbed: Job) -> list[Compare
                 rows = [answer[key] for answer in answers]
                 moved = key[0] in ("velocity", "torque", "q_axis_voltage")
                 restarts = moved and any(job.restarts for job in jobs)
-                one = _compared(record, clock, key, values, rows, restarts)
+                keep = np.all(np.isfinite(rows), axis=0)
+                if swung is not None and key[0] in ("velocity", "torque"):
+                    keep &= swung.unleapt  # where a rotor sticks that a leap has set swinging, no replay can tell
+                one = _compared(record, clock, key, values, rows, keep, restarts)
                 found += [one] if one is not None else []
     return found
 
@@ -71,9 +76,8 @@ def measured(clock: Clocked, key: Key) -> Array | None:
 
 
 def _compared(
-    record: Record, clock: Clocked, key: Key, values: Array, rows: list[Array], restarts: bool
+    record: Record, clock: Clocked, key: Key, values: Array, rows: list[Array], keep: Mask, restarts: bool
 ) -> Compared | None:
-    keep = np.all(np.isfinite(rows), axis=0)
     keep &= clock.all_valid(key if key in clock.values else ("angle", "test"))
     index = np.flatnonzero(keep)
     if len(index) < 2:

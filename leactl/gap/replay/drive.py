@@ -4,8 +4,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from leactl.gap.record import Clocked
 from leactl.gap.replay.job import Job, noise_of, quantum_of
+from leactl.gap.signals import moved_by_a_servo
 
 Array = npt.NDArray[np.float64]
 LONGEST_DELAY_S = 0.012  # by which a drive may follow late
@@ -93,11 +93,6 @@ def misfit(job: Job, over: Array) -> float:
     ends = busiest[:, None] * parts - delays
     left = flowing[busiest, None] - (total[ends] - total[ends - parts]) / parts
     return float(np.min(np.sum(left**2, axis=0)))
-
-
-def moved_by_a_servo(clock: Clocked) -> bool:
-    """Whether a loop inside the drive moves the current reference between samples."""
-    return clock.get("velocity_reference") is not None or clock.get("angle_reference") is not None
 
 
 def rounding(job: Job) -> Array | float:

@@ -34,7 +34,8 @@ def read(job: Job) -> None:
             job.fast[name, "test"] = values
     if volts is not None and clock.get("bus_voltage", "bench") is not None and job.plant.model.bench.bus_voltage:
         job.fast["bus_voltage", "bench"] = bus(job, volts)
-    if job.load_velocity is not None and clock.get("velocity", "load") is not None:
+    turned = job.record.mechanical == "coupled"  # by the load, which in any other set-up is none of the model's
+    if turned and job.load_velocity is not None and clock.get("velocity", "load") is not None:
         job.fast["velocity", "load"] = filtered(job, job.load_velocity)
     for values in job.fast.values():
         values[: job.first + 1] = np.nan

@@ -1,5 +1,9 @@
-"""The converter's far end of the wire: registers as in the data sheet (TI SBAS444), voltages from a bench."""
+"""The converter's far end of the wire: registers as in the data sheet (TI SBAS444), voltages from a bench.
 
+A conversion is worth what its input is in its middle: the mean over it, to first order.
+"""
+
+import math
 from collections.abc import Callable
 
 from leactl.driver.far_end import RegisterStore
@@ -22,7 +26,8 @@ class Ads1115Emulator:
         self._period_factor = 1.0 / (1.0 + clock_error)
         self._registers = [0x0000, 0x8583, 0x8000, 0x7FFF]
         self._ends: float | None = None
-        self._sampled = 0
+        self.due = math.inf  # when a conversion under way is half done
+        self._converting = self._sampled = 0
         self._shown: int | None = None  # the config that a store holds, as far as is known here
         self._answering = False  # the store's last word was a start
 
@@ -63,13 +68,19 @@ class Ads1115Emulator:
             store.write(CONFIG, held)
             self._shown = held
 
+    def tick(self, now: float) -> None:
+        """Look at the input where a conversion is half done."""
+        if now >= self.due:
+            self._sampled, self.due = self._convert(self._converting), math.inf
+
     def _begin(self, now: float) -> None:
-        config = self._registers[CONFIG]
-        self._sampled = self._convert(config)
-        self._ends = now + self._period_factor / _RATE[config >> 5 & 7] + 25e-6
+        self._converting = config = self._registers[CONFIG]
+        lasts = self._period_factor / _RATE[config >> 5 & 7] + 25e-6
+        self._ends, self.due = now + lasts, now + lasts / 2
 
     def _finish(self, now: float) -> None:
         while self._ends is not None and now >= self._ends:
+            self.tick(now)
             self._registers[CONVERSION] = self._sampled
             ended, self._ends = self._ends, None
             if not self._registers[CONFIG] & _SINGLE:

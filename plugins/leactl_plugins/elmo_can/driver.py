@@ -73,7 +73,6 @@ class ElmoCan(Driver):
         self._opened = False
         self._angle_per_count = settings.sign * 2 * math.pi / settings.counts_per_turn
         self._current_per_mille = NAN
-        self._has_voltage = settings.q_axis_voltage is not None
         self._longest_silence = 3e-3 * settings.producer_heartbeat_ms + 1e-3 * settings.consumer_heartbeat_ms
         self._feed_period = settings.consumer_heartbeat_ms / 3000
         self._turn_to(Mode.OFF)
@@ -90,6 +89,7 @@ class ElmoCan(Driver):
         self._located = False  # the shaft's angle is known: no operation before that
         self._counts = 0  # of the encoder, going on where the drive's 32 bits go round
         self._standing = _Standing()
+        self._followed = (NAN, NAN, NAN)
         self.values = [NAN] * len(self.loop_channels)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
@@ -197,7 +197,7 @@ class ElmoCan(Driver):
 
     @property
     def loop_channels(self) -> tuple[ChannelSpec, ...]:
-        """Channels of `values`: references as sent, readings as received."""
+        """Channels of `values`: readings as received, and the references that the drive followed until it took them."""
         label = f"{self.role} "
         voltage = (ChannelSpec("vq", "q_axis_voltage", self.role, self.name, label + "q axis voltage"),)
         return (
@@ -266,7 +266,7 @@ class ElmoCan(Driver):
                 self._value = self._counts  # hold where the shaft is at the moment operation begins
         values = self.values
         values[3] = values[4] = values[5] = values[6] = NAN
-        if self._has_voltage:
+        if len(values) > 7:
             values[7] = NAN
         self._fresh[0] = self._fresh[1] = False
         self._send_demand(word)
@@ -283,9 +283,12 @@ class ElmoCan(Driver):
         while not (fresh[0] and fresh[1]) and port.pump_before(deadline):
             pass
         mode, engaged = self._mode, self.engaged
-        values[0] = self._value * self._current_per_mille if mode in CURRENT_MODES else NAN
-        values[1] = self._value * self._angle_per_count if mode is VELOCITY else NAN
-        values[2] = self._value * self._angle_per_count if mode is ANGLE else NAN
+        values[:3] = self._followed  # what the drive sampled at the SYNC, it had done after the demand before it
+        self._followed = (
+            self._value * self._current_per_mille if mode in CURRENT_MODES else NAN,
+            self._value * self._angle_per_count if mode is VELOCITY else NAN,
+            self._value * self._angle_per_count if mode is ANGLE else NAN,
+        )
         if fresh[0]:
             values[6] = 1.0 if engaged else 0.0
         self._judge(engaged)
