@@ -17,8 +17,13 @@ class Stribeck(Effect):
     forms = tuple((speed, shape) for shape in (1.0, 2.0) for speed in (0.1, 0.25, 0.6, 1.2, 2.5))
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """A drag that fades with speed."""
-        if signals.sliding is None or signals.velocity is None or signals.model.coulomb_friction is None:
+        """A drag that fades with speed; a locked rotor turns by less than its encoder tells a speed of."""
+        if (
+            signals.mechanical == "locked"
+            or signals.sliding is None
+            or signals.velocity is None
+            or signals.model.coulomb_friction is None
+        ):
             return {}
         fading = np.exp(-((np.abs(signals.velocity) / form[0]) ** form[1]))
         return {"drag": {"ratio": signals.model.coulomb_friction * signals.sliding * fading}}

@@ -11,7 +11,7 @@ from leactl.gap.confirm import held_out_gains
 from leactl.gap.diagnosis import Cause, Diagnosis, EffectParameter, Verdict
 from leactl.gap.evidence import Evidence
 from leactl.gap.judge import Judged, judge, unexplained, unrest
-from leactl.gap.notes import questions
+from leactl.gap.notes import gathered, questions
 from leactl.gap.parameters import calibrated, effect_parameters, with_calibration, with_effects
 from leactl.gap.record import Record, read_record
 from leactl.gap.regression import Candidate, Fit
@@ -118,7 +118,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     replayed = [*case.held_out, *(r for r in case.fitted if (r.kind, r.mechanical) not in kinds)]
     shrunk = shrinkage(replayed, case.model, tuned, augmented)
     located = where(replayed, shrunk.channels)
-    notes = tuple(note for record in [*case.fitted, *case.held_out] for note in record.notes)
+    notes = gathered([*case.fitted, *case.held_out])
     if not case.held_out:
         notes += ("no run was held out: every kind occurs once, so the shrinkage is that of the fitted runs",)
     return Diagnosis(

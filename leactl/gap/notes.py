@@ -30,6 +30,18 @@ def questions(model: Model, records: Sequence[Record], evidence: Evidence) -> tu
     return tuple(notes)
 
 
+def gathered(records: Sequence[Record]) -> tuple[str, ...]:
+    """What was noted of each run as it was read; of several runs alike, once."""
+    runs: dict[str, list[str]] = {}
+    for record in records:
+        for note in record.notes:
+            run, _, text = note.partition(": ")
+            runs.setdefault(text, []).append(run)
+    return tuple(
+        f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: {text}" for text, names in runs.items()
+    )
+
+
 def has(record: Record, quantity: str, role: str) -> bool:
     """Whether a run has a channel on either clock."""
     return any(clock is not None and clock.get(quantity, role) is not None for clock in (record.fast, record.slow))

@@ -96,10 +96,13 @@ def build(path: Path, kind: str, mechanical: str, channels: list[Channel], setup
     for channel in channels:
         good = np.isfinite(channel.values)
         if good.sum() < FEWEST:
-            notes.append(f"{path.name}: {channel.quantity} of {channel.role} has {int(good.sum())} samples; left out")
+            if good.any() or not channel.quantity.endswith("_reference"):  # else the drive was in another mode
+                notes.append(
+                    f"{path.name}: {channel.quantity} of {channel.role} has {int(good.sum())} samples; left out"
+                )
         else:
             usable.append(channel)
-            if good.all() and np.ptp(channel.values) == 0.0 and channel.quantity not in _MAY_REST:
+            if good.all() and np.ptp(channel.values) == 0.0 and not may_rest(channel, mechanical):
                 notes.append(f"{path.name}: {channel.quantity} of {channel.role} never changes; is the channel alive?")
     if not usable:
         raise InputError(f"{path}: no channel with {FEWEST} samples or more; a diagnosis needs a current or an angle")
@@ -108,7 +111,11 @@ def build(path: Path, kind: str, mechanical: str, channels: list[Channel], setup
     return Record(path, kind, mechanical, _on_clock(fast, notes, path), _on_clock(slow, notes, path), setup, notes)
 
 
-_MAY_REST = ("drive_enabled", "ambient_temperature", "torque_reference", "velocity_reference", "angle_reference")
+def may_rest(channel: Channel, mechanical: str) -> bool:
+    """Whether a channel may well stay the same for a whole run."""
+    if channel.quantity in ("angle", "velocity"):
+        return mechanical in ("locked", "heated") or (mechanical == "free" and channel.role == "load")
+    return channel.quantity in ("drive_enabled", "ambient_temperature") or channel.quantity.endswith("_reference")
 
 
 def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked | None:

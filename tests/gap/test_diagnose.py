@@ -2,11 +2,15 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from leactl.emulation.blind.make import make
 from leactl.errors import InputError
 from leactl.gap.diagnose import Case, diagnose, read_case, split
+from leactl.gap.notes import gathered
+from leactl.gap.record import build
+from leactl.runfile.reader import Channel
 
 PRACTICE = Path(__file__).parents[3] / "shared" / "gap-cases" / "practice"
 
@@ -102,3 +106,24 @@ def test_a_bench_of_another_simulator_with_wrong_parameters_only_gets_no_cause()
     found = answer(PRACTICE / "practice-1")
     assert found.verdict == "calibration"
     assert not [cause for cause in found.causes if cause.probability >= 0.5]
+
+
+def channel(quantity, values, role="test"):
+    time = np.arange(200) * 1e-3
+    return Channel(time, np.asarray(values, float), quantity, role, "", "", "", "", "instant", "loop")
+
+
+def test_what_is_noted_of_several_runs_alike_is_said_once_and_what_may_rest_is_not_noted():
+    angle, still, absent = np.arange(200) * 0.01, np.zeros(200), np.full(200, np.nan)
+    channels = [
+        channel("angle", angle),
+        channel("angle", still, "load"),
+        channel("bus_voltage", still + 30.0),
+        channel("velocity_reference", absent),
+        channel("q_axis_voltage", absent),
+    ]
+    records = [build(Path(f"{name}.h5"), "spin", "free", channels, {}) for name in ("a", "b", "c")]
+    assert gathered(records) == (
+        "a.h5 and 2 more: bus_voltage of test never changes; is the channel alive?",
+        "a.h5 and 2 more: q_axis_voltage of test has 0 samples; left out",
+    )

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from leactl.effects.contract import Signals
 from leactl.gap.evidence import rows_per_independent
-from leactl.gap.regression import Normal, Rows, gain_of, residuals, stack, white_noise
+from leactl.gap.regression import Normal, Rows, disagreement, gain_of, residuals, stack, white_noise
 from leactl.model.nominal import Model
 
 TRUE = {("calibration", "a"): 0.3, ("calibration", "b"): -0.2, ("effect", "e", "()", "c"): 0.7}
@@ -66,3 +66,20 @@ def test_white_noise_is_blind_to_what_is_slow():
     random = np.random.default_rng(3)
     slow = 10 * np.sin(np.linspace(0, 6, 5000))
     assert white_noise(slow + 0.1 * random.normal(size=5000)) == pytest.approx(0.1, rel=0.1)
+
+
+def test_runs_that_contradict_each_other_widen_the_standard_error_and_others_do_not():
+    agreeing = stack([rows(seed, str(seed)) for seed in range(6)], {})
+    contrary = [rows(seed, str(seed)) for seed in range(6)]
+    for place, each in enumerate(contrary):
+        each.left_over = each.left_over + (-1) ** place * 0.02 * each.columns["calibration", "a"]
+    contrary = stack(contrary, {})
+    widened = {}
+    for name, stacked in (("agreeing", agreeing), ("contrary", contrary)):
+        normal = Normal(stacked, [1 / 0.05**2] * 6)
+        fit = normal.fit([("e", ())])
+        place = stacked.names.index(("calibration", "a"))
+        widened[name] = disagreement(normal, fit, int(np.flatnonzero(fit.columns == place)[0]))
+    # each run's own standard error is 0.05 / sqrt(200), 5.7 times less than what sets them apart
+    assert widened["agreeing"] < 1.8
+    assert widened["contrary"] == pytest.approx(np.sqrt(6 / 5) * 0.02 * np.sqrt(200) / 0.05, rel=0.3)
