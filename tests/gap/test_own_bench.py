@@ -1,4 +1,4 @@
-"""What `leactl run` records on the emulated bench, `leactl gap diagnose` understands: drives, wires, converter and all."""
+"""What `leactl run` records on the emulated bench, `leactl gap diagnose` understands: drives, wires and converter."""
 
 import json
 
