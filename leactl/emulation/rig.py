@@ -42,6 +42,7 @@ from leactl.errors import InputError
 SETUPS = ("free", "locked", "coupled", "heated")
 ROLES = ("test", "load")
 TOLERANCE = 1e-9  # of a margin, in its own unit
+LEAST_S = 1e-9  # rounding of the moments that a bench asks for; a shorter time changes nothing
 RESTART_LEVEL = 3  # 0.25 ms after every change
 MOST_IDLE = 8  # changes of regime at one moment
 FRESH_RESISTANCE = 0.002  # relative change after which the matrices are made anew
@@ -240,7 +241,7 @@ class Rig:
 
     def _march(self, duration: float) -> None:
         left = duration
-        while left > 1e-12:
+        while left > LEAST_S:
             rest = self._resistances
             point, rounded = self._point, self._regime.resistances
             point[14] = (rest[0] - rounded[0]) * point[0]

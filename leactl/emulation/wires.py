@@ -14,6 +14,7 @@ from leactl.driver.i2c_port import swapped
 from leactl.emulation.clock import EmulatedClock
 
 TICK_S = 1e-3
+STOPS_PER_S = 8000  # at most 0.125 ms late for a device, and few of the plant's own steps
 
 
 class CanWire:
@@ -99,7 +100,11 @@ class EmulatedI2cBus:
         self._clock = clock
         self.devices: dict[int, I2cEmulator] = {}
         clock.follow(self._pass_time)
-        clock.stop_at(lambda: min((device.due for device in self.devices.values()), default=math.inf))
+        clock.stop_at(self._due)
+
+    def _due(self) -> float:
+        due = min((device.due for device in self.devices.values()), default=math.inf)
+        return math.ceil(due * STOPS_PER_S) / STOPS_PER_S if due < math.inf else due
 
     def _pass_time(self, now: float) -> None:
         for device in self.devices.values():
