@@ -31,7 +31,11 @@ class EmulatedClock:
     def sleep_until(self, moment: float) -> None:
         """Let time pass up to the moment."""
         while moment > self._time:
-            until = min([moment, *(stop for due in self._stops if (stop := due()) > self._time)])
+            until = moment
+            for due in self._stops:
+                stop = due()
+                if self._time < stop < until:
+                    until = stop
             if self._wall is not None:
                 time.sleep(max(0.0, self._wall + until - time.monotonic()))
             self._time = until

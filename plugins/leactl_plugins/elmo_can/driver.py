@@ -51,6 +51,7 @@ class _Standing:
         self.started = False  # its node was told to start
         self.operational = False  # and has said since that it did
         self.most_per_mille = 0  # of its rated current that it lets flow
+        self.rows: list[Row] = []
         self.notices: list[str] = []
         self.quiet_until = -math.inf
 
@@ -85,11 +86,10 @@ class ElmoCan(Driver):
         self._heard = -math.inf
         self._fed = -math.inf
         self._asked = -math.inf
-        self._rows: list[Row] = []
         self._located = False  # the shaft's angle is known: no operation before that
         self._counts = 0  # of the encoder, going on where the drive's 32 bits go round
         self._standing = _Standing()
-        self._followed = (NAN, NAN, NAN)
+        self._followed = self._follows
         self.values = [NAN] * len(self.loop_channels)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
@@ -283,12 +283,14 @@ class ElmoCan(Driver):
         while not (fresh[0] and fresh[1]) and port.pump_before(deadline):
             pass
         mode, engaged = self._mode, self.engaged
-        values[:3] = self._followed  # what the drive sampled at the SYNC, it had done after the demand before it
-        self._followed = (
-            self._value * self._current_per_mille if mode in CURRENT_MODES else NAN,
-            self._value * self._angle_per_count if mode is VELOCITY else NAN,
-            self._value * self._angle_per_count if mode is ANGLE else NAN,
-        )
+        values[0], values[1], values[2] = self._followed  # until the SYNC at which the drive sampled
+        followed = self._followed = self._follows
+        if mode in CURRENT_MODES:
+            followed[0] = self._value * self._current_per_mille
+        elif mode is VELOCITY:
+            followed[1] = self._value * self._angle_per_count
+        elif mode is ANGLE:
+            followed[2] = self._value * self._angle_per_count
         if fresh[0]:
             values[6] = 1.0 if engaged else 0.0
         self._judge(engaged)
@@ -313,8 +315,11 @@ class ElmoCan(Driver):
 
     def take(self) -> list[Row]:
         """Bus voltages that have come in since the last call."""
-        rows, self._rows = self._rows, []
-        return rows
+        standing = self._standing
+        if not standing.rows:
+            return standing.rows
+        found, standing.rows = standing.rows, []
+        return found
 
     def reset_fault(self) -> None:
         """Reset a latched fault by the 0 -> 1 edge of bit 7 (CiA 402, transition 15: holding 0x80 never resets).
@@ -352,6 +357,7 @@ class ElmoCan(Driver):
 
     def _turn_to(self, mode: Mode) -> None:
         self._mode, self._mode_number, self._value = mode, MODES[mode], 0
+        self._follows = [NAN, NAN, NAN]  # current, velocity and angle that this mode's demands stand for
 
     # -- frames ------------------------------------------------------------------------------------------------------
 
@@ -391,7 +397,7 @@ class ElmoCan(Driver):
 
     def _on_sdo(self, data: bytearray, timestamp: float) -> None:
         if data[:4] == b"\x43\x79\x60\x00":
-            self._rows.append(
+            self._standing.rows.append(
                 Row(f"{self.name}_supply", self._clock.now(), (int.from_bytes(data[4:8], "little") * 1e-3,))
             )
         else:
