@@ -104,7 +104,17 @@ class FailingConverter(Ads1115Emulator):
 
     def __init__(self, clock_error: float = 0.0) -> None:
         self._volts = [0.0, 0.0, 0.0, 0.0]
-        super().__init__(lambda pin: self._volts[pin], clock_error=clock_error)
+        self._step = 0.0
+        super().__init__(self._pin, clock_error=clock_error)
+
+    def _pin(self, number: int) -> float:
+        if number == 0:
+            self._volts[0] += self._step
+        return self._volts[number]
+
+    def climb(self, volts: float) -> None:
+        """Have A0 go up by so much with every conversion."""
+        self._step = volts
         self._stalled = False
 
     def apply(self, *volts: float) -> None:
