@@ -106,6 +106,7 @@ class FailingConverter(Ads1115Emulator):
         self._volts = [0.0, 0.0, 0.0, 0.0]
         self._step = 0.0
         super().__init__(self._pin, clock_error=clock_error)
+        self._stalled = False
 
     def _pin(self, number: int) -> float:
         if number == 0:
@@ -115,7 +116,6 @@ class FailingConverter(Ads1115Emulator):
     def climb(self, volts: float) -> None:
         """Have A0 go up by so much with every conversion."""
         self._step = volts
-        self._stalled = False
 
     def apply(self, *volts: float) -> None:
         """Put these voltages at the pins from A0 on."""
