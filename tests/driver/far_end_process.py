@@ -28,8 +28,8 @@ class Requests:
         self._line = b""
 
     def stop(self):
-        """Answer what has come; true at the end of stdin."""
-        while select.select([sys.stdin], [], [], 0)[0]:
+        """Answer what has come, and let time pass before more is heard; true at the end of stdin."""
+        if select.select([sys.stdin], [], [], 0)[0]:
             read = os.read(sys.stdin.fileno(), 4096)
             if not read:
                 return True
