@@ -4,6 +4,7 @@ import json
 import signal
 import subprocess
 
+import can
 import h5py
 import numpy as np
 import pytest
@@ -14,8 +15,8 @@ from leactl.bench.benchfile import I2cBus
 from leactl.driver.far_end import I2cEmulator
 from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.emulated_bench import EmulatedBench
-from leactl.emulation.serving import stub_bus, stub_chips
-from leactl.emulation.wires import EmulatedI2cBus
+from leactl.emulation.serving import CanBridge, stub_bus, stub_chips
+from leactl.emulation.wires import CanWire, EmulatedI2cBus
 from leactl.errors import InputError
 from tests.cli.terminal import COMMAND
 from tests.driver.transports import CAN, I2C, can_place, i2c_place
@@ -130,3 +131,20 @@ def test_a_far_end_that_keeps_no_registers_is_not_put_behind_a_stub(monkeypatch)
     with pytest.raises(InputError, match="0x48 cannot stand behind i2c-stub"):
         stub_chips(file, bench)
     assert isinstance(file.buses["i2c1"], I2cBus)
+
+
+class Restless:
+    """A real bus on which a frame always waits."""
+
+    taken = 0
+
+    def recv(self, timeout=None):
+        assert self.taken < 10_000
+        self.taken += 1
+        return can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False)
+
+
+def test_a_host_that_never_pauses_does_not_hold_up_the_bench_s_time():
+    real = Restless()
+    CanBridge("here", real, CanWire(EmulatedClock())).carry()
+    assert real.taken > 0
