@@ -24,6 +24,7 @@ CALM = 5.0  # samples
 SWING_DAMPING = 0.03  # of critical, as shafts without a damper have it
 RINGS_S = 0.05  # how long a locked rotor may swing on its shaft
 STICKS, SLIDES = 0.5, 1.0  # swings, in its friction, that leave open where a rotor sticks, and how it slides
+STICKY = 0.01  # of the largest torque, friction below which it hardly matters where a rotor sticks
 SHARP = 0.7  # samples, smoothing of the current where friction sticks: enough that noise does not work the play
 
 
@@ -97,15 +98,15 @@ def settled(s: Signals, swing: float) -> Mask:
     """Samples at which it is known where a locked rotor sticks; all of them in any other set-up.
 
     A current that leaps sets the rotor swinging on its shaft, by `swing` times its friction or more, and where it
-    sticks after that depends on the last swing.
-    It is known again once the drive's torque has gone on by twice the friction from where it was least or most.
+    sticks after that depends on the last swing. It is known again once the drive's torque has gone on by twice the
+    friction from where it was least or most.
     """
     model, known = s.model, np.ones(len(s.time), bool)
     stiffness, inertia, friction = model.bench.shaft_stiffness, model.rotor_inertia, model.coulomb_friction or 0.0
     if s.mechanical != "locked" or s.current is None or not stiffness or not inertia or not model.torque_constant:
         return known
     force, rate = model.torque_constant * s.extra["sharp_current"], np.sqrt(stiffness / inertia)
-    if rate * s.interval > np.pi:
+    if rate * s.interval > np.pi or friction < STICKY * np.max(np.abs(force)):
         return known
     above, below, _ = cont2discrete(([rate**2], [1.0, 2.0 * SWING_DAMPING * rate, rate**2]), s.interval, "foh")
     swung = lfilter(above[0], below, force, zi=lfilter_zi(above[0], below) * force[0])[0]  # without friction

@@ -19,10 +19,10 @@ def test_a_rising_torque_loses_a_share_of_itself_and_a_falling_one_keeps_as_much
     assert hidden[-1] == pytest.approx(-hidden[499])
 
 
-def locked(current):
+def locked(current, **changes):
     """Signals of a locked run whose drive follows at once."""
     channel = {("q_axis_current", "test"): current}
-    return fast_signals(record("locked", current, len(current) * 1e-3, fast=channel), model(), None)
+    return fast_signals(record("locked", current, len(current) * 1e-3, fast=channel), model(**changes), None)
 
 
 def test_after_a_leap_it_is_open_where_a_rotor_sticks_until_its_torque_has_gone_on_by_twice_the_friction():
@@ -37,6 +37,12 @@ def test_after_a_leap_it_is_open_where_a_rotor_sticks_until_its_torque_has_gone_
 
 def test_a_slow_ramp_leaves_no_doubt_where_a_rotor_sticks():
     assert locked(np.linspace(0.0, 20.0, 2000)).settled.all()
+
+
+@pytest.mark.parametrize("friction", [0.0, 1e-4])
+def test_a_rotor_without_friction_to_speak_of_may_leap(friction):
+    current = np.concatenate([np.zeros(300), np.full(300, 8.0)])
+    assert locked(current, coulomb_friction=friction).settled.all()
 
 
 def test_a_small_leap_leaves_open_where_a_rotor_sticks_but_not_how_it_slides():
