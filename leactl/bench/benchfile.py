@@ -10,6 +10,8 @@ from leactl import yamlfile
 from leactl.driver import registry
 from leactl.driver.contract import DriverSettings
 from leactl.errors import InputError
+from leactl.model.motor import load_motor
+from leactl.model.nominal import BenchModel
 from leactl.quantities import UNITS
 from leactl.safety.limits import Limits
 
@@ -74,6 +76,7 @@ class BenchFile(BaseModel):
     buses: dict[Name, Annotated[CanBus | I2cBus, Field(discriminator="kind")]]
     devices: Annotated[dict[Name, Device], Field(min_length=1)]
     limits: Limits
+    response: BenchModel = BenchModel()  # of supply, sensors and loops, as far as they are known
     emulated: Emulated | None = None
 
     @model_validator(mode="after")
@@ -119,6 +122,14 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
     if faults:
         raise InputError(faults)
     return bench, usable, document
+
+
+def nominal_model(bench: BenchFile) -> str:
+    """What a bench file believes of its bench, as a model file: the test motor's own text, `response` as `bench:`."""
+    known = bench.response.model_dump(exclude_none=True)
+    block = "".join(f"  {name}: {value!r}\n" for name, value in known.items())
+    motor = load_motor(bench.motors["test"])[1].text.rstrip("\n")
+    return f"{motor}\nbench:\n{block}" if block else f"{motor}\n"
 
 
 def host_silences(devices: Sequence[CheckedDevice]) -> dict[str, float | None]:

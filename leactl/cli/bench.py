@@ -26,6 +26,14 @@ def show(bench: str) -> None:
 
 
 @app.command()
+def model(bench: str) -> None:
+    """Print the nominal model of a bench, the file that `leactl gap` takes as --model."""
+    from leactl.bench.benchfile import load, nominal_model
+
+    typer.echo(nominal_model(load(bench)[0]), nl=False)
+
+
+@app.command()
 def check(bench: str, as_json: bool = AS_JSON) -> None:
     """Check a bench file and every driver's settings in it, without touching a device."""
     from leactl.bench.benchfile import load

@@ -15,9 +15,10 @@ from leactl.gap.notes import gathered, questions
 from leactl.gap.parameters import calibrated, effect_parameters, with_calibration, with_effects
 from leactl.gap.record import Record, read_record
 from leactl.gap.regression import Candidate, Fit
-from leactl.gap.replay_servo import refitted
 from leactl.gap.search import Found, search
 from leactl.gap.separating import separating_experiment
+from leactl.gap.servo import answer as servo_answer
+from leactl.gap.servo.ladder import climb
 from leactl.gap.shrinkage import shrinkage
 from leactl.gap.where import profiles, where
 from leactl.model.nominal import Model, read_model
@@ -25,6 +26,7 @@ from leactl.model.nominal import Model, read_model
 NAMED = 0.01  # probability above which an effect stands among the causes
 EFFECT = 0.5  # probability above which the verdict is an effect
 CALIBRATED = 25.0  # weighted squares a parameter must gain for the verdict to be calibration
+RIG = ("drive_gain", "load_mass", "load_length", "load_arm_mass")  # by which runs of a protocol differ in kind
 Progress = Callable[[str], None]
 
 
@@ -68,12 +70,16 @@ def read_case(runs: Sequence[Path], held_out: Sequence[Path], model: Path) -> Ca
 
 
 def split(records: list[Record]) -> tuple[list[Record], list[Record]]:
-    """Hold out the last run of every kind that occurs twice."""
-    kinds: dict[tuple[str, str], list[Record]] = {}
+    """Hold out the last run of every kind that occurs twice; where none does, stretches of every run."""
+    kinds: dict[object, list[Record]] = {}
     for record in records:
-        kinds.setdefault((record.kind, record.mechanical), []).append(record)
+        rig = tuple(record.setup.get(name) for name in RIG)
+        kinds.setdefault((record.kind, record.mechanical, rig), []).append(record)
     held = [group[-1] for group in kinds.values() if len(group) > 1]
-    return [record for record in records if record not in held], held
+    if held:
+        return [record for record in records if record not in held], held
+    kept, taken = zip(*(record.parted() for record in records), strict=True)
+    return list(kept), list(taken)
 
 
 def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
@@ -102,6 +108,13 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     calibrated_alone = calibrated(evidence, alone)
     parameters = calibrated(evidence, evidence.settle(found.hypothesis))
     members = {item.finding.effect for item in judged}
+    if servo_answer.judged_by_runs(case.model):
+        progress("fitting free runs of the servo")
+        ladder = climb(case.fitted, case.held_out, case.model, found.hypothesis)
+        calibrated_alone = servo_answer.calibration(case.model, ladder.calibrated, {})
+        parameters = servo_answer.calibration(case.model, ladder.augmented, ladder.stds)
+        causes = servo_answer.causes(ladder, causes, case.fitted, with_calibration(case.model, parameters))
+        members |= {item.effect for item in ladder.standing}
     named = [
         (c.effect, {p.name: p.value for p in c.parameters})
         for c in causes
@@ -109,18 +122,14 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     ]
     tuned = with_calibration(case.model, calibrated_alone if named else parameters)
     augmented = with_effects(with_calibration(case.model, parameters), named) if named else tuned
-    if case.model.drive is not None and case.model.load.type == "pendulum":
-        # a position servo hides its torque: what a balance linearises there is fitted by simulation
-        tuned = refitted(case.fitted, tuned)
-        augmented = refitted(case.fitted, augmented) if named else tuned
     progress("simulating again")
     kinds = {(record.kind, record.mechanical) for record in case.held_out}
     replayed = [*case.held_out, *(r for r in case.fitted if (r.kind, r.mechanical) not in kinds)]
     shrunk = shrinkage(replayed, case.model, tuned, augmented)
     located = where(replayed, shrunk.channels)
     notes = gathered([*case.fitted, *case.held_out])
-    if not case.held_out:
-        notes += ("no run was held out: every kind occurs once, so the shrinkage is that of the fitted runs",)
+    if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
+        notes += ("no kind of run occurs twice: held out are a quarter of each run, in four stretches",)
     return Diagnosis(
         verdict(causes, surprise, evidence, found),
         surprise,

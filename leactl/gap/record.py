@@ -3,7 +3,7 @@
 A sample that is NaN in the file is bridged for the filters and left out of every row that it touches.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ BURSTS = (
     0.3  # of a run's time without samples, from which on its stamps come in bursts: a hold, then a step to the next
 )
 UNBRIDGED = 0.05
+STRETCHES, EVERY = 16, 4  # of a run, and which of them are taken out of it
 
 
 @dataclass
@@ -65,6 +66,21 @@ class Record:
     def name(self) -> str:
         """The file without its ending."""
         return self.path.stem
+
+    def parted(self) -> tuple["Record", "Record"]:
+        """The run as if every fourth of sixteen stretches had not been measured, and as if nothing else had been."""
+        clocks = [clock for clock in (self.fast, self.slow) if clock is not None]
+        first, last = min(clock.time[0] for clock in clocks), max(clock.time[-1] for clock in clocks)
+
+        def masked(clock: Clocked | None, out: bool) -> Clocked | None:
+            if clock is None:
+                return None
+            stretch = ((clock.time - first) / (last - first) * STRETCHES).astype(np.intp)
+            keep = (stretch % EVERY == EVERY // 2) == out
+            return replace(clock, valid={key: valid & keep for key, valid in clock.valid.items()})
+
+        kept, taken = (replace(self, fast=masked(self.fast, out), slow=masked(self.slow, out)) for out in (False, True))
+        return kept, taken
 
 
 def read_record(path: Path) -> Record:

@@ -2,8 +2,11 @@
 
 import pytest
 
+from leactl import yamlfile
 from leactl.bench import benchfile
 from leactl.errors import InputError
+from leactl.model.motor import load_motor
+from leactl.model.nominal import Model
 
 
 def text_of(name):
@@ -74,3 +77,15 @@ def test_one_address_on_two_buses_is_two_places(tmp_path):
 def test_an_unknown_bench_lists_the_known():
     with pytest.raises(InputError, match="known: emulated"):
         benchfile.load("emulatde")
+
+
+def test_the_nominal_model_is_the_motor_s_own_text_with_the_bench_around_it(tmp_path):
+    motor = tmp_path / "mine.yaml"
+    motor.write_text(load_motor("lea")[1].text.replace("torque_constant: 0.49 ", "torque_constant: 0.51 "))
+    bench = tmp_path / "bench.yaml"
+    bench.write_text(text_of("testbed").replace("{test: lea,", f"{{test: {motor},"))
+    text = benchfile.nominal_model(benchfile.load(str(bench))[0])
+    assert text.startswith(motor.read_text())
+    nominal = yamlfile.parse(text, "nominal.yaml").validate(Model)
+    assert (nominal.torque_constant, nominal.bench.bus_voltage) == (0.51, 29.6)
+    assert nominal.bench.shaft_stiffness is None

@@ -6,8 +6,9 @@ import pytest
 from leactl.errors import InputError
 from leactl.gap.equations import equations
 from leactl.gap.record import build
-from leactl.gap.replay_servo import mean_absolute_errors, refine, refitted, replay, servo_runs
 from leactl.gap.rig import creep_sense
+from leactl.gap.servo.runs import servo_runs
+from leactl.gap.servo.simulation import replay
 from leactl.model.nominal import Model
 from leactl.runfile.reader import Channel
 
@@ -85,34 +86,6 @@ def test_no_voltage_acts_while_a_servo_is_let_go(tmp_path):
     off = np.flatnonzero(record.fast.get("drive_enabled") < 0.5)[10:-10]
     assert np.all(equation.calibration["phase_resistance"][off] == 0.0)
     assert not equation.mask[off[0] - 11]  # the sample at which it is let go is left out
-
-
-def test_free_runs_give_a_servo_s_parameters_back(tmp_path):
-    truth = SERVO | {"load_dependent_friction.coefficient": 0.3, "reference_delay": 0.006}
-    runs = servo_runs(swung(tmp_path, **truth), servo_model())
-    start = truth | {"coulomb_friction": 0.02, "load_dependent_friction.coefficient": 0.1, "reference_delay": 0.001}
-    found, cost = refine(runs, start)
-    assert mean_absolute_errors(runs, found).max() < 1e-3
-    assert found["load_dependent_friction.coefficient"] == pytest.approx(0.3, abs=0.02)
-    assert found["reference_delay"] == pytest.approx(0.006, abs=5e-4)
-    assert cost < 1e-2
-
-
-def test_a_model_with_effects_is_fitted_by_simulation(tmp_path):
-    truth = {"load_dependent_friction.coefficient": 0.3, "saturation.loss": 1.5}
-    effects = [
-        {"effect": "load_dependent_friction", "parameters": {"coefficient": 0.2}},
-        {"effect": "saturation", "parameters": {"loss": 0.5, "exponent": 1.0}},
-        {"effect": "cogging", "parameters": {"amplitude": 0.0, "order": 9.0, "phase": 0.0}},
-    ]
-    records = swung(tmp_path, **truth | {"saturation.exponent": 1.0})
-    found = refitted(records, servo_model(effects=effects, phase_resistance=3.6))
-    load, saturation, cogging = (entry.parameters for entry in found.effects)
-    assert found.phase_resistance == pytest.approx(3.0, rel=0.03)
-    assert load["coefficient"] == pytest.approx(0.3, abs=0.02)
-    assert saturation["loss"] == pytest.approx(1.5, abs=0.2)
-    assert saturation["exponent"] == 1.0
-    assert cogging["order"] == 9.0
 
 
 def test_a_run_without_a_servo_cannot_be_simulated_as_one(tmp_path):

@@ -127,3 +127,30 @@ def test_what_is_noted_of_several_runs_alike_is_said_once_and_what_may_rest_is_n
         "a.h5 and 2 more: bus_voltage of test never changes; is the channel alive?",
         "a.h5 and 2 more: q_axis_voltage of test has 0 samples; left out",
     )
+
+
+def test_where_no_kind_of_run_occurs_twice_stretches_are_held_out():
+    def run(name, **setup):
+        channels = [channel("angle", np.arange(200) * 0.01), channel("q_axis_current", np.arange(200) * 0.02)]
+        return build(Path(f"{name}.h5"), "spin", "free", channels, setup)
+
+    kept, taken = split([run("a", drive_gain=1.0), run("b", drive_gain=2.0)])
+    assert [record.name for record in kept] == [record.name for record in taken] == ["a", "b"]
+    for one, other in zip(kept, taken, strict=True):
+        left, right = (record.fast.all_valid(("angle", "test")) for record in (one, other))
+        assert np.all(left ^ right)
+        assert right.sum() == 50
+        assert np.count_nonzero(np.diff(right.astype(int)) == 1) == 4
+    assert [record.name for record in split([run("a", drive_gain=1.0), run("b", drive_gain=1.0)])[1]] == ["b"]
+
+
+def test_a_bench_with_one_run_of_each_kind_is_diagnosed_all_the_same(benches):
+    folder = cases(benches, "none")[0]
+    runs = sorted({path.name.rsplit("-", 1)[0]: path for path in folder.glob("*.h5")}.values())
+    found = diagnose(read_case(runs, [], model(folder)))
+    assert not [cause for cause in found.causes if cause.probability >= 0.5]
+    assert any("held out are a quarter" in note for note in found.notes)
+    turning = [line for line in found.shrinkage if line.mechanical == "free"]
+    assert len(turning) >= 3
+    for line in turning:
+        assert line.calibrated_rms < 1.5 * line.floor_rms, line

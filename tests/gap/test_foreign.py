@@ -13,13 +13,14 @@ from leactl.gap.evidence import PRIORS
 from leactl.gap.orders import strongest
 from leactl.gap.record import read_record
 from leactl.gap.regression import Normal, TermsOf, make_rows, residuals, stack
-from leactl.gap.replay_servo import mean_absolute_errors, refine, servo_runs
+from leactl.gap.servo.ladder import climb
+from leactl.gap.servo.runs import servo_runs
+from leactl.gap.servo.simulation import mean_absolute_errors
 from leactl.model.nominal import read_model
 from leactl.runfile.importing import import_runs
 from leactl.runfile.reader import Run
 
 FILES = Path(__file__).parent / "foreign"
-LOAD, STRIBECK = "load_dependent_friction.coefficient", "stribeck.breakaway_ratio"
 NO_PRIORS = dict.fromkeys(PRIORS, np.inf)
 
 
@@ -117,27 +118,30 @@ def test_xl330_friction_grows_with_load(tmp_path, folder):
 @pytest.mark.long
 def test_xl330_free_runs_at_a_gain_left_out(tmp_path):
     model = nominal("bam_xl330")
-    runs = servo_runs([read_record(file) for file in imported("bam_xl330", "processed/*.json", tmp_path)], model)
-    own = ("torque_constant", "phase_resistance", "rotor_inertia", "viscous_damping", "coulomb_friction")
-    start = {name: getattr(model, name) for name in own} | {"load_zero": 0.0, "reference_delay": 0.005}
-    errors = []
-    for gain in np.unique(runs.gain):
-        held_out, others = runs.picked(runs.gain == gain), runs.picked(runs.gain != gain)
-        calibrated, _ = refine(others, start)
-        loaded, _ = refine(others, calibrated | {LOAD: 0.1, "coulomb_friction": 0.005})
-        saturated, _ = refine(others, loaded | {"saturation.loss": 0.5, "saturation.exponent": 1.0})
-        alone, both = (
-            min((refine(others, base | with_stribeck(speed)) for speed in (0.1, 0.5)), key=lambda found: found[1])[0]
-            for base in (calibrated, loaded)
-        )
-        tried = (calibrated, alone, loaded, both, saturated)
-        errors.append([mean_absolute_errors(held_out, found).mean() for found in tried])
-    calibrated, alone, loaded, both, saturated = np.mean(errors, axis=0)
-    assert both <= 0.048
-    assert loaded < 0.8 * calibrated
-    assert alone > 0.95 * calibrated  # Stribeck friction by itself gains nothing
-    assert saturated <= 0.040  # the motor's torque falls short at high current besides
+    records = [read_record(file) for file in imported("bam_xl330", "processed/*.json", tmp_path)]
+    errors, standing = [], []
+    for gain in sorted({record.setup["drive_gain"] for record in records}):
+        others = [record for record in records if record.setup["drive_gain"] != gain]
+        left_out = [record for record in records if record.setup["drive_gain"] == gain]
+        found = climb(others, left_out, model, [])
+        tried = (found.calibrated, found.augmented)
+        errors.append([mean_absolute_errors(servo_runs(left_out, model), one.parameters).mean() for one in tried])
+        standing.append({item.effect for item in found.standing if item.probability > 0.5})
+    calibrated, augmented = np.mean(errors, axis=0)
+    assert augmented <= 0.040
+    assert augmented < 0.65 * calibrated
+    assert all({"load_dependent_friction", "saturation"} <= names for names in standing)
 
 
-def with_stribeck(speed):
-    return {STRIBECK: 0.03, "stribeck.stribeck_velocity": speed}
+def test_xl330_friction_falls_with_speed_where_it_grows_with_load(tmp_path):
+    records = [read_record(file) for file in imported("bam_xl330", "processed/*.json", tmp_path)]
+    found = climb(records, [], nominal("bam_xl330"), [("position_dependent_friction", (7.0,))])
+    assert {item.effect: item.probability > 0.9 for item in found.standing} == {
+        "load_dependent_friction": True,
+        "saturation": True,
+        "stribeck": True,
+    }
+    together = found.sets[frozenset({"load_dependent_friction", "saturation"})].cost / found.augmented.cost
+    alone = found.sets[frozenset()].cost / found.sets[frozenset({"stribeck"})].cost
+    assert together > 1.3
+    assert alone < 1.05  # Stribeck friction by itself gains nothing

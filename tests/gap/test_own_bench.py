@@ -4,10 +4,13 @@ import json
 
 import pytest
 
+from leactl import yamlfile
 from leactl.bench import benchfile
 from leactl.emulation.parameters import BenchParameters
+from leactl.model.motor import load_motor
+from leactl.model.nominal import Model
 from tests.cli.terminal import leactl
-from tests.gap.synthetic import BENCH, model
+from tests.gap.synthetic import BENCH
 
 PROTOCOLS = (("separate-by-grid", ()), ("separate-drive-timing", ("--set", "repeats=1")))
 
@@ -22,7 +25,7 @@ def diagnose(tmp_path_factory):
         entry = f"  effects: [{{effect: {effect[0]}, parameters: {json.dumps(effect[1])}}}]\n" if effect else ""
         bench.write_text((benchfile.SHIPPED / "emulated.yaml").read_text() + entry)
         nominal = here / "nominal.yaml"
-        nominal.write_text(model().model_dump_json(exclude_none=True, exclude={"effects"}))
+        nominal.write_text(leactl("bench", "model", "emulated").stdout)
         runs = []
         for protocol, settings in PROTOCOLS:
             for seed in (1, 2):
@@ -37,9 +40,12 @@ def diagnose(tmp_path_factory):
     return answer
 
 
-def test_the_model_of_these_tests_is_the_bench_s():
+def test_the_model_of_the_emulated_bench_is_what_the_bench_is_made_of():
+    nominal = yamlfile.parse(leactl("bench", "model", "emulated").stdout, "nominal.yaml").validate(Model)
     bench = BenchParameters()
-    assert {name: getattr(bench, name) for name in BENCH} == BENCH
+    known = nominal.bench.model_dump()
+    assert known == {name: getattr(bench, name) for name in known} == BENCH
+    assert nominal.torque_constant == load_motor("lea")[0].torque_constant
 
 
 def test_a_bench_as_its_model_says_has_no_cause(diagnose):

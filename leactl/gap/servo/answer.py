@@ -1,0 +1,91 @@
+"""A ladder put into the words of a diagnosis."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from leactl.gap.diagnosis import CalibratedParameter, Cause, EffectParameter
+from leactl.gap.judge import UNCONFIRMED
+from leactl.gap.parameters import LEAST_MODEL_ERROR, UNITS, with_effects
+from leactl.gap.record import Record
+from leactl.gap.replay import replay_all
+from leactl.gap.replay.job import Job
+from leactl.gap.replay.plants import plant_of
+from leactl.gap.servo.fit import Fitted
+from leactl.gap.servo.ladder import OWN, Ladder
+from leactl.gap.servo.simulation import SCALES
+from leactl.model.nominal import Model
+from leactl.vocabulary.effect import effect_definition
+
+SIMULATED = {name.partition(".")[0] for name in SCALES if "." in name}
+"""Effects that a servo's simulation knows."""
+CLOSER = 0.95  # of the squared distance without it, that an effect of the balance must bring a free run to
+
+
+def judged_by_runs(model: Model) -> bool:
+    """Whether a model is of a pendulum on a position servo, whose torque no channel shows."""
+    return model.drive is not None and model.load.type == "pendulum"
+
+
+def causes(
+    ladder: Ladder, balanced: Sequence[Cause], records: Sequence[Record], calibrated: Model
+) -> tuple[Cause, ...]:
+    """What stands in free runs, beside what a balance of torques found of effects that no servo's simulation knows.
+
+    The torque of that balance is the model's own: what it finds must bring a free run closer, or is no more than odd.
+    """
+    standing = [
+        Cause(item.effect, item.probability, item.share, parameters(item.effect, item.parameters))
+        for item in ladder.standing
+    ]
+    named = [_entry(cause) for cause in standing if cause.probability >= 0.5]
+    others = [cause for cause in balanced if cause.effect not in SIMULATED]
+    if others:
+        alone, *with_each = distances(
+            records, [with_effects(calibrated, [*named, *more]) for more in [[], *([_entry(c)] for c in others)]]
+        )
+        others = [
+            cause if closer < CLOSER * alone else replace(cause, probability=cause.probability * UNCONFIRMED)
+            for cause, closer in zip(others, with_each, strict=True)
+        ]
+    return tuple(sorted([*standing, *others], key=lambda cause: -cause.probability))
+
+
+def distances(records: Sequence[Record], models: Sequence[Model]) -> list[float]:
+    """Mean squares of the angle's error in free runs, for each model."""
+    jobs = [[Job(record, plant_of(model)) for record in records] for model in models]
+    replay_all([job for own in jobs for job in own])
+    found = []
+    for own in jobs:
+        pairs = [(job.fast["angle", "test"], job.clock) for job in own if ("angle", "test") in job.fast]
+        wrong = np.concatenate(
+            [(angle - clock.values["angle", "test"])[clock.all_valid(("angle", "test"))] for angle, clock in pairs]
+        )
+        found.append(float(np.nanmean(wrong**2)))
+    return found
+
+
+def _entry(cause: Cause) -> tuple[str, dict[str, float]]:
+    return cause.effect, {parameter.name: parameter.value for parameter in cause.parameters}
+
+
+def parameters(effect: str, found: Mapping[str, tuple[float, float]]) -> tuple[EffectParameter, ...]:
+    """Parameters of an effect with the units of its definition."""
+    units = effect_definition(effect).parameters
+    return tuple(EffectParameter(name, value, std, units[name].units) for name, (value, std) in found.items())
+
+
+def calibration(model: Model, fitted: Fitted, stds: Mapping[str, float]) -> tuple[CalibratedParameter, ...]:
+    """The nominal model's parameters as free runs have them."""
+    found = []
+    for name in OWN:
+        nominal, value = getattr(model, name), fitted.parameters[name]
+        if nominal is None:
+            continue
+        std = max(stds.get(name, 0.0), LEAST_MODEL_ERROR * abs(value))
+        found.append(CalibratedParameter(name, nominal, value, std, UNITS[name]))
+        if name == "torque_constant" and model.back_emf_constant is not None:
+            other = "back_emf_constant"
+            found.append(CalibratedParameter(other, model.back_emf_constant, value, std, UNITS[other]))
+    return tuple(found)
