@@ -112,9 +112,11 @@ def make_blind(
     """Draw benches with unknown departures from their nominal model, and write their runs, the key apart from them."""
     from leactl.emulation.blind.draws import KINDS
     from leactl.emulation.blind.make import make
+    from leactl.report.steps import Steps
 
     key_dir = key or out.with_name(f"{out.name}-key")
-    digest = make(cases, out, key_dir, seed=seed, kinds=kinds or KINDS)
+    with Steps() as step:
+        digest = make(cases, out, key_dir, seed=seed, kinds=kinds or KINDS, progress=step)
     if as_json:
         typer.echo(json.dumps({"cases": cases, "out": str(out), "key": str(key_dir), "key_sha256": digest}))
         return
@@ -131,7 +133,7 @@ def score_blind(
     as_json: bool = AS_JSON,
 ) -> None:
     """Diagnose every case, then open the key and say how often the diagnosis was right; a stop keeps what is done."""
-    from leactl.emulation.blind.key import read_key
+    from leactl.emulation.blind.key import read_key, require_whole
     from leactl.gap.blind.check import check
     from leactl.gap.blind.score import score
     from leactl.report.blind import as_json as document
@@ -141,6 +143,7 @@ def score_blind(
 
     if out is not None:
         refuse_existing(out)
+    require_whole(cases)
     beside = answers or cases.with_name(f"{cases.name}-answers")
     with Steps() as step:
         marks = check(cases, beside, lambda: read_key(key, cases), processes, step)

@@ -8,6 +8,8 @@ from leactl.effects.contract import Effect, Form, Signals, Terms
 from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
+LEAST = 0.05
+
 
 class EmissivityBias(Effect):
     """A camera that reads a fixed fraction of the rise."""
@@ -33,8 +35,8 @@ class EmissivityBias(Effect):
         return terms
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Fraction."""
-        return {"fraction": 1.0 + found["excess"]}
+        """Fraction; the columns are made of the rise that the camera reads, a fraction of the true one."""
+        return {"fraction": 1.0 / max(1.0 - found["excess"], LEAST)}
 
     def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
         """Relative error."""

@@ -129,7 +129,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     located = where(replayed, shrunk.channels)
     notes = gathered([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
-        notes += ("no kind of run occurs twice: held out are a quarter of each run, in four stretches",)
+        notes += ("no kind of run occurs twice: held out are two sixteenths of each run",)
     return Diagnosis(
         verdict(causes, surprise, evidence, found),
         surprise,
@@ -170,7 +170,8 @@ def causes_of(evidence: Evidence, found: Found, judged: Sequence[Judged]) -> tup
             peers = tuple(sorted({item.finding.effect, *item.peers} - {rival.effect})) if together > probability else ()
             causes[rival.effect] = Cause(rival.effect, together, 0.0, parameters, peers)
     members = {item.finding.effect for item in judged}
-    return tuple(sorted(causes.values(), key=lambda c: (-c.probability, c.effect not in members)))
+    # what is sure beyond a hundredth ranks by how much of the gap it takes
+    return tuple(sorted(causes.values(), key=lambda c: (-round(c.probability, 2), c.effect not in members, -c.share)))
 
 
 def alone(evidence: Evidence, others: list[Candidate], candidate: Candidate) -> tuple[EffectParameter, ...]:

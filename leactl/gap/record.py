@@ -22,7 +22,7 @@ BURSTS = (
     0.3  # of a run's time without samples, from which on its stamps come in bursts: a hold, then a step to the next
 )
 UNBRIDGED = 0.05
-STRETCHES, EVERY = 16, 4  # of a run, and which of them are taken out of it
+STRETCHES, EVERY = 16, 8  # of a run, and which of them are taken out of it
 
 
 @dataclass
@@ -68,7 +68,7 @@ class Record:
         return self.path.stem
 
     def parted(self) -> tuple["Record", "Record"]:
-        """The run as if every fourth of sixteen stretches had not been measured, and as if nothing else had been."""
+        """The run as if every eighth of sixteen stretches had not been measured, and as if nothing else had been."""
         clocks = [clock for clock in (self.fast, self.slow) if clock is not None]
         first, last = min(clock.time[0] for clock in clocks), max(clock.time[-1] for clock in clocks)
 

@@ -61,6 +61,8 @@ def complete(record: Record, s: Signals) -> None:
     servo = drive_of(record, model)
     if servo is not None and s.current is None and s.velocity is not None:
         servo_current(clock, servo, s)
+    if s.current is None and (told := logged_torque(clock, model)) is not None:
+        s.extra["told"] = told
     if model.load.type != "none" and s.current is not None and model.torque_constant is not None:
         # a gear rubs with the torque that its motor puts in; let go, a pendulum swings with bearing friction alone
         s.torque = model.torque_constant * s.current

@@ -167,7 +167,11 @@ def shortlist(evidence: Evidence, hypothesis: Sequence[Candidate]) -> list[Candi
         ranked = [
             item.candidate
             for item in best_of_each(evidence, normal, hypothesis)
-            if item.height > ENTRY and item.gain > miss * shared_with(evidence, item.candidate, explained)
+            if item.height > ENTRY
+            and (
+                item.gain > miss * shared_with(evidence, item.candidate, explained)
+                or elsewhere(normal, fit, normal.fit([*hypothesis, item.candidate]), explained, miss) > ENTRY**2
+            )
         ]
         listed += [candidate for candidate in ranked[:SHORTLIST] if candidate not in listed]
     return listed
@@ -181,6 +185,17 @@ def explained_by_rows(normal: Normal, fit: Fit, calibrated: Fit) -> list[float]:
         before, after = normal.residual(calibrated, index), normal.residual(fit, index)
         found.append(count * max(before**2 - after**2, 0.0))
     return found
+
+
+def elsewhere(normal: Normal, fit: Fit, more: Fit, explained: Sequence[float], miss: float) -> float:
+    """Misfit that a larger set takes away, of rows and of priors, but for what the set's own forms may miss."""
+    total = fit.misfit - more.misfit
+    for index, rows in enumerate(normal.stack.rows):
+        count = normal.weights[index] * len(rows.left_over)
+        gained = count * (normal.residual(fit, index) ** 2 - normal.residual(more, index) ** 2)
+        allowed = miss * explained[index]
+        total -= min(max(gained, -allowed), allowed)
+    return total
 
 
 def shared_with(evidence: Evidence, candidate: Candidate, explained: Sequence[float]) -> float:

@@ -8,18 +8,23 @@ sharp one.
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from leactl.effects.contract import Signals
 from leactl.effects.shapes import play
 from leactl.gap.record import Clocked, Record
 from leactl.gap.smoothing import middle, slope, smooth
+from leactl.model.motor import Thermal
 from leactl.model.nominal import Model
 from leactl.model.thermal_network import ThermalNetwork
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 SLOW_SMOOTHING_S = 1.0
+REST_S = 6.0  # smoothing of what no network explains of a temperature
+LOOSELY = 1.0  # K that a parameter of the network may cost where a run does not show it, per e-fold
+FOLLOWED = 8  # rounds at most
 CALM = 5.0  # samples
 SWING_DAMPING = 0.03  # of critical, as shafts without a damper have it
 RINGS_S = 0.05  # how long a locked rotor may swing on its shaft
@@ -173,14 +178,32 @@ def slow_signals(record: Record, model: Model) -> Signals | None:
         s.winding_rise = s.winding - model.reference_temperature
         joule(record, s)
         heat = s.extra.get("heat")
-        if heat is not None and s.housing is not None and s.ambient is not None and model.thermal is not None:
-            # a winding heats by kelvins a second: smooth what the network does not explain, not the temperature
-            network = ThermalNetwork(model.thermal, clock.interval)
-            driven = network.temperatures(heat, s.ambient, (float(s.winding[0]), float(s.housing[0])))
-            s.winding = driven[0] + smooth(winding - driven[0], width)
+        if heat is not None and housing is not None and s.ambient is not None and model.thermal is not None:
+            # what a column is made of must not carry the camera's noise, which is in the left-over as well
+            measured = np.stack([winding, housing])
+            driven = following(model.thermal, clock.interval, heat, s.ambient, measured)
+            s.winding, s.housing = driven + np.stack(
+                [smooth(one, REST_S / clock.interval) for one in measured - driven]
+            )
         s.winding_rise = s.winding - model.reference_temperature
     s.housing_rise = s.housing - model.reference_temperature if s.housing is not None else None
     return s
+
+
+def following(thermal: Thermal, interval: float, heat: Array, ambient: Array, measured: Array) -> Array:
+    """Temperatures [degC] of the network that follows a run best, whatever its parameters."""
+    names = list(Thermal.model_fields)
+    nominal = np.array([getattr(thermal, name) for name in names])
+
+    def driven(point: Array) -> Array:
+        changed = Thermal(**dict(zip(names, (nominal * np.exp(point[2:])).tolist(), strict=True)))
+        return ThermalNetwork(changed, interval).temperatures(heat, ambient, (float(point[0]), float(point[1])))
+
+    def left(point: Array) -> Array:
+        return np.concatenate([(driven(point) - measured).ravel(), LOOSELY * point[2:]])
+
+    begin = np.concatenate([measured[:, 0], np.zeros(len(names))])
+    return driven(least_squares(left, begin, method="lm", max_nfev=FOLLOWED * (len(begin) + 1)).x)
 
 
 def motion(record: Record, s: Signals, stamps: Array) -> None:

@@ -197,7 +197,7 @@ def test_an_effect_that_the_model_has_already_is_kept(case, tmp_path):
     assert done.stdout.isascii()
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert done.stdout.startswith("verdict: ")
-    assert "held out are a quarter of each run" in " ".join(done.stdout.split())
+    assert "held out are two sixteenths of each run" in " ".join(done.stdout.split())
 
 
 def test_all_faults_are_told_at_once(case, tmp_path):

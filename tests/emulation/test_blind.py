@@ -159,3 +159,4 @@ def test_command_makes_cases_and_prints_json(tmp_path, short):
     printed = json.loads(result.stdout)
     assert printed["cases"] == 2
     assert (tmp_path / "cases-key" / "key.json").is_file()
+    assert "0 of 2 cases made" in result.stderr

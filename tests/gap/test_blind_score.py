@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -80,6 +81,16 @@ def test_a_key_of_other_runs_is_an_error_after_the_answers(cases, scored, tmp_pa
     assert isinstance(result.exception, InputError)
     assert result.exception.exit_status == 2
     assert "not the key of these runs" in str(result.exception)
+
+
+def test_cases_that_are_still_being_made_are_refused_before_any_is_diagnosed(cases, tmp_path):
+    half = tmp_path / "cases"
+    shutil.copytree(cases / "cases", half)
+    (half / "key.sha256").unlink()
+    result = CliRunner().invoke(app, ["gap", "blind", "score", "--cases", str(half), "--key", str(cases / "key")])
+    assert isinstance(result.exception, InputError)
+    assert "once every case is made" in str(result.exception)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["cases"]
 
 
 def test_a_key_is_opened_after_the_last_answer_only(tmp_path, monkeypatch):

@@ -139,8 +139,8 @@ def test_where_no_kind_of_run_occurs_twice_stretches_are_held_out():
     for one, other in zip(kept, taken, strict=True):
         left, right = (record.fast.all_valid(("angle", "test")) for record in (one, other))
         assert np.all(left ^ right)
-        assert right.sum() == 50
-        assert np.count_nonzero(np.diff(right.astype(int)) == 1) == 4
+        assert right.sum() == 25
+        assert np.count_nonzero(np.diff(right.astype(int)) == 1) == 2
     assert [record.name for record in split([run("a", drive_gain=1.0), run("b", drive_gain=1.0)])[1]] == ["b"]
 
 
@@ -149,7 +149,7 @@ def test_a_bench_with_one_run_of_each_kind_is_diagnosed_all_the_same(benches):
     runs = sorted({path.name.rsplit("-", 1)[0]: path for path in folder.glob("*.h5")}.values())
     found = diagnose(read_case(runs, [], model(folder)))
     assert not [cause for cause in found.causes if cause.probability >= 0.5]
-    assert any("held out are a quarter" in note for note in found.notes)
+    assert any("held out are two sixteenths" in note for note in found.notes)
     turning = [line for line in found.shrinkage if line.mechanical == "free"]
     assert len(turning) >= 3
     for line in turning:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from leactl.gap.diagnose import diagnose, read_case
 from leactl.gap.equations import equations
 from leactl.gap.evidence import PRIORS
 from leactl.gap.orders import strongest
@@ -16,6 +17,7 @@ from leactl.gap.regression import Normal, TermsOf, make_rows, residuals, stack
 from leactl.gap.servo.ladder import climb
 from leactl.gap.servo.runs import servo_runs
 from leactl.gap.servo.simulation import mean_absolute_errors
+from leactl.gap.smoothing import thinned
 from leactl.model.nominal import read_model
 from leactl.runfile.importing import import_runs
 from leactl.runfile.reader import Run
@@ -69,6 +71,26 @@ def test_emps_has_its_published_parameters(tmp_path):
     left = residuals(normal.stack, fit, 0)
     whole = rows.left_over + sum(column for name, column in rows.columns.items() if name[0] == "calibration")
     assert np.linalg.norm(left) / np.linalg.norm(whole) == pytest.approx(0.04, abs=0.005)
+
+
+def test_emps_is_diagnosed_with_its_offset_as_one_class(tmp_path):
+    (file,) = imported("emps", "*.mat", tmp_path)
+    found = diagnose(read_case([file], [], FILES / "emps_model.yaml"))
+    assert [c.effect for c in found.causes if c.probability > 0.5 and not c.indistinguishable_from] == []
+    assert {c.effect for c in found.causes} == {"asymmetric_friction", "current_sensor_offset"}
+    assert {found.causes[0].effect, *found.causes[0].indistinguishable_from} == {c.effect for c in found.causes}
+    offset = next(c for c in found.causes if c.effect == "current_sensor_offset").parameters[0]
+    assert offset.value == pytest.approx(-3.1648, abs=0.4)
+    relative = {line.parameter: line.fitted / line.nominal - 1.0 for line in found.calibration}
+    assert abs(relative["rotor_inertia"]) < 0.01
+    (equation,) = equations(read_record(file), nominal("emps"))
+    columns = equation.calibration | {"offset": np.ones_like(equation.left_over)}
+    changes = relative | {"offset": offset.value}
+    force = equation.left_over + sum(equation.calibration.values())
+    left = equation.left_over - sum(change * columns[name] for name, change in changes.items())
+    table = thinned(np.stack([left, force], axis=1), equation.width, equation.step)
+    moving = thinned(equation.mask.astype(float), equation.width, equation.step) > 0.999
+    assert np.linalg.norm(table[moving, 0]) <= 0.040 * np.linalg.norm(table[moving, 1])
 
 
 def test_laas_cogging_is_found_on_one_half_and_holds_on_the_other(tmp_path):

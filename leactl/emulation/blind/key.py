@@ -34,6 +34,17 @@ def write_key(key_dir: Path, out: Path, cases: Sequence[Case], seed: int, salt: 
     return digest
 
 
+def require_whole(out: Path) -> None:
+    """Refuse a folder whose cases are still being made: the key's hash is what is written last.
+
+    Raises
+    ------
+    InputError : there is no hash.
+    """
+    if not (out / HASH_NAME).is_file():
+        raise InputError(f"{out / HASH_NAME}: not there; `leactl gap blind make` writes it once every case is made")
+
+
 def read_key(key_dir: Path, out: Path) -> dict[str, Any]:
     """Read the key after checking it against the hash beside the runs.
 

@@ -1,7 +1,8 @@
 """Make cases: draw them, run all their benches side by side, write runs and key."""
 
 import secrets
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ def make(
     effects: Sequence[str] | None = None,
     strengths: Sequence[str] = tuple(STRENGTHS),
     prefix: str = "case",
+    progress: Callable[[str], None] = lambda _: None,
 ) -> str:
     """Make cases under `out`, each in a folder of its own, and their key in `key_dir`; gives the key's hash.
 
@@ -50,7 +52,10 @@ def make(
     digits = max(3, len(str(count)))
     cases: list[Case] = []
     out.mkdir(parents=True, exist_ok=True)
+    began = time.monotonic()
     for start in range(0, count, AT_ONCE):
+        left = f", about {(time.monotonic() - began) / start * (count - start) / 60:.1f} min left" if start else ""
+        progress(f"{start} of {count} cases made{left}")
         batch = [
             draw_case(np.random.default_rng([number, 1, k]), f"{prefix}-{k + 1:0{digits}d}", *plans[k])
             for k in range(start, min(start + AT_ONCE, count))

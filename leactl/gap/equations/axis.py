@@ -6,7 +6,7 @@ import numpy.typing as npt
 from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import Equation, Place
 from leactl.gap.record import Record
-from leactl.gap.rig import drive_of, in_motion, level_torque, load_inertia, load_of, logged_torque
+from leactl.gap.rig import drive_of, in_motion, level_torque, load_inertia, load_of
 from leactl.gap.smoothing import slope, smooth
 
 Array = npt.NDArray[np.float64]
@@ -25,7 +25,7 @@ def axis(record: Record, s: Signals) -> Equation | None:
     if model.rotor_inertia is None or (s.mechanical == "coupled" and model.load.type == "none"):
         return None
     load, servo = load_of(record, model), drive_of(record, model)
-    driven = drive(record, s)
+    driven = drive(s)
     if driven is None or not (servo or s.current is None or load.type != "none" or "creep" in s.extra):
         return None
     torque, calibration, places = driven
@@ -71,16 +71,18 @@ def axis(record: Record, s: Signals) -> Equation | None:
 _DRIVES = ("q_axis_current", "q_axis_current_reference", "torque_reference", "angle_reference", "drive_enabled")
 
 
-def drive(record: Record, s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None:
+def drive(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None:
     """Torque of the drive, its parameters' columns and the places of effects on it.
 
     A logged force is taken as it is: only its ratio to mass and friction shows, so that its gain stays as it was set.
     """
-    model, clock = s.model, record.fast
-    assert clock is not None
+    model = s.model
     if s.current is None:
-        logged = logged_torque(clock, model)
-        return None if logged is None else (logged, {}, {"torque_factor": lambda c: -logged * c})
+        logged = s.extra.get("told")
+        if logged is None:
+            return None
+        scale = model.torque_constant or 1.0  # a logged force is its own current
+        return logged, {}, {"torque_factor": lambda c: -logged * c, "current_reading": lambda c: scale * c}
     constant = model.torque_constant
     if constant is None:
         return None

@@ -30,14 +30,15 @@ def temperatures(record: Record, s: Signals) -> list[Equation]:
     ha = thermal.housing_ambient_resistance
     none = np.zeros_like(heat)
     driven = network.temperatures(heat, ambient, (float(winding[0]), float(housing[0])))
-    to_ambient, to_housing, away = (winding - ambient) / wa, (winding - housing) / wh, (housing - ambient) / ha
-    stored = np.gradient(winding, s.interval), np.gradient(housing, s.interval)
+    flows = (winding - ambient) / wa, (winding - housing) / wh, (housing - ambient) / ha
+    to_ambient, to_housing, away = (onwards(flow) for flow in flows)
+    in_winding, in_housing = (np.diff(node, append=node[-1]) / s.interval for node in (winding, housing))
     columns = {
         "thermal.winding_ambient_resistance": network.answer(to_ambient, none),
         "thermal.winding_housing_resistance": network.answer(to_housing, -to_housing),
         "thermal.housing_ambient_resistance": network.answer(none, away),
-        "thermal.winding_capacitance": network.answer(-thermal.winding_capacitance * stored[0], none),
-        "thermal.housing_capacitance": network.answer(none, -thermal.housing_capacitance * stored[1]),
+        "thermal.winding_capacitance": network.answer(-thermal.winding_capacitance * in_winding, none),
+        "thermal.housing_capacitance": network.answer(none, -thermal.housing_capacitance * in_housing),
         "ambient_offset": network.answer(none + 1 / wa, none + 1 / ha),
     }
     begun = {
@@ -46,7 +47,10 @@ def temperatures(record: Record, s: Signals) -> list[Equation]:
     }
     if record.mechanical != "heated":
         columns["phase_resistance"] = network.answer(heat, none)
-    rises = np.stack([winding - ambient, housing - ambient])
+    # the rises as the columns have them: a camera that reads a fraction of them scales the network, and no more
+    heated = thermal.winding_capacitance * in_winding + to_ambient + to_housing
+    warmed = thermal.housing_capacitance * in_housing + away - to_housing
+    rises = network.answer(heated, warmed, (float(winding[0] - ambient[0]), float(housing[0] - ambient[0])))
     found = []
     for node, name in enumerate(("winding", "housing")):
         key = (f"{name}_temperature", "test")
@@ -67,6 +71,11 @@ def temperatures(record: Record, s: Signals) -> list[Equation]:
             )
         )
     return found
+
+
+def onwards(values: Array) -> Array:
+    """Means over the interval that begins at each sample, over which the network holds its heat."""
+    return np.concatenate([0.5 * (values[1:] + values[:-1]), values[-1:]])
 
 
 def _places(network: ThermalNetwork, node: int, rise: Array) -> dict[str, Place]:

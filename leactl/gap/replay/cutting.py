@@ -104,6 +104,7 @@ def drive_torque(job: Job, magnets: Array) -> Array:
     if job.current is None or constant is None:
         logged = logged_torque(job)
         assert logged is not None
+        logged = logged - (constant or 1.0) * job.plant.current_offset  # a drive's force that is told shares its zero
         return np.append(logged[:1], np.repeat(logged[1:], job.parts))
     torque = constant * spread(magnets, job.parts) * job.current
     for saturates in job.plant.torque_share:
