@@ -36,7 +36,9 @@ def gathered(records: Sequence[Record]) -> tuple[str, ...]:
     for record in records:
         for note in record.notes:
             run, _, text = note.partition(": ")
-            runs.setdefault(text, []).append(run)
+            told = runs.setdefault(text, [])
+            if run not in told:  # a run may be there twice, in parts
+                told.append(run)
     return tuple(
         f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: {text}" for text, names in runs.items()
     )

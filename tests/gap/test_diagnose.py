@@ -122,7 +122,7 @@ def test_what_is_noted_of_several_runs_alike_is_said_once_and_what_may_rest_is_n
         channel("velocity_reference", absent),
         channel("q_axis_voltage", absent),
     ]
-    records = [build(Path(f"{name}.h5"), "spin", "free", channels, {}) for name in ("a", "b", "c")]
+    records = [build(Path(f"{name}.h5"), "spin", "free", channels, {}) for name in ("a", "b", "c", "a")]
     assert gathered(records) == (
         "a.h5 and 2 more: bus_voltage of test never changes; is the channel alive?",
         "a.h5 and 2 more: q_axis_voltage of test has 0 samples; left out",

@@ -72,8 +72,8 @@ def _entry(cause: Cause) -> tuple[str, dict[str, float]]:
 
 def parameters(effect: str, found: Mapping[str, tuple[float, float]]) -> tuple[EffectParameter, ...]:
     """Parameters of an effect with the units of its definition."""
-    units = effect_definition(effect).parameters
-    return tuple(EffectParameter(name, value, std, units[name].units) for name, (value, std) in found.items())
+    defined = effect_definition(effect).parameters
+    return tuple(EffectParameter(name, *found[name], defined[name].units) for name in defined if name in found)
 
 
 def calibration(model: Model, fitted: Fitted, stds: Mapping[str, float]) -> tuple[CalibratedParameter, ...]:
