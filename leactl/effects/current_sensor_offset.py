@@ -16,7 +16,7 @@ class CurrentSensorOffset(Effect):
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """A constant, and the heat of the current that is not there."""
-        if signals.current is not None or "told" in signals.extra:  # a drive's force that is told shares its zero
+        if signals.current is not None or "commanded" in signals.extra:  # a force that is told shares its zero
             return {"current_reading": {"offset": np.ones_like(signals.time)}}
         more = signals.extra.get("heat_per_ampere")
         return {"winding_heat": {"offset": -more}} if more is not None else {}

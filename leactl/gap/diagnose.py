@@ -19,6 +19,7 @@ from leactl.gap.search import Found, search
 from leactl.gap.separating import separating_experiment
 from leactl.gap.servo import answer as servo_answer
 from leactl.gap.servo.ladder import climb
+from leactl.gap.servo.runs import side_by_side
 from leactl.gap.shrinkage import shrinkage
 from leactl.gap.where import profiles, where
 from leactl.model.nominal import Model, read_model
@@ -37,7 +38,6 @@ class Case:
     model: Model
     fitted: list[Record]
     held_out: list[Record]
-    given: bool  # whether the held-out runs were named
 
 
 def read_case(runs: Sequence[Path], held_out: Sequence[Path], model: Path) -> Case:
@@ -66,7 +66,7 @@ def read_case(runs: Sequence[Path], held_out: Sequence[Path], model: Path) -> Ca
     fitted, others = [read[path] for path in runs], [read[path] for path in held_out]
     if not others:
         fitted, others = split(fitted)
-    return Case(nominal, fitted, others, bool(held_out))
+    return Case(nominal, fitted, others)
 
 
 def split(records: list[Record]) -> tuple[list[Record], list[Record]]:
@@ -108,13 +108,17 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     calibrated_alone = calibrated(evidence, alone)
     parameters = calibrated(evidence, evidence.settle(found.hypothesis))
     members = {item.finding.effect for item in judged}
-    if servo_answer.judged_by_runs(case.model):
+    by_runs = servo_answer.judged_by_runs(case.model, case.fitted)
+    told: tuple[str, ...] = ()
+    if by_runs:
         progress("fitting free runs of the servo")
-        ladder = climb(case.fitted, case.held_out, case.model, found.hypothesis)
+        free = side_by_side(case.fitted, case.model)
+        ladder = climb(free, case.held_out, case.model, found.hypothesis)
         calibrated_alone = servo_answer.calibration(case.model, ladder.calibrated, {})
         parameters = servo_answer.calibration(case.model, ladder.augmented, ladder.stds)
-        causes = servo_answer.causes(ladder, causes, case.fitted, with_calibration(case.model, parameters))
+        causes = servo_answer.causes(ladder, causes, free, with_calibration(case.model, parameters))
         members |= {item.effect for item in ladder.standing}
+        told = servo_answer.rig_note(ladder.augmented, [record for record in case.fitted if record not in free])
     named = [
         (c.effect, {p.name: p.value for p in c.parameters})
         for c in causes
@@ -126,6 +130,8 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     kinds = {(record.kind, record.mechanical) for record in case.held_out}
     replayed = [*case.held_out, *(r for r in case.fitted if (r.kind, r.mechanical) not in kinds)]
     shrunk = shrinkage(replayed, case.model, tuned, augmented)
+    if by_runs:
+        surprise = unexplained(servo_answer.unfollowed(shrunk.shrinkage))
     located = where(replayed, shrunk.channels)
     notes = gathered([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
@@ -137,7 +143,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         parameters,
         causes,
         shrunk.shrinkage,
-        tuple(dict.fromkeys(notes + shrunk.notes + questions(case.model, case.fitted, evidence))),
+        tuple(dict.fromkeys(told + notes + shrunk.notes + questions(case.model, case.fitted, evidence))),
         {
             "calibrated": tuned,
             "augmented": augmented,
@@ -171,7 +177,8 @@ def causes_of(evidence: Evidence, found: Found, judged: Sequence[Judged]) -> tup
             causes[rival.effect] = Cause(rival.effect, together, 0.0, parameters, peers)
     members = {item.finding.effect for item in judged}
     # what is sure beyond a hundredth ranks by how much of the gap it takes
-    return tuple(sorted(causes.values(), key=lambda c: (-round(c.probability, 2), c.effect not in members, -c.share)))
+    told = [cause for cause in causes.values() if cause.probability >= NAMED]
+    return tuple(sorted(told, key=lambda c: (-round(c.probability, 2), c.effect not in members, -c.share)))
 
 
 def alone(evidence: Evidence, others: list[Candidate], candidate: Candidate) -> tuple[EffectParameter, ...]:

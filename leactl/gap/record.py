@@ -68,7 +68,7 @@ class Record:
         return self.path.stem
 
     def parted(self) -> tuple["Record", "Record"]:
-        """The run as if every eighth of sixteen stretches had not been measured, and as if nothing else had been."""
+        """The run without what was measured in two of sixteen stretches, and with nothing but that; inputs stay."""
         clocks = [clock for clock in (self.fast, self.slow) if clock is not None]
         first, last = min(clock.time[0] for clock in clocks), max(clock.time[-1] for clock in clocks)
 

@@ -63,6 +63,8 @@ def complete(record: Record, s: Signals) -> None:
         servo_current(clock, servo, s)
     if s.current is None and (told := logged_torque(clock, model)) is not None:
         s.extra["told"] = told
+        if clock.get("torque") is None or clock.get("torque_reference") is not None:
+            s.extra["commanded"] = told  # and not what a sensor says
     if model.load.type != "none" and s.current is not None and model.torque_constant is not None:
         # a gear rubs with the torque that its motor puts in; let go, a pendulum swings with bearing friction alone
         s.torque = model.torque_constant * s.current

@@ -24,6 +24,7 @@ Mask = npt.NDArray[np.bool_]
 SLOW_SMOOTHING_S = 1.0
 REST_S = 6.0  # smoothing of what no network explains of a temperature
 LOOSELY = 1.0  # K that a parameter of the network may cost where a run does not show it, per e-fold
+FARTHEST = 1.5  # e-folds of a parameter
 FOLLOWED = 8  # rounds at most
 CALM = 5.0  # samples
 SWING_DAMPING = 0.03  # of critical, as shafts without a damper have it
@@ -181,26 +182,31 @@ def slow_signals(record: Record, model: Model) -> Signals | None:
         if heat is not None and housing is not None and s.ambient is not None and model.thermal is not None:
             # what a column is made of must not carry the camera's noise, which is in the left-over as well
             measured = np.stack([winding, housing])
-            driven = following(model.thermal, clock.interval, heat, s.ambient, measured)
+            valid = np.stack([clock.all_valid((f"{name}_temperature", "test")) for name in ("winding", "housing")])
+            driven = following(model.thermal, clock.interval, heat, s.ambient, measured, valid)
+            rest = np.where(valid, measured - driven, 0.0)
+            width = REST_S / clock.interval
+            shares = [smooth(one.astype(float), width) for one in valid]
             s.winding, s.housing = driven + np.stack(
-                [smooth(one, REST_S / clock.interval) for one in measured - driven]
+                [smooth(one, width) / np.maximum(share, 1e-6) for one, share in zip(rest, shares, strict=True)]
             )
         s.winding_rise = s.winding - model.reference_temperature
     s.housing_rise = s.housing - model.reference_temperature if s.housing is not None else None
     return s
 
 
-def following(thermal: Thermal, interval: float, heat: Array, ambient: Array, measured: Array) -> Array:
-    """Temperatures [degC] of the network that follows a run best, whatever its parameters."""
+def following(thermal: Thermal, interval: float, heat: Array, ambient: Array, measured: Array, valid: Mask) -> Array:
+    """Temperatures [degC] of the network that follows what was measured of a run best, whatever its parameters."""
     names = list(Thermal.model_fields)
     nominal = np.array([getattr(thermal, name) for name in names])
 
     def driven(point: Array) -> Array:
-        changed = Thermal(**dict(zip(names, (nominal * np.exp(point[2:])).tolist(), strict=True)))
+        factors = np.exp(np.clip(point[2:], -FARTHEST, FARTHEST))
+        changed = Thermal(**dict(zip(names, (nominal * factors).tolist(), strict=True)))
         return ThermalNetwork(changed, interval).temperatures(heat, ambient, (float(point[0]), float(point[1])))
 
     def left(point: Array) -> Array:
-        return np.concatenate([(driven(point) - measured).ravel(), LOOSELY * point[2:]])
+        return np.concatenate([(driven(point) - measured)[valid], LOOSELY * point[2:]])
 
     begin = np.concatenate([measured[:, 0], np.zeros(len(names))])
     return driven(least_squares(left, begin, method="lm", max_nfev=FOLLOWED * (len(begin) + 1)).x)

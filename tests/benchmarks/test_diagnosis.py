@@ -54,7 +54,7 @@ def test_time_grows_no_faster_than_samples(practice, figure):
     for times in (1, 4, 16):
         fitted, held_out = split([scaled(record, times) for record in records])
         began = time.perf_counter()
-        diagnose(Case(model, fitted, held_out, given=False))
+        diagnose(Case(model, fitted, held_out))
         samples = sum(
             len(clock.time) * len(clock.values) for r in (*fitted, *held_out) for clock in (r.fast, r.slow) if clock
         )

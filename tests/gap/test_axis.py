@@ -115,6 +115,8 @@ def test_a_force_on_a_carriage_gives_mass_and_friction(tmp_path, interval, quant
     assert 220.0 * (1 + found["calibration", "viscous_damping"]) == pytest.approx(200.0, rel=0.01)
     assert 25.0 * (1 + found["calibration", "coulomb_friction"]) == pytest.approx(20.0, rel=0.02)
     assert 25.0 * found["effect", "asymmetric_friction", "()", "asymmetry"] == pytest.approx(-3.0, abs=0.1)
+    if quantity == "torque":
+        return  # a sensor's, whose zero is not the drive's
     zero = [("current_sensor_offset", ())]  # which a force that is told shows alike
     (rows,) = rows_of([recorded(tmp_path, parts)], model, zero)
     _, _, found = fitted([rows], zero, NO_PRIORS)

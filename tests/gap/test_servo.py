@@ -1,47 +1,57 @@
 """Pendulums on position servos, made by a finer simulator of these tests: what free runs ask for, and what not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from leactl.gap.diagnose import Case, diagnose, split
 from leactl.gap.servo.fit import Fitted, fit
 from leactl.gap.servo.ladder import climb, standing_of
 from leactl.gap.servo.runs import servo_runs
-from leactl.gap.servo.simulation import mean_absolute_errors
+from leactl.gap.servo.simulation import replay, table
 
-from .test_axis import SERVO, channel, recorded, servo_model, swung
+from .test_axis import PENDULUM, SERVO, channel, recorded, servo_model, swung
 
 TRUE = {"torque_constant": 0.33, "phase_resistance": 2.7, "viscous_damping": 0.0075, "coulomb_friction": 0.014}
 INTERVAL_S, FINER, COUNT_RAD = 0.005, 20, 2.0 * np.pi / 4096
 GAINS = (2.0, 4.0, 8.0, 14.0)
 
 
-def bench(tmp_path, load=0.0, stribeck=0.0, lost=0.0, name="servo"):
+def bench(
+    tmp_path, load=0.0, stribeck=0.0, lost=0.0, drag=0.0, dead=0.0, light=False, logs_current=False, name="servo"
+):
     """Runs at several gains; friction falls with the square of speed, torque with the square of current."""
     time = INTERVAL_S * np.arange(1200)
     goals = np.stack([0.9 * np.sin(a * time) + 0.5 * np.sin(3.1 * time + a) for a in np.linspace(1.1, 1.6, len(GAINS))])
     step, gain = INTERVAL_S / FINER, np.array(GAINS)
-    inertia, level = SERVO["rotor_inertia"] + 0.5 * 0.1**2, 0.5 * 9.80665 * 0.1
-    angle, speed, rows = np.zeros(len(gain)), np.zeros(len(gain)), []
+    rotor, mass = (5e-4, 0.05) if light else (SERVO["rotor_inertia"], 0.5)
+    inertia, level = rotor + mass * 0.1**2, mass * 9.80665 * 0.1
+    angle, speed, rows, currents = np.zeros(len(gain)), np.zeros(len(gain)), [], []
     for goal in goals.T:
         rows.append(angle)
         for _ in range(FINER):
             volts = np.clip(gain * (goal - angle), -7.4, 7.4)
+            volts = np.sign(volts) * np.maximum(np.abs(volts) - dead, 0.0)
             current = (volts - TRUE["torque_constant"] * speed) / TRUE["phase_resistance"]
             motor = TRUE["torque_constant"] * current * (1.0 - lost * (current / 2.5) ** 2)
-            push = motor - level * np.sin(angle) - TRUE["viscous_damping"] * speed
+            push = motor - level * np.sin(angle) - TRUE["viscous_damping"] * speed - drag * speed * np.abs(speed)
             rub = (TRUE["coulomb_friction"] + load * np.abs(motor)) * (1.0 + stribeck * np.exp(-((speed / 0.4) ** 2)))
             stop = push + inertia / step * speed
             speed = np.where(np.abs(stop) <= rub, 0.0, speed + step / inertia * (push - np.sign(stop) * rub))
             angle = angle + step * speed
+        currents.append(current)
+    told = np.array(currents).T
     angles = np.round(np.array(rows).T / COUNT_RAD) * COUNT_RAD
     return [
         recorded(
             tmp_path,
-            [channel(time, "angle", angle, "rad"), channel(time, "angle_reference", goal, "rad")],
+            [channel(time, "angle", angle, "rad"), channel(time, "angle_reference", goal, "rad")]
+            + ([channel(time, "q_axis_current", current, "A")] if logs_current else []),
             {"drive_gain": own},
             f"{name}-{own:g}",
         )
-        for own, angle, goal in zip(GAINS, angles, goals, strict=True)
+        for own, angle, goal, current in zip(GAINS, angles, goals, told, strict=True)
     ]
 
 
@@ -49,6 +59,82 @@ def standing(*records, held_out=(), proposed=()):
     """Probabilities of what stands."""
     found = climb(records, held_out, servo_model(), proposed)
     return {item.effect: item.probability for item in found.standing}
+
+
+def diagnosed(records, **changes):
+    """The whole diagnosis of runs that all occur once."""
+    return diagnose(Case(servo_model(**changes), *split(records)))
+
+
+def named(found):
+    return sorted(cause.effect for cause in found.causes if cause.probability >= 0.5)
+
+
+def test_a_servo_is_diagnosed_whole(tmp_path):
+    records = bench(tmp_path, load=0.3)
+    found = diagnosed(records)
+    assert (found.verdict, named(found)) == ("effect", ["load_dependent_friction"])
+    assert any("straight down" in note for note in found.notes)
+    angle = next(line for line in found.shrinkage if line.quantity == "angle")
+    assert angle.augmented_rms < 0.2 * angle.calibrated_rms
+    again = diagnose(Case(found.extra["augmented"], *split(records)))
+    assert named(again) == []
+    entries = [entry.effect for entry in again.extra["augmented"].effects]
+    assert entries == ["load_dependent_friction"]
+
+
+def test_a_servo_without_any_effect_has_no_cause_heavy_or_light(tmp_path):
+    for light in (False, True):
+        changes = {"rotor_inertia": 5e-4, "load": PENDULUM["load"] | {"mass": 0.05}} if light else {}
+        found = diagnosed(bench(tmp_path, light=light), **changes)
+        assert named(found) == []
+        assert found.unexplained_probability < 0.5
+
+
+@pytest.mark.parametrize(("effect", "truth"), [("quadratic_drag", {"drag": 0.02}), ("dead_time", {"dead": 0.4})])
+def test_what_a_balance_proposes_may_take_the_place_of_what_is_always_tried(tmp_path, effect, truth):
+    found = diagnosed(bench(tmp_path, **truth))
+    assert effect in {
+        name for c in found.causes if c.probability >= 0.5 for name in (c.effect, *c.indistinguishable_from)
+    }
+    assert len(named(found)) <= 2
+
+
+def test_a_run_that_begins_in_motion_is_followed_from_there(tmp_path):
+    records = [later(record, 100) for record in bench(tmp_path)]
+    runs = servo_runs(records, servo_model())
+    assert np.abs(runs.speed).max() > 0.3
+    (found,) = fit(runs, [SERVO])
+    assert found.parameters["rotor_inertia"] == pytest.approx(SERVO["rotor_inertia"], rel=0.2)
+
+
+def later(record, first):
+    fast = record.fast
+    values, valid = ({key: part[first:] for key, part in parts.items()} for parts in (fast.values, fast.valid))
+    return replace(record, fast=replace(fast, time=fast.time[first:], values=values, valid=valid))
+
+
+def test_a_parameter_that_the_model_leaves_out_is_fitted_and_written(tmp_path):
+    found = diagnosed(bench(tmp_path), coulomb_friction=None)
+    assert named(found) == []
+    assert found.extra["calibrated"].coulomb_friction == pytest.approx(TRUE["coulomb_friction"], rel=0.1)
+
+
+def test_runs_at_another_pace_are_left_out_and_named(tmp_path):
+    records = bench(tmp_path, load=0.3)
+    slow = records[-1].fast
+    half = slice(None, None, 2)
+    parts = [channel(slow.time[half], name, slow.get(name)[half], "rad") for name in ("angle", "angle_reference")]
+    records[-1] = recorded(tmp_path, parts, {"drive_gain": GAINS[-1]}, "slow")
+    found = diagnosed(records)
+    assert named(found) == ["load_dependent_friction"]
+    assert any("another pace" in note and "slow" in note for note in found.notes)
+
+
+def test_a_servo_that_logs_its_current_is_balanced_as_any_axis(tmp_path):
+    found = diagnosed(bench(tmp_path, load=0.3, logs_current=True))
+    assert "load_dependent_friction" in named(found)
+    assert not any("straight down" in note for note in found.notes)
 
 
 def test_a_servo_that_lacks_nothing_but_its_parameters_has_no_cause(tmp_path):
@@ -77,11 +163,12 @@ def test_what_other_runs_lose_by_more_than_the_fitted_ones_gain_is_not_believed(
     coefficient = {"load_dependent_friction.coefficient": 0.2}
     error, names = np.random.default_rng(1).normal(size=1000), ("coulomb_friction",)
     sets = {
-        frozenset(): Fitted(true, 1.5, error, names, np.eye(1)),
-        load: Fitted(true | coefficient, 1.0, error, names, np.eye(1)),
+        frozenset(): Fitted(true, 1.5, error, names, np.eye(1), np.ones((4, 1))),
+        load: Fitted(true | coefficient, 1.0, error, names, np.eye(1), np.ones((4, 1))),
     }
     for unseen, believed in ((bench(tmp_path), False), (bench(tmp_path, load=0.2), True)):
-        (one,) = standing_of(sets, load, servo_runs(unseen, servo_model()))
+        runs = servo_runs(unseen, servo_model())
+        (one,) = standing_of(sets, load, runs, runs)
         assert (one.probability > 0.9) == believed
 
 
@@ -96,7 +183,7 @@ def test_a_fit_finds_a_delay_of_the_reference(tmp_path):
     runs = servo_runs(swung(tmp_path, **truth), servo_model())
     start = truth | {"coulomb_friction": 0.02, "load_dependent_friction.coefficient": 0.1, "reference_delay": 0.001}
     (found,) = fit(runs, [start])
-    assert mean_absolute_errors(runs, found.parameters).max() < 1e-3
+    assert np.abs(replay(runs, table([found.parameters]))[0] - runs.angle).mean() < 1e-3
     assert found.parameters["load_dependent_friction.coefficient"] == pytest.approx(0.3, abs=0.02)
     assert found.parameters["reference_delay"] == pytest.approx(0.006, abs=5e-4)
 

@@ -18,6 +18,9 @@ REMEMBERED_S = 0.2  # of the motion before a start that filters may remember
 def read(job: Job) -> None:
     """Fill the channels of the fast clock that the run has and the replay reaches."""
     clock = job.clock
+    steps = (len(clock.time) - 1) * job.parts
+    if job.current is not None and job.current_mean is not None:
+        job.current, job.current_mean = job.current[: steps + 1], job.current_mean[:steps]  # a servo's ends later
     found: dict[str, Array | None] = {}
     if clock.get("q_axis_current_reference") is not None or job.clock.get("angle_reference") is not None:
         # without the loop's bandwidth a model says nothing of how a current follows its reference

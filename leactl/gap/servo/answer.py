@@ -5,27 +5,46 @@ from dataclasses import replace
 
 import numpy as np
 
-from leactl.gap.diagnosis import CalibratedParameter, Cause, EffectParameter
+from leactl.gap.diagnosis import CalibratedParameter, Cause, EffectParameter, Shrinkage
 from leactl.gap.judge import UNCONFIRMED
 from leactl.gap.parameters import LEAST_MODEL_ERROR, UNITS, with_effects
 from leactl.gap.record import Record
 from leactl.gap.replay import replay_all
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.plants import plant_of
+from leactl.gap.separating import separating_experiment
 from leactl.gap.servo.fit import Fitted
 from leactl.gap.servo.ladder import OWN, Ladder
+from leactl.gap.servo.runs import side_by_side
 from leactl.gap.servo.simulation import SCALES
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 
 SIMULATED = {name.partition(".")[0] for name in SCALES if "." in name}
 """Effects that a servo's simulation knows."""
+USUAL = 3.0  # floors that a replay without the rig's own zero and delay leaves
 CLOSER = 0.95  # of the squared distance without it, that an effect of the balance must bring a free run to
 
 
-def judged_by_runs(model: Model) -> bool:
-    """Whether a model is of a pendulum on a position servo, whose torque no channel shows."""
-    return model.drive is not None and model.load.type == "pendulum"
+def judged_by_runs(model: Model, records: Sequence[Record]) -> bool:
+    """Whether runs are of a pendulum on a position servo whose torque no channel shows, in a model that can move it."""
+    known = all(entry.effect in SIMULATED for entry in model.effects)
+    moves = model.torque_constant and model.phase_resistance and model.rotor_inertia
+    told = any(record.fast is not None and record.fast.get("q_axis_current") is not None for record in records)
+    return bool(known and moves and not told and model.load.type == "pendulum" and side_by_side(records, model))
+
+
+def rig_note(fitted: Fitted, left_out: Sequence[Record]) -> tuple[str, ...]:
+    """What free runs told of the rig that no model file holds, and which runs were not among them."""
+    zero, late = fitted.parameters["load_zero"], fitted.parameters["reference_delay"]
+    note = (
+        f"free runs have the pendulum straight down at {zero:.3g} rad and the reference {1e3 * late:.2g} ms late; no"
+        " model file holds either, and the replay goes without"
+    )
+    if not left_out:
+        return (note,)
+    names = ", ".join(record.name for record in left_out)
+    return note, f"not among the servo's free runs, for another pace or want of a reference: {names}"
 
 
 def causes(
@@ -36,7 +55,14 @@ def causes(
     The torque of that balance is the model's own: what it finds must bring a free run closer, or is no more than odd.
     """
     standing = [
-        Cause(item.effect, item.probability, item.share, parameters(item.effect, item.parameters))
+        Cause(
+            item.effect,
+            item.probability,
+            item.share,
+            parameters(item.effect, item.parameters),
+            item.peers,
+            separating_experiment(item.effect, item.peers),
+        )
         for item in ladder.standing
     ]
     named = [_entry(cause) for cause in standing if cause.probability >= 0.5]
@@ -70,6 +96,15 @@ def _entry(cause: Cause) -> tuple[str, dict[str, float]]:
     return cause.effect, {parameter.name: parameter.value for parameter in cause.parameters}
 
 
+def unfollowed(shrinkage: Sequence[Shrinkage]) -> dict[tuple[str, str, str], float]:
+    """Of the angle: what the last model leaves of held-out runs, over what a servo's replay may well leave."""
+    return {
+        (line.quantity, line.role, line.mechanical): (line.augmented_rms / (USUAL * line.floor_rms)) ** 2
+        for line in shrinkage
+        if line.quantity == "angle"
+    }
+
+
 def parameters(effect: str, found: Mapping[str, tuple[float, float]]) -> tuple[EffectParameter, ...]:
     """Parameters of an effect with the units of its definition."""
     defined = effect_definition(effect).parameters
@@ -80,9 +115,7 @@ def calibration(model: Model, fitted: Fitted, stds: Mapping[str, float]) -> tupl
     """The nominal model's parameters as free runs have them."""
     found = []
     for name in OWN:
-        nominal, value = getattr(model, name), fitted.parameters[name]
-        if nominal is None:
-            continue
+        nominal, value = float(getattr(model, name) or 0.0), fitted.parameters[name]
         std = max(stds.get(name, 0.0), LEAST_MODEL_ERROR * abs(value))
         found.append(CalibratedParameter(name, nominal, value, std, UNITS[name]))
         if name == "torque_constant" and model.back_emf_constant is not None:

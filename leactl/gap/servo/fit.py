@@ -25,9 +25,9 @@ GAINED = 1e-4  # of the cost, below which a step is the last
 class Fitting:
     """One model on its way to the least cost."""
 
-    def __init__(self, start: Parameters) -> None:
-        self.names = [name for name in start if name not in SHAPES]
-        self.shapes = {name: value for name, value in start.items() if name in SHAPES}
+    def __init__(self, start: Parameters, held: Sequence[str]) -> None:
+        self.names = [name for name in start if name not in SHAPES and name not in held]
+        self.shapes = {name: value for name, value in start.items() if name not in self.names}
         self.sizes = np.array([SCALES[name] for name in self.names])
         self.positive = np.array([name not in SIGNED for name in self.names])
         self.point = np.array([start[name] for name in self.names])
@@ -47,9 +47,16 @@ class Fitting:
         weighted = self.tangent / np.sqrt(1.0 + (self.error / OUTLIER_RAD) ** 2)
         return weighted @ self.tangent.T, weighted @ self.error
 
+    def scores(self, run: npt.NDArray[np.intp]) -> Array:
+        """Slope of the cost by run."""
+        weighted = self.tangent * self.error / np.sqrt(1.0 + (self.error / OUTLIER_RAD) ** 2)
+        return np.stack([np.bincount(run, weights=row) for row in weighted], axis=1)
+
     def trials(self) -> Array:
         """The steps of all dampings, brought back to where parameters make sense."""
         gram, slope = self.curvature()
+        if not (np.isfinite(gram).all() and np.isfinite(slope).all()):
+            return np.repeat(self.point[None], len(DAMPINGS), axis=0)  # nowhere to go from here
         steps = [np.linalg.solve(gram + d * np.diag(np.diag(gram) + 1e-12), slope) for d in self.damping * DAMPINGS]
         points = self.point - np.stack(steps)
         return np.asarray(np.where(self.positive, np.maximum(points, LEAST * self.sizes), points), np.float64)
@@ -57,6 +64,7 @@ class Fitting:
     def take(self, points: Array, errors: Array) -> None:
         """Go on to the best of the trials, or stop."""
         costs = np.array([cost(one) for one in errors])
+        costs[~np.isfinite(costs)] = np.inf
         best = int(np.argmin(costs))
         gained = self.cost - float(costs[best])
         self.done = not gained > GAINED * self.cost
@@ -74,11 +82,12 @@ class Fitted:
     error: Array  # rad, of every measured sample
     names: tuple[str, ...]  # of what was fitted
     information: Array  # normal matrix over these, per rad^2
+    scores: Array  # (runs, these): each run's own slope of the cost
 
 
-def fit(runs: ServoRuns, starts: Sequence[Parameters]) -> list[Fitted]:
-    """Fit every parameter of each start but the shapes, from where it is; all starts side by side."""
-    fittings = [Fitting(start) for start in starts]
+def fit(runs: ServoRuns, starts: Sequence[Parameters], held: Sequence[str] = ()) -> list[Fitted]:
+    """Fit every parameter of each start but the shapes and those held, from where it is; all starts side by side."""
+    fittings = [Fitting(start, held) for start in starts]
     for one, errors in zip(fittings, _errors(runs, fittings, [f.point[None] for f in fittings]), strict=True):
         one.error, one.cost = errors[0], cost(errors[0])
     for _ in range(ROUNDS):
@@ -89,8 +98,13 @@ def fit(runs: ServoRuns, starts: Sequence[Parameters]) -> list[Fitted]:
         trials = [one.trials() for one in going]
         for one, points, errors in zip(going, trials, _errors(runs, going, trials), strict=True):
             one.take(points, errors)
+    for one in fittings:
+        one.done = False
+    _differentiate(runs, fittings)  # where each ended
+    run = np.nonzero(runs.measured)[0]
     return [
-        Fitted(one.parameters(one.point), one.cost, one.error, tuple(one.names), one.curvature()[0]) for one in fittings
+        Fitted(one.parameters(one.point), one.cost, one.error, tuple(one.names), one.curvature()[0], one.scores(run))
+        for one in fittings
     ]
 
 
@@ -111,5 +125,6 @@ def _errors(runs: ServoRuns, fittings: Sequence[Fitting], points: Sequence[Array
     if not fittings:
         return []
     sets = [one.parameters(point) for one, own in zip(fittings, points, strict=True) for point in own]
-    wrong = (replay(runs, table(sets)) - runs.angle)[:, runs.measured]
+    with np.errstate(over="ignore", invalid="ignore"):  # a trial may run away; it is not taken then
+        wrong = (replay(runs, table(sets)) - runs.angle)[:, runs.measured]
     return np.split(wrong, np.cumsum([len(own) for own in points])[:-1])

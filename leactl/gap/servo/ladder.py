@@ -9,6 +9,7 @@ the set of all that stand is worse without it, refitted.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
@@ -18,29 +19,35 @@ from leactl.gap.judge import UNCONFIRMED, presence
 from leactl.gap.record import Record
 from leactl.gap.regression import Candidate
 from leactl.gap.servo.fit import Fitted, cost, fit
-from leactl.gap.servo.runs import ServoRuns, servo_runs
-from leactl.gap.servo.simulation import Parameters, replay, table
+from leactl.gap.servo.runs import ServoRuns, servo_runs, side_by_side
+from leactl.gap.servo.simulation import SCALES, Parameters, replay, table
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
 Set = frozenset[str]
 OWN = ("torque_constant", "phase_resistance", "rotor_inertia", "viscous_damping", "coulomb_friction")
 RIG = {"load_zero": 0.0, "reference_delay": 0.005}  # what belongs to the rig and to no model
-ALL: Set = frozenset({"load_dependent_friction", "saturation", "stribeck"})
+ALWAYS: Set = frozenset({"load_dependent_friction", "saturation", "stribeck"})
+MOST_PROPOSED = 2  # effects of a balance that are tried besides
 FORM_ERROR = 0.05  # relative change of a cost, that an effect makes by standing in for another or by luck of the search
 """On the XL330's logs, friction over the angle at any order gains 2 to 15 % beyond the others, by where a fit ends."""
+COUNTS = 1.0  # of the encoder, root mean square, below which it does not matter how closely a run is followed
 LOST = 0.1  # share of the torque at the largest current, that saturation begins with
 FADES = (0.03, 0.15)  # of the fast speeds, at which friction may begin to fall
+NAMED = 0.5
+LEAST = 0.01  # probability below which an effect is not worth telling
+FEW_RUNS = 4  # below which runs do not tell how far they lie apart
 
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """An effect of the set."""
+    """An effect with its probability."""
 
     effect: str
     probability: float
     share: float  # of what the set takes from the cost
     parameters: Mapping[str, tuple[float, float]]  # value and standard error
+    peers: tuple[str, ...] = ()  # that would do as well in its place
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,28 +71,34 @@ def climb(records: Sequence[Record], held_out: Sequence[Record], model: Model, p
     InputError : runs that cannot be put side by side.
     """
     runs = servo_runs(records, model)
-    sets = every_set(runs, model, starts_of(runs, model, proposed))
-    members = prune(sets)
-    for effect, start in waves(proposed).items():
-        (with_wave,) = fit(runs, [sets[members].parameters | start])
-        if presence(height(relative(sets[members], with_wave), with_wave)) < 0.5:
-            continue
-        smaller = [members - {name} for name in sorted(members)]
-        others = fit(runs, [sets[one].parameters | start for one in smaller])
-        sets |= {members | {effect}: with_wave} | {one | {effect}: f for one, f in zip(smaller, others, strict=True)}
-        members |= {effect}
-    standing = standing_of(sets, members, servo_runs(held_out, model) if held_out else None)
-    named = frozenset(item.effect for item in standing if item.probability >= 0.5)
+    fixed = effects_of(model)
+    here = {name.partition(".")[0] for name in fixed}
+    starts = {name: start for name, start in starts_of(runs, model, proposed).items() if name not in here}
+    sets = every_set(runs, model, {name: starts[name] for name in sorted(ALWAYS & starts.keys())}, fixed)
+    members = prune(sets, frozenset(ALWAYS & starts.keys()), runs)
+    base = frozenset(ALWAYS & starts.keys())
+    for effect in [name for name, _ in proposed if name in starts.keys() - ALWAYS][:MOST_PROPOSED]:
+        smaller = [frozenset(one) for size in range(len(base) + 1) for one in combinations(sorted(base), size)]
+        found = fit(runs, [sets[one].parameters | starts[effect][0] for one in smaller], tuple(fixed))
+        sets |= {one | {effect}: fitted for one, fitted in zip(smaller, found, strict=True)}
+        members = base = prune(sets, base | {effect}, runs)
+    unseen = [record for record in side_by_side(held_out, model)]
+    standing = standing_of(sets, members, runs, servo_runs(unseen, model) if unseen else None)
+    named = frozenset(item.effect for item in standing if item.probability >= NAMED)
+    if named not in sets:
+        (sets[named],) = fit(runs, [without(sets[members].parameters, members - named)], tuple(fixed))
     return Ladder(standing, sets[frozenset()], sets[named], errors_of(sets[named]), sets)
 
 
-def standing_of(sets: Mapping[Set, Fitted], members: Set, unseen: ServoRuns | None) -> tuple[Standing, ...]:
-    """How sure each member is: what it gains where it was fitted, unless runs that nobody fitted lose as much by it."""
+def standing_of(
+    sets: Mapping[Set, Fitted], members: Set, runs: ServoRuns, unseen: ServoRuns | None
+) -> tuple[Standing, ...]:
+    """How sure each effect is: what it gains where it was fitted, unless runs that nobody fitted lose as much by it."""
     fitted = sets[members]
     stds = errors_of(fitted)
-    worse = {name: relative(sets[members - {name}], fitted) for name in members}
+    worse = {name: relative(sets[members - {name}], fitted, runs) for name in members}
     lost = dict.fromkeys(members, 0.0)
-    if unseen is not None:
+    if unseen is not None and unseen.measured.any():
         left = unfollowed(unseen, fitted)
         lost = {name: math.log(left / unfollowed(unseen, sets[members - {name}])) for name in members}
     found = [
@@ -94,10 +107,34 @@ def standing_of(sets: Mapping[Set, Fitted], members: Set, unseen: ServoRuns | No
             presence(height(worse[name], fitted)) * (1.0 if lost[name] < worse[name] else UNCONFIRMED),
             worse[name] / sum(worse.values()),
             parameters_of(name, fitted, stds),
+            in_place_of(sets, members, name, runs),
         )
         for name in members
     ]
+    for more in [one for one in sets if len(one) == len(members) + 1 and one > members]:
+        (name,) = more - members
+        probability = min(presence(height(relative(fitted, sets[more], runs), sets[more])), NAMED - LEAST)
+        if probability >= LEAST:
+            found.append(Standing(name, probability, 0.0, parameters_of(name, sets[more], errors_of(sets[more]))))
     return tuple(sorted(found, key=lambda item: (-item.probability, -item.share)))
+
+
+def in_place_of(sets: Mapping[Set, Fitted], members: Set, name: str, runs: ServoRuns) -> tuple[str, ...]:
+    """Effects that follow the runs as well in the place of a member, as far as forms can tell."""
+    others = {one: next(iter(one - members)) for one in sets if members - one == {name} and len(one - members) == 1}
+    return tuple(sorted(q for one, q in others.items() if relative(sets[one], sets[members], runs) < FORM_ERROR))
+
+
+def effects_of(model: Model) -> Parameters:
+    """Effects that a model has already, as the simulation names them; they stay as they are."""
+    found: Parameters = {}
+    for entry in model.effects:
+        values = dict(entry.parameters)
+        if "phase" in values:
+            amplitude, phase = values.pop("amplitude"), values.pop("phase")
+            values |= {"cos": amplitude * math.cos(phase), "sin": -amplitude * math.sin(phase)}
+        found |= {f"{entry.effect}.{name}": value for name, value in values.items()}
+    return found
 
 
 def starts_of(runs: ServoRuns, model: Model, proposed: Sequence[Candidate]) -> dict[str, list[Parameters]]:
@@ -105,34 +142,37 @@ def starts_of(runs: ServoRuns, model: Model, proposed: Sequence[Candidate]) -> d
     forms = dict(proposed)
     largest = float(np.max(runs.limit)) / (model.phase_resistance or math.inf)
     exponent = forms.get("saturation", (1.0,))[0]
-    fast = float(np.quantile(np.abs(np.diff(runs.angle, axis=1)), 0.95)) / runs.interval
+    turned = np.abs(np.diff(runs.angle, axis=1))[runs.measured[:, 1:]]
+    fast = max(float(np.quantile(turned, 0.95)) / runs.interval, 1e-3)
     shape = forms.get("stribeck", (1.0, 1.0))[1]
     found: dict[str, list[Parameters]] = {
         "load_dependent_friction": [{"coefficient": 0.1}],
         "saturation": [{"loss": LOST * (25.0 / max(largest, 1e-3)) ** exponent, "exponent": exponent}],
         "stribeck": [{"breakaway_ratio": 0.1, "stribeck_velocity": share * fast, "shape": shape} for share in FADES],
     }
+    for name, form in proposed:
+        if name == "position_dependent_friction":
+            found[name] = [{"cos": 0.01, "sin": 0.01, "order": form[0]}]
+        if name == "asymmetric_friction":
+            found[name] = [{"asymmetry": 0.01}]
+        if name == "quadratic_drag":
+            found[name] = [{"coefficient": 0.1 * (model.viscous_damping or 0.0) / fast}]
+        if name == "dead_time":
+            found[name] = [{"voltage": 0.01 * float(np.max(runs.limit)), "current": 0.1 * largest}]
     return {
         effect: [{f"{effect}.{name}": value for name, value in start.items()} for start in starts]
         for effect, starts in found.items()
     }
 
 
-def waves(proposed: Sequence[Candidate]) -> dict[str, Parameters]:
-    """Friction over the angle, at the order that was proposed: tried beside what stands without it."""
-    return {
-        name: {f"{name}.cos": 0.01, f"{name}.sin": 0.01, f"{name}.order": form[0]}
-        for name, form in proposed
-        if name == "position_dependent_friction"
-    }
-
-
-def every_set(runs: ServoRuns, model: Model, starts: Mapping[str, Sequence[Parameters]]) -> dict[Set, Fitted]:
+def every_set(
+    runs: ServoRuns, model: Model, starts: Mapping[str, Sequence[Parameters]], fixed: Parameters
+) -> dict[Set, Fitted]:
     """The best fit of every set of effects, each from the fits of what it is made of."""
-    begin = {name: float(getattr(model, name) or 0.0) for name in OWN} | RIG
-    (alone,) = fit(runs, [begin])
+    begin = {name: float(getattr(model, name) or 0.0) for name in OWN} | RIG | fixed
+    (alone,) = fit(runs, [begin], tuple(fixed))
     best: dict[Set, Fitted] = {frozenset(): alone}
-    for size in range(len(ALL)):
+    for size in range(len(starts)):
         jobs: list[tuple[Set, Parameters]] = []
         for members in [m for m in best if len(m) == size]:
             for effect in sorted(starts.keys() - members):
@@ -140,27 +180,34 @@ def every_set(runs: ServoRuns, model: Model, starts: Mapping[str, Sequence[Param
                 if effect == "load_dependent_friction":
                     base["coulomb_friction"] *= 0.5  # of which it takes the place
                 jobs += [(members | {effect}, base | start) for start in starts[effect]]
-        for (members, _), found in zip(jobs, fit(runs, [start for _, start in jobs]), strict=True):
+        for (members, _), found in zip(jobs, fit(runs, [start for _, start in jobs], tuple(fixed)), strict=True):
             if members not in best or found.cost < best[members].cost:
                 best[members] = found
     return best
 
 
-def prune(sets: Mapping[Set, Fitted]) -> Set:
+def prune(sets: Mapping[Set, Fitted], members: Set, runs: ServoRuns) -> Set:
     """The members that stand: of all, the weakest goes first."""
-    members = ALL
     while members:
-        heights = {name: height(relative(sets[members - {name}], sets[members]), sets[members]) for name in members}
+        heights = {
+            name: height(relative(sets[members - {name}], sets[members], runs), sets[members]) for name in members
+        }
         weakest = min(sorted(members), key=lambda name: heights[name])
-        if presence(heights[weakest]) >= 0.5:
+        if presence(heights[weakest]) >= NAMED:
             break
         members = members - {weakest}
     return members
 
 
-def relative(without: Fitted, fitted: Fitted) -> float:
-    """Logarithm of how much worse a set is without a member."""
-    return math.log(max(without.cost / fitted.cost, 1.0))
+def without(parameters: Parameters, effects: Set) -> Parameters:
+    """The same but for what belongs to some effects."""
+    return {name: value for name, value in parameters.items() if name.partition(".")[0] not in effects}
+
+
+def relative(without: Fitted, fitted: Fitted, runs: ServoRuns) -> float:
+    """Logarithm of how much worse a set is without a member, beside what the encoder's counts leave open."""
+    open_to_all = len(fitted.error) * (COUNTS * runs.count) ** 2
+    return math.log(max((without.cost + open_to_all) / (fitted.cost + open_to_all), 1.0))
 
 
 def height(worse: float, fitted: Fitted) -> float:
@@ -175,10 +222,19 @@ def unfollowed(runs: ServoRuns, fitted: Fitted) -> float:
 
 
 def errors_of(fitted: Fitted) -> dict[str, float]:
-    """Standard errors of what was fitted: errors that hang together count for less."""
-    variance = fitted.cost / len(fitted.error) * rows_per_independent(fitted.error)
-    spread = np.linalg.pinv(fitted.information, hermitian=True) * variance
-    stds = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    """Standard errors of what was fitted: by errors that hang together, or by how far runs lie apart if that is more.
+
+    The second is the sandwich of Huber (1967) over whole runs; a parameter that nothing shows has its own size.
+    """
+    sizes = np.array([SCALES[name] for name in fitted.names])
+    inverse = np.linalg.pinv(fitted.information, hermitian=True)
+    variance = np.diag(inverse) * fitted.cost / len(fitted.error) * rows_per_independent(fitted.error)
+    count = len(fitted.scores)
+    if count >= FEW_RUNS:
+        apart = inverse @ (fitted.scores.T @ fitted.scores) @ inverse * count / (count - 1)
+        variance = np.maximum(variance, np.diag(apart))
+    shown = np.diag(fitted.information) * sizes**2 > 1e-9 * fitted.cost
+    stds = np.where(shown, np.sqrt(np.maximum(variance, 0.0)), sizes)
     return dict(zip(fitted.names, stds.tolist(), strict=True))
 
 

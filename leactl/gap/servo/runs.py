@@ -1,7 +1,7 @@
 """Runs of position servos put side by side."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,8 @@ from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+FEW = 4  # samples
+MOVING = 0.1  # of the fast speeds, below which a run begins at rest
 SAME_PACE = 0.01  # relative, by which sampling intervals may differ
 
 
@@ -21,7 +23,9 @@ class ServoRuns:
     """Runs side by side; (runs, samples) for channels, one value a run for the rest."""
 
     interval: float
+    count: float  # rad, of the encoders
     angle: Array
+    speed: Array  # rad/s, at the first sample
     reference: Array
     enabled: Array
     measured: Mask
@@ -29,10 +33,6 @@ class ServoRuns:
     limit: Array  # V
     level: Array  # N*m, of the pendulum held out level
     inertia: Array  # kg*m^2, of the pendulum
-
-    def picked(self, runs: Mask) -> "ServoRuns":
-        """Some of the runs."""
-        return replace(self, **{name: values[runs] for name, values in vars(self).items() if name != "interval"})
 
 
 def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
@@ -53,12 +53,14 @@ def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
     angles, references, enabled = (np.stack(c) for c in zip(*(channels(k, longest) for k in clocks), strict=True))
     measured = np.stack([np.arange(longest) < len(clock.time) for clock in clocks])
     for row, clock in zip(measured, clocks, strict=True):
-        row[: len(clock.time)] &= clock.all_valid(("angle", "test"))
+        row[: len(clock.time)] &= clock.all_valid(("angle", "test"), ("angle_reference", "test"))
     servos = [servo for record in records if (servo := drive_of(record, model)) is not None]
     loads = [load_of(record, model) for record in records]
     return ServoRuns(
         interval,
+        max(clock.counts.get(("angle", "test"), 0.0) for clock in clocks),
         angles,
+        np.array([starting_speed(one, interval) for one in angles]),
         references,
         enabled,
         measured,
@@ -67,6 +69,20 @@ def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
         np.array([level_torque(load) for load in loads]),
         np.array([load_inertia(load) for load in loads]),
     )
+
+
+def side_by_side(records: Sequence[Record], model: Model) -> list[Record]:
+    """Those runs of servos that are sampled at the pace that most of them have."""
+    paced = [(r, r.fast.interval) for r in records if r.fast is not None and drive_of(r, model) is not None]
+    paces = [[r for r, other in paced if abs(other / one - 1.0) <= SAME_PACE] for _, one in paced]
+    return max(paces, key=len, default=[])
+
+
+def starting_speed(angle: Array, interval: float) -> float:
+    """Speed at the first sample, by a parabola through a few; none where that is little beside the run's speeds."""
+    speed = float(np.polynomial.Polynomial.fit(interval * np.arange(FEW), angle[:FEW], 2).deriv()(0.0))
+    fast = float(np.quantile(np.abs(np.diff(angle)), 0.95)) / interval
+    return speed if abs(speed) > MOVING * fast else 0.0
 
 
 def channels(clock: Clocked, length: int) -> tuple[Array, Array, Array]:

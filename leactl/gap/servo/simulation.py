@@ -1,9 +1,10 @@
 """Free runs of pendulums on position servos, many parameter sets at once.
 
 A free run of a servo shows what its balance of torques cannot: where it sticks. Friction is
-`(f + c |T|) (1 + r exp(-(|w| / v)^n)) (1 + a cos(m q) + b sin(m q))` over the torque T that the motor puts into the
-gear; it takes what moves the axis and no more. Saturation takes a share from that torque that grows with a power of the
-current. All as the effects of those names do, whose parameters bear their names here.
+`(f + c |T|) (1 + r exp(-(|w| / v)^n)) (1 + s sgn(w)) (1 + p cos(m q) + u sin(m q)) + b |w| + d w^2` over the torque T
+that the motor puts into the gear; it takes what moves the axis and no more. Saturation takes a share from that torque
+that grows with a power of the current, dead time a voltage that saturates with it. All as the effects of those names
+do, whose parameters bear their names here.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +16,8 @@ from leactl.gap.servo.runs import ServoRuns
 
 Array = npt.NDArray[np.float64]
 Parameters = dict[str, float]
-PARTS = 2  # steps a sample
+FINE = 0.02  # of the time constant with which back-EMF slows an axis down, that a step may last
+FEWEST_PARTS, MOST_PARTS = 2, 20  # steps a sample
 SCALES: dict[str, float] = {
     "torque_constant": 0.1,
     "phase_resistance": 1.0,
@@ -30,13 +32,26 @@ SCALES: dict[str, float] = {
     "stribeck.stribeck_velocity": 0.1,
     "position_dependent_friction.cos": 0.1,
     "position_dependent_friction.sin": 0.1,
+    "asymmetric_friction.asymmetry": 0.1,
+    "quadratic_drag.coefficient": 1e-3,
+    "dead_time.voltage": 0.1,
+    "dead_time.current": 0.1,
 }
 """What a fit may move, with a size that its finite differences and its damping go by."""
-SHAPES = {"saturation.exponent": 2.0, "stribeck.shape": 1.0, "position_dependent_friction.order": 1.0}
+SHAPES = {
+    "saturation.exponent": 2.0,
+    "stribeck.shape": 1.0,
+    "position_dependent_friction.order": 1.0,
+}
 """What is taken as it is, with its default."""
-SIGNED = ("load_zero", "position_dependent_friction.cos", "position_dependent_friction.sin")
+SIGNED = (
+    "load_zero",
+    "position_dependent_friction.cos",
+    "position_dependent_friction.sin",
+    "asymmetric_friction.asymmetry",
+)
 """What may be negative."""
-SLOWEST = 1e-6  # rad/s, over which friction may fade
+SLOWEST = 1e-6  # rad/s or A, over which friction or a voltage may fade
 SATURATION_A = 25.0  # current that the loss of the effect is given at
 
 
@@ -47,7 +62,7 @@ def table(points: Sequence[Mapping[str, float]]) -> dict[str, Array]:
 
 
 def replay(runs: ServoRuns, sets: Mapping[str, Array]) -> Array:
-    """Angles (sets, runs, samples) from the first measured one on; `sets` has one value a set for each parameter."""
+    """Angles (sets, runs, samples) from each run's first state on; `sets` has one value a set for each parameter."""
     count, size = len(next(iter(sets.values()))), len(runs.gain)
 
     def spread(name: str) -> Array:
@@ -57,26 +72,32 @@ def replay(runs: ServoRuns, sets: Mapping[str, Array]) -> Array:
         spread(name)
         for name in ("torque_constant", "phase_resistance", "coulomb_friction", "viscous_damping", "load_zero")
     )
-    step = runs.interval / PARTS
+    parts = parts_of(runs, sets)
+    step = runs.interval / parts
     per_speed = (spread("rotor_inertia") + runs.inertia) / step
     lose = _loss(spread("saturation.loss"), spread("saturation.exponent"))
     rub = spread("load_dependent_friction.coefficient")
     fade = _fading(*(spread(f"stribeck.{name}") for name in ("breakaway_ratio", "stribeck_velocity", "shape")))
     wave = _wave(*(spread(f"position_dependent_friction.{name}") for name in ("cos", "sin", "order")))
     rubs = bool(np.any(rub))
+    lopsided, drag = spread("asymmetric_friction.asymmetry"), spread("quadratic_drag.coefficient")
+    leans, drags = bool(np.any(lopsided)), bool(np.any(drag))
+    dead, knee = spread("dead_time.voltage") / resistance, np.maximum(spread("dead_time.current"), SLOWEST)
+    dies = bool(np.any(dead))
     reference = np.ascontiguousarray(np.moveaxis(late(runs, spread("reference_delay")[:, 0]), 2, 0))
     enabled = runs.enabled.T.copy()
     gain, level = (np.repeat(values[None], count, axis=0) for values in (runs.gain, runs.level))
     high = np.repeat(runs.limit[None], count, axis=0)
     low = -high
     angle = np.repeat(runs.angle[None, :, 0], count, axis=0)
-    speed, push, friction, other = (np.zeros_like(angle) for _ in range(4))
+    speed = np.repeat(runs.speed[None], count, axis=0)
+    push, friction, other = (np.zeros_like(angle) for _ in range(3))
     out = np.empty((runs.angle.shape[1], *angle.shape))
     # a few hundred numbers at a time: what counts is how often numpy is called and not how much it does
     for sample, wanted in enumerate(reference):
         out[sample] = angle
         share = enabled[sample] / resistance
-        for _ in range(PARTS):
+        for _ in range(parts):
             np.subtract(wanted, angle, out=push)
             push *= gain
             np.minimum(push, high, out=push)
@@ -84,6 +105,8 @@ def replay(runs: ServoRuns, sets: Mapping[str, Array]) -> Array:
             np.multiply(constant, speed, out=other)
             push -= other
             push *= share  # the current
+            if dies:
+                push -= enabled[sample] * dead * np.tanh(push / knee)
             if lose is not None:
                 lose(push, other)
             push *= constant
@@ -97,6 +120,10 @@ def replay(runs: ServoRuns, sets: Mapping[str, Array]) -> Array:
                 friction *= fade(other)
             if wave is not None:
                 friction *= wave(angle)
+            if leans:
+                friction *= 1.0 + lopsided * np.sign(speed)
+            if drags:
+                friction += drag * other**2
             other *= damping
             friction += other
             np.add(angle, zero, out=other)
@@ -114,6 +141,14 @@ def replay(runs: ServoRuns, sets: Mapping[str, Array]) -> Array:
             np.multiply(speed, step, out=push)
             angle += push
     return np.moveaxis(out, 0, 2)
+
+
+def parts_of(runs: ServoRuns, sets: Mapping[str, Array]) -> int:
+    """Steps a sample that follow how back-EMF slows the lightest axis down."""
+    lightest = sets["rotor_inertia"] + float(np.min(runs.inertia))
+    rate = sets["torque_constant"] ** 2 / (sets["phase_resistance"] * lightest)
+    needed = runs.interval * float(np.quantile(rate, 0.5)) / FINE
+    return int(np.clip(np.ceil(needed), FEWEST_PARTS, MOST_PARTS)) if np.isfinite(needed) else FEWEST_PARTS
 
 
 def late(runs: ServoRuns, delays: Array) -> Array:
@@ -170,9 +205,3 @@ def _wave(cosine: Array, sine: Array, order: Array) -> Callable[[Array], Array] 
         return np.asarray(1.0 + cosine * np.cos(turned) + sine * np.sin(turned), np.float64)
 
     return wave
-
-
-def mean_absolute_errors(runs: ServoRuns, parameters: Parameters) -> Array:
-    """Mean absolute angle error of each run, simulated from its first sample."""
-    wrong = np.where(runs.measured, np.abs(replay(runs, table([parameters]))[0] - runs.angle), 0.0)
-    return np.asarray(wrong.sum(axis=1) / runs.measured.sum(axis=1), np.float64)
