@@ -13,6 +13,7 @@ from leactl.report.plot import Axis
 Array = npt.NDArray[np.float64]
 TICKS = (5, 5)  # at most about so many along x and y: at 360 px, x labels have 47 px each
 FULL = 1000.0  # units of the drawing, across and down
+HOLE = 10.0  # usual steps of a curve, beyond which its points do not belong together
 LONGEST_LABEL = 7  # characters
 
 
@@ -30,13 +31,15 @@ class Curve:
         return self.x, self.y
 
     def drawn(self, x: Axis, y: Axis) -> Html:
-        """The path; a gap where a value is not finite."""
+        """The path; a gap where a value is not finite, and where points were left out."""
         path, pen = [], "M"
-        for a, b in zip(self.x.tolist(), self.y.tolist(), strict=True):
+        steps = np.diff(self.x, prepend=self.x[:1])
+        left_out = steps > HOLE * np.nanmedian(steps) if len(steps) > 2 else steps < 0.0
+        for a, b, hole in zip(self.x.tolist(), self.y.tolist(), left_out.tolist(), strict=True):
             if not (math.isfinite(a) and math.isfinite(b)):
                 pen = "M"
                 continue
-            path.append(f"{pen}{across(x, a)} {down(y, b)}")
+            path.append(f"{'M' if hole else pen}{across(x, a)} {down(y, b)}")
             pen = "L"
         return tag("path", d="".join(path), class_=f"curve {self.style}")
 

@@ -14,8 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leactl.gap.diagnosis import Diagnosis, Region
+from leactl.report.chart import Curve
 from leactl.report.gap_page import page
 from leactl.report.gap_words import figure
+from leactl.report.plot import Axis
 from tests.report.answers import LOCKED, answer, profile, trace
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -261,3 +263,10 @@ def test_nothing_overflows_in_a_browser(tmp_path, width):
     )
     assert done.returncode == 0, done.stderr[-2000:]
     assert re.search('<pre id="out">(.*?)</pre>', done.stdout, re.DOTALL)[1] == "fits"
+
+
+def test_a_curve_has_a_gap_where_points_were_left_out():
+    time = np.concatenate([np.arange(20.0), 300.0 + np.arange(20.0)])
+    for part, strokes in ((time, 2), (time[:20], 1)):
+        axes = Axis(part.tolist(), 5), Axis([-1.0, 1.0], 5)
+        assert str(Curve("measured", "measured", part, np.sin(part)).drawn(*axes)).count("M") == strokes
