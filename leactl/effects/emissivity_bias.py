@@ -21,7 +21,7 @@ class EmissivityBias(Effect):
         return model.resistance_coefficient > 0.0
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The camera's rise, and the resistance that goes by a rise it does not see."""
+        """The camera's rise, and the resistance and its heat that go by a rise it does not see."""
         if signals.winding is None or signals.ambient is None:
             return {}
         terms: Terms = {"camera_rise": {"excess": np.ones_like(signals.time)}}
@@ -30,6 +30,9 @@ class EmissivityBias(Effect):
             unseen = -model.phase_resistance * model.resistance_coefficient * (signals.winding - signals.ambient)
             if signals.current is not None:
                 terms["voltage"] = {"excess": unseen * signals.current}
+            squared = signals.extra.get("current_squared")
+            if squared is not None and signals.line_current is None:
+                terms["winding_heat"] = {"excess": unseen * squared}
             if signals.line_current is not None:
                 terms["line_voltage"] = {"excess": 2.0 * unseen * signals.line_current}
         return terms
