@@ -74,15 +74,15 @@ def climb(records: Sequence[Record], held_out: Sequence[Record], model: Model, p
     fixed = effects_of(model)
     here = {name.partition(".")[0] for name in fixed}
     starts = {name: start for name, start in starts_of(runs, model, proposed).items() if name not in here}
-    sets = every_set(runs, model, {name: starts[name] for name in sorted(ALWAYS & starts.keys())}, fixed)
-    members = prune(sets, frozenset(ALWAYS & starts.keys()), runs)
-    base = frozenset(ALWAYS & starts.keys())
+    base: Set = frozenset(ALWAYS & starts.keys())
+    sets = every_set(runs, model, {name: starts[name] for name in sorted(base)}, fixed)
+    members = prune(sets, base, runs)
     for effect in [name for name, _ in proposed if name in starts.keys() - ALWAYS][:MOST_PROPOSED]:
         smaller = [frozenset(one) for size in range(len(base) + 1) for one in combinations(sorted(base), size)]
         found = fit(runs, [sets[one].parameters | starts[effect][0] for one in smaller], tuple(fixed))
         sets |= {one | {effect}: fitted for one, fitted in zip(smaller, found, strict=True)}
         members = base = prune(sets, base | {effect}, runs)
-    unseen = [record for record in side_by_side(held_out, model)]
+    unseen = side_by_side(held_out, model)
     standing = standing_of(sets, members, runs, servo_runs(unseen, model) if unseen else None)
     named = frozenset(item.effect for item in standing if item.probability >= NAMED)
     if named not in sets:
