@@ -10,11 +10,12 @@ from leactl.errors import InputError
 from leactl.gap.confirm import held_out_gains
 from leactl.gap.diagnosis import Cause, Diagnosis, EffectParameter, Verdict
 from leactl.gap.evidence import Evidence
-from leactl.gap.judge import Judged, judge, unexplained, unrest
+from leactl.gap.judge import Judged, judge, left_by_form, unexplained, unrest
 from leactl.gap.notes import gathered, questions
 from leactl.gap.parameters import calibrated, effect_parameters, with_calibration, with_effects
 from leactl.gap.record import Record, read_record
 from leactl.gap.regression import Candidate, Fit
+from leactl.gap.ringing import ringing
 from leactl.gap.search import Found, search
 from leactl.gap.separating import separating_experiment
 from leactl.gap.servo import answer as servo_answer
@@ -26,6 +27,7 @@ from leactl.model.nominal import Model, read_model
 
 NAMED = 0.01  # probability above which an effect stands among the causes
 EFFECT = 0.5  # probability above which the verdict is an effect
+UNKNOWN = 0.5  # probability that something unexplained acts, above which the verdict is that where no effect is named
 CALIBRATED = 25.0  # weighted squares a parameter must gain for the verdict to be calibration
 RIG = ("drive_gain", "load_mass", "load_length", "load_arm_mass")  # by which runs of a protocol differ in kind
 Progress = Callable[[str], None]
@@ -101,8 +103,9 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     progress("trying them on held-out runs")
     gains = dict(zip(found.hypothesis, held_out_gains(evidence, found.hypothesis, case.held_out), strict=True))
     judged = judge(evidence, found, gains)
-    ratios = unrest(evidence, found)
-    surprise = unexplained(ratios)
+    heard = [not left_by_form(found, index) for index in range(len(evidence.stack.rows))]
+    lines = ringing(evidence, evidence.settle(found.hypothesis), heard)
+    surprise = unexplained(unrest(evidence, found), lines)
     causes = causes_of(evidence, found, judged)
     alone = evidence.settle([])
     calibrated_alone = calibrated(evidence, alone)
@@ -131,24 +134,23 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     replayed = [*case.held_out, *(r for r in case.fitted if (r.kind, r.mechanical) not in kinds)]
     shrunk = shrinkage(replayed, case.model, tuned, augmented)
     if by_runs:
-        surprise = unexplained(servo_answer.unfollowed(shrunk.shrinkage))
+        surprise = unexplained(servo_answer.unfollowed(shrunk.shrinkage), {})
     located = where(replayed, shrunk.channels)
     notes = gathered([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
         notes += ("no kind of run occurs twice: held out are two sixteenths of each run",)
+    left = (surprise.note,) if surprise.probability >= UNKNOWN else ()
     return Diagnosis(
-        verdict(causes, surprise, evidence, found),
-        surprise,
+        verdict(causes, surprise.probability, evidence, found),
+        surprise.probability,
         located,
         parameters,
         causes,
         shrunk.shrinkage,
-        tuple(dict.fromkeys(told + notes + shrunk.notes + questions(case.model, case.fitted, evidence))),
+        tuple(dict.fromkeys(left + told + notes + shrunk.notes + questions(case.model, case.fitted, evidence))),
         {
             "calibrated": tuned,
             "augmented": augmented,
-            "unrest": ratios,
-            "explained": {j.finding.effect: j.explained for j in judged},
             "traces": shrunk.traces,
             "profiles": profiles(replayed, shrunk.channels, located),
         },
@@ -191,7 +193,7 @@ def verdict(causes: Sequence[Cause], surprise: float, evidence: Evidence, found:
     """What the diagnosis comes to in one word."""
     if any(cause.probability >= EFFECT for cause in causes):
         return "effect"
-    if surprise >= 0.5:
+    if surprise >= UNKNOWN:
         return "unknown"
     normal = evidence.normal()
     keep = np.asarray([k for k, n in enumerate(evidence.stack.names) if n[0] == "nuisance"], np.intp)

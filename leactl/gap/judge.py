@@ -14,6 +14,7 @@ import numpy as np
 from leactl.effects import library
 from leactl.gap.evidence import Evidence, usual_unrest
 from leactl.gap.regression import Candidate, Rows
+from leactl.gap.ringing import Line
 from leactl.gap.search import LOOSE, Finding, Found
 
 EXACT_FORM_ERROR = 0.0005
@@ -25,7 +26,8 @@ UNCONFIRMED = 0.4  # of a probability, left to an effect that makes held-out run
 SHARED_LEFT = 5e-4  # of an equation's largest part, below which a slow rest is no sign of anything
 NOISE_BESIDE = 1.6  # noise of a row over that of its differences, squared, where rows overlap
 FORM_LEFT = 0.01  # of what a set explains in a channel, that its forms may leave over there
-UNREST = 5.0  # times what benches without an effect show, above which a channel is not explained
+UNREST, UNREST_SLOPE = 5.0, 2.5  # times what benches without an effect show, above which a channel is not explained
+LINE, LINE_SLOPE = 1.28, 30.0  # over its neighbourhood, of a line in a spectrum as likely there as not
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,8 @@ class Judged:
 def judge(evidence: Evidence, found: Found, held_out: Mapping[Candidate, float]) -> list[Judged]:
     """Probabilities of the members of a set, largest first; `held_out` has what each takes from runs not fitted."""
     judged = []
-    for member, rivals in zip(found.members, found.rivals, strict=True):
-        explained = found.explained(evidence, member.candidate)
+    for index, (member, rivals) in enumerate(zip(found.members, found.rivals, strict=True)):
+        explained = found.explained(evidence, index)
         present = (
             presence(member.height)
             * coverage(explained - library()[member.effect].explains)
@@ -95,11 +97,16 @@ def unrest(evidence: Evidence, found: Found) -> dict[tuple[str, str, str], float
         if expected is None:
             continue
         slow = max(rows.noise**2 - rows.white**2 * NOISE_BESIDE, 0.0)
-        # what a form that is nearly right leaves of a large effect, or a shared parameter of a large signal
-        if found.left[index] < FORM_LEFT * found.taken[index] or slow < (SHARED_LEFT * largest(rows)) ** 2:
+        # what a shared parameter leaves of a large signal is no sign either
+        if left_by_form(found, index) or slow < (SHARED_LEFT * largest(rows)) ** 2:
             value = min(value, expected)
         ratios.setdefault((rows.equation, rows.quantity, rows.mechanical), []).append(value / expected)
     return {key: float(np.median(values)) for key, values in ratios.items()}
+
+
+def left_by_form(found: Found, index: int) -> bool:
+    """Whether rows have no more left over than a form that is nearly right leaves of a large effect."""
+    return found.left[index] < FORM_LEFT * found.taken[index]
 
 
 def largest(rows: Rows) -> float:
@@ -108,9 +115,28 @@ def largest(rows: Rows) -> float:
     return max((float(np.sqrt(np.mean(part**2))) for part in parts), default=0.0)
 
 
-def unexplained(ratios: dict[tuple[str, str, str], float]) -> float:
-    """Probability that something outside the set acts, from the most restless channel."""
-    worst = max(ratios.values(), default=0.0)
-    if worst <= 0.0:
-        return 0.0
-    return float(1.0 / (1.0 + (UNREST / worst) ** 2.5))
+@dataclass(frozen=True)
+class Unexplained:
+    """That something outside the set acts, and what tells it."""
+
+    probability: float
+    note: str  # empty where nothing does
+
+
+Channels = Mapping[tuple[str, str, str], float]
+
+
+def unexplained(restless: Channels, lines: Mapping[tuple[str, str, str], Line]) -> Unexplained:
+    """Judge the most restless channel and the highest line in a spectrum; keys as `unrest` has them."""
+    found = [Unexplained(0.0, "")]
+    for (equation, quantity, mechanical), ratio in restless.items():
+        probability = 1.0 / (1.0 + (UNREST / ratio) ** UNREST_SLOPE) if ratio > 0.0 else 0.0
+        told = f"{ratio:.3g} times as far from noise as a sound model leaves it"
+        found.append(Unexplained(probability, f"unexplained: {quantity}, {mechanical} ({equation}) is {told}"))
+    for (equation, quantity, mechanical), line in lines.items():
+        probability = 1.0 / (1.0 + (LINE / line.height) ** LINE_SLOPE) if line.height > 0.0 else 0.0
+        told = f"rings at about {line.frequency:.3g} Hz"
+        found.append(
+            Unexplained(probability, f"unexplained: what is left of {quantity}, {mechanical} ({equation}) {told}")
+        )
+    return max(found, key=lambda one: one.probability)

@@ -121,11 +121,28 @@ class Found:
     fit: Fit
     taken: list[float]  # of each rows: weighted squares under usual noise that the set takes away
     left: list[float]  # and what is left there beyond usual noise
+    moved: list[list[float]]  # for each member, of each rows: misfit that leaving it out moves, either way
 
-    def explained(self, evidence: Evidence, candidate: Candidate) -> float:
-        """Share of what calibration leaves beyond usual noise, where an effect acts, that the whole set takes away."""
+    def explained(self, evidence: Evidence, index: int) -> float:
+        """Share of what calibration leaves beyond usual noise that the whole set takes away, where a member acts.
+
+        The smaller of two: in the rows that its columns touch, and in those whose misfit it moves. An effect that only
+        balances a sound channel against one that nothing explains is owed to what is missing there.
+        """
+        candidate = self.members[index].candidate
         gone = shared_with(evidence, candidate, self.taken)
-        return gone / (gone + shared_with(evidence, candidate, self.left)) if gone > 0.0 else 0.0
+        touched = gone / (gone + shared_with(evidence, candidate, self.left)) if gone > 0.0 else 0.0
+        return min(touched, self._explained_where_moved(evidence, self.moved[index]))
+
+    def _explained_where_moved(self, evidence: Evidence, moved: Sequence[float]) -> float:
+        taken: dict[tuple[str, str], float] = {}
+        whole: dict[tuple[str, str], float] = {}
+        places = [(rows.equation, rows.mechanical) for rows in evidence.stack.rows]
+        for place, gone, left in zip(places, self.taken, self.left, strict=True):
+            taken[place] = taken.get(place, 0.0) + gone
+            whole[place] = whole.get(place, 0.0) + gone + left
+        shares = [taken[place] / whole[place] if whole[place] > 0.0 else 1.0 for place in places]
+        return sum(m * share for m, share in zip(moved, shares, strict=True)) / max(sum(moved), 1e-300)
 
 
 def search(evidence: Evidence) -> Found:
@@ -281,16 +298,25 @@ def describe(evidence: Evidence, hypothesis: list[Candidate]) -> Found:
     taken, left = taken_and_left(evidence, hypothesis)
     fit = evidence.settle(hypothesis)
     normal = evidence.normal()
-    members, rivals = [], []
+    members, rivals, moved = [], [], []
     for index in range(len(hypothesis)):
         others = hypothesis[:index] + hypothesis[index + 1 :]
+        moved.append(misfit_moved(normal, fit, normal.fit(others)))
         found = finding(evidence, normal, evidence.stack.columns_of(others), hypothesis[index], whole=True)
         assert found is not None
         members.append(found)
         ranked = best_of_each(evidence, normal, others, whole=True)
         rivals.append([found, *(r for r in ranked if r.effect != found.effect)])
     rest = best_of_each(evidence, normal, hypothesis)
-    return Found(hypothesis, members, rivals, rest, fit, taken, left)
+    return Found(hypothesis, members, rivals, rest, fit, taken, left, moved)
+
+
+def misfit_moved(normal: Normal, fit: Fit, without: Fit) -> list[float]:
+    """Of each rows: weighted squares by which two fits differ, either way."""
+    return [
+        normal.weights[k] * len(rows.left_over) * abs(normal.residual(without, k) ** 2 - normal.residual(fit, k) ** 2)
+        for k, rows in enumerate(normal.stack.rows)
+    ]
 
 
 def make_whole(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:

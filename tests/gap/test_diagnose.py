@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 
 from leactl.emulation.blind.make import make
+from leactl.emulation.unlisted import unlisted_effects
 from leactl.errors import InputError
 from leactl.gap.diagnose import Case, diagnose, read_case, split
+from leactl.gap.evidence import Evidence
 from leactl.gap.notes import gathered
 from leactl.gap.record import build
+from leactl.gap.ringing import ringing
 from leactl.runfile.reader import Channel
 from leactl.vocabulary.effect import effect_names
 
@@ -20,8 +23,8 @@ PRACTICE = Path(__file__).parents[3] / "shared" / "gap-cases" / "practice"
 @pytest.fixture(scope="session")
 def benches(tmp_path_factory):
     folder = tmp_path_factory.mktemp("benches")
-    for kind, seed in (("none", 11), ("unknown", 12)):
-        make(1, folder / kind, folder / f"{kind}-key", seed=seed, kinds=(kind,), strengths=("plain",), prefix=kind)
+    for kind, seed, count in (("none", 11, 1), ("unknown", 16, len(unlisted_effects()))):
+        make(count, folder / kind, folder / f"{kind}-key", seed=seed, kinds=(kind,), strengths=("plain",), prefix=kind)
     every = {"kinds": ("single",), "effects": effect_names(), "strengths": ("plain",)}
     make(len(effect_names()), folder / "one", folder / "one-key", seed=13, **every)
     return folder
@@ -52,11 +55,15 @@ HIDDEN = ("backlash", "emissivity_bias")
 """What a replay hardly shows: a shaft in its play, and a camera whose fraction calibration has taken already."""
 
 
+def keyed(benches, kind, field):
+    """The case of each effect."""
+    key = json.loads((benches / f"{kind}-key" / "key.json").read_text(encoding="utf-8"))["cases"]
+    return {entry[field][0]: benches / kind / name for name, entry in key.items()}
+
+
 @pytest.fixture(scope="session")
 def with_effect(benches):
-    """The case of each effect."""
-    key = json.loads((benches / "one-key" / "key.json").read_text(encoding="utf-8"))["cases"]
-    return {entry["effects"][0]: benches / "one" / name for name, entry in key.items()}
+    return keyed(benches, "one", "effects")
 
 
 @pytest.mark.parametrize("name", effect_names())
@@ -70,11 +77,25 @@ def test_each_effect_of_the_emulated_bench_is_named_first_and_its_gap_closed(wit
         assert max(line.closed for line in found.shrinkage if line.closed is not None) > 0.5
 
 
-def test_what_no_effect_explains_is_owned_up_to(benches):
-    [folder] = cases(benches, "unknown")
-    found = answer(folder)
+@pytest.mark.parametrize("name", unlisted_effects())
+def test_what_no_effect_explains_is_owned_up_to(benches, name):
+    found = answer(keyed(benches, "unknown", "unlisted")[name])
     assert found.verdict == "unknown"
     assert all(cause.probability < 0.5 for cause in found.causes)
+    assert any(note.startswith("unexplained: ") for note in found.notes)
+
+
+def test_what_rings_on_the_bench_is_told_with_its_frequency(benches):
+    folder = keyed(benches, "unknown", "unlisted")["hanging_resonator"]
+    key = json.loads((benches / "unknown-key" / "key.json").read_text(encoding="utf-8"))["cases"]
+    held_still = key[folder.name]["parameters"]["hanging_resonator"]["frequency"]
+    case = read_case(sorted(folder.glob("*.h5")), [], model(folder))
+    evidence = Evidence(case.fitted, case.model)
+    lines = ringing(evidence, evidence.settle([]), [True] * len(evidence.stack.rows))
+    highest = max(lines.values(), key=lambda line: line.height)
+    assert highest.height > 1.3
+    # a free rotor swings against the part that hangs on it, faster than the part alone by half at most
+    assert 0.9 * held_still < highest.frequency < 1.5 * held_still
 
 
 def test_the_answer_does_not_depend_on_file_names_or_order(with_effect, tmp_path):

@@ -99,7 +99,7 @@ def _entry(cause: Cause) -> tuple[str, dict[str, float]]:
 def unfollowed(shrinkage: Sequence[Shrinkage]) -> dict[tuple[str, str, str], float]:
     """Of the angle: what the last model leaves of held-out runs, over what a servo's replay may well leave."""
     return {
-        (line.quantity, line.role, line.mechanical): (line.augmented_rms / (USUAL * line.floor_rms)) ** 2
+        ("free run", line.quantity, line.mechanical): (line.augmented_rms / (USUAL * line.floor_rms)) ** 2
         for line in shrinkage
         if line.quantity == "angle"
     }

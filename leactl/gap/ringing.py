@@ -1,0 +1,80 @@
+"""Whether what a set of effects leaves over rings: a line in its spectrum that noise and a sound model do not have.
+
+A part that swings on the bench, a loop that oscillates or a hum leaves little power, so that sums of squares hardly
+see it, but leaves it at one frequency. Spectra of all runs are averaged (Welch, 1967) and each bin is compared with its
+neighbours, which needs no reference: smoothing and slow model errors bend a spectrum, they put no line in it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.gap.evidence import Evidence, usual_unrest
+from leactl.gap.regression import Fit, residuals
+
+Array = npt.NDArray[np.float64]
+SEGMENT = 64  # rows
+FULL = 0.6  # of a segment's rows that must be there
+NEIGHBOURS = 5  # bins to either side, the next one left out
+LOWEST = 4  # bin; below it there is no neighbourhood on either side, and `unrest` sees what is slow
+FEWEST = 8  # segments
+DEVIATIONS = 3.0  # that a mean spectrum of so many segments scatters by
+COLOURLESS = 10.0  # usual unrest, up to which a sound model leaves a rest even enough to hear a line in
+
+
+@dataclass(frozen=True)
+class Line:
+    """The highest line of a spectrum."""
+
+    height: float  # over its neighbourhood, less what chance gives it
+    frequency: float  # Hz
+
+
+def ringing(evidence: Evidence, fit: Fit, heard: Sequence[bool]) -> dict[tuple[str, str, str], Line]:
+    """The highest line of what a fit leaves over in each channel, of the rows that are to be heard.
+
+    Keys are equation, quantity and mechanical set-up. Channels with too few rows are left out.
+    """
+    usual = usual_unrest()
+    spectra: dict[tuple[str, str, str], list[Array]] = {}
+    rates: dict[tuple[str, str, str], float] = {}
+    for index, rows in enumerate(evidence.stack.rows):
+        if not heard[index] or usual.get(rows.equation, np.inf) > COLOURLESS or len(rows.index) < SEGMENT:
+            continue
+        left = residuals(evidence.stack, fit, index) / rows.white
+        step = int(np.min(np.diff(rows.index)))
+        place = (rows.index - rows.index[0]) // step
+        even = np.full(place[-1] + 1, np.nan)
+        even[place] = left
+        key = (rows.equation, rows.quantity, rows.mechanical)
+        rates[key] = 1.0 / (step * rows.signals.interval)
+        spectra.setdefault(key, []).extend(periodograms(even))
+    lines = {}
+    for key, found in spectra.items():
+        if len(found) >= FEWEST:
+            at, over = highest_bin(np.mean(found, axis=0))
+            lines[key] = Line(over * (1.0 - DEVIATIONS / np.sqrt(len(found))), at * rates[key] / SEGMENT)
+    return lines
+
+
+def periodograms(values: Array) -> list[Array]:
+    """Power of half-overlapping segments under a Hann window; missing values (NaN) count as nothing."""
+    window, found = np.hanning(SEGMENT), []
+    for start in range(0, len(values) - SEGMENT + 1, SEGMENT // 2):
+        part = values[start : start + SEGMENT]
+        there = np.isfinite(part)
+        if there.mean() >= FULL:
+            power = np.abs(np.fft.rfft(np.where(there, part, 0.0) * window)) ** 2
+            found.append(power / np.sum((window * there) ** 2))
+    return found
+
+
+def highest_bin(power: Array) -> tuple[int, float]:
+    """The bin that stands highest over the medians of its neighbours on either side; a slope alone makes no line."""
+    over = np.zeros(len(power))
+    for at in range(LOWEST, len(power) - 2):
+        below, above = power[max(1, at - NEIGHBOURS) : at - 1], power[at + 2 : at + NEIGHBOURS + 1]
+        over[at] = power[at] / max(np.median(below), np.median(above))
+    return int(np.argmax(over)), float(np.max(over))
