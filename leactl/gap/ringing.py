@@ -41,7 +41,9 @@ def ringing(evidence: Evidence, fit: Fit, heard: Sequence[bool]) -> dict[tuple[s
     spectra: dict[tuple[str, str, str], list[Array]] = {}
     rates: dict[tuple[str, str, str], float] = {}
     for index, rows in enumerate(evidence.stack.rows):
-        if not heard[index] or usual.get(rows.equation, np.inf) > COLOURLESS or len(rows.index) < SEGMENT:
+        # a locked rotor moves by single counts of its encoder, which have a rhythm of their own
+        counts = rows.mechanical == "locked" and rows.quantity == "velocity"
+        if counts or not heard[index] or usual.get(rows.equation, np.inf) > COLOURLESS or len(rows.index) < SEGMENT:
             continue
         left = residuals(evidence.stack, fit, index) / rows.white
         step = int(np.min(np.diff(rows.index)))
