@@ -35,9 +35,8 @@ class ThermalBound:
     """Bounds of several actuators side by side, one lane for each cell of each box; a box without width has one."""
 
     def __init__(self, boxes: Sequence[Box], start: float) -> None:
-        lanes = [
-            CELLS if box.winding_housing_resistance.high > box.winding_housing_resistance.low else 1 for box in boxes
-        ]
+        across = [box.winding_housing_resistance for box in boxes]
+        lanes = [CELLS if one.high > one.low else 1 for one in across]
         self.count = len(boxes)
         self._of = np.repeat(np.arange(self.count), lanes)
         self._first = np.concatenate([[0], np.cumsum(lanes)[:-1]])
