@@ -77,12 +77,12 @@ def test_three_equal_phases_are_the_winding_of_two_nodes(coefficient):
 # ---------------------------------------------------------------- the figures of the design
 
 
-def test_the_continuous_current_of_two_nodes_held_at_rest_ends_near_155_degC():
+def test_the_continuous_current_of_two_nodes_held_at_rest_ends_near_155_celsius():
     assert settled(LEA, 13.7**2 * EVEN)[0] == pytest.approx(128.3, abs=0.5)
     assert held(LEA, 13.7**2 * AT_REST, 20000.0, 0.5)[0] == pytest.approx(155.0, abs=1.0)
 
 
-def test_the_20_s_peak_of_two_nodes_held_at_rest_ends_near_314_degC():
+def test_the_20_s_peak_of_two_nodes_held_at_rest_ends_near_314_celsius():
     # 32 A is 32.11 A rounded: 130 degC after 20 s by two nodes, 15.7 N*m; 0.1 A is 3.6 K
     assert held(LEA, 32.114**2 * EVEN, 20.0, 0.01)[0] == pytest.approx(130.0, abs=0.01)
     assert held(LEA, 32.114**2 * AT_REST, 20.0, 0.01)[0] == pytest.approx(314.34, abs=0.02)
