@@ -89,7 +89,7 @@ class Rig:
         self._idle = 0
         self._heat = [0.0, 0.0]
         self._friction_heat = [0.0, 0.0]
-        self._phases = RigPhases((first, second), self.bench.ambient_temperature) if self.bench.phase_resolved else None
+        self._phases = RigPhases(pair, self.bench.ambient_temperature) if self.bench.phase_resolved else None
         self._propagators: dict[Regime, Propagator] = {}
         self._resistances = [a.resistance for a in pair]
         self._regime = Regime(setup, (ActuatorRegime(), ActuatorRegime()), (first.phase_resistance,) * 2)
@@ -130,6 +130,7 @@ class Rig:
         """
         if self._phases is None:
             raise InputError("the bench's phases are not resolved; set emulated.bench.phase_resolved: true")
+        self._phases.hold(self._friction_heat)
         return self._phases.hottest(ROLES.index(role))
 
     def state(self, index: int) -> float:
@@ -216,8 +217,8 @@ class Rig:
         if duration <= 0.0:
             return
         self.time = to_time
-        if self._phases is not None:
-            self._advance_phases(self._phases, duration)
+        if self.setup == "heated" and self._phases is not None:
+            self._phases.heat_leads(duration, self.heater_current)
             return
         if self.setup == "heated":
             heat = 2.0 * self._pair[0].resistance * self.heater_current**2
@@ -226,21 +227,13 @@ class Rig:
             return
         self._refresh_resistances()
         self._march(duration)
+        if self._phases is not None:
+            return
         for k, actuator in enumerate(self._pair):
             heat = self._resistances[k] * self._heat[k] / duration
             actuator.thermal.step(round(duration, 9), heat, self._friction_heat[k] / duration)
         self._heat = [0.0, 0.0]
         self._friction_heat = [0.0, 0.0]
-
-    def _advance_phases(self, phases: RigPhases, duration: float) -> None:
-        if self.setup == "heated":
-            phases.heat_leads(duration, self.heater_current)
-        else:
-            self._refresh_resistances()
-            self._march(duration)
-            phases.hold(self._friction_heat)
-        for actuator, (winding, housing) in zip(self._pair, phases.means(), strict=True):
-            actuator.thermal.winding, actuator.thermal.housing = winding, housing
 
     def _refresh_resistances(self) -> None:
         stale = False
