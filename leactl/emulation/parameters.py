@@ -17,16 +17,17 @@ def bounded(default: float, low: float, high: float = math.inf) -> Any:
     return field(default=default, metadata={"low": low, "high": high})
 
 
+def switch(default: bool) -> Any:
+    """Truth of a frozen dataclass; a number or a word in its place is refused."""
+    return field(default=default, metadata={"switch": True})
+
+
 def _positive(default: float) -> Any:
     return bounded(default, 1e-12)
 
 
 def _not_negative(default: float) -> Any:
     return bounded(default, 0.0)
-
-
-def _switch(default: bool) -> Any:
-    return field(default=default, metadata={"switch": True})
 
 
 class Checked:
@@ -154,5 +155,5 @@ class BenchParameters(Checked):
     velocity_gain: float = _positive(200.0)  # 1/s, proportional, of an unloaded rotor
     velocity_integral: float = _not_negative(1000.0)  # 1/s^2
     ambient_temperature: float = bounded(25.0, -100.0, 200.0)  # degC
-    friction_heat: bool = _switch(False)  # the paper leaves it out; where True it warms the housing
-    phase_resolved: bool = _switch(False)  # three phase nodes for each winding in place of one
+    friction_heat: bool = switch(False)  # the paper leaves it out; where True it warms the housing
+    phase_resolved: bool = switch(False)  # three phase nodes for each winding in place of one

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from leactl.emulation.parameters import ActuatorParameters, Checked, bounded
+from leactl.emulation.parameters import ActuatorParameters, Checked, bounded, switch
 from leactl.emulation.phases import Array, PhaseNetwork, lead_squares, turning_squares
 
 BLOCK = 128  # intervals whose currents are split at once: a block of 200 lanes stays in the processor's cache
@@ -21,7 +21,7 @@ class PhaseLane(Checked):
     actuator: ActuatorParameters = field(default_factory=ActuatorParameters)
     ambient_temperature: float = bounded(25.0, -100.0, 200.0)  # degC
     current_factor: float = bounded(1.0, 0.01, 100.0)  # true current over the drive's: sqrt(3/2) for a wrong convention
-    friction_heat: bool = True  # into the housing
+    friction_heat: bool = switch(True)  # into the housing
     angle: float = bounded(0.0, -1e6, 1e6)  # rad, of the rotor at the start
 
 

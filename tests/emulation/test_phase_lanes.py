@@ -105,7 +105,11 @@ def test_blocked_air_acts_from_its_moment_and_settles_at_its_resistance():
 
 @pytest.mark.parametrize(
     ("settings", "named"),
-    [({"current_factor": 0.0}, "current_factor"), ({"ambient_temperature": math.nan}, "ambient_temperature")],
+    [
+        ({"current_factor": 0.0}, "current_factor"),
+        ({"ambient_temperature": math.nan}, "ambient_temperature"),
+        ({"friction_heat": 1.0}, "friction_heat"),
+    ],
 )
 def test_a_lane_that_is_none_is_refused(settings, named):
     with pytest.raises(InputError, match=named):
