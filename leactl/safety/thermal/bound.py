@@ -24,9 +24,10 @@ LONGEST_STEP_S = 2.0
 OTHER_PHASES = 0.55  # weight of the hottest phase in the winding's resistance: half where phases heat alike, see docs
 AHEAD = 1.5  # times what a node would gain in a step at its present rate, that it is taken to gain at most
 WIDER = 1e-3  # K
-WIDENINGS = 20
+WIDENINGS = 6
 MOST_ITERATIONS, SETTLED_K = 2000, 1e-7
-BURNT = 1e4  # degC, above which a bound is no number worth going on with
+RUNAWAY = 20.0  # time constants of a growing temperature within a step
+BURNT = 1e4  # degC, above which a bound is not worked out any further
 
 HOTTEST, MEAN, HOUSING = range(3)
 
@@ -67,7 +68,9 @@ class ThermalBound:
         self._slowest = self._capacitance[0][MEAN] / (self._to_housing[1] + self._to_air[1][MEAN])
         self.state = np.full((3, len(self._of)), float(start))  # degC
 
-    def step(self, duration: float, squares: Array, aligned: Array, speeds: Array, ambient: float) -> None:
+    def step(
+        self, duration: float, squares: Array, aligned: Array, speeds: Array, ambient: float, even: bool = False
+    ) -> None:
         """Advance all lanes.
 
         Parameters
@@ -78,28 +81,29 @@ class ThermalBound:
             i^2, 1 at standstill and 0 over whole turns.
         speeds : of each actuator, the largest speed in the step [rad/s].
         ambient : as measured or told [degC].
+        even : whether the current is known to be the same throughout; else its heat may all come at the end.
         """
         told = np.concatenate([squares, aligned, speeds, [duration, ambient]])
-        if not (np.isfinite(told).all() and duration >= 0.0 and self.state.max() < BURNT):
+        if not (np.isfinite(told).all() and duration >= 0.0 and np.isfinite(self.state).all()):
             self.state = np.full_like(self.state, np.inf)  # nothing can be promised any more
             return
         pieces = max(1, int(np.ceil(duration / LONGEST_STEP_S)))
-        heat = self._heat(squares, aligned, speeds, ambient)
+        square, share, friction, air = self._heat(squares, aligned, speeds, ambient)
+        if not even:  # less of what comes late has left again
+            share = share * (1.0 + duration / pieces / self._slowest)
         for _ in range(pieces):
-            self._advance(duration / pieces, *heat)
+            self._advance(duration / pieces, square, share, friction, air)
 
     def settle(self, squares: Array, aligned: Array, speeds: Array, ambient: float) -> None:
-        """Go to where constant heat leads in the end, infinity where it runs away; arguments as of `step`."""
-        square, late, friction, air = self._heat(squares, aligned, speeds, ambient)
+        """Go to where constant heat leads in the end, `BURNT` where it runs away; arguments as of `step`."""
+        square, share, friction, air = self._heat(squares, aligned, speeds, ambient)
         self.state = np.full_like(self.state, ambient)
         for _ in range(MOST_ITERATIONS):
-            constant, slope = self._lines(self.state, self.state, square, late, friction, air)
-            fresh = np.where(slope > 0.0, constant / np.where(slope > 0.0, slope, 1.0), np.inf)
+            constant, slope = self._lines(self.state, self.state, square, share, friction, air)
+            ends = slope > 0.0
+            fresh = np.where(ends, np.minimum(constant / np.where(ends, slope, 1.0), BURNT), BURNT)
             moved = float(np.max(np.abs(fresh - self.state)))
             self.state = fresh
-            if not fresh.max() < BURNT:
-                self.state = np.full_like(fresh, np.inf)
-                return
             if moved < SETTLED_K:
                 return
 
@@ -111,42 +115,45 @@ class ThermalBound:
         return squares[of] * self._gain_squared, 1.0 + aligned[of], friction, ambient + self._ambient_rise
 
     def _advance(self, h: float, square: Array, share: Array, friction: Array, air: Array) -> None:
-        # heat may come at the end of the step, where less of it has left again
-        late = share * (1.0 + h / self._slowest)
-        factor = AHEAD
+        factor = np.full_like(square, AHEAD)
         for _ in range(WIDENINGS):
-            fresh, ceiling, floor = self._tried(h, square, late, friction, air, factor)
-            if np.all(fresh <= ceiling) and np.all(fresh >= floor):
+            fresh, ceiling, floor = self._tried(h, square, share, friction, air, factor)
+            kept = np.all((fresh <= ceiling) & (fresh >= floor), axis=0)
+            if kept.all():
                 self.state = fresh
                 return
-            factor *= 2.0
+            factor = np.where(kept, factor, 2.0 * factor)
         self._advance(0.5 * h, square, share, friction, air)
         self._advance(0.5 * h, square, share, friction, air)
 
     def _tried(
-        self, h: float, square: Array, late: Array, friction: Array, air: Array, factor: float
+        self, h: float, square: Array, share: Array, friction: Array, air: Array, factor: Array
     ) -> tuple[Array, Array, Array]:
         """The state after a step, and between what it is taken to stay on the way."""
         state = self.state
-        rate = self._rates(state, square, late, friction, air)
-        ceiling = state + factor * h * np.maximum(rate, 0.0) + WIDER
-        floor = state + factor * h * np.minimum(rate, 0.0) - WIDER
-        constant, slope = self._lines(ceiling, floor, square, late, friction, air)
+        rate = self._rates(state, square, share, friction, air)
+        ceiling = np.minimum(state + factor * (h * np.maximum(rate, 0.0) + WIDER), BURNT)
+        floor = state + factor * (h * np.minimum(rate, 0.0) - WIDER)
+        constant, slope = self._lines(ceiling, floor, square, share, friction, air)
         gained = constant - slope * state
         capacitance = np.where(gained > 0.0, *self._capacitance)
-        decay = slope * h / capacitance
+        decay = np.maximum(slope * h / capacitance, -RUNAWAY)
         shrink = -np.expm1(-decay) / np.where(decay == 0.0, 1.0, decay)
         shrink[decay == 0.0] = 1.0
-        return state + gained * shrink * h / capacitance, ceiling, floor
+        return np.minimum(state + gained * shrink * h / capacitance, BURNT), ceiling, floor
 
-    def _rates(self, state: Array, square: Array, late: Array, friction: Array, air: Array) -> Array:
+    def fastest(self, squares: Array, aligned: Array, speeds: Array, ambient: float) -> float:
+        """How fast any node rises at the most under such heat [K/s]; arguments as of `step`."""
+        return float(np.max(self._rates(self.state, *self._heat(squares, aligned, speeds, ambient))))
+
+    def _rates(self, state: Array, square: Array, share: Array, friction: Array, air: Array) -> Array:
         """How fast each node rises at the most [K/s]."""
-        constant, slope = self._lines(state, state, square, late, friction, air)
+        constant, slope = self._lines(state, state, square, share, friction, air)
         gained = constant - slope * state
         return np.asarray(gained / np.where(gained > 0.0, *self._capacitance), np.float64)
 
     def _lines(
-        self, ceiling: Array, floor: Array, square: Array, late: Array, friction: Array, air: Array
+        self, ceiling: Array, floor: Array, square: Array, share: Array, friction: Array, air: Array
     ) -> tuple[Array, Array]:
         """Of each node: its heat as `constant - slope x own temperature`, no less than it is in any bench of the box.
 
@@ -161,8 +168,8 @@ class ThermalBound:
         more, steeper = inflow(across, ceiling, floor, *self._to_housing)
         constant += more
         slope += steeper
-        constant[HOTTEST] += late * base
-        slope[HOTTEST] -= late * warmer
+        constant[HOTTEST] += share * base
+        slope[HOTTEST] -= share * warmer
         constant[MEAN] += base + warmer * OTHER_PHASES * np.maximum(ceiling[HOTTEST], ceiling[MEAN])
         slope[MEAN] -= warmer * (1.0 - OTHER_PHASES)
         constant[HOUSING] += friction

@@ -9,6 +9,7 @@ from leactl.errors import InputError
 from leactl.model.motor import Motor
 
 Array = npt.NDArray[np.float64]
+PHASE_SHARE = 2.0 / 3.0  # of the copper heat, in the hottest phase of a rotor that stands
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,19 @@ class Box:
     def exact(cls, motor: Motor) -> "Box":
         """A box without width: the motor file's values as they are."""
         return cls._around(motor, {})
+
+    @classmethod
+    def favourable(cls, motor: Motor) -> "Box":
+        """The corner at which an actuator stays coolest, as a box without width."""
+        whole = cls.of(motor)
+        kept = {name: getattr(whole, name) for name in cls.__annotations__}
+        ranges = {name: one for name, one in kept.items() if isinstance(one, Range)}
+        corner = {
+            name: Range(end, end)
+            for name, one in ranges.items()
+            for end in [one.high if name.endswith("capacitance") else one.low]
+        }
+        return cls(**kept | corner | {"current_gain": 2.0 - whole.current_gain, "ambient_rise": -whole.ambient_rise})
 
     @classmethod
     def _around(cls, motor: Motor, tolerances: dict[str, float]) -> "Box":
