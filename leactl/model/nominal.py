@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field, model_validator
 
 from leactl import yamlfile
-from leactl.model.motor import STRICT, NotNegative, Positive, Thermal
+from leactl.model.motor import STRICT, NotNegative, Positive, Thermal, Tolerances
 from leactl.vocabulary.effect import effect_definition, effect_names
 
 
@@ -96,6 +96,7 @@ class Model(BaseModel):
     drive: DriveModel | None = None
     units: dict[str, str] = {}
     limits: ModelLimits = ModelLimits()
+    tolerances: Tolerances | None = None  # for the safety guard, which takes a model file as a motor's
     effects: list[EffectEntry] = []
 
 

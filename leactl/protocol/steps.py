@@ -91,7 +91,8 @@ class SweepStep(Driven):
 
     `both` rises through the levels, turns at top + overshoot, falls through them and turns at bottom - overshoot; it
     begins with that lower turn where the setpoint is not below the levels yet. Without an overshoot the top level is
-    itself the turn and is held once. With a rate, the way to a level is a ramp of its own before the hold. `pause_s`
+    itself the turn and is held once. `around` visits each level by itself, from below and from above, and rests at zero
+    for `rest_s` before the next. With a rate, the way to a level is a ramp of its own before the hold. `pause_s`
     rests at zero after every repeat but the last.
     """
 
@@ -103,7 +104,8 @@ class SweepStep(Driven):
     levels_rad: Levels | None = None
     hold_s: Duration
     settle_s: Rest = 0.0
-    visit: Literal["up", "down", "both", "as_given"] = "as_given"
+    visit: Literal["up", "down", "both", "around", "as_given"] = "as_given"
+    rest_s: Rest = 0.0
     overshoot_A: Amount | None = None
     overshoot_rad_s: Amount | None = None
     overshoot_rad: Amount | None = None

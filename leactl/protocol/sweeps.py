@@ -23,6 +23,10 @@ def visits(
         yield from (("hold", level) for level in rising)
     elif visit == "down":
         yield from (("hold", level) for level in reversed(rising))
+    elif visit == "around":
+        for level in rising:
+            yield from (("turn", level - overshoot), ("hold", level), ("turn", level + overshoot), ("hold", level))
+            yield "rest", 0.0
     else:
         bottom, top = rising[0], rising[-1]
         if overshoot and (before is None or before >= bottom):
@@ -66,7 +70,9 @@ def _visit_levels(timeline: Timeline, step: Step, spelling: Spelling, where: dic
         level = magnitude * content.sign
         if not timeline.approach(step, content.role, level, content.given(spelling, "rate"), where):
             return False
-        if name == "turn":
+        if name == "rest":
+            timeline.hold(step, name, (content.rest_s, 0.0), content.role, level, where)
+        elif name == "turn":
             timeline.hold(step, name, (content.turn_s, 0.0), content.role, level, where)
         else:
             direction = followed.goes_to(level)

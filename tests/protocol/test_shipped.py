@@ -37,8 +37,8 @@ def test_torque_constant():
             asked = {"current_A": level, "direction": direction, "role": "test"}
             visits = [s.parameters["repeat"] for s in holds if asked.items() <= s.parameters.items()]
             assert visits == [1, 2, 3, 4, 5, 6]
-    assert {(s.duration_s, s.settle_s) for s in holds} == {(5.5, 0.5)}
-    assert [s.duration_s for s in segments(found) if s.name == "pause"] == [60] * 5
+    assert {(s.duration_s, s.settle_s) for s in holds} == {(1.0, 0.5)}
+    assert [s.duration_s for s in segments(found) if s.name == "rest"] == [15] * 30
     assert found.peaks() == {("test", "q_axis_current_reference"): 28.5}
     assert segments(found)[-1].setpoints["test"].at(math.inf) == 0
     assert [(limit.result, limit.low, limit.unit) for limit in found.acceptance] == [("r_squared", 0.99, "1")]
