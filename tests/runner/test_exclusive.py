@@ -43,7 +43,8 @@ def test_a_second_run_is_refused_with_the_process_of_the_first(holder, tmp_path,
     done = leactl("run", "spin.yaml", "--bench", "testbed", **os.environ)
     assert (done.returncode, done.stdout) == (5, "")
     assert done.stderr == (
-        f"leactl: bench 'testbed' is driven by another run, process {holder.pid}; wait for its end or stop it\n"
+        f"leactl: bench 'testbed' is driven by another run, process {holder.pid};"
+        " wait for its end, or: leactl bench stop\n"
     )
     assert leactl("run", "spin.yaml", **os.environ).returncode == 0  # emulated in process: nobody else's
 
