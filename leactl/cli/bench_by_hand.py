@@ -24,6 +24,7 @@ AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 
 def stop(
     bench: str = typer.Argument("", help="A bench by name or as a .yaml; without one, every run of this user."),
+    wait_s: float = typer.Option(END_S, "--wait", metavar="SECONDS", min=0, help="How long to wait for the end."),
     as_json: bool = AS_JSON,
 ) -> None:
     """Stop the run on a bench and say how it ended; status 0 where every device confirmed that it is safe, else 5."""
@@ -38,8 +39,8 @@ def stop(
             asked.append(run)
         except DeviceError as fault:
             faults.append(str(fault))
-    deadline = time.monotonic() + END_S
-    ends = [_end(run, run.wait(deadline)) for run in asked]
+    deadline = time.monotonic() + wait_s
+    ends = [_end(run, run.wait(deadline), wait_s) for run in asked]
     faults += [f"{end['bench']}: {end['doubt']}" for end in ends if end["doubt"]]
     if as_json:
         typer.echo(json.dumps({"runs": ends}))
@@ -67,7 +68,7 @@ def _runs_on(bench: str, found: "list[Underway]") -> "list[Underway]":
     return [run for run in found if run.bench == name]
 
 
-def _end(run: "Underway", ended: bool) -> dict[str, Any]:
+def _end(run: "Underway", ended: bool, waited_s: float) -> dict[str, Any]:
     """How a run ended, and what of it could not be confirmed."""
     told = run.told()
     safe = told.get("safe", {})
@@ -78,7 +79,7 @@ def _end(run: "Underway", ended: bool) -> dict[str, Any]:
     elif not safe and ended:
         doubt = told.get("reason") or f"process {run.process} died without a word"
     elif not safe:
-        doubt = f"process {run.process} has not answered within {END_S:g} s"
+        doubt = f"process {run.process} has not answered within {waited_s:g} s"
     return {
         "bench": run.bench,
         "protocol": run.protocol,
