@@ -50,10 +50,10 @@ class Jog(NamedTuple):
             raise InputError(faults)
 
     def steps(self, stands_at: float = 0.0) -> list[str]:
-        """The protocol's steps; `stands_at` is the shaft's angle [rad]."""
+        """The protocol's steps; `stands_at` is the shaft's angle [rad], from which an angle is counted."""
         keys = SPELLINGS[self.mode]
         rate = f"{keys.rate}: {self.rate or GENTLE[self.mode]!r}"
-        goal = self.value + stands_at
+        goal = self.value + (stands_at if self.mode is Mode.ANGLE else 0.0)
         moves = [
             f"ramp: {{role: {self.role}, to_{keys.setpoint}: {goal!r}, {rate}}}",
             f"hold: {{name: jog, role: {self.role}, {keys.setpoint}: {goal!r}, duration_s: {self.hold_s!r}}}",

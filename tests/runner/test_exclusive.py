@@ -1,8 +1,6 @@
 """Two runs never drive one bench: by its name, and by the buses that its devices hang on."""
 
 import os
-import subprocess
-import sys
 
 import pytest
 
@@ -11,25 +9,6 @@ from leactl.errors import DeviceError, InputError
 from leactl.runner import exclusive
 from tests.cli.terminal import leactl
 from tests.runner.conftest import SPIN
-
-HOLD = """
-import sys, time
-from leactl.bench import benchfile
-from leactl.runner import exclusive
-file, devices, _ = benchfile.load("testbed")
-with exclusive.held(file, devices):
-    print("held", flush=True)
-    time.sleep(60)
-"""
-
-
-@pytest.fixture
-def holder():
-    process = subprocess.Popen([sys.executable, "-c", HOLD], stdout=subprocess.PIPE, text=True)
-    assert process.stdout.readline() == "held\n"
-    yield process
-    process.kill()
-    process.communicate()
 
 
 def real_bench(**changes):
