@@ -115,10 +115,13 @@ def test_other_keys_and_what_was_typed_before_the_run_stop_nothing(spin, keyboar
 
 @pytest.mark.parametrize("answer", [[b"\n"], [b"y\n"], [b"y", b"\n"]])
 def test_a_stop_key_takes_no_answer_from_a_prompt_and_works_after_it(spin, keyboard, answer):
+    def give_up(_bench):
+        raise AssertionError("nobody took the answer")
+
     at = [(0.2 + 0.1 * number, typing(keyboard, part)) for number, part in enumerate(answer)]
     with operators.keyboard(shown=True) as keys:
         outcome, _bench = spin(
-            PROMPTING, at=[*at, (0.7, typing(keyboard, b" "))], operator=keys.ask, stops=[keys.pressed]
+            PROMPTING, at=[*at, (0.7, typing(keyboard, b" ")), (5.0, give_up)], operator=keys.ask, stops=[keys.pressed]
         )
     with Run.open(outcome.path) as run:
         assert [event.message for event in run.events if event.source == "operator"][-1] == "confirmed"
@@ -172,3 +175,13 @@ def test_without_a_terminal_or_a_display_no_key_is_taken(keyboard, monkeypatch, 
     monkeypatch.setattr(sys, "stdin", None)
     with operators.keyboard(shown=True) as keys:
         assert keys.hint == ""
+
+
+def test_what_answers_a_prompt_is_left_to_it_whoever_looks_first(keyboard):
+    with operators.keyboard(shown=True) as keys:
+        confirmed = keys.ask("Lock the shaft")
+        typing(keyboard, b"y\n")(None)
+        assert keys.pressed() == ""
+        assert confirmed()
+        typing(keyboard, b"q")(None)
+        assert keys.pressed() == "stopped by the operator: key q"
