@@ -33,7 +33,9 @@ class StopRequest:
         Stopped : with the cause.
         """
         for source in self._sources:
-            self.cause = self.cause or source()
+            cause = source()
+            if cause:  # nothing is written otherwise: a signal may have come while the source was looked at
+                self.cause = self.cause or cause
         if self.cause:
             raise Stopped(self.cause)
 
