@@ -5,7 +5,9 @@ import sys
 
 import typer
 
-app = typer.Typer(help="List, show, check, reset and serve benches.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(
+    help="Bench files, and what is done at a bench beside a protocol.", no_args_is_help=True, rich_markup_mode=None
+)
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 
 

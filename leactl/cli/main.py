@@ -10,7 +10,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import typer
 
 from leactl import __version__
-from leactl.cli import analyze, bench, demo, doctor, driver, gap, motor, protocol, run, runs
+from leactl.cli import analyze, bench, bench_by_hand, demo, doctor, driver, gap, motor, protocol, run, runs
 from leactl.errors import InputError, LeactlError, Stopped
 
 CTRL_C_OF_TYPER = 130
@@ -24,6 +24,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("analyze")(analyze.analyze)
+for by_hand in (bench_by_hand.stop, bench_by_hand.read, bench_by_hand.zero, bench_by_hand.jog):
+    bench.app.command()(by_hand)
 app.add_typer(bench.app, name="bench")
 app.add_typer(driver.app, name="driver")
 app.add_typer(gap.app, name="gap")

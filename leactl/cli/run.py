@@ -29,14 +29,7 @@ def run(
 
     request = prepare(protocol, bench, settings, actuator, condition, operator, out, realtime, served, bus)
     outcome = perform(request)
-    answer: dict[str, Any] = {
-        "run": str(outcome.path),
-        "status": outcome.status,
-        "reason": outcome.reason,
-        "duration_s": round(outcome.duration_s, 6),
-        "safe": {name: {"confirmed": c.safe, "detail": c.detail} for name, c in outcome.safe.items()},
-        "acceptance": [],
-    }
+    answer = told(outcome) | {"acceptance": []}
     unmet: list[str] = []
     if outcome.error is None and request.plan.acceptance:
         from leactl.runner.acceptance import judge
@@ -45,18 +38,21 @@ def run(
     if as_json:
         typer.echo(json.dumps(answer))
     else:
-        typer.echo(f"{outcome.path}  {outcome.status}, {outcome.duration_s:.1f} s of bench time")
+        print_end(outcome)
     finish(outcome, unmet)
 
 
 def perform(request: "Request") -> "Outcome":
-    """Execute a request with the live view on stderr."""
+    """Execute a request with the live view on stderr and its stop key."""
+    from contextlib import AbstractContextManager
+
     from rich.console import Console
 
     from leactl.errors import InputError
     from leactl.protocol.plan import Prompt
     from leactl.report.live import live_view
-    from leactl.runner.operators import at_the_terminal, granted
+    from leactl.runner.operators import granted, keyboard
+    from leactl.runner.progress import Progress
     from leactl.runner.session import execute
 
     console = Console(stderr=True)
@@ -64,7 +60,29 @@ def perform(request: "Request") -> "Outcome":
     prompts = any(isinstance(action, Prompt) for action in request.plan.actions)
     if prompts and not emulated and not sys.stdin.isatty():
         raise InputError(f"protocol '{request.plan.name}' asks the operator, and stdin is no terminal")
-    return execute(request, granted if emulated else at_the_terminal, lambda progress: live_view(progress, console))
+    with keyboard(shown=console.is_terminal) as keys:
+
+        def watch(progress: Progress) -> AbstractContextManager[object]:
+            progress.hint = keys.hint
+            return live_view(progress, console)
+
+        return execute(request, granted if emulated else keys.ask, watch, [keys.pressed])
+
+
+def told(outcome: "Outcome") -> dict[str, Any]:
+    """How a run ended, as `--json` tells it."""
+    return {
+        "run": str(outcome.path),
+        "status": outcome.status,
+        "reason": outcome.reason,
+        "duration_s": round(outcome.duration_s, 6),
+        "safe": {name: {"confirmed": c.safe, "detail": c.detail} for name, c in outcome.safe.items()},
+    }
+
+
+def print_end(outcome: "Outcome") -> None:
+    """How a run ended, in one line."""
+    typer.echo(f"{outcome.path}  {outcome.status}, {outcome.duration_s:.1f} s of bench time")
 
 
 def finish(outcome: "Outcome", unmet: list[str]) -> None:

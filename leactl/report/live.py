@@ -87,6 +87,8 @@ def draw(progress: Progress, width: int) -> RenderableType:
     parts: list[RenderableType] = [head, bar, _channels(progress, width)]
     if progress.prompt:
         parts.append(Text(f"{progress.prompt}  {HOW}", style="bold yellow"))
+    elif progress.hint:
+        parts.append(Text(progress.hint, style="bold"))
     return Group(*parts)
 
 

@@ -51,7 +51,7 @@ def _locked(path: Path, what: str) -> Iterator[None]:
         except BlockingIOError:
             holder = os.read(descriptor, 20).decode("ascii", "replace").strip() or "unknown"
             raise DeviceError(
-                f"{what} is driven by another run, process {holder}; wait for its end or stop it"
+                f"{what} is driven by another run, process {holder}; wait for its end, or: leactl bench stop"
             ) from None
         os.ftruncate(descriptor, 0)
         os.write(descriptor, f"{os.getpid()}\n".encode())

@@ -51,6 +51,7 @@ class Loop:
         self._planned = 0.0
         self.overruns = 0
         self.cycles = 0
+        self.zeros: dict[str, tuple[float, float]] = {}  # of each tared channel, before and after [its unit]
 
     @property
     def time(self) -> float:
@@ -218,10 +219,13 @@ class Loop:
                     values.append(self._newest.pop(name)[0])
         self._planned += samples * self._period
         for driver, names in devices.items():
-            if names:
-                offsets = driver.tare({name: sum(gathered[name]) / len(gathered[name]) for name in names})
-                shown = ", ".join(f"{name} {offset:.6g}" for name, offset in offsets.items())
-                self._note("info", "runner", f"tared: new offsets {shown} N*m")
+            means = {name: sum(gathered[name]) / len(gathered[name]) for name in names}
+            after = driver.tare(means) if means else {}
+            streams = {spec.channels[0].name: spec.name for spec in driver.streams}
+            zeros = {name: (offset - means[streams[name]], offset) for name, offset in after.items()}
+            self.zeros |= zeros
+            for name, (before, offset) in zeros.items():
+                self._note("info", "runner", f"tared: offset of {name} {offset:.6g} N*m, before {before:.6g} N*m")
 
     def _prompt(self, text: str) -> None:
         """Ask the operator, and keep the loop going until the answer."""

@@ -1,22 +1,103 @@
-"""Who confirms a prompt: a person at the terminal, or nobody where the bench is emulated."""
+"""The person beside the bench: a key that stops the run, and who confirms a prompt, nobody where it is emulated.
+
+The loop itself looks at the keyboard, once a cycle: a thread that reads it would run beside the supervised path, and
+two readers of one terminal would take each other's answers.
+"""
 
 import os
 import select
 import sys
 import termios
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
 
 from leactl.errors import Stopped
 
 HOW = "[Enter goes on, anything else stops the run]"
+STOP_KEYS = {ord(" "): "space", ord("q"): "q"}
+STOP_HINT = "space or q stops the run"
+
+
+class Keyboard:
+    """The terminal that the operator types at, each key at once; without one nobody types."""
+
+    def __init__(self, terminal: int | None = None) -> None:
+        self._terminal = terminal
+        self._asking = False
+        self._poll = select.poll()
+        if terminal is not None:
+            self._poll.register(terminal, select.POLLIN)
+
+    @property
+    def hint(self) -> str:
+        """What the operator should know of it; empty without a terminal."""
+        return "" if self._terminal is None else STOP_HINT
+
+    def pressed(self) -> str:
+        """The cause to stop for, once a stop key was pressed; while a question stands the keys are its answer."""
+        terminal = self._terminal
+        if terminal is None or self._asking or not self._poll.poll(0) or not _in_front(terminal):
+            return ""
+        typed = _read(terminal)
+        if not typed:  # it has hung up, and would be ready for ever
+            self._poll.unregister(terminal)
+            self._terminal = None
+        return next((f"stopped by the operator: key {STOP_KEYS[key]}" for key in typed if key in STOP_KEYS), "")
+
+    def ask(self, text: str) -> Callable[[], bool]:
+        """Ask as `at_the_terminal` does; a stop key that was pressed just before the question still stops.
+
+        Raises
+        ------
+        Stopped : it was.
+        """
+        cause = self.pressed()
+        if cause:
+            raise Stopped(cause)
+        self._asking = True
+        confirmed = at_the_terminal(text)
+
+        def answered() -> bool:
+            self._asking = not confirmed()
+            return not self._asking
+
+        return answered
+
+
+@contextmanager
+def keyboard(shown: bool) -> Iterator[Keyboard]:
+    """Take single keys, unechoed, until the block is left, and give the terminal back as it was found.
+
+    Only where stdin is a terminal that is ours to use, and the operator is `shown` which key it is; Ctrl-C, Ctrl-Z and
+    Ctrl-S keep their meaning.
+    """
+    try:
+        terminal = sys.stdin.fileno()
+        before: list[Any] = termios.tcgetattr(terminal)
+    except (OSError, ValueError, AttributeError, termios.error):  # no stdin, a closed one, or no terminal
+        shown = False
+    if not shown or not _in_front(terminal):
+        yield Keyboard()
+        return
+    try:
+        # at once: TCSAFLUSH, the default, would wait for a terminal that Ctrl-S has stopped to take its output
+        tty.setcbreak(terminal, termios.TCSANOW)
+        termios.tcflush(terminal, termios.TCIFLUSH)  # what was typed before the run is not about it
+        yield Keyboard(terminal)
+    finally:
+        if _in_front(terminal):  # else the shell has it back already, and setting it would stop this process
+            with suppress(termios.error):
+                termios.tcflush(terminal, termios.TCIFLUSH)  # a stop key that was pressed twice is none of the shell's
+                termios.tcsetattr(terminal, termios.TCSANOW, before)
 
 
 def at_the_terminal(text: str) -> Callable[[], bool]:
     """Ask on stderr; an empty line or `y` on stdin confirms, anything else stops; the loop goes on meanwhile.
 
-    What was typed before the question answers nothing.
+    What was typed before the question answers nothing. A terminal that gives each key at once gives a line in parts.
     """
     # from a thread: a stopped terminal takes no text, and must not hold the loop
     question = f"{text}  {HOW}\n".encode()
@@ -25,18 +106,18 @@ def at_the_terminal(text: str) -> Callable[[], bool]:
     if _in_front(terminal):
         with suppress(termios.error):  # no terminal: nothing was typed ahead
             termios.tcflush(terminal, termios.TCIFLUSH)
+    line = b""
 
     def confirmed() -> bool:
+        nonlocal line
         ready, _, _ = select.select([terminal], [], [], 0.0)
         if not ready or not _in_front(terminal):
             return False
-        try:
-            line = os.read(terminal, 4096)
-        except OSError:  # the terminal has hung up
-            line = b""
-        if line.endswith(b"\n") and line.strip().lower() in (b"", b"y"):
-            return True
-        answer = ascii(line.decode(errors="replace").strip()) if line else "the end of input"
+        typed = _read(terminal)
+        line += typed
+        if typed and line.rstrip(b"\r\n").lower() in (b"", b"y"):
+            return line.endswith((b"\n", b"\r"))
+        answer = ascii(line.decode(errors="replace").rstrip("\r\n")) if typed else "the end of input"
         raise Stopped(f"stopped by the operator: {answer} in answer to: {text}")
 
     return confirmed
@@ -50,6 +131,14 @@ def granted(_text: str) -> Callable[[], bool]:
 def _tell(place: int, question: bytes) -> None:
     with suppress(OSError):  # a terminal that has hung up; the live view and the file hold the question too
         os.write(place, question)
+
+
+def _read(terminal: int) -> bytes:
+    """What was typed; nothing at the end of input and where the terminal has hung up."""
+    try:
+        return os.read(terminal, 4096)
+    except OSError:
+        return b""
 
 
 def _in_front(terminal: int) -> bool:

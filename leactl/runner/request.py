@@ -1,13 +1,17 @@
 """From the words of a command line to a checked request: every fault is found before a device is touched."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from leactl.bench import benchfile
+from leactl.bench.benchfile import BenchFile, CheckedDevice
 from leactl.errors import InputError
-from leactl.protocol import protocolfile
+from leactl.protocol import by_hand, protocolfile
+from leactl.protocol.plan import Plan
 from leactl.runner.session import Request
 from leactl.safety.supervisor import check_rate
+from leactl.yamlfile import Document
 
 MOST_SEED = 2**63 - 1
 
@@ -32,9 +36,43 @@ def prepare(
     """
     overrides = _settings(settings)
     seed = _seed(overrides.pop("seed", None))
-    file, devices, document = benchfile.load(bench)
-    file = file.model_copy(update={"buses": file.buses | benchfile.put_elsewhere(file, buses)})
+    placed = _placed(bench, buses)
     plan = protocolfile.load(protocol, overrides, condition)
+    made = _request(plan, placed, directory, realtime, served)
+    return replace(made, actuator=actuator, operator=operator, seed=seed)
+
+
+def prepare_by_hand(
+    name: str,
+    steps: Sequence[str],
+    bench: str,
+    setup: str,
+    directory: Path,
+    realtime: bool,
+    served: bool = False,
+    buses: Sequence[str] = (),
+) -> Request:
+    """Resolve and check steps that are given by hand, for the bench's own set-up, or `coupled`, where none is named.
+
+    Raises
+    ------
+    InputError : as `prepare`.
+    """
+    placed = _placed(bench, buses)
+    plan = by_hand.written(name, setup or placed[0].setup or "coupled", steps)
+    return _request(plan, placed, directory, realtime, served)
+
+
+Placed = tuple[BenchFile, list[CheckedDevice], Document]
+
+
+def _placed(bench: str, buses: Sequence[str]) -> Placed:
+    file, devices, document = benchfile.load(bench)
+    return file.model_copy(update={"buses": file.buses | benchfile.put_elsewhere(file, buses)}), devices, document
+
+
+def _request(plan: Plan, placed: Placed, directory: Path, realtime: bool, served: bool) -> Request:
+    file, devices, document = placed
     check_rate(plan.rate_Hz, benchfile.host_silences(devices))
     return Request(
         plan=plan,
@@ -42,9 +80,6 @@ def prepare(
         devices=devices,
         bench_document=document,
         directory=directory,
-        actuator=actuator,
-        operator=operator,
-        seed=seed,
         realtime=realtime,
         served=served,
     )

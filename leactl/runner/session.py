@@ -7,7 +7,7 @@ file closed with its status, and the devices let go.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -21,11 +21,12 @@ from leactl.errors import DeviceError, InputError, SafetyTrip, Stopped
 from leactl.model.motor import Motor, load_motor
 from leactl.protocol.plan import Engage, Plan
 from leactl.runfile.writer import RunInfo, RunWriter, new_run_id
-from leactl.runner import exclusive, latch
+from leactl.runner import exclusive, latch, underway
 from leactl.runner.loop import Loop, Operator
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import InlineFlush, ThreadedFlush
-from leactl.runner.signals import StopRequest, listening
+from leactl.runner.signals import StopRequest, StopSource, listening
+from leactl.runner.underway import Announcement
 from leactl.safety.supervisor import Axis, Supervisor, check_setpoints
 from leactl.safety.winding import ThermalParameters, WindingEstimate
 
@@ -65,14 +66,19 @@ class Outcome:
     duration_s: float
     overruns: int
     notes: Sequence[str] = ()  # what went wrong beside the run and changes nothing of it
+    zeros: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # of each tared channel, before and after
 
 
-def execute(request: Request, operator: Operator, watch: Watch) -> Outcome:
+def execute(request: Request, operator: Operator, watch: Watch, stops: Sequence[StopSource] = ()) -> Outcome:
     """Run a plan on a bench; the outcome carries the error that ended it, where there was one.
+
+    Parameters
+    ----------
+    stops : looked at once a cycle, besides signals and `leactl bench stop`; whatever gives a cause ends the run.
 
     Raises
     ------
-    InputError : plan and bench do not fit; nothing was touched.
+    InputError : plan and bench do not fit, or no other process could stop the run; nothing was touched.
     SafetyTrip : the bench is latched; nothing was touched.
     DeviceError : another run holds the bench, or a device could not be opened; those that were are safe and closed.
     RecordingFailed : the run file could not be made.
@@ -84,16 +90,27 @@ def execute(request: Request, operator: Operator, watch: Watch) -> Outcome:
         bench = Bench(request.bench, request.devices, _wiring(request))
         _check_roles(request, bench)
         supervisor = _supervisor(request, bench, motors)
-        bench.open()
-        try:
-            outcome = _run(request, bench, supervisor, stop, operator, watch)
-        finally:
-            left = bench.close()
+        place = request.bench.name, request.bench_document.name, request.plan.name
+        with underway.announced(*place, needed=not request.in_process) as announcement:
+            for source in (announcement.asked, *stops):
+                stop.heed(source)
+            bench.open()
+            try:
+                outcome = _run(request, bench, supervisor, stop, operator, watch, announcement)
+            finally:
+                left = bench.close()
+            announcement.tell(status=outcome.status, reason=outcome.reason, run=str(outcome.path.resolve()))
     return replace(outcome, notes=[*outcome.notes, *left])
 
 
 def _run(
-    request: Request, bench: Bench, supervisor: Supervisor, stop: StopRequest, operator: Operator, watch: Watch
+    request: Request,
+    bench: Bench,
+    supervisor: Supervisor,
+    stop: StopRequest,
+    operator: Operator,
+    watch: Watch,
+    announcement: Announcement,
 ) -> Outcome:
     """Run on an open bench, and leave it safe."""
     plan = request.plan
@@ -104,12 +121,14 @@ def _run(
         progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
         loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator)
     except BaseException:
-        supervisor.make_safe()
+        announcement.tell_safe(supervisor.make_safe())
         raise
     with _shown(watch, progress):
         error: BaseException | None = None
         try:
             _introduce(request, writer)
+            if announcement.fault:
+                writer.event(0.0, "warning", "runner", announcement.fault)
             loop.run()
         except BaseException as caught:  # noqa: BLE001 (whatever ended the run, the bench is made safe before anything else)
             error = caught
@@ -117,6 +136,7 @@ def _run(
         error = _unconfirmed(error, safe)
         if isinstance(error, SafetyTrip):
             _latch(request.bench.name, error, writer.path)
+        announcement.tell_safe(safe)
     notes = [progress.view_fault] if progress.view_fault else []
     try:
         flush.stop()
@@ -132,7 +152,7 @@ def _run(
     except Exception as failure:  # noqa: BLE001 (as above)
         error = _joined(error, failure)
     status, reason = _status(error)
-    return Outcome(writer.path, status, reason, error, safe, loop.time, loop.overruns, notes)
+    return Outcome(writer.path, status, reason, error, safe, loop.time, loop.overruns, notes, loop.zeros)
 
 
 @contextmanager

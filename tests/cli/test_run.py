@@ -11,7 +11,7 @@ import h5py
 import pytest
 
 from leactl.runfile.integrity import recover, verify
-from tests.cli.terminal import COMMAND, leactl
+from tests.cli.terminal import COMMAND, leactl, live_run, start
 from tests.runner.conftest import SPIN
 
 
@@ -102,26 +102,7 @@ def test_a_run_that_does_not_answer_has_not_met_its_limit(here):
     assert len(done.stderr.splitlines()) == 1
 
 
-def start(*arguments):
-    return subprocess.Popen(
-        [*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
-    )
-
-
-def live_run(here, process):
-    """Path of the run once its first rows are on the disk."""
-    while process.poll() is None:
-        for path in (here / "runs").glob("*.h5"):
-            try:
-                with h5py.File(path, "r", swmr=True) as file:
-                    if len(file["streams/loop/time"]) > 5:
-                        return path
-            except OSError:
-                continue
-    raise AssertionError(process.communicate())
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGQUIT])
 def test_a_signal_stops_in_order_and_a_second_one_changes_nothing(here, number):
     process = start("run", "spin.yaml", "--set", "hold_s=60", "--realtime", "--json")
     path = live_run(here, process)

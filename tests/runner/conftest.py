@@ -43,6 +43,7 @@ def spin(tmp_path, monkeypatch):
         watch=lambda _progress: nullcontext(),
         out=tmp_path / "runs",
         realtime=False,
+        stops=(),
     ):
         path = tmp_path / "protocol.yaml"
         path.write_text(text)
@@ -62,7 +63,7 @@ def spin(tmp_path, monkeypatch):
 
         monkeypatch.setattr(emulated_bench, "EmulatedBench", Rehearsed)
         request = prepare(str(path), bench, sets, "a1", condition, "", out, realtime)
-        outcome = execute(request, operator, watch)
+        outcome = execute(request, operator, watch, stops)
         return outcome, benches[0]
 
     return run

@@ -115,3 +115,15 @@ def test_a_signal_that_is_ignored_stays_ignored(spin):
         assert outcome.status == "complete"
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+def test_a_signal_that_comes_while_a_stop_source_is_looked_at_is_not_lost(spin):
+    coming = [signal.SIGTERM]
+
+    def source():
+        if coming:
+            signal.raise_signal(coming.pop())
+        return ""
+
+    outcome, _bench = spin(stops=[source])
+    assert (outcome.status, outcome.reason) == ("stopped", "stopped by SIGTERM")

@@ -1,8 +1,6 @@
 """Two runs never drive one bench: by its name, and by the buses that its devices hang on."""
 
 import os
-import subprocess
-import sys
 
 import pytest
 
@@ -11,25 +9,6 @@ from leactl.errors import DeviceError, InputError
 from leactl.runner import exclusive
 from tests.cli.terminal import leactl
 from tests.runner.conftest import SPIN
-
-HOLD = """
-import sys, time
-from leactl.bench import benchfile
-from leactl.runner import exclusive
-file, devices, _ = benchfile.load("testbed")
-with exclusive.held(file, devices):
-    print("held", flush=True)
-    time.sleep(60)
-"""
-
-
-@pytest.fixture
-def holder():
-    process = subprocess.Popen([sys.executable, "-c", HOLD], stdout=subprocess.PIPE, text=True)
-    assert process.stdout.readline() == "held\n"
-    yield process
-    process.kill()
-    process.communicate()
 
 
 def real_bench(**changes):
@@ -43,7 +22,8 @@ def test_a_second_run_is_refused_with_the_process_of_the_first(holder, tmp_path,
     done = leactl("run", "spin.yaml", "--bench", "testbed", **os.environ)
     assert (done.returncode, done.stdout) == (5, "")
     assert done.stderr == (
-        f"leactl: bench 'testbed' is driven by another run, process {holder.pid}; wait for its end or stop it\n"
+        f"leactl: bench 'testbed' is driven by another run, process {holder.pid};"
+        " wait for its end, or: leactl bench stop\n"
     )
     assert leactl("run", "spin.yaml", **os.environ).returncode == 0  # emulated in process: nobody else's
 

@@ -1,0 +1,204 @@
+"""`leactl bench stop, read, zero, jog`: what an operator does at a bench beside a protocol."""
+
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from leactl.runner.session import Outcome
+    from leactl.runner.underway import Underway
+
+END_S = 20.0  # three devices confirm within a second each; the rest is for the file
+
+BENCH = typer.Argument("emulated", help="Name of a shipped bench, or a path to a .yaml.")
+SETUP = typer.Option("", help="free, locked, coupled or heated; the bench file's own, else coupled.")
+OUT = typer.Option(Path("runs/by-hand"), help="Directory of the run file.")
+REALTIME = typer.Option(False, "--realtime", help="Keep wall time on an emulated bench.")
+SERVED = typer.Option(False, "--served", help="Meet an emulated bench that another process serves.")
+BUS = typer.Option([], metavar="NAME=INTERFACE:CHANNEL", help="Put a CAN bus elsewhere.")
+AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
+
+
+def stop(
+    bench: str = typer.Argument("", help="A bench by name or as a .yaml; without one, every run of this user."),
+    wait_s: float = typer.Option(END_S, "--wait", metavar="SECONDS", min=0, help="How long to wait for the end."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Stop the run on a bench and say how it ended; status 0 where every device confirmed that it is safe, else 5."""
+    from leactl.errors import DeviceError
+    from leactl.runner import underway
+
+    found = _runs_on(bench, underway.running())
+    faults, asked = [], []
+    for run in found:  # every one is asked before any is waited for
+        try:
+            run.ask_to_stop()
+            asked.append(run)
+        except DeviceError as fault:
+            faults.append(str(fault))
+    deadline = time.monotonic() + wait_s
+    ends = [_end(run, run.wait(deadline), wait_s) for run in asked]
+    faults += [f"{end['bench']}: {end['doubt']}" for end in ends if end["doubt"]]
+    if as_json:
+        typer.echo(json.dumps({"runs": ends}))
+    elif not found:
+        typer.echo(f"nothing runs on {bench}" if bench else "nothing runs")
+    for end in ends:
+        if not (as_json or end["doubt"]):
+            where = f"{end['status']}: {end['reason']}; {end['run']}" if end["ended"] else "its file is still written"
+            typer.echo(f"{end['bench']}: every device confirmed safe; {where}")
+    if faults:
+        raise DeviceError("; ".join(faults))
+
+
+def _runs_on(bench: str, found: "list[Underway]") -> "list[Underway]":
+    """Those of a bench as its run was told it; its file is read only where that does not settle it."""
+    if not bench:
+        return found
+    path = str(Path(bench).resolve())
+    named = [run for run in found if bench == run.bench or path == run.file]
+    if named:
+        return named
+    from leactl.bench.benchfile import load
+
+    name = load(bench)[0].name
+    return [run for run in found if run.bench == name]
+
+
+def _end(run: "Underway", ended: bool, waited_s: float) -> dict[str, Any]:
+    """How a run ended, and what of it could not be confirmed."""
+    told = run.told()
+    safe = told.get("safe", {})
+    unsafe = [f"{name}: {device['detail']}" for name, device in safe.items() if not device["confirmed"]]
+    doubt = ""
+    if unsafe:
+        doubt = "; ".join(unsafe)
+    elif not safe and ended:
+        doubt = told.get("reason") or f"process {run.process} died without a word"
+    elif not safe:
+        doubt = f"process {run.process} has not answered within {waited_s:g} s"
+    return {
+        "bench": run.bench,
+        "protocol": run.protocol,
+        "process": run.process,
+        "ended": ended,
+        "status": told.get("status", ""),
+        "reason": told.get("reason", ""),
+        "run": told.get("run", ""),
+        "safe": safe,
+        "doubt": f"NOT CONFIRMED SAFE, switch off the supply: {doubt}" if doubt else "",
+    }
+
+
+def read(
+    bench: str = BENCH,
+    hold_s: float = typer.Option(2.0, "--for", metavar="SECONDS", help="How long to read."),
+    setup: str = SETUP,
+    out: Path = OUT,
+    realtime: bool = REALTIME,
+    served: bool = SERVED,
+    bus: list[str] = BUS,
+    as_json: bool = AS_JSON,
+) -> None:
+    """Read every channel with all drives off: mean, standard deviation and age."""
+    from dataclasses import asdict
+
+    from leactl.cli.run import finish, told
+    from leactl.protocol.by_hand import reading
+    from leactl.report.readings import readings, table
+    from leactl.runfile.reader import Run
+
+    outcome = _perform("read", reading(hold_s), bench, setup, out, realtime, served, bus)
+    found = []
+    if outcome.error is None:
+        with Run.open(outcome.path) as run:
+            found = readings(run)
+    if as_json:
+        typer.echo(json.dumps(told(outcome) | {"channels": [asdict(item) for item in found]}))
+    elif found:
+        typer.echo(table(found))
+    finish(outcome, [])
+
+
+def zero(
+    bench: str = BENCH,
+    setup: str = SETUP,
+    out: Path = OUT,
+    realtime: bool = REALTIME,
+    served: bool = SERVED,
+    bus: list[str] = BUS,
+    as_json: bool = AS_JSON,
+) -> None:
+    """Take the zero of the torque sensor as a protocol does, and say how far it is from the bench file's."""
+    from leactl.cli.run import finish, told
+    from leactl.protocol.by_hand import zeroing
+
+    outcome = _perform("zero", zeroing(), bench, setup, out, realtime, served, bus)
+    zeros = {name: {"before_Nm": before, "after_Nm": after} for name, (before, after) in outcome.zeros.items()}
+    if as_json:
+        typer.echo(json.dumps(told(outcome) | {"zeros": zeros}))
+    else:
+        for name, (before, after) in outcome.zeros.items():
+            typer.echo(f"{name}: offset {after:.6g} N*m, before {before:.6g} N*m, moved by {after - before:+.3g} N*m")
+    finish(outcome, [])
+
+
+def jog(
+    bench: str = BENCH,
+    role: str = typer.Option("test", help="test or load."),
+    current: float = typer.Option(None, metavar="AMPERE", help="Hold this q-axis current."),
+    velocity: float = typer.Option(None, metavar="RAD/S", help="Turn at this velocity."),
+    angle: float = typer.Option(None, metavar="RAD", help="Turn by this angle from where the shaft stands."),
+    hold_s: float = typer.Option(1.0, "--for", metavar="SECONDS", help="How long to hold it."),
+    rate: float = typer.Option(None, help="A/s, rad/s^2 or rad/s on the way; 5, 10 or 0.5 unless given."),
+    setup: str = SETUP,
+    out: Path = OUT,
+    realtime: bool = REALTIME,
+    served: bool = SERVED,
+    bus: list[str] = BUS,
+    as_json: bool = AS_JSON,
+) -> None:
+    """Move one drive for a moment, under every check and limit of a run."""
+    from leactl.cli.run import finish, print_end, told
+    from leactl.driver.contract import Mode
+    from leactl.errors import InputError
+    from leactl.protocol.by_hand import Jog, reading
+    from leactl.runfile.reader import Run
+
+    wanted = {Mode.CURRENT: current, Mode.VELOCITY: velocity, Mode.ANGLE: angle}
+    given = [(mode, value) for mode, value in wanted.items() if value is not None]
+    if len(given) != 1:
+        raise InputError(f"one of --current, --velocity, --angle was expected, {len(given)} were given")
+    motion = Jog(role, *given[0], hold_s, rate)
+    motion.check()
+    stands_at = 0.0
+    if motion.mode is Mode.ANGLE:  # a protocol's angles are absolute, so that they can be checked before anything moves
+        before = _perform("read", reading(0.2), bench, setup, out, realtime, served, bus)
+        finish(before, [])
+        with Run.open(before.path) as run:
+            stands_at = float(run.channel("angle", role).values[-1])
+    outcome = _perform("jog", motion.steps(stands_at), bench, setup, out, realtime, served, bus)
+    if as_json:
+        typer.echo(json.dumps(told(outcome)))
+    else:
+        print_end(outcome)
+    finish(outcome, [])
+
+
+def _perform(
+    name: str,
+    steps: list[str],
+    bench: str,
+    setup: str,
+    out: Path,
+    realtime: bool,
+    served: bool,
+    bus: list[str],
+) -> "Outcome":
+    from leactl.cli.run import perform
+    from leactl.runner.request import prepare_by_hand
+
+    return perform(prepare_by_hand(name, steps, bench, setup, out, realtime, served, bus))

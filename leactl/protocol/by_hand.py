@@ -1,0 +1,94 @@
+"""Moving and reading a bench by hand, written as protocols, so that it is checked, run and recorded as they are.
+
+These are texts and no files that ship: a parameter of a protocol stands for a value, and here role, mode and set-up
+vary too. The run file keeps the text, and `leactl run` takes it.
+"""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from leactl import yamlfile
+from leactl.driver.contract import Mode
+from leactl.errors import InputError
+from leactl.protocol.plan import Plan
+from leactl.protocol.protocolfile import expanded
+from leactl.protocol.setpointkeys import SPELLINGS
+
+RATE_HZ = 50
+TARE_SAMPLES = 100  # 2 s, as in torque-constant
+GENTLE = {Mode.CURRENT: 5.0, Mode.VELOCITY: 10.0, Mode.ANGLE: 0.5}  # A/s, rad/s^2, rad/s: a hand can follow
+
+
+class Jog(NamedTuple):
+    """A short motion: the setpoint, reached at a rate, held, and for a current or a velocity left at that rate."""
+
+    role: str
+    mode: Mode
+    value: float  # A, rad/s or rad; an angle is counted from where the shaft stands
+    hold_s: float
+    rate: float | None = None  # A/s, rad/s^2 or rad/s
+
+    def check(self) -> None:
+        """Refuse what no protocol can be written of.
+
+        Raises
+        ------
+        InputError : a role that is no drive's, a value that is not finite, a time or a rate that is not above zero.
+        """
+        faults = []
+        if self.role not in ("test", "load"):
+            faults.append(f"--role {self.role}: test or load was expected")
+        if not math.isfinite(self.value):
+            faults.append(f"--{self.mode} {self.value:g}: a finite number was expected")
+        if not 0 < self.hold_s < math.inf:
+            faults.append(f"--for {self.hold_s:g}: a time above 0 s was expected")
+        if self.rate is not None and not 0 < self.rate < math.inf:
+            faults.append(f"--rate {self.rate:g}: a rate above 0 was expected")
+        if faults:
+            raise InputError(faults)
+
+    def steps(self, stands_at: float = 0.0) -> list[str]:
+        """The protocol's steps; `stands_at` is the shaft's angle [rad], from which an angle is counted."""
+        keys = SPELLINGS[self.mode]
+        rate = f"{keys.rate}: {self.rate or GENTLE[self.mode]!r}"
+        goal = self.value + (stands_at if self.mode is Mode.ANGLE else 0.0)
+        moves = [
+            f"ramp: {{role: {self.role}, to_{keys.setpoint}: {goal!r}, {rate}}}",
+            f"hold: {{name: jog, role: {self.role}, {keys.setpoint}: {goal!r}, duration_s: {self.hold_s!r}}}",
+        ]
+        if self.mode is Mode.ANGLE:
+            moves.insert(0, f"set: {{role: {self.role}, {keys.setpoint}: {stands_at!r}}}")
+        else:
+            moves.append(f"ramp: {{role: {self.role}, to_{keys.setpoint}: 0, {rate}}}")
+        return [f"mode: {{{self.role}: {self.mode}}}", *moves, f"mode: {{{self.role}: off}}"]
+
+
+def reading(duration_s: float) -> list[str]:
+    """Steps that leave every drive off.
+
+    Raises
+    ------
+    InputError : the duration is not above zero.
+    """
+    if not 0 < duration_s < math.inf:
+        raise InputError(f"--for {duration_s:g}: a time above 0 s was expected")
+    return [f"hold: {{name: read, duration_s: {duration_s!r}}}"]
+
+
+def zeroing() -> list[str]:
+    """Steps that tare the torque sensor, with every drive off."""
+    return [f"tare: {{samples: {TARE_SAMPLES}}}"]
+
+
+def written(name: str, setup: str, steps: Sequence[str]) -> Plan:
+    """The plan of a protocol of these steps.
+
+    Raises
+    ------
+    InputError : what a protocol file with this text would be refused for.
+    """
+    head = f"name: {name}\ntitle: By hand\nsetup: {setup}\nrate_Hz: {RATE_HZ}\nsteps:\n"
+    text = head + "".join(f"  - {step}\n" for step in steps)
+    return expanded(yamlfile.parse(text, name), Path(), {}, "")

@@ -1,0 +1,64 @@
+"""What every channel of a short run read: mean, scatter, and how old its last value was at the end."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.runfile.reader import Channel, Run
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One channel; None where it had too few values to tell."""
+
+    quantity: str
+    role: str
+    device: str
+    location: str
+    unit: str
+    samples: int
+    mean: float | None
+    standard_deviation: float | None
+    age_s: float | None  # of the last value at the run's last sample
+
+
+def readings(run: Run) -> list[Reading]:
+    """Every channel of a run but setpoints of drives that followed none."""
+    wanted = dict.fromkeys((spec.quantity, spec.role) for specs in run.streams.values() for spec in specs)
+    channels = [channel for quantity, role in wanted for channel in run.channels(quantity, role)]
+    end = max((float(channel.time[-1]) for channel in channels if len(channel.time)), default=math.nan)
+    found = [_reading(channel, end) for channel in channels]
+    return [reading for reading in found if reading.samples or not reading.quantity.endswith("_reference")]
+
+
+def _reading(channel: Channel, end: float) -> Reading:
+    known = np.isfinite(channel.values)
+    values = channel.values[known]
+    return Reading(
+        channel.quantity,
+        channel.role,
+        channel.device,
+        channel.location,
+        channel.units,
+        len(values),
+        float(values.mean()) if len(values) else None,
+        float(values.std(ddof=1)) if len(values) > 1 else None,
+        end - float(channel.time[known][-1]) if len(values) else None,
+    )
+
+
+def table(found: Sequence[Reading]) -> str:
+    """The readings as lines of text."""
+    lines = [f"{'quantity':<26} {'role':<6} {'mean':>12} {'std':>12} {'unit':<6} {'age/s':>7}  device"]
+    for item in found:
+        numbers = f"{_shown(item.mean):>12} {_shown(item.standard_deviation):>12}"
+        age = "-" if item.age_s is None else f"{item.age_s:.3f}"
+        place = f"{item.device} {item.location}".rstrip()
+        lines.append(f"{item.quantity:<26} {item.role:<6} {numbers} {item.unit:<6} {age:>7}  {place}")
+    return "\n".join(lines)
+
+
+def _shown(value: float | None) -> str:
+    return "-" if value is None else f"{value:.6g}"

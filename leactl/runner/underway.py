@@ -1,0 +1,207 @@
+"""Runs under way: each keeps a file that tells what it is, and through which another process asks it to stop.
+
+A run locks its file for as long as its process lives, which tells a run from what a kill left behind; and since nothing
+is signalled, no process that took over a number can be hit. The loop looks at one byte of it, mapped into its memory.
+"""
+
+import errno
+import fcntl
+import json
+import mmap
+import os
+import secrets
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from leactl.driver.contract import Confirmation
+from leactl.errors import DeviceError, InputError
+from leactl.runner.latch import state_directory
+
+GOES_ON, STOP = b"-", b"!"  # the file's first byte; one line of JSON after the other follows
+CAUSE = "stopped by `leactl bench stop`"
+LOOK_EVERY_S = 0.02
+
+
+class Announcement:
+    """The run's own end of its file."""
+
+    def __init__(self, descriptor: int, fault: str = "") -> None:
+        self.fault = fault  # why nobody can find it
+        self._descriptor = descriptor
+        self._byte = mmap.mmap(descriptor, 1, prot=mmap.PROT_READ)
+
+    def asked(self) -> str:
+        """The cause to stop for, once somebody has asked; empty before."""
+        return CAUSE if self._byte[0] == STOP[0] else ""
+
+    def tell(self, **what: Any) -> None:
+        """Add to what the file tells; a disk that takes nothing is nothing to a run."""
+        with suppress(OSError):
+            os.lseek(self._descriptor, 0, os.SEEK_END)
+            os.write(self._descriptor, _line(what))
+
+    def tell_safe(self, safe: Mapping[str, Confirmation]) -> None:
+        """Tell what every device answered when it was made safe."""
+        self.tell(safe={name: {"confirmed": c.safe, "detail": c.detail} for name, c in safe.items()})
+
+    def close(self) -> None:
+        """Let go: from here on the run has ended."""
+        self._byte.close()
+        os.close(self._descriptor)
+
+
+@contextmanager
+def announced(bench: str, bench_file: str, protocol: str, needed: bool) -> Iterator[Announcement]:
+    """Let a run be found and stopped by other processes until the block is left.
+
+    Where it is not `needed` and no file can be kept, the run tells itself what nobody hears.
+
+    Raises
+    ------
+    InputError : there is no place for the file.
+    """
+    path = _directory() / f"{bench}.{os.getpid()}.{secrets.token_hex(4)}.run"
+    about = {"bench": bench, "file": str(Path(bench_file).resolve()), "protocol": protocol, "process": os.getpid()}
+    try:
+        announcement = Announcement(_locked(path, GOES_ON + _line(about)))
+    except OSError as error:
+        fault = f"{path.parent}: `leactl bench stop` cannot reach this run: {error.strerror or error}"
+        if needed:
+            raise InputError(f"{fault}; set LEACTL_STATE to a directory that can be written") from None
+        nowhere = os.memfd_create("run")
+        os.write(nowhere, GOES_ON)
+        announcement = Announcement(nowhere, fault)
+    try:
+        yield announcement
+    except BaseException as error:
+        announcement.tell(status="failed", reason=(str(error) or type(error).__name__).splitlines()[0])
+        raise
+    finally:
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
+        announcement.close()
+
+
+def _locked(path: Path, text: bytes) -> int:
+    """Make a file that is locked before anybody finds it, for one without a lock is taken for an ended run's."""
+    hidden = path.with_suffix(".tmp")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(hidden, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        os.write(descriptor, text)
+        hidden.rename(path)
+    except BaseException:
+        os.close(descriptor)
+        hidden.unlink(missing_ok=True)
+        raise
+    return descriptor
+
+
+@dataclass
+class Underway:
+    """Another process's end of a run's file; it stays readable after the run has removed it."""
+
+    bench: str
+    file: str
+    protocol: str
+    process: int
+    descriptor: int
+
+    def __str__(self) -> str:
+        return f"{self.protocol} on {self.bench}, process {self.process}"
+
+    def ask_to_stop(self) -> None:
+        """Ask; the run sees it in its next cycle.
+
+        Raises
+        ------
+        DeviceError : this user may not.
+        """
+        try:
+            os.pwrite(self.descriptor, STOP, 0)
+        except OSError as error:
+            reason: object = error.strerror or error
+            if error.errno == errno.EBADF:  # it could be opened for reading alone
+                owner = os.fstat(self.descriptor).st_uid
+                reason = f"no permission; the run is that of user {owner}, who may, as root may"
+            raise DeviceError(f"{self}: cannot be asked to stop: {reason}") from None
+
+    def wait(self, deadline: float) -> bool:
+        """Whether the run's process has ended it, looked for until this moment of `time.monotonic`."""
+        while not _ended(self.descriptor):
+            if time.monotonic() >= deadline:
+                return False
+            time.sleep(LOOK_EVERY_S)
+        return True
+
+    def told(self) -> dict[str, Any]:
+        """All that the run has told by now: `safe` once its devices are, then `status`, `reason` and `run`."""
+        return _told(self.descriptor)
+
+    def close(self) -> None:
+        """Let the file go."""
+        os.close(self.descriptor)
+
+
+def running() -> list[Underway]:
+    """Every run that is under way by its own file; what a kill left behind is removed.
+
+    Raises
+    ------
+    DeviceError : a run's file cannot be read.
+    """
+    found = []
+    for path in sorted(_directory().glob("*.run")):
+        descriptor = _opened(path)
+        if descriptor is None:
+            continue
+        if _ended(descriptor):
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+            os.close(descriptor)
+            continue
+        about = _told(descriptor)
+        found.append(Underway(about["bench"], about["file"], about["protocol"], about["process"], descriptor))
+    return found
+
+
+def _opened(path: Path) -> int | None:
+    """Open a run's file, for reading alone where another user's permits no more; None where it has gone."""
+    for how in (os.O_RDWR, os.O_RDONLY):
+        try:
+            return os.open(path, how)
+        except FileNotFoundError:
+            return None
+        except PermissionError:
+            continue
+    raise DeviceError(f"{path}: no permission to read what runs")
+
+
+def _ended(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _told(descriptor: int) -> dict[str, Any]:
+    text = os.pread(descriptor, os.fstat(descriptor).st_size, 0)[1:]
+    told: dict[str, Any] = {}
+    for line in text.split(b"\n")[:-1]:  # the last one is empty, or not whole yet
+        with suppress(ValueError):  # cut short by a full disk
+            told |= json.loads(line)
+    return told
+
+
+def _line(what: Mapping[str, Any]) -> bytes:
+    return json.dumps(what).encode() + b"\n"
+
+
+def _directory() -> Path:
+    return state_directory() / "runs"
