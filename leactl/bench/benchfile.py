@@ -119,9 +119,18 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
     checked = [_check(document, bench, name, entry, faults) for name, entry in bench.devices.items()]
     usable = [device for device in checked if device is not None]
     faults += _shared_addresses(document, usable)
+    faults += _false_signs_of_life(document, usable)
     if faults:
         raise InputError(faults)
     return bench, usable, document
+
+
+def check_devices(bench: BenchFile) -> list[CheckedDevice]:
+    """The devices of a bench that `load` has checked before, maybe in another process."""
+    return [
+        CheckedDevice(name=name, entry=entry, settings=registry.load(entry.driver).Settings(**entry.settings))
+        for name, entry in bench.devices.items()
+    ]
 
 
 def nominal_model(bench: BenchFile) -> str:
@@ -184,6 +193,18 @@ def _shared_addresses(document: yamlfile.Document, devices: Sequence[CheckedDevi
         if holder != device.name:
             message = f"address {address} on bus '{bus}' is that of {holder}; another one was expected"
             faults.append(document.fault(("devices", device.name, "settings"), message))
+    return faults
+
+
+def _false_signs_of_life(document: yamlfile.Document, devices: Sequence[CheckedDevice]) -> list[str]:
+    """A device that signs as the host does: it would keep another one going after the host's death."""
+    faults = []
+    for device in devices:
+        host = device.settings.host_bus_address
+        for other in devices:
+            if host is not None and other.entry.bus == device.entry.bus and other.settings.bus_address == host:
+                message = f"the host's address {host} is that of {other.name}, which would keep {device.name} going"
+                faults.append(document.fault(("devices", device.name, "settings"), f"{message} without the host"))
     return faults
 
 

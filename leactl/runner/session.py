@@ -26,6 +26,7 @@ from leactl.runner.loop import Loop, Operator
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import InlineFlush, ThreadedFlush
 from leactl.runner.signals import StopRequest, listening
+from leactl.runner.watchdog import Unwatched, beside
 from leactl.safety.supervisor import Axis, Supervisor, check_setpoints
 from leactl.safety.winding import ThermalParameters, WindingEstimate
 
@@ -78,31 +79,46 @@ def execute(request: Request, operator: Operator, watch: Watch) -> Outcome:
     RecordingFailed : the run file could not be made.
     """
     motors = _check(request)
-    alone = nullcontext() if request.in_process else exclusive.held(request.bench, request.devices)
-    with alone, listening() as stop:
+    alone = nullcontext([]) if request.in_process else exclusive.held(request.bench, request.devices)
+    with alone as locks, listening() as stop:
         latch.refuse_latched(request.bench.name)
-        bench = Bench(request.bench, request.devices, _wiring(request))
-        _check_roles(request, bench)
-        supervisor = _supervisor(request, bench, motors)
-        bench.open()
-        try:
-            outcome = _run(request, bench, supervisor, stop, operator, watch)
-        finally:
-            left = bench.close()
+        with _watched(request, locks) as watchdog:
+            bench = Bench(request.bench, request.devices, _wiring(request))
+            _check_roles(request, bench)
+            supervisor = _supervisor(request, bench, motors)
+            bench.open()
+            try:
+                outcome = _run(request, bench, supervisor, stop, operator, watch, watchdog)
+            finally:
+                left = bench.close()
     return replace(outcome, notes=[*outcome.notes, *left])
 
 
+def _watched(request: Request, locks: Sequence[int]) -> AbstractContextManager[Unwatched]:
+    """The run's watchdog; no other process reaches devices that are emulated in this one."""
+    if request.in_process and not request.realtime:
+        return nullcontext(Unwatched())
+    return beside(request.bench, [] if request.in_process else request.devices, locks)
+
+
 def _run(
-    request: Request, bench: Bench, supervisor: Supervisor, stop: StopRequest, operator: Operator, watch: Watch
+    request: Request,
+    bench: Bench,
+    supervisor: Supervisor,
+    stop: StopRequest,
+    operator: Operator,
+    watch: Watch,
+    watchdog: Unwatched,
 ) -> Outcome:
     """Run on an open bench, and leave it safe."""
     plan = request.plan
     try:
         writer = RunWriter(request.directory, _info(request), bench.streams())
+        watchdog.recording(writer.path)
         paced = request.realtime or not request.in_process
         flush = ThreadedFlush(writer) if paced else InlineFlush(writer)
         progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
-        loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator)
+        loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator, watchdog)
     except BaseException:
         supervisor.make_safe()
         raise
@@ -113,7 +129,11 @@ def _run(
             loop.run()
         except BaseException as caught:  # noqa: BLE001 (whatever ended the run, the bench is made safe before anything else)
             error = caught
+        watchdog.ending()
         safe = supervisor.make_safe()
+        watchdog.dismiss()
+        if watchdog.verdict():
+            error = _joined(SafetyTrip(watchdog.verdict()), error)
         error = _unconfirmed(error, safe)
         if isinstance(error, SafetyTrip):
             _latch(request.bench.name, error, writer.path)
@@ -246,10 +266,10 @@ def _unconfirmed(error: BaseException | None, safe: Mapping[str, Confirmation]) 
     return error
 
 
-def _joined(error: BaseException | None, further: Exception) -> BaseException:
+def _joined(error: BaseException | None, further: BaseException | None) -> BaseException | None:
     """What ended the run stays its error; what came after is part of it."""
-    if error is None:
-        return further
+    if error is None or further is None:
+        return error or further
     if str(further) != str(error):
         error.add_note(str(further) or type(further).__name__)
     return error
