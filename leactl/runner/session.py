@@ -79,6 +79,7 @@ def execute(request: Request, operator: Operator, watch: Watch) -> Outcome:
     RecordingFailed : the run file could not be made.
     """
     motors = _check(request)
+    alone: AbstractContextManager[list[int]]
     alone = nullcontext([]) if request.in_process else exclusive.held(request.bench, request.devices)
     with alone as locks, listening() as stop:
         latch.refuse_latched(request.bench.name)

@@ -10,7 +10,7 @@ import os
 import select
 import subprocess
 import sys
-from collections.abc import Iterator, MutableSequence, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -42,7 +42,7 @@ class Unwatched:
     """No process beside the run: drives that are emulated in it, on its own time, stop when it does."""
 
     def __init__(self) -> None:
-        self.sign: MutableSequence[int] = [0] * WORDS
+        self.sign: memoryview[int] | list[int] = [0] * WORDS
 
     def recording(self, path: Path) -> None:
         """Tell where the run is recorded, for the latch."""

@@ -10,7 +10,6 @@ import select
 import signal
 import sys
 import time
-from collections.abc import MutableSequence
 from pathlib import Path
 
 from leactl.bench.bench import Bench
@@ -86,7 +85,7 @@ def main() -> None:
         act(file.name, bench, process, cause, inbox)
 
 
-def watched(process: int, sign: MutableSequence[int], inbox: Inbox) -> str:
+def watched(process: int, sign: "memoryview[int]", inbox: Inbox) -> str:
     """Watch until the run's end; the cause where that is not an orderly one, else empty."""
     seen, since = -1, 0
     while True:

@@ -75,7 +75,7 @@ class Commissioning:
         return self._settings.sign * q_per_mille, min(0x7FFF, *most.values())
 
     def arm_dead_man(self) -> None:
-        """Have the drive itself stop when the host falls silent, from the host's first heartbeat on (301IG, chapter 14).
+        """Have the drive itself stop when the host falls silent, from its first heartbeat on (301IG, chapter 14).
 
         Raises
         ------
