@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from leactl import yamlfile
 from leactl.driver import registry
-from leactl.driver.contract import DriverSettings
+from leactl.driver.contract import SAFE_STATE_S, DriverSettings
 from leactl.errors import InputError
 from leactl.model.motor import load_motor
 from leactl.model.nominal import BenchModel
@@ -228,6 +228,13 @@ def _check(
     except ValidationError as error:
         faults.extend(document.explain(error, (*place, "settings")))
         return None
+    silence = settings.host_silence_s
+    if hasattr(driver, "engage") and not (silence and silence <= SAFE_STATE_S):
+        found = (
+            f"stops by itself {silence:g} s after the host" if silence else "does not stop by itself without the host"
+        )
+        message = f"the drive {found}; {SAFE_STATE_S:g} s at the most were expected"
+        faults.append(document.fault((*place, "settings"), message))
     for shown in settings.shown():
         bounds = bench.limits.of(shown.quantity)
         if bounds is not None and not shown.low <= bounds[0] <= bounds[1] <= shown.high:
