@@ -34,7 +34,7 @@ def test_shipped_benches_are_accepted(name):
         (
             "node: 1,",
             "node: 1, host_node: 2,",
-            "devices.drive_test.settings: the host's address 2 is that of drive_load, which would keep drive_test going",
+            "devices.drive_test.settings: the host's address 2 is that of drive_load, which would keep drive_test",
         ),
         (
             "consumer_heartbeat_ms: 200",

@@ -1,4 +1,4 @@
-"""What many trials gave, as a page: counts, and how long after the last heartbeat the slower drive was without torque."""
+"""What many trials gave, as a page: counts, and when the slower drive was without torque after its last heartbeat."""
 
 import statistics
 
@@ -12,17 +12,17 @@ def report(found: list[dict], consumer_s: float) -> str:
     loads = [item["load"] for item in found]
     lost = [item["lost_s"] for item in struck if "lost_s" in item]
     lines = [
-        f"{len(struck) - len(bad)} of {len(struck)} struck runs ended as they must. Consumer time {consumer_s * 1e3:g} ms;"
-        f" {(consumer_s + MARGIN_S) * 1e3:g} ms are allowed from the last heartbeat that the drive heard to a drive without"
-        " torque, by the bench's own clock.",
+        f"{len(struck) - len(bad)} of {len(struck)} struck runs ended as they must. Consumer time"
+        f" {consumer_s * 1e3:g} ms; {(consumer_s + MARGIN_S) * 1e3:g} ms are allowed from the last heartbeat that the"
+        " drive heard to a drive without torque, by the bench's own clock.",
         "",
         "| struck by | runs | ended as they must | median, ms | 95 %, ms | worst, ms |",
         "|---|---|---|---|---|---|",
         *(_row(way, [item for item in struck if item["way"] == way]) for way in WAYS),
         _row("all", struck),
         "",
-        f"Rows lost at the end of a file: {_least_to_most(lost)} s. Load average: {_least_to_most(loads)}. Runs that ended"
-        f" by themselves before they were struck, and were made again: {len(found) - len(struck)}.",
+        f"Rows lost at the end of a file: {_least_to_most(lost)} s. Load average: {_least_to_most(loads)}. Runs that"
+        f" ended by themselves before they were struck, and were made again: {len(found) - len(struck)}.",
     ]
     lines += [f"\n    {item['number']} {item['way']}: {'; '.join(item['faults'])}" for item in bad]
     return "\n".join(lines) + "\n"
