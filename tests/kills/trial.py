@@ -50,7 +50,7 @@ steps:
 class ServedBench:
     """The bench's process and the files that lead to it."""
 
-    def __init__(self, directory: Path, bus: str, consumer_ms: int) -> None:
+    def __init__(self, directory: Path, bus: str, consumer_ms: int, *changes: str) -> None:
         self.directory, self.consumer_s = directory, consumer_ms * 1e-3
         self.trigger = directory / "stuck"
         bench = yaml.safe_load((benchfile.SHIPPED / "emulated.yaml").read_text())
@@ -73,7 +73,7 @@ class ServedBench:
             "PYTHONPATH": os.pathsep.join([str(directory), str(ROOT), *filter(None, sys.path)])
         }
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.kills.served", "bench.yaml"],
+            [sys.executable, "-m", "tests.kills.served", "bench.yaml", *changes],
             cwd=directory,
             env=self.environment,
             stdout=subprocess.PIPE,
