@@ -123,6 +123,7 @@ def strike_once(served: ServedBench, number: int, way: str, after_s: float) -> d
             stdout=stderr,
             stderr=stderr,
         )
+    dog = 0
     try:
         flowed = served.wait(True, START_S)
         since = time.monotonic()
@@ -151,6 +152,8 @@ def strike_once(served: ServedBench, number: int, way: str, after_s: float) -> d
         return found | {"faults": faults}
     finally:
         if run.poll() is None:
+            with suppress(ProcessLookupError):
+                os.kill(dog or run.pid, signal.SIGKILL)  # a stopped watchdog would stay
             run.kill()
             run.wait()
         served.wait(False, STOP_S)
