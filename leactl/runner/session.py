@@ -2,7 +2,7 @@
 
 The end does not depend on what caused it, and nothing that may fail or wait comes before what keeps people safe:
 devices safe first (by the supervisor: test drive, load drive, the rest), then a trip latched, then the view left, the
-file closed with its status, and the devices let go.
+file closed with its status, and the devices let go. A watchdog process stands by until the devices are safe.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -10,6 +10,7 @@ import select
 import signal
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 from leactl.bench.bench import Bench
@@ -24,6 +25,7 @@ from leactl.runner.watchdog import ALLOWED_NS, CYCLES, FIRED_NS, WORDS, hung, ti
 LOOKS = 10  # within an allowed silence
 IDLE_S = 0.1  # between two looks while no silence counts
 KILLED_S = 5.0  # until the end of a killed process shows
+STDERR_S = 0.1  # that a line may wait to be taken
 
 
 class Inbox:
@@ -105,9 +107,9 @@ def watched(process: int, sign: "memoryview[int]", inbox: Inbox) -> str:
 
 def act(name: str, bench: Bench | None, process: int, cause: str, inbox: Inbox) -> None:
     """Take the power away, end the process, take the power away again where that was in doubt, and latch the bench."""
-    say(cause)
     devices = bench.in_order_of_stop if bench else []
     safe = stopped(bench)
+    say(cause)
     if not inbox.ended:
         end(process, time_to_end_s(len(devices)), inbox)
         if doubt(safe):  # the process may have held what no second connection could have
@@ -154,11 +156,10 @@ def ask(process: int, number: signal.Signals) -> None:
 
 
 def say(text: str) -> None:
-    """One line on stderr, if there still is one."""
-    try:
-        print(f"leactl watchdog: {text}", file=sys.stderr, flush=True)
-    except OSError:
-        return
+    """One line on stderr, if there still is one and it takes it: a terminal held by Ctrl-S must not hold the end."""
+    with suppress(OSError):
+        if select.select([], [2], [], STDERR_S)[1]:
+            os.write(2, f"leactl watchdog: {text}\n".encode())
 
 
 if __name__ == "__main__":

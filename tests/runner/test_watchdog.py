@@ -3,14 +3,16 @@
 import json
 import os
 import signal
+import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from leactl.errors import LeactlError, SafetyTrip
 from leactl.runner import latch, watchdog
-from tests.cli.terminal import leactl
+from tests.cli.terminal import COMMAND, leactl
 from tests.runner.conftest import SPIN
 
 
@@ -71,7 +73,9 @@ def test_a_watchdog_that_does_not_start_refuses_the_run(spin, monkeypatch):
         spin(realtime=True)
 
 
-def test_a_loop_that_stands_still_is_ended_and_the_bench_latched(tmp_path, monkeypatch):
+@pytest.fixture
+def stuck(tmp_path, monkeypatch):
+    """The environment of a run whose loop stands still in its 40th cycle."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "spin.yaml").write_text(SPIN)
     (tmp_path / "sitecustomize.py").write_text(
@@ -85,7 +89,29 @@ def test_a_loop_that_stands_still_is_ended_and_the_bench_latched(tmp_path, monke
         "supervisor.Supervisor.check = stuck\n"
     )
     path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
-    done = leactl("run", "spin.yaml", "--realtime", **os.environ | {"PYTHONPATH": path})
+    return os.environ | {"PYTHONPATH": path}
+
+
+def test_a_stderr_that_nobody_reads_holds_up_no_end(stuck):
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    with suppress(BlockingIOError):
+        while True:
+            os.write(writer, bytes(4096))
+    os.set_blocking(writer, True)
+    run = subprocess.Popen([*COMMAND, "run", "spin.yaml", "--realtime"], env=stuck, stderr=writer)
+    os.close(writer)
+    with os.fdopen(reader, "rb") as rest:
+        try:
+            assert run.wait(60) == -signal.SIGKILL
+        finally:
+            run.kill()
+            rest.read()  # until the watchdog has ended as well
+    assert "stood still for" in latch.latched("emulated").cause
+
+
+def test_a_loop_that_stands_still_is_ended_and_the_bench_latched(stuck, tmp_path):
+    done = leactl("run", "spin.yaml", "--realtime", **stuck)
     assert done.returncode == -signal.SIGKILL
     told, killed = done.stderr.splitlines()
     assert told.startswith("leactl watchdog: the control loop of process ")
