@@ -52,6 +52,11 @@ class Bench:
         """Devices that are no drives."""
         return [driver for driver in self.drivers.values() if driver not in self.drives.values()]
 
+    @property
+    def in_order_of_stop(self) -> list[Driver]:
+        """Every device in the order in which power is taken away: test drive, load drive, then the rest."""
+        return [*(self.drives[role] for role in ("test", "load") if role in self.drives), *self.others]
+
     def streams(self) -> dict[str, tuple[ChannelSpec, ...]]:
         """Every stream of the bench and its channels."""
         own = {spec.name: spec.channels for driver in self._asynchronous for spec in driver.streams}

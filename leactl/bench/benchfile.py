@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from leactl import yamlfile
 from leactl.driver import registry
-from leactl.driver.contract import DriverSettings
+from leactl.driver.contract import SAFE_STATE_S, DriverSettings
 from leactl.errors import InputError
 from leactl.model.motor import load_motor
 from leactl.model.nominal import BenchModel
@@ -119,9 +119,18 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
     checked = [_check(document, bench, name, entry, faults) for name, entry in bench.devices.items()]
     usable = [device for device in checked if device is not None]
     faults += _shared_addresses(document, usable)
+    faults += _false_signs_of_life(document, usable)
     if faults:
         raise InputError(faults)
     return bench, usable, document
+
+
+def check_devices(bench: BenchFile) -> list[CheckedDevice]:
+    """The devices of a bench that `load` has checked before, maybe in another process."""
+    return [
+        CheckedDevice(name=name, entry=entry, settings=registry.load(entry.driver).Settings(**entry.settings))
+        for name, entry in bench.devices.items()
+    ]
 
 
 def nominal_model(bench: BenchFile) -> str:
@@ -187,6 +196,18 @@ def _shared_addresses(document: yamlfile.Document, devices: Sequence[CheckedDevi
     return faults
 
 
+def _false_signs_of_life(document: yamlfile.Document, devices: Sequence[CheckedDevice]) -> list[str]:
+    """A device that signs as the host does: it would keep another one going after the host's death."""
+    faults = []
+    for device in devices:
+        host = device.settings.host_bus_address
+        for other in devices:
+            if host is not None and other.entry.bus == device.entry.bus and other.settings.bus_address == host:
+                message = f"the host's address {host} is that of {other.name}, which would keep {device.name} going"
+                faults.append(document.fault(("devices", device.name, "settings"), f"{message} without the host"))
+    return faults
+
+
 def _check(
     document: yamlfile.Document, bench: BenchFile, name: str, entry: Device, faults: list[str]
 ) -> CheckedDevice | None:
@@ -207,6 +228,13 @@ def _check(
     except ValidationError as error:
         faults.extend(document.explain(error, (*place, "settings")))
         return None
+    silence = settings.host_silence_s
+    if hasattr(driver, "engage") and not (silence and silence <= SAFE_STATE_S):
+        found = (
+            f"stops by itself {silence:g} s after the host" if silence else "does not stop by itself without the host"
+        )
+        message = f"the drive {found}; {SAFE_STATE_S:g} s at the most were expected"
+        faults.append(document.fault((*place, "settings"), message))
     for shown in settings.shown():
         bounds = bench.limits.of(shown.quantity)
         if bounds is not None and not shown.low <= bounds[0] <= bounds[1] <= shown.high:

@@ -34,6 +34,11 @@ class DriverSettings(BaseModel):
         return None
 
     @property
+    def host_bus_address(self) -> int | None:
+        """The address that the host's sign of life carries, which no device may have; None where there is none."""
+        return None
+
+    @property
     def host_silence_s(self) -> float | None:
         """How long the device goes on without a sign of life from the host; None where it listens for none."""
         return None

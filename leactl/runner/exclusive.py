@@ -17,8 +17,10 @@ from leactl.runner.latch import state_directory
 
 
 @contextmanager
-def held(bench: BenchFile, devices: Sequence[CheckedDevice]) -> Iterator[None]:
+def held(bench: BenchFile, devices: Sequence[CheckedDevice]) -> Iterator[list[int]]:
     """Hold a bench and the buses of its devices until the block is left.
+
+    It yields the descriptors of the locks: a process that is handed them holds the bench as well, until its own end.
 
     Raises
     ------
@@ -31,13 +33,14 @@ def held(bench: BenchFile, devices: Sequence[CheckedDevice]) -> Iterator[None]:
         place = _place(bench.buses[name])
         places.setdefault(place, f"bus '{name}' ({place})")
     with ExitStack() as stack:
-        for place, what in places.items():
+        yield [
             stack.enter_context(_locked(state_directory() / f"{_file_name(place)}.lock", what))
-        yield
+            for place, what in places.items()
+        ]
 
 
 @contextmanager
-def _locked(path: Path, what: str) -> Iterator[None]:
+def _locked(path: Path, what: str) -> Iterator[int]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
@@ -55,7 +58,7 @@ def _locked(path: Path, what: str) -> Iterator[None]:
             ) from None
         os.ftruncate(descriptor, 0)
         os.write(descriptor, f"{os.getpid()}\n".encode())
-        yield
+        yield descriptor
     finally:
         os.close(descriptor)  # and the lock with it; the file stays: removing it would let two runs lock two files
 

@@ -15,6 +15,7 @@ from leactl.runfile.writer import RunWriter
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import Flush
 from leactl.runner.signals import StopRequest
+from leactl.runner.watchdog import CYCLES, Unwatched
 from leactl.safety.supervisor import Supervisor
 
 ANSWER_SHARE = 0.6  # of a period that the drives' answers may take
@@ -38,9 +39,11 @@ class Loop:
         stop: StopRequest,
         progress: Progress,
         operator: Operator,
+        watchdog: Unwatched,
     ) -> None:
         self._plan, self._bench, self._supervisor, self._writer = plan, bench, supervisor, writer
         self._flush, self._stop, self._progress, self._operator = flush, stop, progress, operator
+        self._watchdog, self._sign = watchdog, watchdog.sign
         self._clock = bench.clock
         self._period = 1.0 / plan.rate_Hz
         self._answer_s = max(ANSWER_SHARE * self._period, LEAST_ANSWER_S)
@@ -66,6 +69,7 @@ class Loop:
         SafetyTrip, Stopped, DeviceError, RecordingFailed : whatever ended it early.
         """
         self._supervisor.begin(self._period)
+        self._watchdog.begin(self._period)
         try:
             self._cycle()
             for action in self._plan.actions:
@@ -109,8 +113,10 @@ class Loop:
         bench.feed()
         self._flush.after_cycle()
         self.cycles += 1
+        self._sign[CYCLES] += 1
         if not self.cycles % NOTICES_EVERY:
             self._pass_on_notices()
+            self._see_watchdog()
         progress = self._progress
         progress.values, progress.own = row, self._newest
         self._pace(began)
@@ -129,6 +135,11 @@ class Loop:
     def _pass_on_notices(self) -> None:
         for source, text in self._bench.notices():
             self._note("warning", source, text)
+
+    def _see_watchdog(self) -> None:
+        fault = self._watchdog.fault()
+        if fault:
+            self._supervisor.trip(fault)
 
     def _note(self, level: str, source: str, message: str) -> None:
         self._writer.event(self._clock.now() - self._start, level, source, message)

@@ -2,7 +2,7 @@
 
 The end does not depend on what caused it, and nothing that may fail or wait comes before what keeps people safe:
 devices safe first (by the supervisor: test drive, load drive, the rest), then a trip latched, then the view left, the
-file closed with its status, and the devices let go.
+file closed with its status, and the devices let go. A watchdog process stands by until the devices are safe.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -27,6 +27,7 @@ from leactl.runner.progress import Progress
 from leactl.runner.recorder import InlineFlush, ThreadedFlush
 from leactl.runner.signals import StopRequest, StopSource, listening
 from leactl.runner.underway import Announcement
+from leactl.runner.watchdog import Unwatched, beside
 from leactl.safety.supervisor import Axis, Supervisor, check_setpoints
 from leactl.safety.winding import ThermalParameters, WindingEstimate
 
@@ -84,23 +85,34 @@ def execute(request: Request, operator: Operator, watch: Watch, stops: Sequence[
     RecordingFailed : the run file could not be made.
     """
     motors = _check(request)
-    alone = nullcontext() if request.in_process else exclusive.held(request.bench, request.devices)
-    with alone, listening() as stop:
+    alone: AbstractContextManager[list[int]]
+    alone = nullcontext([]) if request.in_process else exclusive.held(request.bench, request.devices)
+    with alone as locks, listening() as stop:
         latch.refuse_latched(request.bench.name)
-        bench = Bench(request.bench, request.devices, _wiring(request))
-        _check_roles(request, bench)
-        supervisor = _supervisor(request, bench, motors)
         place = request.bench.name, request.bench_document.name, request.plan.name
-        with underway.announced(*place, needed=not request.in_process) as announcement:
+        with (
+            _watched(request, locks) as watchdog,
+            underway.announced(*place, needed=not request.in_process) as announcement,
+        ):
+            bench = Bench(request.bench, request.devices, _wiring(request))
+            _check_roles(request, bench)
+            supervisor = _supervisor(request, bench, motors)
             for source in (announcement.asked, *stops):
                 stop.heed(source)
             bench.open()
             try:
-                outcome = _run(request, bench, supervisor, stop, operator, watch, announcement)
+                outcome = _run(request, bench, supervisor, stop, operator, watch, announcement, watchdog)
             finally:
                 left = bench.close()
             announcement.tell(status=outcome.status, reason=outcome.reason, run=str(outcome.path.resolve()))
     return replace(outcome, notes=[*outcome.notes, *left])
+
+
+def _watched(request: Request, locks: Sequence[int]) -> AbstractContextManager[Unwatched]:
+    """The run's watchdog; no other process reaches devices that are emulated in this one."""
+    if request.in_process and not request.realtime:
+        return nullcontext(Unwatched())
+    return beside(request.bench, [] if request.in_process else request.devices, locks)
 
 
 def _run(
@@ -111,15 +123,17 @@ def _run(
     operator: Operator,
     watch: Watch,
     announcement: Announcement,
+    watchdog: Unwatched,
 ) -> Outcome:
     """Run on an open bench, and leave it safe."""
     plan = request.plan
     try:
         writer = RunWriter(request.directory, _info(request), bench.streams())
+        watchdog.recording(writer.path)
         paced = request.realtime or not request.in_process
         flush = ThreadedFlush(writer) if paced else InlineFlush(writer)
         progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
-        loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator)
+        loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator, watchdog)
     except BaseException:
         announcement.tell_safe(supervisor.make_safe())
         raise
@@ -132,7 +146,11 @@ def _run(
             loop.run()
         except BaseException as caught:  # noqa: BLE001 (whatever ended the run, the bench is made safe before anything else)
             error = caught
+        watchdog.ending()
         safe = supervisor.make_safe()
+        watchdog.dismiss()
+        if watchdog.verdict():
+            error = _joined(SafetyTrip(watchdog.verdict()), error)
         error = _unconfirmed(error, safe)
         if isinstance(error, SafetyTrip):
             _latch(request.bench.name, error, writer.path)
@@ -266,10 +284,10 @@ def _unconfirmed(error: BaseException | None, safe: Mapping[str, Confirmation]) 
     return error
 
 
-def _joined(error: BaseException | None, further: Exception) -> BaseException:
+def _joined(error: BaseException | None, further: BaseException | None) -> BaseException | None:
     """What ended the run stays its error; what came after is part of it."""
-    if error is None:
-        return further
+    if error is None or further is None:
+        return error or further
     if str(further) != str(error):
         error.add_note(str(further) or type(further).__name__)
     return error

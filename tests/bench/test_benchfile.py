@@ -1,6 +1,9 @@
 """Bench files: the shipped one is whole, and a fault in one is told with its place."""
 
+import json
+
 import pytest
+from leactl_plugins.elmo_can.settings import ElmoSettings
 
 from leactl import yamlfile
 from leactl.bench import benchfile
@@ -27,6 +30,18 @@ def test_shipped_benches_are_accepted(name):
         ("driver: ads1115", "driver: ads1116", "devices.torque_sensor.driver: driver 'ads1116' is not registered"),
         ("bus: i2c1", "bus: can0", "devices.torque_sensor.bus: 'can0': ads1115 needs i2c1"),
         ("node: 2,", "node: 1,", "devices.drive_load.settings: address 1 on bus 'can0' is that of drive_test; another"),
+        ("node: 2,", "node: 127,", "devices.drive_load.settings: node and host_node are both 127"),
+        (
+            "node: 1,",
+            "node: 1, host_node: 2,",
+            "devices.drive_test.settings: the host's address 2 is that of drive_load, which would keep drive_test",
+        ),
+        (
+            "consumer_heartbeat_ms: 200",
+            "consumer_heartbeat_ms: 0",
+            "settings.consumer_heartbeat_ms: 0: input should be",
+        ),
+        ("consumer_heartbeat_ms: 200", "abort_option: 0", "settings.abort_option: 0: input should be 1, 2 or 3"),
         ("node: 2,", "node: 200,", "devices.drive_load.settings.node: 200: input should be less than or equal to 127"),
         ("  current_A: 30\n", "", "limits.current_A: is required and missing"),
         ("  current_A: 30\n", "  current_mA: 30000\n", "limits.current_mA: unknown key"),
@@ -64,6 +79,23 @@ def test_an_unknown_driver_is_told_together_with_other_faults(tmp_path):
     told = "\n".join(caught.value.faults)
     assert "limits.current_A: is required and missing" in told
     assert "devices.torque_sensor.driver: driver 'ads1116' is not registered" in told
+
+
+def test_a_drive_that_goes_on_without_the_host_is_refused(monkeypatch):
+    for silence, said in ((None, "does not stop by itself without"), (1.5, "stops by itself 1.5 s after")):
+        monkeypatch.setattr(ElmoSettings, "host_silence_s", silence)
+        with pytest.raises(
+            InputError, match=rf"devices.drive_test.settings: the drive {said} the host; 1 s at the most"
+        ):
+            benchfile.load("emulated")
+
+
+@pytest.mark.parametrize("name", benchfile.names())
+def test_a_checked_bench_passes_to_another_process_as_json(name):
+    bench, devices, _document = benchfile.load(name)
+    passed = benchfile.BenchFile.model_validate(json.loads(json.dumps(bench.model_dump(mode="json"))))
+    assert passed == bench
+    assert benchfile.check_devices(passed) == devices
 
 
 def test_one_address_on_two_buses_is_two_places(tmp_path):

@@ -16,6 +16,7 @@ from leactl.runner.progress import Progress
 from leactl.runner.recorder import FLUSH_S
 from leactl.runner.request import prepare
 from leactl.runner.signals import StopRequest
+from leactl.runner.watchdog import Unwatched
 from leactl.safety.supervisor import Axis, Supervisor
 from leactl.safety.winding import ThermalParameters, WindingEstimate
 from tests.benchmarks.replay import SYNC, RehearsedBus, ReplayBus
@@ -103,7 +104,9 @@ def prepared(request, machine, number):
     bench.open()
     writer = RunWriter(request.directory, info(f"20261120T101530Z-cycles-{number:04}"), bench.streams())
     progress = Progress("", request.plan.duration_s, bench.streams())
-    loop = Loop(request.plan, bench, supervisor, writer, FlushByCycles(writer), StopRequest(), progress, granted)
+    loop = Loop(
+        request.plan, bench, supervisor, writer, FlushByCycles(writer), StopRequest(), progress, granted, Unwatched()
+    )
     return loop, bench, writer, wiring
 
 

@@ -196,11 +196,38 @@ def test_holding_the_reset_bit_never_resets(make_bench):
     assert bench.transfer(statusword) == "4b41600040020000"
 
 
-def test_a_setting_that_does_not_stick_refuses_the_start(make_bench):
+@pytest.mark.parametrize(
+    ("index", "said"),
+    [
+        (0x1016, r"consumer heartbeat 0x1016:1 was written as 0x7F0\w+ and read back as 0x0;"),
+        (0x6007, r"abort option 0x6007:0 was written as 0x2 and read back as 0x1;"),
+    ],
+)
+def test_a_dead_man_that_does_not_stick_refuses_the_start(make_bench, index, said):
     bench = make_bench()
-    bench.far.ignore_writes(0x1016)
-    with pytest.raises(DeviceError, match="0x1016:1 holds 0 after"):
+    bench.far.ignore_writes(index)
+    with pytest.raises(DeviceError, match=f"drive: its dead-man cannot be armed: {said}"):
         bench.drive.open()
+    assert bench.far.follows()[0] == "off"
+
+
+def test_no_drive_is_enabled_before_its_dead_man_has_heard_a_heartbeat(make_bench):
+    bench = make_bench(consumer_heartbeat_ms=1000)
+    bench.drive.open()
+
+    def cycles_without_heartbeat():
+        bench.drive.engage(Mode.CURRENT)
+        for _ in range(3):
+            bench.drive.begin_cycle()
+            bench.port.sync()
+            bench.drive.end_cycle(bench.clock.now() + 0.5)
+
+    with pytest.raises(DeviceError, match="no heartbeat was sent in 1 s, its dead-man is not armed"):
+        cycles_without_heartbeat()
+    assert controlwords(bench) == [0x0000]
+    bench.drive.feed()
+    cycles_without_heartbeat()
+    assert 0x0006 in controlwords(bench)
 
 
 def test_an_abort_names_object_and_code(make_bench):

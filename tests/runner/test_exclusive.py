@@ -61,6 +61,16 @@ def test_a_killed_run_lets_go(holder):
         pass
 
 
+def test_a_process_that_was_handed_the_locks_holds_the_bench_too():
+    with exclusive.held(*real_bench()) as locks:
+        keeper = subprocess.Popen(["cat"], stdin=subprocess.PIPE, pass_fds=locks)
+    with pytest.raises(DeviceError, match="driven by another run"), exclusive.held(*real_bench()):
+        raise AssertionError
+    keeper.communicate()
+    with exclusive.held(*real_bench()):
+        pass
+
+
 def test_no_place_for_locks_is_refused_before_anything_is_touched(monkeypatch):
     monkeypatch.setenv("LEACTL_STATE", "/proc/nowhere")
     with pytest.raises(InputError, match="LEACTL_STATE"), exclusive.held(*real_bench()):

@@ -75,10 +75,25 @@ class Commissioning:
         return self._settings.sign * q_per_mille, min(0x7FFF, *most.values())
 
     def arm_dead_man(self) -> None:
-        """Have the drive itself stop when the host falls silent; a start is refused where that does not stick."""
+        """Have the drive itself stop when the host falls silent, from its first heartbeat on (301IG, chapter 14).
+
+        Raises
+        ------
+        DeviceError : the drive refuses, or holds something else afterwards; with what was written and what was read.
+        """
         settings = self._settings
-        self._sdo.write_verified(0x6007, 0, "i16", settings.abort_option)
-        self._sdo.write_verified(0x1016, 1, "u32", settings.host_node << 16 | settings.consumer_heartbeat_ms)
+        consumer = settings.host_node << 16 | settings.consumer_heartbeat_ms
+        for what, index, sub, kind, value in (
+            ("abort option", 0x6007, 0, "i16", settings.abort_option),
+            ("consumer heartbeat", 0x1016, 1, "u32", consumer),
+        ):
+            self._sdo.write(index, sub, kind, value)
+            held = self._sdo.read(index, sub, kind)
+            if held != value:
+                raise DeviceError(
+                    f"{self._name}: its dead-man cannot be armed: {what} 0x{index:04X}:{sub} was written as 0x{value:X}"
+                    f" and read back as 0x{held:X}; it would not stop without the host"
+                )
 
     def start_heartbeat(self) -> None:
         """Have the drive send its own sign of life."""

@@ -152,7 +152,8 @@ class ElmoCan(Driver):
 
         Raises
         ------
-        DeviceError : the drive is absent, another one, or refuses a setting; `DeviceFault` where it is in fault.
+        DeviceError : the drive is absent, another one, refuses a setting, or its dead-man cannot be armed;
+            `DeviceFault` where it is in fault.
         """
         self._standing = _Standing()
         self._connect()
@@ -163,6 +164,7 @@ class ElmoCan(Driver):
             self._emergency = ""
         self._current_per_mille, self._standing.most_per_mille = setup.read_scales()
         setup.arm_dead_man()
+        self._fed = -math.inf  # what was sent before counts no more: writing 0x1016 ends the monitoring
         self._nmt(NMT_PRE_OPERATIONAL)
         setup.map_pdos()
         setup.start_heartbeat()
@@ -261,7 +263,7 @@ class ElmoCan(Driver):
         """Send this cycle's demand; it acts at the SYNC that follows."""
         word = cia402.DISABLE_VOLTAGE
         if self._mode is not OFF and self._located:
-            word = cia402.ENABLE_OPERATION if self.state is ENABLED else cia402.towards_enabled(self.state)
+            word = cia402.ENABLE_OPERATION if self.state is ENABLED else self._towards_enabled()
             if self._mode is ANGLE and self.state is not ENABLED:
                 self._value = self._counts  # hold where the shaft is at the moment operation begins
         values = self.values
@@ -270,6 +272,15 @@ class ElmoCan(Driver):
             values[7] = NAN
         self._fresh[0] = self._fresh[1] = False
         self._send_demand(word)
+
+    def _towards_enabled(self) -> int:
+        """The next controlword on the way into operation; monitoring begins with a heartbeat and ends with a lapse."""
+        consumer_time = self.settings.host_silence_s
+        if self._clock.now() - self._fed > consumer_time:
+            raise DeviceError(
+                f"{self.name}: is not enabled: no heartbeat was sent in {consumer_time:g} s, its dead-man is not armed"
+            )
+        return cia402.towards_enabled(self.state)
 
     def end_cycle(self, deadline: float) -> None:
         """Collect what the drive sampled at the SYNC; NaN where it did not come.

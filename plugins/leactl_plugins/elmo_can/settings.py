@@ -59,6 +59,11 @@ class ElmoSettings(DriverSettings):
         return self.node
 
     @property
+    def host_bus_address(self) -> int:
+        """The node that the host's heartbeat carries."""
+        return self.host_node
+
+    @property
     def host_silence_s(self) -> float:
         """The consumer heartbeat time."""
         return 1e-3 * self.consumer_heartbeat_ms

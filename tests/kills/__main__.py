@@ -1,0 +1,61 @@
+"""`python -m tests.kills`: strike runs over a real bus at random moments; status 1 where one did not end as it must.
+
+Results are kept as a line of JSON each: the command given again goes on where it was interrupted.
+"""
+
+import argparse
+import json
+import os
+import random
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from tests.kills.report import report
+from tests.kills.trial import WAYS, ServedBench, strike_once
+
+
+def main() -> int:
+    """Parse, strike, report."""
+    parser = argparse.ArgumentParser(prog="python -m tests.kills", description=__doc__)
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--consumer-ms", type=int, default=200, help="consumer heartbeat time of both drives")
+    parser.add_argument("--bus", choices=("udp_multicast", "pty"), default="udp_multicast", help="pty: slcan on one")
+    parser.add_argument(
+        "--results", type=Path, default=Path("kills.jsonl"), help="one line a trial; goes on after them"
+    )
+    parser.add_argument("--report", type=Path, help="write the report to this .md as well")
+    asked = parser.parse_args()
+    done = [json.loads(line) for line in asked.results.read_text().splitlines()] if asked.results.exists() else []
+    directory = Path(tempfile.mkdtemp(prefix="leactl-kills-"))
+    served = ServedBench(directory, asked.bus, asked.consumer_ms)
+    try:
+        while (struck := sum("void" not in item for item in done)) < asked.count:
+            number = len(done)
+            after_s = random.Random(f"{asked.seed} {number}").uniform(0.0, 1.5)
+            way = list(WAYS)[struck % len(WAYS)]
+            found = strike_once(served, number, way, after_s)
+            done.append(found)
+            with asked.results.open("a") as results:
+                results.write(json.dumps(found) + "\n")
+            print(f"{struck + 1} of {asked.count}: {json.dumps(found)}", file=sys.stderr, flush=True)
+            if not found.get("faults"):
+                shutil.rmtree(directory / str(number))
+    finally:
+        served.close()
+    text = report(done, asked.consumer_ms * 1e-3)
+    print(text)
+    if asked.report:
+        asked.report.write_text(text)
+    if any(found.get("faults") for found in done):
+        return 1
+    shutil.rmtree(directory)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,62 @@
+"""A driver whose call never returns once a file is there; the product has no such hook, the harness registers it."""
+
+import ctypes
+import time
+from pathlib import Path
+
+from leactl.driver.contract import Confirmation, Driver, DriverSettings, StreamSpec
+from leactl.quantities import ChannelSpec
+
+ENTRY_POINT = "[leactl.drivers]\nstuck = tests.kills.stuck:Stuck\n"
+METADATA = "Metadata-Version: 2.1\nName: stuck\nVersion: 1.0\n"
+
+
+class Settings(DriverSettings):
+    """The file that makes it stuck; it says how."""
+
+    trigger: str
+
+
+class Stuck(Driver):
+    """Measures nothing."""
+
+    Settings = Settings
+    transport = "none"
+    summary = "gets stuck"
+
+    def safe_state(self, deadline_s):
+        return Confirmation(True, "measures only")
+
+    def __init__(self, name, role, settings, port, clock):
+        self.name, self._trigger = name, Path(settings.trigger)
+
+    def open(self): ...
+
+    def close(self): ...
+
+    @classmethod
+    def far_end(cls, settings, role, physics):
+        return None
+
+    @property
+    def streams(self):
+        return (StreamSpec(self.name, (ChannelSpec("nothing", "line_voltage", "bench", self.name, "nothing"),)),)
+
+    def take(self):
+        if self._trigger.exists():
+            how = self._trigger.read_text()
+            while how == "sleeping":
+                time.sleep(1000)
+            while how == "spinning":
+                pass
+            while how == "holding the GIL":
+                ctypes.PyDLL(None).sleep(1000)  # PyDLL keeps the lock for the whole call
+        return ()
+
+
+def register(directory: Path) -> None:
+    """Make a distribution in this directory, which is to be on the path, that brings the driver."""
+    folder = directory / "stuck-1.0.dist-info"
+    folder.mkdir(exist_ok=True)
+    (folder / "METADATA").write_text(METADATA)
+    (folder / "entry_points.txt").write_text(ENTRY_POINT)

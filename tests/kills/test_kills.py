@@ -1,0 +1,49 @@
+"""A handful of the kills whose hundreds are `python -m tests.kills`."""
+
+import pytest
+
+from tests.driver.transports import CAN
+from tests.kills.trial import ServedBench, strike_once
+
+BUSES = ["pty", *(["udp_multicast"] if "udp_multicast" in CAN else [])]
+CONSUMER_MS = 1000  # other load on the machine may hold up either process
+ATTEMPTS = 3  # a run may end by itself, for the same reason, before it is struck
+
+
+@pytest.fixture
+def struck(tmp_path, monkeypatch):
+    """What became of a run that was struck so."""
+    monkeypatch.setenv("LEACTL_STATE", str(tmp_path))
+
+    def strike(bus, way, *changes):
+        served = ServedBench(tmp_path, bus, CONSUMER_MS, *changes)
+        try:
+            for number in range(ATTEMPTS):
+                found = strike_once(served, number, way, 0.3)
+                if "void" not in found:
+                    return found
+            raise AssertionError(found["void"])
+        finally:
+            served.close()
+
+    return strike
+
+
+@pytest.mark.parametrize(
+    ("bus", "way"),
+    [(BUSES[-1], "SIGSTOP, watchdog too"), (BUSES[0], "SIGSTOP"), (BUSES[-1], "driver call holding the GIL")],
+)
+def test_a_struck_run_leaves_no_torque_and_a_readable_file(struck, bus, way):
+    found = struck(bus, way)
+    assert found["faults"] == []
+    assert all(0.0 <= seconds <= 1.02 for seconds in found["stop_s"].values())
+
+
+@pytest.mark.parametrize("bus", BUSES)
+def test_a_killed_run_is_stopped_by_its_watchdog_where_the_drives_dead_man_fails(struck, bus):
+    assert struck(bus, "kill -9", "without-dead-man")["faults"] == []
+
+
+def test_a_hung_run_is_stopped_by_its_watchdog_where_the_drives_dead_man_fails(struck):
+    found = struck(BUSES[-1], "driver call sleeping", "without-dead-man")
+    assert all(1.0 <= seconds <= 3.0 for seconds in found["stop_s"].values())
