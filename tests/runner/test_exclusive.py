@@ -1,6 +1,7 @@
 """Two runs never drive one bench: by its name, and by the buses that its devices hang on."""
 
 import os
+import subprocess
 
 import pytest
 
