@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from leactl.bench import benchfile
+from leactl.emulation.faults import check_faults
 from leactl.errors import InputError
 from leactl.protocol import protocolfile
 from leactl.runner.session import Request
@@ -33,6 +34,7 @@ def prepare(
     overrides = _settings(settings)
     seed = _seed(overrides.pop("seed", None))
     file, devices, document = benchfile.load(bench)
+    check_faults(file, devices, document)
     file = file.model_copy(update={"buses": file.buses | benchfile.put_elsewhere(file, buses)})
     plan = protocolfile.load(protocol, overrides, condition)
     check_rate(plan.rate_Hz, benchfile.host_silences(devices))

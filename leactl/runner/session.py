@@ -98,7 +98,7 @@ def _run(
     """Run on an open bench, and leave it safe."""
     plan = request.plan
     try:
-        writer = RunWriter(request.directory, _info(request), bench.streams())
+        writer = RunWriter(request.directory, _info(request), bench.streams(), bench.wait_for_disk)
         paced = request.realtime or not request.in_process
         flush = ThreadedFlush(writer) if paced else InlineFlush(writer)
         progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
