@@ -52,9 +52,11 @@ def make_fault(entry: Mapping[str, Any]) -> "Fault":
 
     Raises
     ------
-    InputError : no such fault.
+    InputError : no such fault, or none is named.
     ValidationError : its parameters are not what it takes.
     """
+    if "fault" not in entry:
+        raise InputError("is required and missing")
     return find_fault(str(entry.get("fault"))).model_validate(entry)
 
 

@@ -27,7 +27,7 @@ class DriveFault(OfDrive):
 
     example = "{fault: drive_fault, at_s: 2, device: drive_test, code: 0x2340}"
 
-    code: ErrorCode = Field(0x2340, description="error code (CiA 301), as 0x2340 for a short circuit")
+    code: ErrorCode = Field(description="error code (CiA 301), as 0x2340 for a short circuit")
 
     def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
         """Fail."""
