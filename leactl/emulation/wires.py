@@ -61,14 +61,16 @@ class CanWire:
         for host in self.hosts:
             if host is not sender:
                 host.arrived.append(frame)
-        for device, answers in [(device, device.receive(frame, now)) for device in self.devices]:
-            self._from_device(device, answers)
+        for device in self.devices:
+            answers = device.receive(frame, now)
+            if answers:
+                self._from_device(device, answers)
 
     def _from_device(self, device: CanEmulator, frames: list[Frame]) -> None:
         if self._disturbances:
             for frame in frames:
                 self._carry(frame, device, partial(self._to_hosts, [frame]))
-        elif frames:
+        else:
             self._to_hosts(frames)
 
     def _carry(self, frame: Frame, source: CanEmulator | None, deliver: Callable[[], None]) -> None:
