@@ -359,6 +359,26 @@ def test_the_drive_tells_the_voltage_and_the_rotor_feels_it(make, more, fault, v
     assert turning == [pytest.approx(30, rel=0.02), pytest.approx(reached, rel=0.08), pytest.approx(30, rel=0.06)]
 
 
+def test_a_second_sag_has_a_voltage_of_its_own(make):
+    deep, shallow = "at_s: 1, for_s: 1, bus_voltage_V: 12", "at_s: 3, for_s: 1, bus_voltage_V: 18"
+    bench = make(f"{{fault: under_voltage, {deep}}}", f"{{fault: under_voltage, {shallow}}}")
+    bench.download(0x60FF, 190986)
+    bench.enable(9)
+    turning = []
+    for moment in (2.0, 4.0):
+        bench.wait(moment - 0.001)
+        turning.append(bench.rig.actuators["test"].velocity_true)
+    assert turning[1] / turning[0] == pytest.approx(18 / 12, rel=0.05)
+
+
+def test_a_fault_begins_at_its_moment_however_long_the_host_waits(make):
+    bench = make("{fault: drive_fault, at_s: 1, device: drive_test, code: 0x2340}")
+    bench.download(0x6071, 100)
+    bench.enable(10)
+    bench.time.sleep_until(4.0)
+    assert bench.rig.actuators["test"].velocity_true == 0.0  # it has had three seconds to come to rest
+
+
 def test_a_clock_jump_is_the_host_s_alone(make):
     bench = make("{fault: clock_jump, at_s: 1, jump_s: -0.25}")
     bench.clock.sleep_until(1.0)

@@ -213,6 +213,13 @@ def test_a_slow_disk_holds_up_no_cycle_and_loses_nothing(rehearse):
         assert run.channel("velocity", "test").time[-1] == pytest.approx(outcome.duration_s, abs=0.02)
 
 
+def test_every_write_of_the_run_file_waits_for_a_slow_disk(rehearse, monkeypatch):
+    waited = []
+    monkeypatch.setattr("leactl.emulation.emulated_bench.time.sleep", waited.append)
+    assert rehearse(SLOW)[0].status == "complete"
+    assert waited.count(0.4) == len(waited) >= 2  # the first flush and the last
+
+
 @pytest.mark.xfail(
     strict=True, raises=AssertionError, reason="rows that reach the disk later than the run format says are not noted"
 )
