@@ -1,5 +1,6 @@
 """The emulated bench's time: it passes only while somebody waits, and everything that lives on the bench keeps step."""
 
+import math
 import time
 from collections.abc import Callable
 
@@ -56,4 +57,7 @@ class HostClock:
 
     def sleep_until(self, moment: float) -> None:
         """Let time pass for as long as the clock shows now that it should."""
-        self._time.sleep_until(moment - self.ahead)
+        until = moment - self.ahead
+        while until + self.ahead < moment:  # rounded down: a host that waits for the moment would wait for ever
+            until = math.nextafter(until, math.inf)
+        self._time.sleep_until(until)

@@ -17,6 +17,7 @@ from leactl.driver.i2c_port import swapped
 from leactl.emulation.clock import EmulatedClock
 
 TICK_S = 1e-3
+LEAST_WAIT_S = 1e-9  # what rounding leaves of a wait must still let time pass, or it would never be over
 STOPS_PER_S = 8000  # at most 0.125 ms late for a device, and few of the plant's own steps
 
 Passes = Callable[[Frame, CanEmulator | None], float | None]
@@ -120,7 +121,7 @@ class EmulatedCanBus(can.BusABC):
         """Take the oldest frame; where there is none, let emulated time pass until one comes or `timeout` is over."""
         arrived, clock = self.arrived, self._wire.clock
         if not arrived and timeout:
-            until = clock.now() + timeout
+            until = clock.now() + max(timeout, LEAST_WAIT_S)
             while not arrived and clock.now() < until:
                 clock.sleep_until(min(until, clock.now() + TICK_S))
         if not arrived:

@@ -387,6 +387,20 @@ def test_a_clock_jump_is_the_host_s_alone(make):
     assert (bench.clock.now(), bench.time.now(), bench.rig.time) == (1.0, 1.25, 1.25)
 
 
+@pytest.mark.parametrize("jump", [-1.0, 0.1, 12.3])
+def test_no_wait_is_held_up_by_what_a_jump_rounds_off(make, jump):
+    bench = make(f"{{fault: clock_jump, at_s: 1, jump_s: {jump}}}")
+    bench.wait(1.0)
+    for step in range(1, 400):
+        moment = bench.clock.now() + step / 997
+        bench.clock.sleep_until(moment)
+        assert bench.clock.now() >= moment
+    bench.heard()
+    before = bench.time.now()
+    bench.bus.recv(1e-17)
+    assert bench.time.now() > before
+
+
 def test_a_slow_disk_delays_each_write_while_it_lasts(make, monkeypatch):
     waited = []
     monkeypatch.setattr(emulated_bench.time, "sleep", waited.append)

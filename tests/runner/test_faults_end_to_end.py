@@ -7,12 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from leactl.bench import benchfile
 from leactl.emulation.faults import known_faults
-from leactl.errors import DeviceFault
+from leactl.errors import DeviceError, DeviceFault
 from leactl.runfile.integrity import verify
 from leactl.runfile.reader import Run
+from leactl.runner import latch
 from tests.runner.conftest import SPIN
 
 LOADED = """
@@ -201,6 +204,30 @@ def test_chance_is_the_same_for_a_seed_and_another_for_another(rehearse):
     assert any(first)
     assert lost(5) == first
     assert lost(6) != first
+
+
+@st.composite
+def misfortunes(draw):
+    """One to four faults of the catalogue at any moments, each as its example says."""
+    kinds = [fault.example for name, fault in sorted(known_faults().items()) if name != "slow_disk"]
+    chosen = draw(st.lists(st.sampled_from(kinds), min_size=1, max_size=4))
+    moments = st.integers(0, 2000).map(lambda milliseconds: f"at_s: {milliseconds / 1000}")
+    return ", ".join(entry.replace("at_s: 2", draw(moments)) for entry in chosen)
+
+
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(misfortunes())
+def test_no_drive_is_called_safe_that_is_not(rehearse, faults):
+    latch.release("emulated")
+    try:
+        outcome, bench = rehearse(faults)
+    except DeviceError:
+        return  # met when the bench was opened
+    roles = {"drive_test": "test", "drive_load": "load"}
+    confirmed = {roles[name] for name, found in outcome.safe.items() if found.safe and name in roles}
+    assert {role for role in confirmed if bench.rig.actuators[role].mode != "off"} == set()
+    assert verify(outcome.path) == []
+    assert len(confirmed) == 2 or outcome.status != "complete"
 
 
 SLOW = "{fault: slow_disk, at_s: 0, delay_s: 0.4}"  # with the pause between two flushes more than a second

@@ -67,11 +67,13 @@ def check_faults(file: "BenchFile", devices: "Sequence[CheckedDevice]", document
     ------
     InputError : one line for each that cannot be rehearsed, with its place in the file.
     """
+    if file.emulated is None or not file.emulated.faults:
+        return
     from leactl.emulation.faults.contract import Standing
 
     standing = Standing(file, {device.name: device for device in devices})
     lines: list[str] = []
-    for index, entry in enumerate(file.emulated.faults if file.emulated else ()):
+    for index, entry in enumerate(file.emulated.faults):
         place = ("emulated", "faults", index)
         try:
             misfits = make_fault(entry).misfits(standing)
