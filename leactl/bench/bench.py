@@ -18,7 +18,7 @@ class Bench:
     """The devices of a bench file on a wiring; `open` before use, `close` in any case."""
 
     def __init__(self, file: BenchFile, devices: Sequence[CheckedDevice], wiring: Wiring) -> None:
-        self.file, self.clock = file, wiring.clock
+        self.file, self.clock, self.wait_for_disk = file, wiring.clock, wiring.wait_for_disk
         ports: dict[str, Any] = {name: _port(name, bus, wiring) for name, bus in file.buses.items()}
         self.drivers: dict[str, Driver] = {}
         self.drives: dict[str, Driver] = {}

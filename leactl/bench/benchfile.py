@@ -60,6 +60,7 @@ class Emulated(BaseModel):
     bench: dict[str, Any] = {}
     conditions: dict[str, dict[str, Any]] = {}  # label: parameters of both actuators under it
     effects: list[dict[str, Any]] = []
+    faults: list[dict[str, Any]] = []  # what goes wrong and when (leactl.emulation.faults)
     current_noise_A: Fraction = 0.015  # noqa: N815 (a unit keeps its letter)
     torque_noise_Nm: Fraction = 0.004  # noqa: N815
     velocity_noise_rad_s: Fraction = 0.002

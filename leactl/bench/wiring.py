@@ -29,6 +29,9 @@ class Wiring(Protocol):
     def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
         """How to connect to an I2C bus."""
 
+    def wait_for_disk(self) -> None:
+        """What every write of the run file waits for; a disk that is none of the emulation's takes its own time."""
+
 
 class MachineWiring:
     """The buses of this machine."""
@@ -59,3 +62,6 @@ class MachineWiring:
             return connected
 
         return connect
+
+    def wait_for_disk(self) -> None:
+        """Nothing: the disk is this machine's own."""

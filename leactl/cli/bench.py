@@ -39,8 +39,10 @@ def model(bench: str) -> None:
 def check(bench: str, as_json: bool = AS_JSON) -> None:
     """Check a bench file and every driver's settings in it, without touching a device."""
     from leactl.bench.benchfile import load
+    from leactl.emulation.faults import check_faults
 
-    found, devices, _document = load(bench)
+    found, devices, document = load(bench)
+    check_faults(found, devices, document)
     if as_json:
         rows = [{"name": d.name, "driver": d.entry.driver, "role": d.entry.role} for d in devices]
         answer = {"bench": found.name, "devices": rows, "limits": found.limits.model_dump(exclude_none=True)}
@@ -100,11 +102,13 @@ def serve(
     """Serve an emulated bench on real buses, by the wall clock, until Ctrl-C."""
     from leactl.bench.benchfile import load, put_elsewhere
     from leactl.emulation.emulated_bench import EmulatedBench
+    from leactl.emulation.faults import check_faults
     from leactl.emulation.serving import bridged, stub_chips
     from leactl.emulation.serving import serve as serve_until
     from leactl.runner.signals import listening
 
-    file, devices, _document = load(bench)
+    file, devices, document = load(bench)
+    check_faults(file, devices, document)
     file = file.model_copy(update={"buses": file.buses | put_elsewhere(file, bus)})
     emulated = EmulatedBench(file, devices, setup, condition, seed)
     with listening() as stop, bridged(file, emulated.wires) as bridges:
@@ -116,6 +120,26 @@ def serve(
                 typer.echo(f"{name}: i2c-stub")
             else:
                 typer.echo(f"{name}: is not served; I2C needs the kernel's i2c-stub at that number", err=True)
+        for text in emulated.not_served:
+            typer.echo(text, err=True)
         typer.echo("serving; Ctrl-C ends it")
         every = [chip for found in chips.values() for chip in found]
-        serve_until(emulated.clock, list(bridges.values()), every, lambda: bool(stop.cause))
+        serve_until(emulated.time, list(bridges.values()), every, lambda: bool(stop.cause))
+
+
+@app.command()
+def faults(name: str = typer.Argument("", help="One fault, to be explained."), as_json: bool = AS_JSON) -> None:
+    """List the faults that an emulated bench rehearses, or explain one: its parameters and a line for a bench file."""
+    from leactl.emulation.faults import find_fault, known_faults
+
+    chosen = {name: find_fault(name)} if name else known_faults()
+    described = [found.described(key) for key, found in sorted(chosen.items())]
+    if as_json:
+        typer.echo(json.dumps({"faults": described}))
+        return
+    for row in described:
+        typer.echo(f"{row['fault']:<20} {row['summary']}")
+    if name:
+        for key, text in described[0]["parameters"].items():
+            typer.echo(f"  {key:<18} {text}")
+        typer.echo(f"\nemulated:\n  faults:\n    - {described[0]['example']}")

@@ -47,6 +47,17 @@ class CanEmulator(Protocol):
         """Time at which `tick` next has something to do."""
 
 
+@runtime_checkable
+class Breakable(Protocol):
+    """What a drive's emulator may have besides: without it no fault inside the drive can be rehearsed."""
+
+    def freeze(self, frozen: bool) -> None:
+        """Hear nothing, answer nothing and go on with the last demand, or come back to life."""
+
+    def fault(self, code: int) -> None:
+        """Enter the device's own fault state by itself and tell this error code (CiA 301) as its protocol does."""
+
+
 class I2cEmulator(Protocol):
     """A device on an emulated I2C bus: 16-bit registers, most significant byte first."""
 

@@ -1,5 +1,6 @@
 """The emulated bench's time: it passes only while somebody waits, and everything that lives on the bench keeps step."""
 
+import math
 import time
 from collections.abc import Callable
 
@@ -41,3 +42,22 @@ class EmulatedClock:
             self._time = until
             for advance in self._followers:
                 advance(until)
+
+
+class HostClock:
+    """Emulated time as the host's clock shows it: a jump moves what it shows, and nothing on the bench."""
+
+    def __init__(self, time: EmulatedClock) -> None:
+        self._time = time
+        self.ahead = 0.0  # of the bench's time [s]
+
+    def now(self) -> float:
+        """Seconds; a jump may take them back."""
+        return self._time.now() + self.ahead
+
+    def sleep_until(self, moment: float) -> None:
+        """Let time pass for as long as the clock shows now that it should."""
+        until = moment - self.ahead
+        while until + self.ahead < moment:  # rounded down: a host that waits for the moment would wait for ever
+            until = math.nextafter(until, math.inf)
+        self._time.sleep_until(until)

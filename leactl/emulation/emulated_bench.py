@@ -1,5 +1,6 @@
 """An emulated bench behind a bench file: the plant, the devices' far ends, and a wiring that leads to them."""
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -7,14 +8,18 @@ import can
 
 from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus
 from leactl.driver import registry
+from leactl.driver.far_end import Physics
 from leactl.driver.i2c_port import SmBus
 from leactl.emulation.actuator import Actuator
-from leactl.emulation.clock import EmulatedClock
+from leactl.emulation.clock import EmulatedClock, HostClock
 from leactl.emulation.effects import make_effect
 from leactl.emulation.effects.contract import RIG_HOOKS, Effect, own_hooks
+from leactl.emulation.faults import make_fault
+from leactl.emulation.faults.schedule import Schedule
 from leactl.emulation.noise import Noise
 from leactl.emulation.parameters import ActuatorParameters, BenchParameters
 from leactl.emulation.rig import Rig
+from leactl.emulation.signals import Signals
 from leactl.emulation.stepped_rig import SteppedActuator, SteppedRig
 from leactl.emulation.wires import CanWire, EmulatedCanBus, EmulatedI2cBus
 from leactl.errors import InputError
@@ -71,7 +76,12 @@ class EmulatedBench:
         if condition not in emulated.conditions and emulated.conditions and condition:
             known = ", ".join(emulated.conditions)
             raise InputError(f"condition '{condition}' is not one of the emulated bench's: {known}")
-        self.clock = EmulatedClock(realtime)
+        faults = [make_fault(entry) for entry in emulated.faults]
+        self.time = EmulatedClock(realtime)
+        self.host_clock = HostClock(self.time)
+        self.clock = self.host_clock if faults else self.time
+        self.disk_delay_s = 0.0
+        self.not_served = [f"fault {f.fault}: nothing happens, {f.where_served}" for f in faults if f.where_served]
         under = emulated.conditions.get(condition, {})
         number = emulated.seed if seed is None else seed
         test = _parameters(file, "test", under | emulated.test)
@@ -84,17 +94,20 @@ class EmulatedBench:
             if expressible
             else SteppedRig(setup, test, load, bench, effects)
         )
-        self.clock.follow(self.rig.advance)
+        self.time.follow(self.rig.advance)
         self._file, self._settings, self._number = file, emulated, number
         self._streams_of_noise = 1
         self.machines = {role: self._machine(role) for role in ("test", "load")}
-        self.wires = {name: CanWire(self.clock) for name, bus in file.buses.items() if isinstance(bus, CanBus)}
+        self.wires = {name: CanWire(self.time) for name, bus in file.buses.items() if isinstance(bus, CanBus)}
         self.i2c_buses = {
-            name: EmulatedI2cBus(self.clock) for name, bus in file.buses.items() if isinstance(bus, I2cBus)
+            name: EmulatedI2cBus(self.time) for name, bus in file.buses.items() if isinstance(bus, I2cBus)
         }
+        self.bus_of = {device.name: device.entry.bus or "" for device in devices}
         self.far_ends: dict[str, Any] = {}
+        self.signals: dict[str, Signals] = {}
         for device in devices:
-            self._place(device)
+            self._place(device, bool(faults))
+        Schedule(self, faults, number)
 
     def can(self, name: str, bus: CanBus) -> Callable[[], can.BusABC]:
         """How to connect to an emulated CAN bus."""
@@ -103,6 +116,11 @@ class EmulatedBench:
     def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
         """How to connect to an emulated I2C bus."""
         return lambda: self.i2c_buses[name]
+
+    def wait_for_disk(self) -> None:
+        """Wait for as long as a slow disk takes, by the wall clock."""
+        if self.disk_delay_s:
+            time.sleep(self.disk_delay_s)
 
     def machine(self, role: str) -> EmulatedMachine:
         """What the drive of this role turns."""
@@ -136,9 +154,12 @@ class EmulatedBench:
             actuator, self.rig, self._fresh_noise(), settings.current_noise_A, settings.velocity_noise_rad_s
         )
 
-    def _place(self, device: CheckedDevice) -> None:
+    def _place(self, device: CheckedDevice, faulty: bool) -> None:
         entry = device.entry
-        far_end: Any = registry.load(entry.driver).far_end(device.settings, entry.role, self)
+        physics: Physics = self
+        if faulty:
+            physics = self.signals[device.name] = Signals(self)
+        far_end: Any = registry.load(entry.driver).far_end(device.settings, entry.role, physics)
         if entry.bus in self.wires:
             self.wires[entry.bus].attach(far_end)
         elif entry.bus in self.i2c_buses:

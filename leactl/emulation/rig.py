@@ -6,6 +6,7 @@ margin of the regime is lost, changes the regime there and goes on. The same cal
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -208,6 +209,14 @@ class Rig:
                 self._propagators.clear()
             propagator = self._propagators[regime] = Propagator(self._plant, regime)
         self._regime, self._propagator, self._level = regime, propagator, RESTART_LEVEL
+
+    def supply(self, voltage: float) -> None:
+        """Have the supply give another DC link voltage [V] from now on."""
+        self.bench = replace(self.bench, bus_voltage=voltage)
+        self._plant = self._plant._replace(bench=self.bench)
+        self._propagators.clear()  # they hold the voltage ceiling
+        for k in (0, 1):
+            self._classify(k)
 
     # ---------------------------------------------------------------- time
 

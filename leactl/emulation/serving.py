@@ -7,7 +7,7 @@ goes through the kernel's i2c-stub, a plain register store that this process fil
 import select
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Protocol
 
@@ -59,7 +59,8 @@ class CanBridge:
             if message is None:
                 break
             if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
-                self._inner.send(message)
+                with suppress(can.CanOperationError):  # the emulated bus is off: what the host has sent is lost
+                    self._inner.send(message)
                 self._answer()
         self._answer()
 
@@ -77,8 +78,8 @@ class CanBridge:
 class StubChip:
     """One chip of i2c-stub, whose registers a device's far end keeps."""
 
-    def __init__(self, bus: SmBus, address: int, keeper: StoreKeeper) -> None:
-        self._bus, self._address, self._keeper = bus, address, keeper
+    def __init__(self, bus: SmBus, address: int, keeper: StoreKeeper, silent: Sequence[object] = ()) -> None:
+        self._bus, self._address, self._keeper, self._silent = bus, address, keeper, silent
 
     def read(self, register: int) -> int:
         """Read a register of the chip."""
@@ -89,8 +90,9 @@ class StubChip:
         self._bus.write_word_data(self._address, register, swapped(value))
 
     def carry(self, now: float) -> None:
-        """Let the far end look at the chip once."""
-        self._keeper.keep(self, now)
+        """Let the far end look at the chip once, unless it is unplugged: the chip is there, and converts no more."""
+        if self._keeper not in self._silent:
+            self._keeper.keep(self, now)
 
 
 @contextmanager
@@ -152,12 +154,13 @@ def stub_chips(file: BenchFile, bench: EmulatedBench) -> dict[str, list[StubChip
         except OSError as error:
             raise DeviceError(f"bus '{name}': {error}") from None
         found[name] = []
-        for address, far_end in bench.i2c_buses[name].devices.items():
+        emulated = bench.i2c_buses[name]
+        for address, far_end in emulated.devices.items():
             if stub is None:
                 continue
             if not isinstance(far_end, StoreKeeper):
                 raise InputError(f"bus '{name}': the emulator at address 0x{address:02X} cannot stand behind i2c-stub")
-            found[name].append(StubChip(stub, address, far_end))
+            found[name].append(StubChip(stub, address, far_end, emulated.silent))
     return found
 
 

@@ -122,6 +122,10 @@ class SteppedPlant:
         self._warm((self.angle[0] - before[0]) / TICK)
         self.time += TICK
 
+    def supply(self, voltage: float) -> None:
+        """Have every lane's source give this voltage [V] from now on."""
+        self._source[:] = self.bus_voltage[:] = voltage
+
     def _refresh(self) -> None:
         """What changes with temperature and time: once a millisecond."""
         for now in self._slow:

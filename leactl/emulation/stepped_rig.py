@@ -4,6 +4,7 @@ Time goes in whole milliseconds, commands are taken at the next one, and the ser
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -77,6 +78,11 @@ class SteppedRig:
         for effect in self._effects:
             resistance *= float(effect.resistance_share(self.plant.thermal.winding[0], self.time))
         return resistance
+
+    def supply(self, voltage: float) -> None:
+        """Have the supply give another DC link voltage [V] from now on."""
+        self.bench = replace(self.bench, bus_voltage=voltage)
+        self.plant.supply(voltage)
 
     # ---------------------------------------------------------------- time
 

@@ -4,8 +4,11 @@ Synchronous and without threads: a frame is answered inside `send`, and emulated
 """
 
 import errno
+import heapq
 import math
 from collections import deque
+from collections.abc import Callable
+from functools import partial
 
 import can
 
@@ -14,7 +17,11 @@ from leactl.driver.i2c_port import swapped
 from leactl.emulation.clock import EmulatedClock
 
 TICK_S = 1e-3
+LEAST_WAIT_S = 1e-9  # what rounding leaves of a wait must still let time pass, or it would never be over
 STOPS_PER_S = 8000  # at most 0.125 ms late for a device, and few of the plant's own steps
+
+Passes = Callable[[Frame, CanEmulator | None], float | None]
+"""How much later a frame of this device, or of a host (None), arrives [s]; None where it is lost."""
 
 
 class CanWire:
@@ -25,34 +32,71 @@ class CanWire:
         self.devices: list[CanEmulator] = []
         self.hosts: list[EmulatedCanBus] = []
         self.cut = False  # the cable is out: nothing arrives, on either side
+        self.off = False  # the hosts' controller has left the bus: they cannot send, and nothing comes in
+        self._disturbances: list[Passes] = []
+        self._late: list[tuple[float, int, Callable[[], None]]] = []
+        self._held_up = 0  # frames so far: those of one moment keep their order
         clock.follow(self._pass_time)
+        clock.stop_at(lambda: self._late[0][0] if self._late else math.inf)
 
     def attach(self, device: CanEmulator) -> None:
         """Put a device on the segment."""
         self.devices.append(device)
 
+    def disturb(self, passes: Passes) -> Callable[[], None]:
+        """Let a fault stand in the way of every frame; what is returned takes it away."""
+        self._disturbances.append(passes)
+        return lambda: self._disturbances.remove(passes)
+
     def from_host(self, frame: Frame, sender: "EmulatedCanBus") -> None:
         """Deliver a host's frame, and what it makes the devices say."""
+        if self._disturbances:
+            self._carry(frame, None, partial(self._to_devices, frame, sender))
+        else:
+            self._to_devices(frame, sender)
+
+    def _to_devices(self, frame: Frame, sender: "EmulatedCanBus") -> None:
         if self.cut:
             return
         now = self.clock.now()
-        answers: list[Frame] = []
-        for device in self.devices:
-            answers += device.receive(frame, now)
         for host in self.hosts:
             if host is not sender:
                 host.arrived.append(frame)
-        self._to_hosts(answers)
-
-    def _pass_time(self, now: float) -> None:
-        frames: list[Frame] = []
         for device in self.devices:
-            if now >= device.due:
-                frames += device.tick(now)
-        if frames and not self.cut:
+            answers = device.receive(frame, now)
+            if answers:
+                self._from_device(device, answers)
+
+    def _from_device(self, device: CanEmulator, frames: list[Frame]) -> None:
+        if self._disturbances:
+            for frame in frames:
+                self._carry(frame, device, partial(self._to_hosts, [frame]))
+        else:
             self._to_hosts(frames)
 
+    def _carry(self, frame: Frame, source: CanEmulator | None, deliver: Callable[[], None]) -> None:
+        late = 0.0
+        for passes in self._disturbances:
+            more = passes(frame, source)
+            if more is None:
+                return
+            late += more
+        if late <= 0.0:
+            deliver()
+            return
+        self._held_up += 1
+        heapq.heappush(self._late, (self.clock.now() + late, self._held_up, deliver))
+
+    def _pass_time(self, now: float) -> None:
+        while self._late and self._late[0][0] <= now:
+            heapq.heappop(self._late)[2]()
+        for device in self.devices:
+            if now >= device.due:
+                self._from_device(device, device.tick(now))
+
     def _to_hosts(self, frames: list[Frame]) -> None:
+        if self.cut or self.off:
+            return
         for host in self.hosts:
             host.arrived.extend(frames)
 
@@ -69,13 +113,15 @@ class EmulatedCanBus(can.BusABC):
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a frame; the devices have answered when this returns."""
+        if self._wire.off:
+            raise can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS)
         self._wire.from_host(Frame(msg.arbitration_id, bytes(msg.data)), self)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Take the oldest frame; where there is none, let emulated time pass until one comes or `timeout` is over."""
         arrived, clock = self.arrived, self._wire.clock
         if not arrived and timeout:
-            until = clock.now() + timeout
+            until = clock.now() + max(timeout, LEAST_WAIT_S)
             while not arrived and clock.now() < until:
                 clock.sleep_until(min(until, clock.now() + TICK_S))
         if not arrived:
@@ -99,6 +145,7 @@ class EmulatedI2cBus:
     def __init__(self, clock: EmulatedClock) -> None:
         self._clock = clock
         self.devices: dict[int, I2cEmulator] = {}
+        self.silent: list[I2cEmulator] = []  # devices that are unplugged
         clock.follow(self._pass_time)
         clock.stop_at(self._due)
 
@@ -113,7 +160,7 @@ class EmulatedI2cBus:
 
     def _device(self, address: int) -> I2cEmulator:
         device = self.devices.get(address)
-        if device is None:
+        if device is None or device in self.silent:
             raise OSError(errno.EREMOTEIO, "Remote I/O error")
         return device
 

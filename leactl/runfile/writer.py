@@ -38,16 +38,23 @@ class RunWriter:
     """Writer of one run; use it as a context manager or call `close`.
 
     `append`, `append_row`, `step` and `event` only touch memory and may be called from the control loop while another
-    thread flushes. Rows count as recorded once `flush` has returned.
+    thread flushes. Rows count as recorded once `flush` has returned. Before each write `wait_for_disk` is called, where
+    an emulated bench lets a slow disk take its time.
     """
 
-    def __init__(self, directory: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        info: RunInfo,
+        streams: Mapping[str, Sequence[ChannelSpec]],
+        wait_for_disk: Callable[[], None] = lambda: None,
+    ) -> None:
         if faults := faults_of(info, streams):
             raise InputError(faults)
         self.path = directory / f"{info.run_id}.h5"
         self.closed = False
         self._fault = ""  # the first one, for whoever comes after it
-        self._disk = threading.Lock()
+        self._disk, self._wait_for_disk = threading.Lock(), wait_for_disk
         self._buffers = {name: RowBuffer(len(specs)) for name, specs in streams.items()}
         self._written = dict.fromkeys(streams, 0)
         self._tables: dict[str, list[dict[str, Any]]] = {name: [] for name in layout.TABLES}
@@ -126,6 +133,7 @@ class RunWriter:
                 error.add_note(str(second))
 
     def _write_pending(self) -> None:
+        self._wait_for_disk()
         tables = {name: rows[self._tables_written[name] :] for name, rows in self._tables.items()}
         taken = {name: buffer.take() for name, buffer in self._buffers.items()}
         self._reserve(taken, tables)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from leactl.bench import benchfile
 from leactl.bench.benchfile import BenchFile, CheckedDevice
+from leactl.emulation.faults import check_faults
 from leactl.errors import InputError
 from leactl.protocol import by_hand, protocolfile
 from leactl.protocol.plan import Plan
@@ -68,6 +69,7 @@ Placed = tuple[BenchFile, list[CheckedDevice], Document]
 
 def _placed(bench: str, buses: Sequence[str]) -> Placed:
     file, devices, document = benchfile.load(bench)
+    check_faults(file, devices, document)
     return file.model_copy(update={"buses": file.buses | benchfile.put_elsewhere(file, buses)}), devices, document
 
 

@@ -128,7 +128,7 @@ def _run(
     """Run on an open bench, and leave it safe."""
     plan = request.plan
     try:
-        writer = RunWriter(request.directory, _info(request), bench.streams())
+        writer = RunWriter(request.directory, _info(request), bench.streams(), bench.wait_for_disk)
         watchdog.recording(writer.path)
         paced = request.realtime or not request.in_process
         flush = ThreadedFlush(writer) if paced else InlineFlush(writer)

@@ -73,6 +73,9 @@ class Rehearsal:
 
         return connect
 
+    def wait_for_disk(self) -> None:
+        return
+
     def i2c(self, name: str, bus: object) -> Callable[[], SmBus]:
         raise NotImplementedError("this bench has no I2C bus")
 

@@ -42,9 +42,8 @@ class FailingDrive(ElmoEmulator):
         wire.cut = False
         wire.attach(self)
 
-    def freeze(self) -> None:
-        """Stop answering and sending."""
-        self.frozen = True
+    def freeze(self, frozen: bool = True) -> None:
+        super().freeze(frozen)
 
     def leave_operation(self) -> None:
         """Fall back to switch-on disabled, as Gold drives do after a lapse of their bus."""

@@ -53,7 +53,7 @@ def spin(tmp_path, monkeypatch):
             def __init__(self, *args, **kwargs):
                 super().__init__(*args, **kwargs)
                 self.coming = sorted(at, key=lambda pair: pair[0])
-                self.clock.follow(self.happen)
+                self.time.follow(self.happen)
                 self.happen(0.0)
                 benches.append(self)
 

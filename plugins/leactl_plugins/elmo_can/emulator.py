@@ -81,6 +81,8 @@ class ElmoEmulator:
     @property
     def due(self) -> float:
         """Time of the next heartbeat, of the host's heartbeat running out, or now with an emergency to tell."""
+        if self.frozen:
+            return math.inf
         if not self._booted or self._emergencies:
             return -math.inf
         return min(self._next_heartbeat, self._host_deadline)
@@ -106,9 +108,6 @@ class ElmoEmulator:
 
     def tick(self, now: float) -> list[Frame]:
         """Boot-up, heartbeats, and the reaction to a host that has fallen silent."""
-        if self.frozen:
-            self._next_heartbeat = self._host_deadline = math.inf
-            return []
         frames = [] if self._booted else [Frame(0x700 + self.node, b"\x00")]
         self._booted = True
         if now >= self._host_deadline:
@@ -119,6 +118,10 @@ class ElmoEmulator:
             period = self._values[0x1017, 0] * 1e-3
             self._next_heartbeat = max(self._next_heartbeat + period, now)
         return frames + self._flush()
+
+    def freeze(self, frozen: bool) -> None:
+        """Hear nothing, answer nothing and go on with the last demand, or come back to life."""
+        self.frozen = frozen
 
     def fault(self, code: int, own: int = 0, register: int = 0x01) -> None:
         """Enter fault with an emergency message, as after a short circuit or an over-voltage."""
@@ -296,7 +299,7 @@ class ElmoEmulator:
         values[0x6077, 0] = values[0x6078, 0] = per_mille
         counts = round(angle * self._counts_per_rad)
         values[0x6064, 0] = (counts + 0x80000000 & 0xFFFFFFFF) - 0x80000000  # 32 bits, going round
-        values[0x606C, 0] = round(velocity * self._counts_per_rad)
+        values[0x606C, 0] = max(-0x80000000, min(0x7FFFFFFF, round(velocity * self._counts_per_rad)))
         values[0x6041, 0] = _WORD[self.state] | (_INTERNAL_LIMIT if self._limiting else 0)
         values[0x6061, 0] = values[0x6060, 0]
         values[0x6079, 0] = max(0, round(self._machine.bus_voltage * 1e3))

@@ -1,0 +1,24 @@
+"""A CAN controller that has left the bus."""
+
+from typing import TYPE_CHECKING
+
+from leactl.emulation.faults.contract import Draw, OfBus, Undo
+
+if TYPE_CHECKING:
+    from leactl.emulation.emulated_bench import EmulatedBench
+
+
+class BusOff(OfBus):
+    """The host's controller has gone bus-off after too many errors: nothing comes in and sending is refused."""
+
+    example = "{fault: bus_off, at_s: 2, bus: can0}"
+
+    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+        """Take the host's connections off the segment."""
+        wire = bench.wires[self.bus]
+        wire.off = True
+
+        def end() -> None:
+            wire.off = False
+
+        return end

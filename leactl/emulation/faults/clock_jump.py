@@ -1,0 +1,24 @@
+"""A host whose clock jumps."""
+
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import Field
+
+from leactl.emulation.faults.contract import Draw, Fault, Undo
+
+if TYPE_CHECKING:
+    from leactl.emulation.emulated_bench import EmulatedBench
+
+
+class ClockJump(Fault):
+    """The host's clock jumps while the bench's time goes on: a machine that was suspended, or a clock put back."""
+
+    example = "{fault: clock_jump, at_s: 2, jump_s: -1}"
+    where_served = "the clock is that of the run's own process"
+
+    jump_s: Annotated[float, Field(ge=-1e6, le=1e6)] = Field(description="how far it jumps; negative: back")
+
+    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+        """Move what the host's clock shows."""
+        bench.host_clock.ahead += self.jump_s
+        return lambda: None

@@ -1,0 +1,37 @@
+"""A sensor whose cable, or whose converter, is off."""
+
+from typing import TYPE_CHECKING, Any
+
+from pydantic import Field
+
+from leactl.bench.benchfile import I2cBus
+from leactl.emulation.faults.contract import Draw, LastingFault, OfDevice, Standing, Undo
+
+if TYPE_CHECKING:
+    from leactl.emulation.emulated_bench import EmulatedBench
+
+
+class DisconnectedSensor(OfDevice, LastingFault):
+    """A plug is out: of the sensor, whose reading is zero then, or of the whole converter, which answers no more."""
+
+    example = "{fault: disconnected_sensor, at_s: 2, device: torque_sensor, quantity: torque}"
+
+    quantity: str | None = Field(
+        None, description="the reading whose sensor is unplugged; left out: the device itself, where its bus is I2C"
+    )
+
+    def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:
+        """A quantity that the device does not read, or a device that hangs on no I2C bus."""
+        if self.quantity is None:
+            bus = standing.file.buses.get(standing.devices[self.device].entry.bus or "")
+            text = f"'{self.device}' is not on an I2C bus; name the quantity whose sensor is off, or use lost_frames"
+            return {} if isinstance(bus, I2cBus) else {"device": text}
+        return self.unread(self.quantity, quantities)
+
+    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+        """Pull the plug."""
+        if self.quantity is not None:
+            return bench.signals[self.device].change(self.quantity, lambda _value: 0.0)
+        silent, far_end = bench.i2c_buses[bench.bus_of[self.device]].silent, bench.far_ends[self.device]
+        silent.append(far_end)
+        return lambda: silent.remove(far_end)

@@ -1,0 +1,35 @@
+"""A drive that fails and says so."""
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BeforeValidator, Field
+
+from leactl.emulation.faults.contract import Draw, OfDrive, Undo
+
+if TYPE_CHECKING:
+    from leactl.emulation.emulated_bench import EmulatedBench
+
+
+def _hexadecimal(value: Any) -> Any:
+    if isinstance(value, str) and value.lower().startswith("0x"):
+        try:
+            return int(value, 16)
+        except ValueError:
+            return value
+    return value
+
+
+ErrorCode = Annotated[int, BeforeValidator(_hexadecimal), Field(ge=0x1000, le=0xFFFF)]
+
+
+class DriveFault(OfDrive):
+    """The drive takes its power away, enters its fault state and tells why; it stays there until it is reset."""
+
+    example = "{fault: drive_fault, at_s: 2, device: drive_test, code: 0x2340}"
+
+    code: ErrorCode = Field(description="error code (CiA 301), as 0x2340 for a short circuit")
+
+    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+        """Fail."""
+        bench.far_ends[self.device].fault(self.code)
+        return lambda: None

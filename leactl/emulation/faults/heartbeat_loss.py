@@ -1,0 +1,37 @@
+"""A drive that shows no sign of life and goes on."""
+
+from typing import TYPE_CHECKING, Any
+
+from pydantic import Field
+
+from leactl.bench.benchfile import CanBus
+from leactl.driver.far_end import CanEmulator, Frame
+from leactl.emulation.faults.contract import Draw, LastingFault, OfDevice, Standing, Undo
+
+if TYPE_CHECKING:
+    from leactl.emulation.emulated_bench import EmulatedBench
+
+ERROR_CONTROL, FUNCTION = 0x700, 0x780  # CiA 301: the function code of the heartbeat is 1110b
+
+
+class HeartbeatLoss(OfDevice, LastingFault):
+    """The drive's heartbeat stays away while it hears, obeys and moves: a transmitter or a task of it that has died."""
+
+    example = "{fault: heartbeat_loss, at_s: 2, device: drive_test, answers: true}"
+
+    answers: bool = Field(False, description="true: every other frame of the drive stays away as well")
+
+    def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:
+        """A device that hangs on no CAN bus sends no heartbeat."""
+        bus = standing.file.buses.get(standing.devices[self.device].entry.bus or "")
+        return {} if isinstance(bus, CanBus) else {"device": f"'{self.device}' is not on a CAN bus"}
+
+    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+        """Take its frames off the wire."""
+        own = bench.far_ends[self.device]
+
+        def passes(frame: Frame, source: CanEmulator | None) -> float | None:
+            concerned = source is own and (self.answers or frame.identifier & FUNCTION == ERROR_CONTROL)
+            return None if concerned else 0.0
+
+        return bench.wires[bench.bus_of[self.device]].disturb(passes)

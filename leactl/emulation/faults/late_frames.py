@@ -1,0 +1,18 @@
+"""Frames that arrive too late."""
+
+from pydantic import Field
+
+from leactl.emulation.faults.contract import OfFrames, Positive
+
+
+class LateFrames(OfFrames):
+    """Frames are held up on their way: an adapter on a busy USB hub, a gateway, a host that reads its socket late."""
+
+    example = "{fault: late_frames, at_s: 2, for_s: 1, bus: can0, delay_s: 0.1, direction: to_host}"
+
+    delay_s: Positive = Field(description="how much later a frame arrives")
+
+    @property
+    def fate(self) -> float | None:
+        """They arrive later by so much."""
+        return self.delay_s

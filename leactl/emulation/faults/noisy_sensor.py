@@ -1,0 +1,26 @@
+"""A sensor that tells more noise than value."""
+
+from collections.abc import Callable
+
+from pydantic import Field
+
+from leactl.emulation.faults.contract import Draw, OfSensor, Positive, Standing
+from leactl.quantities import UNITS
+
+
+class NoisySensor(OfSensor):
+    """A reading carries normal noise of a given spread: a broken shield, a loose plug, a worn slip ring."""
+
+    example = "{fault: noisy_sensor, at_s: 2, device: torque_sensor, quantity: torque, spread: 6, unit: N*m}"
+
+    spread: Positive = Field(description="standard deviation of the noise, in the unit given")
+    unit: str = Field(description="unit of the spread, which is the quantity's own")
+
+    def misfits(self, standing: Standing) -> dict[str, str]:
+        """Besides what misfits any sensor, a unit that is not the quantity's."""
+        found, unit = super().misfits(standing), UNITS.get(self.quantity, self.unit)
+        return found if self.unit == unit else found | {"unit": f"{self.quantity} is in {unit}, not in {self.unit}"}
+
+    def reads(self, draw: Draw) -> Callable[[float], float]:
+        """The value and a fresh draw."""
+        return lambda value: value + self.spread * float(draw.standard_normal())

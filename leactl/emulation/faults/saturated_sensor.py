@@ -1,0 +1,30 @@
+"""A sensor at the end of its range."""
+
+from collections.abc import Callable
+from typing import Any, Literal
+
+from pydantic import Field
+
+from leactl.emulation.faults.contract import Draw, OfSensor, Standing
+
+BEYOND_ANY_RANGE = 1e6
+ENDLESS = ("velocity", "angle")
+
+
+class SaturatedSensor(OfSensor):
+    """A reading is at the end of what the device can tell: an input shorted to its supply, a bridge wire off."""
+
+    example = "{fault: saturated_sensor, at_s: 2, device: torque_sensor, quantity: torque, end: high}"
+
+    end: Literal["high", "low"] = Field("high", description="high or low")
+
+    def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:
+        """An encoder has no range to be at the end of."""
+        if self.quantity in ENDLESS:
+            return {"quantity": f"{self.quantity} comes from an encoder, which has no end of its range"}
+        return super().misfits_of(standing, far_end, quantities)
+
+    def reads(self, draw: Draw) -> Callable[[float], float]:
+        """More than any converter or drive can tell, so that each tells the most it can."""
+        value = BEYOND_ANY_RANGE if self.end == "high" else -BEYOND_ANY_RANGE
+        return lambda _value: value

@@ -1,0 +1,42 @@
+"""Lets the faults of a bench begin and end at their moments, to the moment: emulated time stops there."""
+
+import heapq
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from leactl.emulation.faults.contract import Fault
+
+if TYPE_CHECKING:
+    from leactl.emulation.emulated_bench import EmulatedBench
+
+
+class Schedule:
+    """The faults of one bench, each with random numbers of its own, so that one more changes nothing of the others."""
+
+    def __init__(self, bench: "EmulatedBench", faults: Sequence[Fault], seed: int) -> None:
+        self._coming: list[tuple[float, int, Callable[[], None]]] = []
+        self._count = 0
+        for index, fault in enumerate(faults):
+            self._at(fault.at_s, self._beginning(bench, fault, np.random.default_rng([seed, index])))
+        self._pass_time(bench.time.now())
+        bench.time.follow(self._pass_time)
+        bench.time.stop_at(lambda: self._coming[0][0] if self._coming else math.inf)
+
+    def _beginning(self, bench: "EmulatedBench", fault: Fault, draw: np.random.Generator) -> Callable[[], None]:
+        def begin() -> None:
+            end = fault.begin(bench, draw)
+            if fault.ends_s < math.inf:
+                self._at(fault.ends_s, end)
+
+        return begin
+
+    def _at(self, moment: float, action: Callable[[], None]) -> None:
+        self._count += 1
+        heapq.heappush(self._coming, (moment, self._count, action))
+
+    def _pass_time(self, now: float) -> None:
+        while self._coming and self._coming[0][0] <= now:
+            heapq.heappop(self._coming)[2]()

@@ -1,0 +1,28 @@
+"""A disk that takes its time."""
+
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from leactl.emulation.faults.contract import Draw, LastingFault, Positive, Undo
+
+if TYPE_CHECKING:
+    from leactl.emulation.emulated_bench import EmulatedBench
+
+
+class SlowDisk(LastingFault):
+    """Every write of the run file waits, by the wall clock: a worn SD card, a network drive, a disk that spins up."""
+
+    example = "{fault: slow_disk, at_s: 2, delay_s: 3}"
+    where_served = "the file is that of the run's own process"
+
+    delay_s: Positive = Field(description="how long a write waits before it begins, in seconds of the wall clock")
+
+    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+        """Delay what is written from now on."""
+        bench.disk_delay_s += self.delay_s
+
+        def end() -> None:
+            bench.disk_delay_s -= self.delay_s
+
+        return end

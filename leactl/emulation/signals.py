@@ -1,0 +1,93 @@
+"""What one device reads of the bench, each reading open to faults of its sensor."""
+
+from collections.abc import Callable
+from typing import Any
+
+from leactl.driver.far_end import Machine, Physics
+
+Change = Callable[[float], float]
+
+
+class Signals:
+    """A device's own view of the physics; it knows which quantities the device has asked for."""
+
+    def __init__(self, physics: Physics) -> None:
+        self._physics = physics
+        self.changes: dict[str, list[Change]] = {}
+
+    def change(self, quantity: str, change: Change) -> Callable[[], None]:
+        """Let a fault stand in the way of a quantity; what is returned takes it away."""
+        self.changes[quantity].append(change)
+        return lambda: self.changes[quantity].remove(change)
+
+    def machine(self, role: str) -> Machine:
+        """What the drive of this role turns."""
+        return _ReadMachine(self._physics.machine(role), self)
+
+    def reading(self, quantity: str, role: str) -> Callable[[], float]:
+        """A function that gives this quantity as the device reads it now."""
+        return self.changed(quantity, self._physics.reading(quantity, role))
+
+    def changed(self, quantity: str, read: Callable[[], float]) -> Callable[[], float]:
+        """A reading with its faults."""
+        changes = self.changes.setdefault(quantity, [])
+
+        def reading() -> float:
+            value = read()
+            for change in changes:
+                value = change(value)
+            return value
+
+        return reading
+
+
+class _ReadMachine:
+    """A machine as its drive's sensors tell it."""
+
+    def __init__(self, machine: Machine, signals: Signals) -> None:
+        self.command = machine.command
+        self._read, self._now = machine.read, (0.0, 0.0, 0.0)
+        self._motion = [
+            signals.changed("q_axis_current", lambda: self._now[0]),
+            signals.changed("velocity", lambda: self._now[1]),
+            signals.changed("angle", lambda: self._now[2]),
+        ]
+        self._bus_voltage = signals.changed("bus_voltage", lambda: machine.bus_voltage)
+        self._voltage = signals.changed("q_axis_voltage", lambda: machine.voltage)
+
+    def read(self) -> tuple[float, float, float]:
+        """Current [A], velocity [rad/s] and angle [rad]."""
+        self._now = self._read()
+        current, velocity, angle = self._motion
+        return current(), velocity(), angle()
+
+    @property
+    def voltage(self) -> float:
+        """q-axis voltage [V]."""
+        return self._voltage()
+
+    @property
+    def bus_voltage(self) -> float:
+        """DC link voltage [V]."""
+        return self._bus_voltage()
+
+
+class _Still:
+    """A bench on which nothing moves and every reading is zero, to see what a device asks of one."""
+
+    voltage = bus_voltage = 0.0
+
+    def machine(self, role: str) -> "_Still":
+        return self
+
+    def command(self, mode: str, value: float) -> None:
+        return
+
+    def read(self) -> tuple[float, float, float]:
+        return 0.0, 0.0, 0.0
+
+    def reading(self, quantity: str, role: str) -> Callable[[], Any]:
+        return float
+
+
+STILL = _Still()
