@@ -4,9 +4,10 @@ import logging
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
-from leactl.bench.benchfile import CanBus, I2cBus
+from leactl.bench.benchfile import CanBus, I2cBus, SerialBus
 from leactl.driver.clock import Clock, MonotonicClock
 from leactl.driver.i2c_port import SmBus
+from leactl.driver.serial_port import SerialLine
 
 if TYPE_CHECKING:
     import can
@@ -28,6 +29,9 @@ class Wiring(Protocol):
 
     def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
         """How to connect to an I2C bus."""
+
+    def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
+        """How to connect to a serial line."""
 
 
 class MachineWiring:
@@ -57,5 +61,15 @@ class MachineWiring:
 
             connected: SmBus = SMBus(bus.number)
             return connected
+
+        return connect
+
+    def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
+        """Connect to a serial device."""
+
+        def connect() -> SerialLine:
+            from leactl.bench.tty import Tty
+
+            return Tty(bus)
 
         return connect

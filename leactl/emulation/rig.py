@@ -6,6 +6,7 @@ margin of the regime is lost, changes the regime there and goes on. The same cal
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,8 @@ TOLERANCE = 1e-9  # of a margin, in its own unit
 LEAST_S = 1e-9  # rounding of the moments that a bench asks for; a shorter time changes nothing
 RESTART_LEVEL = 3  # 0.25 ms after every change
 MOST_IDLE = 8  # changes of regime at one moment
+UNPOWERED = 10.0  # V, below which a drive drives nothing
+LEAST_CHANGE = 0.01  # V, of the bus, for which the matrices are made anew
 FRESH_RESISTANCE = 0.002  # relative change after which the matrices are made anew
 
 
@@ -63,6 +66,7 @@ class Rig:
         if setup not in SETUPS:
             raise InputError(f"setup {setup!r} is unknown; known are {', '.join(SETUPS)}")
         self.setup, self.time, self.bench = setup, 0.0, bench or BenchParameters()
+        self._bus_voltage = self.bench.bus_voltage
         self.effects = tuple(effects)
         beyond = [effect for effect in self.effects if not set(own_hooks(effect)) <= set(RIG_HOOKS)]
         if beyond:
@@ -105,7 +109,17 @@ class Rig:
     @property
     def bus_voltage(self) -> float:
         """Supply of both drives [V]."""
-        return self.bench.bus_voltage
+        return self._bus_voltage
+
+    @property
+    def bus_power(self) -> float:
+        """What both drives take from their supply [W]; their own losses apart."""
+        return sum(self.voltage(k) * self.state(k * PER_ACTUATOR + CURRENT) for k in (0, 1))
+
+    @property
+    def lead_resistance(self) -> float:
+        """Between two leads of the test actuator [ohm]: two phases in series."""
+        return 2.0 * self._pair[0].resistance
 
     @property
     def line_current(self) -> float:
@@ -115,7 +129,7 @@ class Rig:
     @property
     def line_voltage(self) -> float:
         """Voltage between those two leads [V]: two phases in series."""
-        return 2.0 * self._pair[0].resistance * self.line_current
+        return self.lead_resistance * self.line_current
 
     def state(self, index: int) -> float:
         """One number of the state, by its place in regime.py."""
@@ -144,10 +158,27 @@ class Rig:
 
     # ---------------------------------------------------------------- commands
 
+    def feed_bus(self, voltage: float) -> None:
+        """Give both drives another supply voltage [V] from now on; below `UNPOWERED` none of them drives."""
+        self._bus_voltage = voltage
+        if voltage < UNPOWERED:
+            for actuator in self._pair:
+                actuator.command("off")
+            return
+        if abs(voltage - self.bench.bus_voltage) < LEAST_CHANGE:
+            return
+        self.bench = replace(self.bench, bus_voltage=voltage)
+        self._plant = self._plant._replace(bench=self.bench)
+        self._propagators.clear()
+        for k in (0, 1):
+            self._classify(k)
+
     def take_command(self, k: int, mode: str, value: float) -> None:
         """Give one drive a mode and a setpoint, from now on."""
         if self.setup == "heated" and mode != "off":
             raise InputError("the heated setup has no drive: set heater_current, or choose another setup")
+        if self._bus_voltage < UNPOWERED:
+            mode = "off"
         actuator, x = self._pair[k], k * PER_ACTUATOR
         before, actuator.mode, actuator.setpoint = actuator.mode, mode, value
         if mode == "off":

@@ -57,6 +57,25 @@ class SteppedRig:
         return float(self.plant.bus_voltage[0])
 
     @property
+    def bus_power(self) -> float:
+        """What both drives take from their supply [W]; their own losses apart."""
+        return sum(actuator.voltage * actuator.current_true for actuator in self.actuators.values())
+
+    def feed_bus(self, voltage: float) -> None:
+        """Refuse: this plant's supply is the bench's own.
+
+        Raises
+        ------
+        InputError : always.
+        """
+        raise InputError("the stepped plant takes no power supply of the bus; leave out the effects that need it")
+
+    @property
+    def lead_resistance(self) -> float:
+        """Between two leads of the test actuator [ohm]: two phases in series."""
+        return 2.0 * self.resistance
+
+    @property
     def line_current(self) -> float:
         """DC through two leads of the test actuator [A]; zero unless heated."""
         return self.heater_current if self.setup == "heated" else 0.0
@@ -64,7 +83,7 @@ class SteppedRig:
     @property
     def line_voltage(self) -> float:
         """Voltage between those two leads [V]: two phases in series."""
-        return 2.0 * self.resistance * self.line_current
+        return self.lead_resistance * self.line_current
 
     @property
     def resistance(self) -> float:
