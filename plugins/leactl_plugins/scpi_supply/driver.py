@@ -50,9 +50,8 @@ class ScpiSupply(Driver):
         """Switch off and see that it is, from any state, over a fresh connection if need be; never raises."""
         self._forget_demands()
         until = self._clock.now() + deadline_s
-        trouble = "no time was left"
+        trouble, progress = "", Progress()
         while self._clock.now() < until:
-            progress = Progress()
             try:
                 if not self._port.connected:
                     self._port.reopen()
@@ -61,13 +60,14 @@ class ScpiSupply(Driver):
                 script = scripts.output_off(self._dialect, self.settings, progress)
                 confirmed = Talk(self._port, script, self.settings.answer_s).finish(min(halfway, until))
             except DeviceError as error:
-                trouble = progress.said or str(error)
+                if progress.said or not (trouble and isinstance(error, NoAnswer)):  # the last try has little time
+                    trouble = progress.said or str(error)
                 self._start_afresh(until)
                 continue
             self._on = False
             break
         else:
-            confirmed = Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble}")
+            confirmed = Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble or 'no time was left'}")
         if not self._opened:
             self._port.close()
         return confirmed
@@ -214,10 +214,12 @@ class ScpiSupply(Driver):
 
     def _conversation(self) -> Script[None]:
         """Carry out what was commanded and measure in between; a lost answer costs a round, the third in a row all."""
-        due, lost = -math.inf, 0
-        yield from scripts.in_step()
+        due, lost, in_step = -math.inf, 0, False
         while True:
             try:
+                if not in_step:
+                    yield from scripts.in_step()
+                    in_step = True
                 yield from self._carry_out()
                 if self._clock.now() < due:
                     yield Pause()
@@ -226,17 +228,10 @@ class ScpiSupply(Driver):
                 self._judge((yield from scripts.measured()), (yield from self._tripped()))
                 lost = 0
             except (NoAnswer, Unreadable) as error:
-                lost += 1
+                lost, in_step = lost + 1, False
                 if lost >= MOST_LOST:
                     raise
                 self._notices.append(f"a round was lost: {error}")
-                yield from self._again_in_step()
-
-    def _again_in_step(self) -> Script[None]:
-        try:
-            yield from scripts.in_step()
-        except NoAnswer:
-            return  # the next round will not be answered either, and counts
 
     def _carry_out(self) -> Script[None]:
         """Off before levels, levels before on; a demand stays until it has been confirmed."""
