@@ -2,6 +2,7 @@
 
 import os
 import time
+from copy import deepcopy
 
 import pytest
 import yaml
@@ -118,13 +119,13 @@ def test_a_byte_takes_its_bits(settings, seconds):
 def test_a_line_that_makes_no_sense_is_refused(tmp_path, wrong):
     bench, path = write(tmp_path, **wrong)
     path.write_text(yaml.safe_dump(bench))
-    with pytest.raises(InputError, match="buses.line"):
+    with pytest.raises(InputError, match=r"buses\.line"):
         benchfile.load(str(path))
 
 
 def test_a_serial_line_has_one_device(tmp_path):
     bench, path = write(tmp_path)
-    bench["devices"]["other"] = SUPPLY
+    bench["devices"]["other"] = deepcopy(SUPPLY)
     path.write_text(yaml.safe_dump(bench))
     with pytest.raises(InputError, match="bus 'line' is that of supply; another one was expected"):
         benchfile.load(str(path))

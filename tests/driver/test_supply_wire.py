@@ -4,7 +4,7 @@ import math
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from leactl_plugins.scpi_supply import answers
 from leactl_plugins.scpi_supply.answers import Unreadable
@@ -83,9 +83,9 @@ def here():
 # -- opening ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("settings", "exchanges"), [({}, E36XX), (RIGOL, DP800)], ids=["e36xx", "dp800"])
-def test_opening_makes_off_and_arms_the_protections_and_reads_each_back(make_supply, settings, exchanges):
-    bench = make_supply(**settings)
+@pytest.mark.parametrize(("own", "exchanges"), [({}, E36XX), (RIGOL, DP800)], ids=["e36xx", "dp800"])
+def test_opening_makes_off_and_arms_the_protections_and_reads_each_back(make_supply, own, exchanges):
+    bench = make_supply(**own)
     bench.supply.open()
     assert bench.lines() == [sent for sent, _ in exchanges]
     assert bytes(bench.heard).split(b"\n") == [*(answer for _, answer in exchanges if answer), b""]
@@ -101,14 +101,14 @@ def test_an_output_that_was_left_on_is_off_after_opening(bench):
 
 
 @pytest.mark.parametrize(
-    ("settings", "complaint"),
+    ("other", "complaint"),
     [
         ({"model": "E3634A"}, "supply: HEWLETT-PACKARD E3633A answers; E3634A was expected"),
         ({"serial_number": "MY5"}, "supply: serial number 0 answers; MY5 was expected"),
     ],
 )
-def test_another_instrument_is_refused(here, settings, complaint):
-    here.supply.settings = here.settings.model_copy(update=settings)
+def test_another_instrument_is_refused(here, other, complaint):
+    here.supply.settings = here.settings.model_copy(update=other)
     with pytest.raises(DeviceError) as refused:
         here.supply.open()
     assert str(refused.value) == complaint
@@ -471,6 +471,7 @@ def test_another_instrument_s_word_is_not_taken(here):
     assert "HEWLETT-PACKARD 34401A answers; E3633A was expected" in confirmed.detail
 
 
+@settings(deadline=None, max_examples=40)
 @given(st.lists(st.sampled_from(["0", "1", "+0.00000000E+00", "", None, "\xff"]), max_size=6), st.booleans())
 def test_stale_and_spoilt_answers_never_make_a_stuck_supply_safe(spoilt, asking):
     bench = SupplyBench()
