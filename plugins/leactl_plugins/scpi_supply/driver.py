@@ -30,7 +30,7 @@ class ScpiSupply(Driver):
 
     Settings = ScpiSupplySettings
     transport = "serial"
-    summary = "DC supply over a serial line (SCPI; Keysight E3632A to E3634A, Rigol DP811, DP821 and their like)"
+    summary = "DC supply over a serial line (SCPI; Keysight E3632A to E3634A, Rigol DP811)"
 
     def __init__(self, name: str, role: str, settings: ScpiSupplySettings, port: SerialPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings
