@@ -118,7 +118,7 @@ def test_a_byte_takes_its_bits(settings, seconds):
 @pytest.mark.parametrize("wrong", [{"baudrate": 0}, {"parity": "mark"}, {"port": ""}, {"speed": 9600}])
 def test_a_line_that_makes_no_sense_is_refused(tmp_path, wrong):
     bench, path = write(tmp_path, **wrong)
-    path.write_text(yaml.safe_dump(bench))
+    path.write_text(yaml.safe_dump(bench, sort_keys=False))
     with pytest.raises(InputError, match=r"buses\.line"):
         benchfile.load(str(path))
 
@@ -126,7 +126,7 @@ def test_a_line_that_makes_no_sense_is_refused(tmp_path, wrong):
 def test_a_serial_line_has_one_device(tmp_path):
     bench, path = write(tmp_path)
     bench["devices"]["other"] = deepcopy(SUPPLY)
-    path.write_text(yaml.safe_dump(bench))
+    path.write_text(yaml.safe_dump(bench, sort_keys=False))
     with pytest.raises(InputError, match="bus 'line' is that of supply; another one was expected"):
         benchfile.load(str(path))
 
@@ -134,14 +134,14 @@ def test_a_serial_line_has_one_device(tmp_path):
 def test_a_supply_needs_a_serial_line(tmp_path):
     bench, path = write(tmp_path)
     bench["devices"]["supply"] = SUPPLY | {"bus": "can0"}
-    path.write_text(yaml.safe_dump(bench))
+    path.write_text(yaml.safe_dump(bench, sort_keys=False))
     with pytest.raises(InputError, match="'can0': scpi_supply needs line"):
         benchfile.load(str(path))
 
 
 def test_a_serial_line_is_put_elsewhere(tmp_path):
     bench, path = write(tmp_path)
-    path.write_text(yaml.safe_dump(bench))
+    path.write_text(yaml.safe_dump(bench, sort_keys=False))
     file = benchfile.load(str(path))[0]
     assert benchfile.put_elsewhere(file, ["line=serial:/dev/pts/7"])["line"].port == "/dev/pts/7"
     with pytest.raises(InputError, match=r"NAME=serial:PORT, with a serial line of it \(can0, line\)"):
