@@ -179,6 +179,6 @@ def _parameters(file: BenchFile, role: str, changes: Mapping[str, Any]) -> Actua
     """The motor's parameters with the bench file's own over them."""
     name = file.motors.get("test" if role == "test" else "load", file.motors["test"])
     motor, _document = load_motor(name)
-    whole = motor.model_dump(exclude={"name", "winding", "limits"})
+    whole = motor.model_dump(exclude={"name", "winding", "limits", "tolerances"})
     thermal = whole["thermal"] | dict(changes.get("thermal", {}))
     return ActuatorParameters.from_mapping(whole | dict(changes) | {"thermal": thermal})

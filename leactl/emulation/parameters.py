@@ -17,6 +17,11 @@ def bounded(default: float, low: float, high: float = math.inf) -> Any:
     return field(default=default, metadata={"low": low, "high": high})
 
 
+def switch(default: bool) -> Any:
+    """Truth of a frozen dataclass; a number or a word in its place is refused."""
+    return field(default=default, metadata={"switch": True})
+
+
 def _positive(default: float) -> Any:
     return bounded(default, 1e-12)
 
@@ -32,7 +37,7 @@ class Checked:
         faults: list[str] = []
         for item in fields(self):  # type: ignore[arg-type]
             value = getattr(self, item.name)
-            faults += _number_faults(item.name, value, item.metadata)
+            faults += _faults(item.name, value, item.metadata)
         if faults:
             raise InputError(faults)
 
@@ -61,7 +66,7 @@ class Checked:
                 except InputError as error:
                     faults += [f"{name}.{fault}" for fault in error.faults]
                     continue
-            own = _number_faults(name, value, known[name].metadata)
+            own = _faults(name, value, known[name].metadata)
             faults += own
             values[name] = value
         if faults:
@@ -69,7 +74,9 @@ class Checked:
         return cls(**values)
 
 
-def _number_faults(name: str, value: object, metadata: Mapping[str, Any]) -> list[str]:
+def _faults(name: str, value: object, metadata: Mapping[str, Any]) -> list[str]:
+    if "switch" in metadata and not isinstance(value, bool):
+        return [f"{name}: found {value!r}, expected true or false"]
     if "low" not in metadata:
         return []
     if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -93,6 +100,17 @@ class ThermalParameters(Checked):
 
 
 @dataclass(frozen=True)
+class PhaseParameters(Checked):
+    """What an actuator has beside its thermal network where its phases are resolved."""
+
+    commutation_offset: float = bounded(0.0, -1e3, 1e3)  # rad, electrical angle at rotor angle 0
+    fixture_capacitance: float = _not_negative(0.0)  # J/K, on the housing; 0 is no fixture
+    fixture_resistance: float = _positive(2.0)  # K/W, between housing and fixture
+    blocked_air_factor: float = bounded(1.0, 0.01, 1e6)  # on housing_ambient_resistance; 1 is free air
+    blocked_air_from: float = _not_negative(0.0)  # s
+
+
+@dataclass(frozen=True)
 class ActuatorParameters(Checked):
     """One actuator on its q axis."""
 
@@ -108,6 +126,7 @@ class ActuatorParameters(Checked):
     viscous_damping: float = _not_negative(0.0238)  # N*m*s/rad
     coulomb_friction: float = _not_negative(0.208)  # N*m
     thermal: ThermalParameters = field(default_factory=ThermalParameters)
+    phases: PhaseParameters = field(default_factory=PhaseParameters)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -136,4 +155,5 @@ class BenchParameters(Checked):
     velocity_gain: float = _positive(200.0)  # 1/s, proportional, of an unloaded rotor
     velocity_integral: float = _not_negative(1000.0)  # 1/s^2
     ambient_temperature: float = bounded(25.0, -100.0, 200.0)  # degC
-    friction_heat: bool = False  # the paper leaves it out; where True it warms the housing
+    friction_heat: bool = switch(False)  # the paper leaves it out; where True it warms the housing
+    phase_resolved: bool = switch(False)  # three phase nodes for each winding in place of one

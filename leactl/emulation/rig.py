@@ -38,6 +38,7 @@ from leactl.emulation.regime import (
     Switch,
     electric,
 )
+from leactl.emulation.rig_phases import HottestPhase, RigPhases, refuse_idle_settings
 from leactl.errors import InputError
 
 SETUPS = ("free", "locked", "coupled", "heated")
@@ -78,6 +79,7 @@ class Rig:
         pair = [Actuator(self, k, p, self.bench.ambient_temperature) for k, p in enumerate((first, second))]
         self._pair = pair
         self.actuators = dict(zip(ROLES, pair, strict=True))
+        refuse_idle_settings(self.bench, first, second)
         offsets = tuple(self._sense_current(k, 0.0) for k in (0, 1))
         gains = tuple(self._sense_current(k, 1.0) - offsets[k] for k in (0, 1))
         self._plant = Plant((first, second), self.bench, (gains[0], gains[1]), (offsets[0], offsets[1]))
@@ -91,6 +93,7 @@ class Rig:
         self._idle = 0
         self._heat = [0.0, 0.0]
         self._friction_heat = [0.0, 0.0]
+        self._phases = RigPhases(pair, self.bench.ambient_temperature) if self.bench.phase_resolved else None
         self._propagators: dict[Regime, Propagator] = {}
         self._resistances = [a.resistance for a in pair]
         self._regime = Regime(setup, (ActuatorRegime(), ActuatorRegime()), (first.phase_resistance,) * 2)
@@ -119,7 +122,7 @@ class Rig:
     @property
     def lead_resistance(self) -> float:
         """Between two leads of the test actuator [ohm]: two phases in series."""
-        return 2.0 * self._pair[0].resistance
+        return 2.0 * self._pair[0].resistance if self._phases is None else self._phases.lead_resistance
 
     @property
     def line_current(self) -> float:
@@ -130,6 +133,18 @@ class Rig:
     def line_voltage(self) -> float:
         """Voltage between those two leads [V]: two phases in series."""
         return self.lead_resistance * self.line_current
+
+    def hottest_phase(self, role: str) -> HottestPhase:
+        """Hottest phase of an actuator [degC], now and at its highest.
+
+        Raises
+        ------
+        InputError : the bench has no phases of its own.
+        """
+        if self._phases is None:
+            raise InputError("the bench's phases are not resolved; set emulated.bench.phase_resolved: true")
+        self._phases.hold(self._friction_heat)
+        return self._phases.hottest(ROLES.index(role))
 
     def state(self, index: int) -> float:
         """One number of the state, by its place in regime.py."""
@@ -232,6 +247,9 @@ class Rig:
         if duration <= 0.0:
             return
         self.time = to_time
+        if self.setup == "heated" and self._phases is not None:
+            self._phases.heat_leads(duration, self.heater_current)
+            return
         if self.setup == "heated":
             heat = 2.0 * self._pair[0].resistance * self.heater_current**2
             self._pair[0].thermal.step(round(duration, 9), heat)
@@ -239,6 +257,8 @@ class Rig:
             return
         self._refresh_resistances()
         self._march(duration)
+        if self._phases is not None:
+            return
         for k, actuator in enumerate(self._pair):
             heat = self._resistances[k] * self._heat[k] / duration
             actuator.thermal.step(round(duration, 9), heat, self._friction_heat[k] / duration)
@@ -305,6 +325,8 @@ class Rig:
                 for speed in (abs(point.item(5 * k + VELOCITY)), abs(state.item(5 * k + VELOCITY))):
                     p = actuator.parameters
                     self._friction_heat[k] += half * (p.viscous_damping * speed + p.coulomb_friction) * speed
+        if self._phases is not None:
+            self._phases.take(step, point, state, self._friction_heat)
         point[:STATES] = state
 
     def _retreat(self, level: int, looks: Array, left: float) -> float:

@@ -11,6 +11,7 @@ from leactl.emulation.actuator import MODES
 from leactl.emulation.effects.contract import Effect
 from leactl.emulation.parameters import ActuatorParameters, BenchParameters
 from leactl.emulation.rig import ROLES, SETUPS
+from leactl.emulation.rig_phases import refuse_idle_settings
 from leactl.emulation.stepped import TICK, SteppedPlant
 from leactl.emulation.stepped_lanes import Lane
 from leactl.errors import InputError
@@ -35,8 +36,11 @@ class SteppedRig:
             names = ", ".join(type(effect).__module__.rsplit(".", 1)[-1] for effect in beyond)
             raise InputError(f"effect {names}: its form needs a whole record, which a live bench has not; leave it out")
         self.setup, self.bench, self.heater_current = setup, bench or BenchParameters(), 0.0
+        if self.bench.phase_resolved:
+            raise InputError("phase_resolved: the stepped plant of these effects has no phases; leave it or them out")
         self.time = 0.0
         lane = Lane(setup, test or ActuatorParameters(), load or ActuatorParameters(), self.bench, tuple(effects))
+        refuse_idle_settings(self.bench, lane.test, lane.load)
         self.plant, self._effects, self._parameters = SteppedPlant([lane]), tuple(effects), lane.test
         pair = [SteppedActuator(self, k, p) for k, p in enumerate((lane.test, lane.load))]
         self.actuators = dict(zip(ROLES, pair, strict=True))

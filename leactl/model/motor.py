@@ -26,6 +26,30 @@ class Thermal(BaseModel):
     housing_capacitance: Positive  # J/K
 
 
+Tolerance = Annotated[float, Field(ge=0, le=0.5)]
+
+
+class Tolerances(BaseModel):
+    """How far the bench's actuator may be from this file: fractions of each value, unless a unit is in the name.
+
+    `current` is that of the drive's current reading, ripple and d axis included; `ambient_K` that of the ambient that a
+    bench file tells.
+    """
+
+    model_config = STRICT
+    phase_resistance: Tolerance
+    resistance_coefficient: Tolerance
+    winding_ambient_resistance: Tolerance
+    winding_housing_resistance: Tolerance
+    housing_ambient_resistance: Tolerance
+    winding_capacitance: Tolerance
+    housing_capacitance: Tolerance
+    viscous_damping: Tolerance
+    coulomb_friction: Tolerance
+    current: Tolerance
+    ambient_K: Annotated[float, Field(ge=0, le=30)]  # noqa: N815 (a unit keeps its letter)
+
+
 class MotorLimits(BaseModel):
     """What the maker allows."""
 
@@ -51,6 +75,7 @@ class Motor(BaseModel):
     coulomb_friction: NotNegative  # N*m
     thermal: Thermal
     limits: MotorLimits
+    tolerances: Tolerances | None = None  # a motor without them is not moved
 
     @property
     def motor_constant(self) -> float:

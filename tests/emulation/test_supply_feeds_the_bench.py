@@ -74,9 +74,16 @@ def switched_on(bench, volts, amperes):
     return supply
 
 
-@pytest.mark.parametrize("effects", [[], [{"name": "resistance_temperature"}]], ids=["rig", "stepped"])
-def test_nine_amperes_through_two_leads_heat_the_winding_until_they_are_cut(opened, effects):
-    bench, emulated = opened("heated", LEADS, effects=effects)
+PLANTS = {
+    "rig": {},
+    "phases": {"bench": {"phase_resolved": True}},
+    "stepped": {"effects": [{"name": "resistance_temperature"}]},
+}
+
+
+@pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
+def test_nine_amperes_through_two_leads_heat_the_winding_until_they_are_cut(opened, plant):
+    bench, emulated = opened("heated", LEADS, **plant)
     test = emulated.rig.actuators["test"]
     switched_on(bench, 8.0, 9.0)
     rows = run(bench, 600.0)

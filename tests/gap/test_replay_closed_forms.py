@@ -181,3 +181,11 @@ def test_the_measured_current_tells_how_a_servo_moves_its_reference(moving):
     job = replay(record("free", reference=reference, seconds=4.0, fast=fast), model())
     left = job.fast["q_axis_current", "test"][10:] - current[10:]
     assert np.sqrt(np.mean(left**2)) < 0.12
+
+
+@pytest.mark.parametrize(("bus", "driven"), [(29.6, 8.0), (14.8, 5.0)])
+def test_where_the_bus_leaves_no_voltage_the_measured_current_drives_the_replay(bus, driven):
+    """12 V are below the ceiling of 29.6 V over sqrt(2), and above that of half the bus."""
+    there = {("bus_voltage", "bench"): bus, ("q_axis_voltage", "test"): 12.0, ("q_axis_current", "test"): 5.0}
+    job = replay(record("locked", reference=8.0, fast=there), model())
+    assert job.fast["q_axis_current", "test"][500] == pytest.approx(driven)

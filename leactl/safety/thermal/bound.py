@@ -1,0 +1,193 @@
+"""An upper bound of the temperatures of actuators, guaranteed for every parameter inside its box.
+
+An actuator has three phases of a third of the winding each, and a housing; phase k takes (1 + cos(2 theta - 2 phi_k))
+/ 3 of the copper heat, up to two thirds at standstill. Three nodes bound it: the hottest phase, whatever the angle of
+commutation, the mean of the phases, and the housing. Heat flows from node to node are monotone in all of them
+but the own one (a cooperative system), so that an upper bound of each node follows from upper bounds of the others
+(Mueller, 1927; Walter, Differential and Integral Inequalities, 1970): each equation is maximised over the box, a
+capacitance low where its node heats up and high where it cools. What leaves the winding through the resistance to the
+housing enters the housing: maximised by itself at either end it would make heat of nothing, and is therefore split into
+cells, each of which is bounded by itself.
+
+A step is order-preserving: neighbours are held at a bound that they keep over the whole step, and each node's own
+equation, linear then, is solved exactly. The bound on the neighbours is tried first and widened until it holds.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from leactl.safety.thermal.box import Array, Box
+
+CELLS = 16
+LONGEST_STEP_S = 2.0
+OTHER_PHASES = 0.55  # weight of the hottest phase in the winding's resistance: half where phases heat alike, see docs
+AHEAD = 1.5  # times what a node would gain in a step at its present rate, that it is taken to gain at most
+WIDER = 1e-3  # K
+WIDENINGS = 20
+MOST_ITERATIONS, SETTLED_K = 2000, 1e-7
+BURNT = 1e4  # degC, above which a bound is no number worth going on with
+
+HOTTEST, MEAN, HOUSING = range(3)
+
+
+class ThermalBound:
+    """Bounds of several actuators side by side, one lane for each cell of each box; a box without width has one."""
+
+    def __init__(self, boxes: Sequence[Box], start: float) -> None:
+        across = [box.winding_housing_resistance for box in boxes]
+        lanes = [CELLS if one.high > one.low else 1 for one in across]
+        self.count = len(boxes)
+        self._of = np.repeat(np.arange(self.count), lanes)
+        self._first = np.concatenate([[0], np.cumsum(lanes)[:-1]])
+        edges = [one.cells(n) for one, n in zip(across, lanes, strict=True)]
+        across_low, across_high = (np.concatenate([edge[side] for edge in edges]) for side in (0, 1))
+
+        def low(name: str) -> Array:
+            return np.array([getattr(box, name).low for box in boxes])[self._of]
+
+        def high(name: str) -> Array:
+            return np.array([getattr(box, name).high for box in boxes])[self._of]
+
+        def plain(name: str) -> Array:
+            return np.array([getattr(box, name) for box in boxes])[self._of]
+
+        # node by node: hottest phase, mean of the phases, housing; conductances for one phase, all phases, housing
+        self._to_housing = 1.0 / across_high, 1.0 / across_low
+        to_air = 1.0 / high("winding_ambient_resistance"), 1.0 / low("winding_ambient_resistance")
+        from_housing = 1.0 / high("housing_ambient_resistance"), 1.0 / low("housing_ambient_resistance")
+        self._to_air = tuple(np.stack([w, w, h]) for w, h in zip(to_air, from_housing, strict=True))
+        winding = low("winding_capacitance"), high("winding_capacitance")
+        housing = low("housing_capacitance"), high("housing_capacitance")
+        self._capacitance = tuple(np.stack([w, w, h]) for w, h in zip(winding, housing, strict=True))
+        self._resistance, self._tref = high("phase_resistance"), plain("reference_temperature")
+        self._rise = low("resistance_coefficient"), high("resistance_coefficient")
+        self._friction = high("coulomb_friction"), high("viscous_damping")
+        self._gain_squared, self._ambient_rise = plain("current_gain") ** 2, plain("ambient_rise")
+        self._slowest = self._capacitance[0][MEAN] / (self._to_housing[1] + self._to_air[1][MEAN])
+        self.state = np.full((3, len(self._of)), float(start))  # degC
+
+    def step(self, duration: float, squares: Array, aligned: Array, speeds: Array, ambient: float) -> None:
+        """Advance all lanes.
+
+        Parameters
+        ----------
+        duration : step [s], of any length.
+        squares : mean square of each actuator's q-axis current over the step [A^2], as read.
+        aligned : of each actuator, how far its current stood at one electrical angle: |mean i^2 e^(2j theta)| / mean
+            i^2, 1 at standstill and 0 over whole turns.
+        speeds : of each actuator, the largest speed in the step [rad/s].
+        ambient : as measured or told [degC].
+        """
+        told = np.concatenate([squares, aligned, speeds, [duration, ambient]])
+        if not (np.isfinite(told).all() and duration >= 0.0 and self.state.max() < BURNT):
+            self.state = np.full_like(self.state, np.inf)  # nothing can be promised any more
+            return
+        pieces = max(1, int(np.ceil(duration / LONGEST_STEP_S)))
+        heat = self._heat(squares, aligned, speeds, ambient)
+        for _ in range(pieces):
+            self._advance(duration / pieces, *heat)
+
+    def settle(self, squares: Array, aligned: Array, speeds: Array, ambient: float) -> None:
+        """Go to where constant heat leads in the end, infinity where it runs away; arguments as of `step`."""
+        square, late, friction, air = self._heat(squares, aligned, speeds, ambient)
+        self.state = np.full_like(self.state, ambient)
+        for _ in range(MOST_ITERATIONS):
+            constant, slope = self._lines(self.state, self.state, square, late, friction, air)
+            fresh = np.where(slope > 0.0, constant / np.where(slope > 0.0, slope, 1.0), np.inf)
+            moved = float(np.max(np.abs(fresh - self.state)))
+            self.state = fresh
+            if not fresh.max() < BURNT:
+                self.state = np.full_like(fresh, np.inf)
+                return
+            if moved < SETTLED_K:
+                return
+
+    def _heat(self, squares: Array, aligned: Array, speeds: Array, ambient: float) -> tuple[Array, Array, Array, Array]:
+        """Lane by lane: mean square current at the most, share of the hottest phase times 3, friction, air."""
+        of = self._of
+        speed = np.abs(speeds[of])
+        friction = (self._friction[0] + self._friction[1] * speed) * speed
+        return squares[of] * self._gain_squared, 1.0 + aligned[of], friction, ambient + self._ambient_rise
+
+    def _advance(self, h: float, square: Array, share: Array, friction: Array, air: Array) -> None:
+        # heat may come at the end of the step, where less of it has left again
+        late = share * (1.0 + h / self._slowest)
+        factor = AHEAD
+        for _ in range(WIDENINGS):
+            fresh, ceiling, floor = self._tried(h, square, late, friction, air, factor)
+            if np.all(fresh <= ceiling) and np.all(fresh >= floor):
+                self.state = fresh
+                return
+            factor *= 2.0
+        self._advance(0.5 * h, square, share, friction, air)
+        self._advance(0.5 * h, square, share, friction, air)
+
+    def _tried(
+        self, h: float, square: Array, late: Array, friction: Array, air: Array, factor: float
+    ) -> tuple[Array, Array, Array]:
+        """The state after a step, and between what it is taken to stay on the way."""
+        state = self.state
+        rate = self._rates(state, square, late, friction, air)
+        ceiling = state + factor * h * np.maximum(rate, 0.0) + WIDER
+        floor = state + factor * h * np.minimum(rate, 0.0) - WIDER
+        constant, slope = self._lines(ceiling, floor, square, late, friction, air)
+        gained = constant - slope * state
+        capacitance = np.where(gained > 0.0, *self._capacitance)
+        decay = slope * h / capacitance
+        shrink = -np.expm1(-decay) / np.where(decay == 0.0, 1.0, decay)
+        shrink[decay == 0.0] = 1.0
+        return state + gained * shrink * h / capacitance, ceiling, floor
+
+    def _rates(self, state: Array, square: Array, late: Array, friction: Array, air: Array) -> Array:
+        """How fast each node rises at the most [K/s]."""
+        constant, slope = self._lines(state, state, square, late, friction, air)
+        gained = constant - slope * state
+        return np.asarray(gained / np.where(gained > 0.0, *self._capacitance), np.float64)
+
+    def _lines(
+        self, ceiling: Array, floor: Array, square: Array, late: Array, friction: Array, air: Array
+    ) -> tuple[Array, Array]:
+        """Of each node: its heat as `constant - slope x own temperature`, no less than it is in any bench of the box.
+
+        Heats of the winding count as if all three phases were as the one that is bounded: one capacitance serves both.
+        """
+        rise_low, rise_high = self._rise
+        cold = np.maximum(self._tref - np.minimum(floor[HOTTEST], floor[MEAN]), 0.0) * (rise_high - rise_low)
+        base = self._resistance * square * (1.0 - rise_high * self._tref + cold)
+        warmer = self._resistance * square * rise_high
+        constant, slope = inflow(air, ceiling, floor, *self._to_air)
+        across = np.stack([ceiling[HOUSING], ceiling[HOUSING], ceiling[MEAN]])
+        more, steeper = inflow(across, ceiling, floor, *self._to_housing)
+        constant += more
+        slope += steeper
+        constant[HOTTEST] += late * base
+        slope[HOTTEST] -= late * warmer
+        constant[MEAN] += base + warmer * OTHER_PHASES * np.maximum(ceiling[HOTTEST], ceiling[MEAN])
+        slope[MEAN] -= warmer * (1.0 - OTHER_PHASES)
+        constant[HOUSING] += friction
+        return constant, slope
+
+    def hottest(self) -> Array:
+        """Bound of each actuator's hottest phase [degC]."""
+        return np.maximum.reduceat(self.state[HOTTEST], self._first)
+
+    def nodes(self) -> Array:
+        """Bounds of hottest phase, mean and housing, each the highest of its cells, shape (3, actuators) [degC]."""
+        return np.maximum.reduceat(self.state, self._first, axis=1)
+
+    def set(self, nodes: Array) -> None:
+        """Start from bounds of hottest phase, mean and housing, shape (3, actuators) [degC]."""
+        self.state = np.ascontiguousarray(nodes[:, self._of])
+
+
+def inflow(source: Array, ceiling: Array, floor: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Bound of g x (source - own) over conductances g from low to high, as constant and slope of the own temperature.
+
+    The own temperature stays between floor and ceiling. Where the source is above that, the higher conductance is the
+    worst; elsewhere the lower one's line, raised by what the difference of the two can bring in.
+    """
+    above = source >= ceiling
+    slope = np.where(above, high, low)
+    raised = np.where(above, 0.0, (high - low) * np.maximum(source - floor, 0.0))
+    return slope * source + raised, slope
