@@ -173,8 +173,8 @@ class Rig:
 
     # ---------------------------------------------------------------- commands
 
-    def feed_bus(self, voltage: float) -> None:
-        """Give both drives another supply voltage [V] from now on; below `UNPOWERED` none of them drives."""
+    def supply(self, voltage: float) -> None:
+        """Have the supply give another DC link voltage [V] from now on; below `UNPOWERED` no drive drives."""
         self._bus_voltage = voltage
         if voltage < UNPOWERED:
             for actuator in self._pair:
@@ -184,7 +184,7 @@ class Rig:
             return
         self.bench = replace(self.bench, bus_voltage=voltage)
         self._plant = self._plant._replace(bench=self.bench)
-        self._propagators.clear()
+        self._propagators.clear()  # they hold the voltage ceiling
         for k in (0, 1):
             self._classify(k)
 
@@ -416,4 +416,4 @@ class Rig:
         self._enter(self._with(k, own._replace(**changes)))
 
 
-__all__ = ["FILTERED", "ROLES", "SETUPS", "Rig"]
+__all__ = ["FILTERED", "ROLES", "SETUPS", "UNPOWERED", "Rig"]

@@ -148,6 +148,10 @@ class SteppedPlant:
         self._level_now = self._level.copy()
         self._viscous = damping
 
+    def supply(self, voltage: float) -> None:
+        """Have every lane's source give this voltage [V] from now on."""
+        self._source[:] = self.bus_voltage[:] = voltage
+
     def _near_ceiling(self) -> bool:
         """Whether the voltage could reach its ceiling in any lane within this millisecond."""
         jump = np.abs(self._target - self.current)

@@ -30,5 +30,5 @@ class DcLink:
         """Be fed with no more than this voltage [V] and current [A]; those that come of it."""
         power = max(0.0, self._rig.bus_power)
         given = min(voltage, voltage * voltage * current / power) if power > 0.0 else voltage
-        self._rig.feed_bus(given)
+        self._rig.supply(given)
         return given, min(current, power / given) if given > 0.0 else 0.0

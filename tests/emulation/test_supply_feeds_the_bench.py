@@ -14,6 +14,7 @@ from leactl.driver.far_end import FailingSupply
 from leactl.driver.stopping import doubt, make_safe
 from leactl.emulation.emulated_bench import EmulatedBench
 from leactl.emulation.rig import Rig
+from leactl.emulation.stepped_rig import SteppedRig
 from leactl.errors import InputError
 from tests.cli.terminal import COMMAND, leactl
 
@@ -159,15 +160,17 @@ def test_supplies_come_last_whatever_the_order_of_the_file(opened):
     assert list(make_safe(reversed(bench.drivers.values())))[-1] == "supply"
 
 
-def test_a_drive_without_a_bus_drives_nothing():
-    rig = Rig("free")
-    rig.feed_bus(0.0)
+@pytest.mark.parametrize("kind", [Rig, SteppedRig])
+def test_a_drive_without_a_bus_drives_nothing(kind):
+    rig = kind("free")
+    rig.supply(0.0)
     rig.actuators["test"].command("current", 5.0)
     rig.advance(0.1)
-    assert rig.actuators["test"].current_true == 0.0
-    rig.feed_bus(12.0)
+    assert (rig.bus_voltage, rig.actuators["test"].current_true) == (0.0, 0.0)
+    rig.supply(12.0)
     rig.actuators["test"].command("velocity", 38.0)
     rig.advance(3.0)
+    assert rig.bus_voltage == 12.0
     assert rig.actuators["test"].voltage == pytest.approx(12.0 / 2**0.5, rel=0.01)  # the ceiling of that bus
 
 
