@@ -78,7 +78,7 @@ class SupplyBench:
 
     def made_safe(self):
         """What the supply confirms, and how long that took."""
-        allowed, began = (1.0 if self.exact else 3.0), self.clock.now()
+        allowed, began = (1.0 if self.exact else 2.0), self.clock.now()
         confirmed = self.supply.safe_state(allowed)
         took = self.clock.now() - began
         assert took <= allowed + (0.0 if self.exact else 0.5) + 1e-9

@@ -313,7 +313,7 @@ def test_one_bad_answer_costs_a_round_and_none_is_guessed(here, answer):
 
 
 def test_a_lost_answer_is_lived_with_on_every_transport(make_supply):
-    bench = make_supply(answer_s=0.3)
+    bench = make_supply()
     bench.energise()
     bench.far.spoil(None)
     assert bench.rows()[0].values == (pytest.approx(5.4), pytest.approx(9.0))
@@ -404,7 +404,7 @@ STATES = [
 
 @pytest.mark.parametrize("state", STATES, ids=lambda state: state.__name__)
 def test_off_from_any_state(make_supply, state):
-    bench = make_supply(answer_s=0.3)
+    bench = make_supply()
     state(bench)
     confirmed = bench.made_safe()
     assert confirmed == (True, "output off, 0.000 A")

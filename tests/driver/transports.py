@@ -118,7 +118,7 @@ class SerialElsewhere:
     """A pseudo terminal; other load on the machine may hold up either side, so the times allowed are long."""
 
     exact = False
-    settings = {"answer_s": 2.0}
+    settings = {"answer_s": 2.0, "period_s": 0.2}
 
     def __init__(self, process, place):
         self.clock = MonotonicClock()
