@@ -16,6 +16,7 @@ from leactl.driver.serial_port import LONGEST_LINE, SerialPort
 from leactl.emulation.clock import EmulatedClock
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 
+from .failing import FailingSupplyEnd
 from .supply_bench import HEATED, SupplyBench
 
 E36XX = [
@@ -483,6 +484,15 @@ def test_stale_and_spoilt_answers_never_make_a_stuck_supply_safe(spoilt, asking)
     for text in spoilt:  # answers to earlier questions that are still on their way
         bench.far._output.append((bench.clock.now(), b"" if text is None else text.encode("latin1") + b"\r\n"))
     assert not bench.supply.safe_state(1.0).safe
+
+
+@given(st.lists(st.one_of(st.binary(max_size=20), st.sampled_from([b"\n", b"OUTP", b"VOLT 3", b";", b"\x03", b"?"]))))
+def test_nothing_but_output_on_switches_the_far_end_on(chunks):
+    far = FailingSupplyEnd()
+    for step, chunk in enumerate(chunks):
+        far.receive(chunk, 0.1 * step)
+        far.tick(0.1 * step)
+    assert not far.on or b"OUTP" in b"".join(chunks).upper()
 
 
 # -- the parser and the port -----------------------------------------------------------------------------------------
