@@ -3,12 +3,13 @@
 from collections.abc import Sequence
 from typing import Any
 
-from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus
+from leactl.bench.benchfile import BenchFile, Bus, CanBus, CheckedDevice, SerialBus
 from leactl.bench.wiring import Wiring
 from leactl.driver import registry
 from leactl.driver.can_port import CanPort
 from leactl.driver.contract import Driver, MotionDevice, Row
 from leactl.driver.i2c_port import I2cPort
+from leactl.driver.serial_port import SerialPort
 from leactl.driver.stopping import doubt, make_safe
 from leactl.errors import DeviceError, InputError
 from leactl.quantities import ChannelSpec
@@ -133,7 +134,9 @@ class Bench:
             drive.feed()
 
 
-def _port(name: str, bus: CanBus | I2cBus, wiring: Wiring) -> CanPort | I2cPort:
+def _port(name: str, bus: Bus, wiring: Wiring) -> CanPort | I2cPort | SerialPort:
     if isinstance(bus, CanBus):
         return CanPort(wiring.can(name, bus), wiring.clock, name)
+    if isinstance(bus, SerialBus):
+        return SerialPort(wiring.serial(name, bus), wiring.clock, name)
     return I2cPort(wiring.i2c(name, bus), name)

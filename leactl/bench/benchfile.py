@@ -1,6 +1,6 @@
 """Bench files: devices on buses in roles, their limits, and what an emulated bench is made of."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -40,6 +40,27 @@ class I2cBus(BaseModel):
     number: Annotated[int, Field(ge=0, le=255)] = 1
 
 
+class SerialBus(BaseModel):
+    """A serial line to one device; an emulated bench answers in its place."""
+
+    model_config = STRICT
+    kind: Literal["serial"]
+    port: Annotated[str, Field(min_length=1)] = "/dev/ttyUSB0"
+    baudrate: Annotated[int, Field(ge=300, le=4_000_000)] = 9600
+    data_bits: Literal[7, 8] = 8
+    parity: Literal["none", "even", "odd"] = "none"
+    stop_bits: Literal[1, 2] = 1
+    flow_control: Literal["none", "rtscts", "xonxoff"] = "none"
+
+    @property
+    def byte_s(self) -> float:
+        """How long one byte takes on the line, start and stop bits included."""
+        return (1 + self.data_bits + (self.parity != "none") + self.stop_bits) / self.baudrate
+
+
+Bus = CanBus | I2cBus | SerialBus
+
+
 class Device(BaseModel):
     """One device: its driver, the bus it hangs on, its role, and the driver's own settings."""
 
@@ -74,7 +95,7 @@ class BenchFile(BaseModel):
     title: str = ""
     setup: Literal["free", "locked", "coupled", "heated"] | None = None  # none: whatever the protocol asks for
     motors: dict[Literal["test", "load"], str]
-    buses: dict[Name, Annotated[CanBus | I2cBus, Field(discriminator="kind")]]
+    buses: dict[Name, Annotated[Bus, Field(discriminator="kind")]]
     devices: Annotated[dict[Name, Device], Field(min_length=1)]
     limits: Limits
     response: BenchModel = BenchModel()  # of supply, sensors and loops, as far as they are known
@@ -119,7 +140,7 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
         raise InputError([*error.faults, *_unusable_drivers(document)]) from None
     checked = [_check(document, bench, name, entry, faults) for name, entry in bench.devices.items()]
     usable = [device for device in checked if device is not None]
-    faults += _shared_addresses(document, usable)
+    faults += _shared_addresses(document, bench.buses, usable)
     faults += _false_signs_of_life(document, usable)
     if faults:
         raise InputError(faults)
@@ -147,22 +168,26 @@ def host_silences(devices: Sequence[CheckedDevice]) -> dict[str, float | None]:
     return {device.name: device.settings.host_silence_s for device in devices}
 
 
-def put_elsewhere(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus]:
-    """CAN buses as `NAME=INTERFACE:CHANNEL` puts them, for one process or one run.
+def put_elsewhere(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus | SerialBus]:
+    """Buses as `NAME=INTERFACE:CHANNEL` puts them, for one process or one run; a serial line is `NAME=serial:PORT`.
 
     Raises
     ------
-    InputError : not of this form, or no CAN bus of the bench.
+    InputError : not of this form, or no CAN bus and no serial line of the bench.
     """
-    changed: dict[str, CanBus] = {}
+    changed: dict[str, CanBus | SerialBus] = {}
     for word in words:
         name, _, place = word.partition("=")
         interface, _, channel = place.partition(":")
         bus = bench.buses.get(name)
+        if isinstance(bus, SerialBus) and interface == "serial" and channel:
+            changed[name] = bus.model_copy(update={"port": channel})
+            continue
         if not isinstance(bus, CanBus) or not interface:
-            known = ", ".join(key for key, value in bench.buses.items() if isinstance(value, CanBus)) or "none"
+            known = ", ".join(key for key, value in bench.buses.items() if not isinstance(value, I2cBus)) or "none"
             raise InputError(
-                f"--bus {word}: NAME=INTERFACE:CHANNEL was expected, with a CAN bus of the bench ({known})"
+                f"--bus {word}: NAME=INTERFACE:CHANNEL was expected, with a CAN bus of the bench, or NAME=serial:PORT,"
+                f" with a serial line of it ({known})"
             )
         changed[name] = bus.model_copy(update={"interface": interface, "channel": channel})
     return changed
@@ -182,17 +207,21 @@ def _unusable_drivers(document: yamlfile.Document) -> list[str]:
     return faults
 
 
-def _shared_addresses(document: yamlfile.Document, devices: Sequence[CheckedDevice]) -> list[str]:
+def _shared_addresses(
+    document: yamlfile.Document, buses: Mapping[str, Bus], devices: Sequence[CheckedDevice]
+) -> list[str]:
     """Two devices that would answer at one place: each would take the other's commands for its own."""
-    first: dict[tuple[str, int], str] = {}
+    first: dict[tuple[str, int | None], str] = {}
     faults = []
     for device in devices:
         bus, address = device.entry.bus, device.settings.bus_address
-        if bus is None or address is None:
+        line = bus is not None and isinstance(buses.get(bus), SerialBus)  # its devices have addresses, or it has one
+        if bus is None or (address is None and not line):
             continue
         holder = first.setdefault((bus, address), device.name)
         if holder != device.name:
-            message = f"address {address} on bus '{bus}' is that of {holder}; another one was expected"
+            where = f"bus '{bus}'" if address is None else f"address {address} on bus '{bus}'"
+            message = f"{where} is that of {holder}; another one was expected"
             faults.append(document.fault(("devices", device.name, "settings"), message))
     return faults
 

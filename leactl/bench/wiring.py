@@ -4,9 +4,10 @@ import logging
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
-from leactl.bench.benchfile import CanBus, I2cBus
+from leactl.bench.benchfile import CanBus, I2cBus, SerialBus
 from leactl.driver.clock import Clock, MonotonicClock
 from leactl.driver.i2c_port import SmBus
+from leactl.driver.serial_port import SerialLine
 
 if TYPE_CHECKING:
     import can
@@ -31,6 +32,9 @@ class Wiring(Protocol):
 
     def wait_for_disk(self) -> None:
         """What every write of the run file waits for; a disk that is none of the emulation's takes its own time."""
+
+    def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
+        """How to connect to a serial line."""
 
 
 class MachineWiring:
@@ -65,3 +69,13 @@ class MachineWiring:
 
     def wait_for_disk(self) -> None:
         """Nothing: the disk is this machine's own."""
+
+    def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
+        """Connect to a serial device."""
+
+        def connect() -> SerialLine:
+            from leactl.bench.tty import Tty
+
+            return Tty(bus)
+
+        return connect

@@ -111,7 +111,7 @@ def serve(
     check_faults(file, devices, document)
     file = file.model_copy(update={"buses": file.buses | put_elsewhere(file, bus)})
     emulated = EmulatedBench(file, devices, setup, condition, seed)
-    with listening() as stop, bridged(file, emulated.wires) as bridges:
+    with listening() as stop, bridged(file, emulated.wires, emulated.serial_wires) as bridges:
         chips = stub_chips(file, emulated)
         for name, bridge in bridges.items():
             typer.echo(f"{name}: {bridge.place}")

@@ -21,7 +21,9 @@ def run(
     out: Path = typer.Option(Path("runs"), help="Directory of the run file."),
     realtime: bool = typer.Option(False, "--realtime", help="Keep wall time on an emulated bench."),
     served: bool = typer.Option(False, "--served", help="Meet an emulated bench that another process serves."),
-    bus: list[str] = typer.Option([], metavar="NAME=INTERFACE:CHANNEL", help="Put a CAN bus elsewhere."),
+    bus: list[str] = typer.Option(
+        [], metavar="NAME=INTERFACE:CHANNEL", help="Put a bus elsewhere; NAME=serial:PORT a serial line."
+    ),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
     """Run a protocol on a bench; status 3 is a safety trip, 4 a stop, 5 a device, 6 an acceptance limit not met."""

@@ -49,6 +49,8 @@ def faults_of(driver: type[Driver]) -> list[str]:
     annotation = inspect.signature(driver.safe_state).return_annotation
     if annotation not in (Confirmation, "Confirmation"):
         faults.append("safe_state does not answer a Confirmation")
+    if hasattr(driver, "switch_on") and driver.stop_now is Driver.stop_now:
+        faults.append("a power supply must have a stop_now: what it feeds is cut before any device is waited for")
     if not inspect.getdoc(driver):
         faults.append("the class has no docstring")
     return faults

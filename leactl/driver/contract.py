@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 from pydantic import BaseModel, ConfigDict
 
 from leactl.driver.clock import Clock
-from leactl.driver.far_end import CanEmulator, I2cEmulator, Physics
+from leactl.driver.far_end import CanEmulator, I2cEmulator, Physics, SerialEmulator
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 
@@ -86,6 +86,9 @@ class Mode(StrEnum):
     ANGLE = "angle"  # rad
 
 
+FarEnd = CanEmulator | SerialEmulator | tuple[int, I2cEmulator]
+
+
 class Driver(ABC):
     """One device: made from settings and a transport, opened, used, made safe, closed."""
 
@@ -117,7 +120,7 @@ class Driver(ABC):
         """Let the device go; harmless when it was never opened or is closed already."""
 
     @classmethod
-    def far_end(cls, settings: Any, role: str, physics: Physics) -> CanEmulator | tuple[int, I2cEmulator]:
+    def far_end(cls, settings: Any, role: str, physics: Physics) -> FarEnd:
         """The device's emulator on an emulated bench; with its address where the bus is I2C.
 
         Raises
@@ -192,3 +195,33 @@ class AnalogInput(Protocol):
 
         The control loop averages the readings itself, since a drive would stop were it left alone meanwhile.
         """
+
+
+@runtime_checkable
+class PowerSupply(Protocol):
+    """A supply of direct current. Only the supervisor calls `supply`, `switch_on` and `switch_off`.
+
+    None of them waits: the device is told, and its answer awaited, in the calls of `take` that follow.
+    """
+
+    @property
+    def most(self) -> tuple[float, float]:
+        """Highest voltage [V] and current [A] that `supply` takes."""
+
+    def supply(self, voltage: float, current: float) -> None:
+        """Put out no more than this voltage [V] and this current [A] while switched on; switches nothing.
+
+        Raises
+        ------
+        InputError : a value is not finite, negative, or above `most`; nothing is passed on.
+        """
+
+    def switch_on(self) -> None:
+        """Begin to switch the output on."""
+
+    def switch_off(self) -> None:
+        """Begin to switch the output off."""
+
+    @property
+    def supplying(self) -> bool:
+        """True from when the device itself has reported its output on until it has reported it off."""

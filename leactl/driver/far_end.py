@@ -58,6 +58,41 @@ class Breakable(Protocol):
         """Enter the device's own fault state by itself and tell this error code (CiA 301) as its protocol does."""
 
 
+class SerialEmulator(Protocol):
+    """A device at the far end of an emulated serial line; bytes in, bytes out."""
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Take bytes as they arrive."""
+
+    def tick(self, now: float) -> bytes:
+        """Bytes that the device begins to send now."""
+
+    @property
+    def due(self) -> float:
+        """Time at which `tick` next has something to do."""
+
+
+class SupplyLoad(Protocol):
+    """What hangs at the terminals of an emulated power supply."""
+
+    def feed(self, voltage: float, current: float) -> tuple[float, float]:
+        """Be fed from now on with no more than this voltage [V] and current [A]; those that come of it."""
+
+
+@runtime_checkable
+class FailingSupply(Protocol):
+    """What the far end of a power supply has besides, so that its faults can be rehearsed."""
+
+    def stuck_on(self, admits: bool = True) -> None:
+        """Switch on no more off; `admits` says whether it owns to that when its output is asked for."""
+
+    def lose_regulation(self, share: float) -> None:
+        """Give this share of the voltage and current it is asked for, and say that it does not regulate."""
+
+    def mend(self) -> None:
+        """Be whole again."""
+
+
 class I2cEmulator(Protocol):
     """A device on an emulated I2C bus: 16-bit registers, most significant byte first."""
 
@@ -105,4 +140,12 @@ class Physics(Protocol):
         Raises
         ------
         InputError : the bench has no such quantity.
+        """
+
+    def at_supply(self, feeds: str, role: str) -> SupplyLoad:
+        """What a power supply feeds: "leads" for two leads of this role's motor, "bus" for the DC link of the drives.
+
+        Raises
+        ------
+        InputError : the bench has no such thing to feed.
         """

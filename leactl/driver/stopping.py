@@ -5,12 +5,12 @@ A device that does not answer uses up its deadline; by then the others have long
 
 from collections.abc import Iterable, Mapping
 
-from leactl.driver.contract import SAFE_STATE_S, Confirmation, Driver
+from leactl.driver.contract import SAFE_STATE_S, Confirmation, Driver, PowerSupply
 
 
 def make_safe(devices: Iterable[Driver]) -> dict[str, Confirmation]:
-    """Bring these devices to their safe state in this order; never raises."""
-    ordered = list(devices)
+    """Bring these devices to their safe state in this order, power supplies last; never raises."""
+    ordered = sorted(devices, key=_supplies)
     outcome: dict[str, Confirmation] = {}
     for device in ordered:
         try:
@@ -24,6 +24,13 @@ def make_safe(devices: Iterable[Driver]) -> dict[str, Confirmation]:
         except Exception as error:  # noqa: BLE001 (a broken driver must not keep the others from being made safe)
             outcome[name] = Confirmation(False, f"{type(error).__name__}: {error}")
     return outcome
+
+
+def _supplies(device: Driver) -> bool:
+    try:
+        return isinstance(device, PowerSupply)  # which reads its properties
+    except Exception:  # noqa: BLE001 (a broken driver must not keep any device from being made safe)
+        return False
 
 
 def doubt(outcome: Mapping[str, Confirmation]) -> str:

@@ -6,10 +6,11 @@ from typing import Any
 
 import can
 
-from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus
+from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus, SerialBus
 from leactl.driver import registry
-from leactl.driver.far_end import Physics
+from leactl.driver.far_end import Physics, SupplyLoad
 from leactl.driver.i2c_port import SmBus
+from leactl.driver.serial_port import SerialLine
 from leactl.emulation.actuator import Actuator
 from leactl.emulation.clock import EmulatedClock, HostClock
 from leactl.emulation.effects import make_effect
@@ -19,8 +20,10 @@ from leactl.emulation.faults.schedule import Schedule
 from leactl.emulation.noise import Noise
 from leactl.emulation.parameters import ActuatorParameters, BenchParameters
 from leactl.emulation.rig import Rig
+from leactl.emulation.serial_wire import EmulatedSerialLine, SerialWire
 from leactl.emulation.signals import Signals
 from leactl.emulation.stepped_rig import SteppedActuator, SteppedRig
+from leactl.emulation.supply_loads import DcLink, HeatedLeads
 from leactl.emulation.wires import CanWire, EmulatedCanBus, EmulatedI2cBus
 from leactl.errors import InputError
 from leactl.model.motor import load_motor
@@ -103,6 +106,9 @@ class EmulatedBench:
             name: EmulatedI2cBus(self.time) for name, bus in file.buses.items() if isinstance(bus, I2cBus)
         }
         self.bus_of = {device.name: device.entry.bus or "" for device in devices}
+        self.serial_wires = {
+            name: SerialWire(self.time, bus.byte_s) for name, bus in file.buses.items() if isinstance(bus, SerialBus)
+        }
         self.far_ends: dict[str, Any] = {}
         self.signals: dict[str, Signals] = {}
         for device in devices:
@@ -121,6 +127,18 @@ class EmulatedBench:
         """Wait for as long as a slow disk takes, by the wall clock."""
         if self.disk_delay_s:
             time.sleep(self.disk_delay_s)
+
+    def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
+        """How to connect to an emulated serial line."""
+        return lambda: EmulatedSerialLine(self.serial_wires[name])
+
+    def at_supply(self, feeds: str, role: str) -> SupplyLoad:
+        """What a power supply feeds."""
+        if feeds == "bus":
+            return DcLink(self.rig)
+        if role != "test":
+            raise InputError(f"an emulated supply feeds leads of 'test', not of '{role}'")
+        return HeatedLeads(self.rig)
 
     def machine(self, role: str) -> EmulatedMachine:
         """What the drive of this role turns."""
@@ -165,6 +183,8 @@ class EmulatedBench:
         elif entry.bus in self.i2c_buses:
             address, far_end = far_end
             self.i2c_buses[entry.bus].devices[address] = far_end
+        elif entry.bus in self.serial_wires:
+            self.serial_wires[entry.bus].device = far_end
         self.far_ends[device.name] = far_end
 
 

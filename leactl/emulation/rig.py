@@ -47,6 +47,8 @@ TOLERANCE = 1e-9  # of a margin, in its own unit
 LEAST_S = 1e-9  # rounding of the moments that a bench asks for; a shorter time changes nothing
 RESTART_LEVEL = 3  # 0.25 ms after every change
 MOST_IDLE = 8  # changes of regime at one moment
+UNPOWERED = 10.0  # V, below which a drive drives nothing
+LEAST_CHANGE = 0.01  # V, of the bus, for which the matrices are made anew
 FRESH_RESISTANCE = 0.002  # relative change after which the matrices are made anew
 
 
@@ -65,6 +67,7 @@ class Rig:
         if setup not in SETUPS:
             raise InputError(f"setup {setup!r} is unknown; known are {', '.join(SETUPS)}")
         self.setup, self.time, self.bench = setup, 0.0, bench or BenchParameters()
+        self._bus_voltage = self.bench.bus_voltage
         self.effects = tuple(effects)
         beyond = [effect for effect in self.effects if not set(own_hooks(effect)) <= set(RIG_HOOKS)]
         if beyond:
@@ -109,7 +112,17 @@ class Rig:
     @property
     def bus_voltage(self) -> float:
         """Supply of both drives [V]."""
-        return self.bench.bus_voltage
+        return self._bus_voltage
+
+    @property
+    def bus_power(self) -> float:
+        """What both drives take from their supply [W]; their own losses apart."""
+        return sum(self.voltage(k) * self.state(k * PER_ACTUATOR + CURRENT) for k in (0, 1))
+
+    @property
+    def lead_resistance(self) -> float:
+        """Between two leads of the test actuator [ohm]: two phases in series."""
+        return 2.0 * self._pair[0].resistance if self._phases is None else self._phases.lead_resistance
 
     @property
     def line_current(self) -> float:
@@ -119,8 +132,7 @@ class Rig:
     @property
     def line_voltage(self) -> float:
         """Voltage between those two leads [V]: two phases in series."""
-        resistance = 2.0 * self._pair[0].resistance if self._phases is None else self._phases.lead_resistance
-        return resistance * self.line_current
+        return self.lead_resistance * self.line_current
 
     def hottest_phase(self, role: str) -> HottestPhase:
         """Hottest phase of an actuator [degC], now and at its highest.
@@ -161,10 +173,27 @@ class Rig:
 
     # ---------------------------------------------------------------- commands
 
+    def supply(self, voltage: float) -> None:
+        """Have the supply give another DC link voltage [V] from now on; below `UNPOWERED` no drive drives."""
+        self._bus_voltage = voltage
+        if voltage < UNPOWERED:
+            for actuator in self._pair:
+                actuator.command("off")
+            return
+        if abs(voltage - self.bench.bus_voltage) < LEAST_CHANGE:
+            return
+        self.bench = replace(self.bench, bus_voltage=voltage)
+        self._plant = self._plant._replace(bench=self.bench)
+        self._propagators.clear()  # they hold the voltage ceiling
+        for k in (0, 1):
+            self._classify(k)
+
     def take_command(self, k: int, mode: str, value: float) -> None:
         """Give one drive a mode and a setpoint, from now on."""
         if self.setup == "heated" and mode != "off":
             raise InputError("the heated setup has no drive: set heater_current, or choose another setup")
+        if self._bus_voltage < UNPOWERED:
+            mode = "off"
         actuator, x = self._pair[k], k * PER_ACTUATOR
         before, actuator.mode, actuator.setpoint = actuator.mode, mode, value
         if mode == "off":
@@ -209,14 +238,6 @@ class Rig:
                 self._propagators.clear()
             propagator = self._propagators[regime] = Propagator(self._plant, regime)
         self._regime, self._propagator, self._level = regime, propagator, RESTART_LEVEL
-
-    def supply(self, voltage: float) -> None:
-        """Have the supply give another DC link voltage [V] from now on."""
-        self.bench = replace(self.bench, bus_voltage=voltage)
-        self._plant = self._plant._replace(bench=self.bench)
-        self._propagators.clear()  # they hold the voltage ceiling
-        for k in (0, 1):
-            self._classify(k)
 
     # ---------------------------------------------------------------- time
 
@@ -395,4 +416,4 @@ class Rig:
         self._enter(self._with(k, own._replace(**changes)))
 
 
-__all__ = ["FILTERED", "ROLES", "SETUPS", "Rig"]
+__all__ = ["FILTERED", "ROLES", "SETUPS", "UNPOWERED", "Rig"]

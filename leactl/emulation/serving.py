@@ -1,7 +1,7 @@
 """An emulated bench for drivers in other processes: its far ends answer on real buses, by the wall clock.
 
 CAN goes over any of python-can's interfaces (`udp_multicast`, SocketCAN) or an slcan adapter on a pseudo terminal; I2C
-goes through the kernel's i2c-stub, a plain register store that this process fills.
+goes through the kernel's i2c-stub, a plain register store that this process fills; a serial line is a pseudo terminal.
 """
 
 import select
@@ -13,12 +13,14 @@ from typing import Protocol
 
 import can
 
-from leactl.bench.benchfile import BenchFile, CanBus, I2cBus
+from leactl.bench.benchfile import BenchFile, CanBus, I2cBus, SerialBus
 from leactl.bench.wiring import MachineWiring
 from leactl.driver.far_end import StoreKeeper
 from leactl.driver.i2c_port import SmBus, swapped
 from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.emulated_bench import EmulatedBench
+from leactl.emulation.pseudo_terminal import PseudoTerminal
+from leactl.emulation.serial_wire import EmulatedSerialLine, SerialWire
 from leactl.emulation.slcan import SlcanAdapter
 from leactl.emulation.wires import CanWire, EmulatedCanBus
 from leactl.errors import DeviceError, InputError
@@ -45,12 +47,31 @@ class HostSide(Protocol):
         """Let go."""
 
 
+class Bridge(Protocol):
+    """A real bus, and what is emulated behind it."""
+
+    place: str  # where the bus is, for whoever is to open it
+
+    def fileno(self) -> int:
+        """What `select` waits for."""
+
+    def carry(self) -> None:
+        """Pass on what has arrived on either side."""
+
+    def close(self) -> None:
+        """Let both sides go."""
+
+
 class CanBridge:
     """One real bus, where it is, and the emulated segment behind it."""
 
     def __init__(self, place: str, real: HostSide, wire: CanWire) -> None:
         self.place, self.real = place, real
         self._inner = EmulatedCanBus(wire)
+
+    def fileno(self) -> int:
+        """What `select` waits for."""
+        return self.real.fileno()
 
     def carry(self) -> None:
         """Pass on what has arrived on either side; a host that never pauses must not hold up the bench's time."""
@@ -75,6 +96,30 @@ class CanBridge:
         self.real.shutdown()
 
 
+class SerialBridge:
+    """A pseudo terminal, where it is, and the emulated serial line behind it."""
+
+    def __init__(self, wire: SerialWire) -> None:
+        self._terminal = PseudoTerminal()
+        self.place = f"serial on {self._terminal.path}"
+        self._inner = EmulatedSerialLine(wire)
+
+    def fileno(self) -> int:
+        """What `select` waits for."""
+        return self._terminal.fileno()
+
+    def carry(self) -> None:
+        """Pass on what has arrived on either side."""
+        self._inner.write(self._terminal.read())
+        if answer := self._inner.read(0.0):
+            self._terminal.write(answer)
+
+    def close(self) -> None:
+        """Let both sides go."""
+        self._inner.close()
+        self._terminal.close()
+
+
 class StubChip:
     """One chip of i2c-stub, whose registers a device's far end keeps."""
 
@@ -96,8 +141,10 @@ class StubChip:
 
 
 @contextmanager
-def bridged(file: BenchFile, wires: Mapping[str, CanWire]) -> Iterator[dict[str, CanBridge]]:
-    """Bridge every CAN bus of the file to its wire until the block is left.
+def bridged(
+    file: BenchFile, wires: Mapping[str, CanWire], serial_wires: Mapping[str, SerialWire]
+) -> Iterator[dict[str, Bridge]]:
+    """Bridge every CAN bus and serial line of the file to its wire until the block is left.
 
     Raises
     ------
@@ -105,12 +152,16 @@ def bridged(file: BenchFile, wires: Mapping[str, CanWire]) -> Iterator[dict[str,
     DeviceError : the bus is absent or refuses.
     """
     with ExitStack() as opened:
-        bridges: dict[str, CanBridge] = {}
+        bridges: dict[str, Bridge] = {}
         for name, bus in file.buses.items():
             if isinstance(bus, CanBus):
                 place, real = _real_side(name, bus)
                 bridges[name] = CanBridge(place, real, wires[name])
-                opened.callback(bridges[name].close)
+            elif isinstance(bus, SerialBus):
+                bridges[name] = SerialBridge(serial_wires[name])
+            else:
+                continue
+            opened.callback(bridges[name].close)
         yield bridges
 
 
@@ -164,9 +215,7 @@ def stub_chips(file: BenchFile, bench: EmulatedBench) -> dict[str, list[StubChip
     return found
 
 
-def serve(
-    clock: EmulatedClock, bridges: Sequence[CanBridge], chips: Sequence[StubChip], stop: Callable[[], bool]
-) -> None:
+def serve(clock: EmulatedClock, bridges: Sequence[Bridge], chips: Sequence[StubChip], stop: Callable[[], bool]) -> None:
     """Serve until `stop` says so, the clock in step with the wall's.
 
     Raises
@@ -174,7 +223,7 @@ def serve(
     DeviceError : a real bus failed.
     """
     began = time.monotonic() - clock.now()
-    handles = [bridge.real.fileno() for bridge in bridges]
+    handles = [bridge.fileno() for bridge in bridges]
     pace = STUB_PACE_S if chips else PACE_S
     try:
         while not stop():

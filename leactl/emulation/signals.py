@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from leactl.driver.far_end import Machine, Physics
+from leactl.driver.far_end import Machine, Physics, SupplyLoad
 
 Change = Callable[[float], float]
 
@@ -27,6 +27,10 @@ class Signals:
     def reading(self, quantity: str, role: str) -> Callable[[], float]:
         """A function that gives this quantity as the device reads it now."""
         return self.changed(quantity, self._physics.reading(quantity, role))
+
+    def at_supply(self, feeds: str, role: str) -> SupplyLoad:
+        """What a power supply feeds; its own meters read what it feeds, faults and all."""
+        return self._physics.at_supply(feeds, role)
 
     def changed(self, quantity: str, read: Callable[[], float]) -> Callable[[], float]:
         """A reading with its faults."""
@@ -88,6 +92,12 @@ class _Still:
 
     def reading(self, quantity: str, role: str) -> Callable[[], Any]:
         return float
+
+    def at_supply(self, feeds: str, role: str) -> "_Still":
+        return self
+
+    def feed(self, voltage: float, current: float) -> tuple[float, float]:
+        return 0.0, 0.0
 
 
 STILL = _Still()

@@ -3,32 +3,27 @@
 Commands end with CR; the adapter answers CR, or BEL where it refuses (Lawicel CANUSB manual, version 1.0D).
 """
 
-import os
-import pty
-import tty
-
 import can
+
+from leactl.emulation.pseudo_terminal import PseudoTerminal
 
 CR, BEL = b"\r", b"\a"
 VERSION, SERIAL = b"V1013\r", b"NA123\r"
-MOST_BYTES = 4096
 
 
 class SlcanAdapter:
     """An adapter whose serial side is a pseudo terminal, `path`, and whose CAN side is `recv` and `send`."""
 
     def __init__(self) -> None:
-        self._master, self._slave = pty.openpty()  # holding the slave keeps the line up between two clients
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self.path = os.ttyname(self._slave)
+        self._terminal = PseudoTerminal()
+        self.path = self._terminal.path
         self._line = b""
         self._open = False
         self._frames: list[can.Message] = []
 
     def fileno(self) -> int:
         """What `select` waits for."""
-        return self._master
+        return self._terminal.fileno()
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """The next frame that the client sent, or None; never waits."""
@@ -39,22 +34,18 @@ class SlcanAdapter:
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Give a frame to the client; a closed channel and a full line lose it, as a real adapter does."""
         if self._open:
-            self._write(b"t%03X%d%s\r" % (msg.arbitration_id, msg.dlc, bytes(msg.data).hex().upper().encode()))
+            self._terminal.write(b"t%03X%d%s\r" % (msg.arbitration_id, msg.dlc, bytes(msg.data).hex().upper().encode()))
 
     def shutdown(self) -> None:
         """Close the terminal."""
-        os.close(self._master)
-        os.close(self._slave)
+        self._terminal.close()
 
     def _read(self) -> None:
-        try:
-            self._line += os.read(self._master, MOST_BYTES)
-        except (BlockingIOError, OSError):
-            return
+        self._line += self._terminal.read()
         *commands, self._line = self._line.split(CR)
         self._line = self._line[-64:]  # no command is longer: noise does not pile up
         for command in commands:
-            self._write(self._answer(command))
+            self._terminal.write(self._answer(command))
 
     def _answer(self, command: bytes) -> bytes:
         kind = command[:1]
@@ -82,9 +73,3 @@ class SlcanAdapter:
             return BEL
         self._frames.append(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
         return CR
-
-    def _write(self, data: bytes) -> None:
-        try:
-            os.write(self._master, data)
-        except BlockingIOError:
-            return  # nobody reads: the frame is lost

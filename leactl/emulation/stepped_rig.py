@@ -11,7 +11,7 @@ import numpy as np
 from leactl.emulation.actuator import MODES
 from leactl.emulation.effects.contract import Effect
 from leactl.emulation.parameters import ActuatorParameters, BenchParameters
-from leactl.emulation.rig import ROLES, SETUPS
+from leactl.emulation.rig import ROLES, SETUPS, UNPOWERED
 from leactl.emulation.rig_phases import refuse_idle_settings
 from leactl.emulation.stepped import TICK, SteppedPlant
 from leactl.emulation.stepped_lanes import Lane
@@ -40,6 +40,7 @@ class SteppedRig:
         if self.bench.phase_resolved:
             raise InputError("phase_resolved: the stepped plant of these effects has no phases; leave it or them out")
         self.time = 0.0
+        self._dead_bus: float | None = None  # V, where that is too little for a drive
         lane = Lane(setup, test or ActuatorParameters(), load or ActuatorParameters(), self.bench, tuple(effects))
         refuse_idle_settings(self.bench, lane.test, lane.load)
         self.plant, self._effects, self._parameters = SteppedPlant([lane]), tuple(effects), lane.test
@@ -59,7 +60,32 @@ class SteppedRig:
     @property
     def bus_voltage(self) -> float:
         """Supply of both drives [V]."""
-        return float(self.plant.bus_voltage[0])
+        return float(self.plant.bus_voltage[0]) if self._dead_bus is None else self._dead_bus
+
+    @property
+    def powered(self) -> bool:
+        """Whether the bus carries what a drive needs to drive anything."""
+        return self._dead_bus is None
+
+    @property
+    def bus_power(self) -> float:
+        """What both drives take from their supply [W]; their own losses apart."""
+        return sum(actuator.voltage * actuator.current_true for actuator in self.actuators.values())
+
+    def supply(self, voltage: float) -> None:
+        """Have the supply give another DC link voltage [V] from now on; below `UNPOWERED` no drive drives."""
+        self._dead_bus = voltage if voltage < UNPOWERED else None
+        if self._dead_bus is not None:
+            for actuator in self.actuators.values():
+                actuator.command("off")
+        elif voltage != self.bench.bus_voltage:
+            self.bench = replace(self.bench, bus_voltage=voltage)
+            self.plant.supply(voltage)
+
+    @property
+    def lead_resistance(self) -> float:
+        """Between two leads of the test actuator [ohm]: two phases in series."""
+        return 2.0 * self.resistance
 
     @property
     def line_current(self) -> float:
@@ -69,7 +95,7 @@ class SteppedRig:
     @property
     def line_voltage(self) -> float:
         """Voltage between those two leads [V]: two phases in series."""
-        return 2.0 * self.resistance * self.line_current
+        return self.lead_resistance * self.line_current
 
     @property
     def resistance(self) -> float:
@@ -78,11 +104,6 @@ class SteppedRig:
         for effect in self._effects:
             resistance *= float(effect.resistance_share(self.plant.thermal.winding[0], self.time))
         return resistance
-
-    def supply(self, voltage: float) -> None:
-        """Have the supply give another DC link voltage [V] from now on."""
-        self.bench = replace(self.bench, bus_voltage=voltage)
-        self.plant.supply(voltage)
 
     # ---------------------------------------------------------------- time
 
@@ -116,6 +137,7 @@ class SteppedActuator:
             raise InputError(f"setpoint {value} of mode {mode} is not a number a drive can hold")
         if self._rig.setup == "heated" and mode != "off":
             raise InputError("the heated setup has no drive: set heater_current, or choose another setup")
+        mode = mode if self._rig.powered else "off"
         if mode in ("velocity", "angle") and self.mode in ("off", "current"):
             self._integral = self.current if self.mode == "current" else 0.0
         self.mode, self.setpoint = mode, float(value)

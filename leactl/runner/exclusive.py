@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus
+from leactl.bench.benchfile import BenchFile, Bus, CheckedDevice, I2cBus, SerialBus
 from leactl.errors import DeviceError, InputError
 from leactl.runner.latch import state_directory
 
@@ -63,10 +63,12 @@ def _locked(path: Path, what: str) -> Iterator[int]:
         os.close(descriptor)  # and the lock with it; the file stays: removing it would let two runs lock two files
 
 
-def _place(bus: CanBus | I2cBus) -> str:
+def _place(bus: Bus) -> str:
     """A bus as the machine knows it, whatever a bench file calls it; a device by the file its links lead to."""
     if isinstance(bus, I2cBus):
         return f"i2c-{bus.number}"
+    if isinstance(bus, SerialBus):
+        return str(Path(bus.port).resolve())
     channel = str(bus.channel)
     if channel.startswith("/"):
         return str(Path(channel.partition("@")[0]).resolve())  # slcan takes /dev/ttyACM0@115200

@@ -7,18 +7,34 @@ from leactl.bench.wiring import MachineWiring
 
 from .adc_bench import AdcBench
 from .elmo_bench import ElmoBench
-from .transports import CAN, I2C, CanElsewhere, CanInProcess, FarEndProcess, I2cElsewhere, I2cInProcess, can_place
+from .supply_bench import SupplyBench
+from .transports import (
+    CAN,
+    I2C,
+    SERIAL,
+    CanElsewhere,
+    CanInProcess,
+    FarEndProcess,
+    I2cElsewhere,
+    I2cInProcess,
+    SerialElsewhere,
+    SerialInProcess,
+    can_place,
+)
 from .transports import i2c_place as place_of_stub
 
 
 @pytest.fixture(scope="package")
-def far_end_process():
+def far_end_process(tmp_path_factory):
     """Processes by transport, each started once, and ended before tests elsewhere use the same buses."""
     running = {}
 
     def start(kind, transport):
         if (kind, transport) not in running:
-            place = place_of_stub() if kind == "i2c" else can_place(transport)
+            if kind == "serial":
+                place = {"link": str(tmp_path_factory.mktemp("serial") / "line")}
+            else:
+                place = place_of_stub() if kind == "i2c" else can_place(transport)
             if transport == "udp_multicast":
                 try:
                     MachineWiring().can("can0", CanBus(kind="can", **place))().shutdown()
@@ -62,3 +78,19 @@ def make_adc(request, far_end_process):
     yield make
     for bench in made:
         bench.adc.close()
+
+
+@pytest.fixture(params=SERIAL)
+def make_supply(request, far_end_process):
+    """Make a supply's bench with these settings; it is let go at the end."""
+    made = []
+
+    def make(**settings):
+        name = request.param
+        wire = SerialInProcess() if name == "in_process" else SerialElsewhere(*far_end_process("serial", name))
+        made.append(SupplyBench(wire=wire, **settings))
+        return made[-1]
+
+    yield make
+    for bench in made:
+        bench.supply.close()

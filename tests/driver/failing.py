@@ -4,6 +4,7 @@ import math
 
 from leactl_plugins.ads1115.emulator import Ads1115Emulator
 from leactl_plugins.elmo_can.emulator import PRE_OPERATIONAL, STOPPED, ElmoEmulator
+from leactl_plugins.scpi_supply.emulator import ScpiSupplyEmulator
 
 from leactl.driver.far_end import Frame
 from leactl.emulation.wires import CanWire
@@ -126,3 +127,85 @@ class FailingConverter(Ads1115Emulator):
 
     def _finish(self, now: float) -> None:
         super()._finish(-math.inf if self._stalled else now)
+
+
+class Resistor:
+    """A load of 0.6 ohm."""
+
+    def feed(self, voltage: float, current: float) -> tuple[float, float]:
+        flowing = min(current, voltage / 0.6)
+        return 0.6 * flowing, flowing
+
+
+class FailingSupplyEnd(ScpiSupplyEmulator):
+    """A supply into a resistor."""
+
+    def __init__(self, dialect: str = "e36xx", model: str = "E3633A", serial_number: str = "0") -> None:
+        super().__init__(dialect, model, Resistor(), serial_number)
+        self._spoilt: list[bytes | None] = []
+        self._deaf: list[str] = []
+        self._frozen = False
+        self._unheard = 0
+
+    def leave_on(self, volts: float, amperes: float) -> None:
+        """Be switched on, as another program or a person at the front panel has left it."""
+        self.set_volts, self.set_amperes, self.on = volts, amperes, True
+        self._regulate()
+
+    def go_off(self) -> None:
+        """Be switched off at the front panel."""
+        self.on = False
+        self._regulate()
+
+    def trip(self) -> None:
+        """Have the over-voltage protection trip."""
+        self.over_voltage.tripped = True
+        self._regulate()
+
+    def note_error(self, number: int, text: str) -> None:
+        """Have an entry in the error queue."""
+        self._fail((number, text))
+
+    def ignore(self, header: str) -> None:
+        """Do nothing about commands that begin so."""
+        self._deaf.append(header)
+
+    def spoil(self, *answers: str | None) -> None:
+        """Send these bytes, in hex, in place of the next answers; None loses one."""
+        self._spoilt += [None if answer is None else bytes.fromhex(answer) for answer in answers]
+
+    def slow_down(self, seconds: float) -> None:
+        """Take this long for every answer."""
+        self._answer_s = seconds
+
+    def freeze(self) -> None:
+        """Neither obey nor answer."""
+        self._frozen = True
+
+    def miss(self, count: int) -> None:
+        """Lose the next bytes that come."""
+        self._unheard = count
+
+    def output(self) -> list:
+        """Whether it is on, and what is at the terminals."""
+        return [self.on, self.volts, self.amperes]
+
+    def levels(self) -> list:
+        """Both settings and both protections' levels."""
+        return [self.set_volts, self.set_amperes, self.over_voltage.level, self.over_current.level]
+
+    def receive(self, data: bytes, now: float) -> None:
+        lost = min(self._unheard, len(data))
+        self._unheard -= lost
+        if not self._frozen:
+            super().receive(data[lost:], now)
+
+    def tick(self, now: float) -> bytes:
+        answer = super().tick(now)
+        if answer and self._spoilt:
+            return self._spoilt.pop(0) or b""
+        return answer
+
+    def _obey(self, command: str, now: float) -> None:
+        if not any(command.startswith(header) for header in self._deaf):
+            super()._obey(command, now)

@@ -1,4 +1,4 @@
-"""A far end in a process of its own, on a real bus: `python -m tests.driver.far_end_process can|i2c PLACE`.
+"""A far end in a process of its own, on a real bus: `python -m tests.driver.far_end_process can|i2c|serial PLACE`.
 
 Requests come as lines of JSON on stdin, [name, arguments], and each is answered by one line; the end of stdin ends it.
 """
@@ -8,13 +8,15 @@ import os
 import select
 import sys
 import time
+from pathlib import Path
 
 from leactl.bench.benchfile import CanBus
 from leactl.bench.wiring import MachineWiring
 from leactl.emulation.clock import EmulatedClock
-from leactl.emulation.serving import CanBridge, StubChip, serve, stub_bus
+from leactl.emulation.serial_wire import SerialWire
+from leactl.emulation.serving import CanBridge, SerialBridge, StubChip, serve, stub_bus
 from leactl.emulation.wires import CanWire
-from tests.driver.failing import FailingConverter, FailingDrive
+from tests.driver.failing import FailingConverter, FailingDrive, FailingSupplyEnd
 
 CHIP = 0x48
 
@@ -80,5 +82,22 @@ def serve_converter(place):
     serve(clock, [], chips, Requests(make, look).stop)
 
 
+def serve_supply(place):
+    clock = EmulatedClock()
+    wire = SerialWire(clock, 10 / 115200)
+    bridge = SerialBridge(wire)
+    Path(place["link"]).symlink_to(bridge.place.split()[-1])
+
+    def make(*arguments):
+        wire.device = FailingSupplyEnd(*arguments)
+        return wire.device
+
+    print(json.dumps("ready"), flush=True)
+    try:
+        serve(clock, [bridge], [], Requests(make, bridge.carry).stop)
+    finally:
+        bridge.close()
+
+
 if __name__ == "__main__":
-    {"can": serve_drive, "i2c": serve_converter}[sys.argv[1]](json.loads(sys.argv[2]))
+    {"can": serve_drive, "i2c": serve_converter, "serial": serve_supply}[sys.argv[1]](json.loads(sys.argv[2]))

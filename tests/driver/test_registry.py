@@ -33,6 +33,19 @@ def test_a_driver_that_breaks_the_contract_is_told_how():
         assert words in faults
 
 
+def test_a_supply_that_cannot_be_cut_at_once_breaks_the_contract():
+    supply = registry.load("scpi_supply")
+
+    class Slow(supply):
+        """A supply that is switched off only when it is asked whether it is."""
+
+        stop_now = Driver.stop_now
+
+        def safe_state(self, deadline_s): ...
+
+    assert any("must have a stop_now" in fault for fault in conformance.faults_of(Slow))
+
+
 def test_an_unknown_driver_lists_the_known():
     with pytest.raises(InputError, match="known: ads1115, elmo_can"):
         registry.load("elmo")

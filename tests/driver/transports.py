@@ -13,16 +13,19 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
-from leactl.bench.benchfile import CanBus, I2cBus
+from leactl.bench.benchfile import CanBus, I2cBus, SerialBus
 from leactl.bench.wiring import MachineWiring
 from leactl.driver.clock import MonotonicClock
 from leactl.emulation.clock import EmulatedClock
+from leactl.emulation.serial_wire import EmulatedSerialLine, SerialWire
 from leactl.emulation.wires import CanWire, EmulatedCanBus, EmulatedI2cBus
-from tests.driver.failing import FailingConverter, FailingDrive
+from tests.driver.failing import FailingConverter, FailingDrive, FailingSupplyEnd
 
 ROOT = Path(__file__).parents[2]
 CAN = ["in_process", "udp_multicast", *(["kernel"] if "LEACTL_TEST_CAN" in os.environ else [])]
 I2C = ["in_process", *(["kernel"] if "LEACTL_TEST_I2C" in os.environ else [])]
+
+SERIAL = ["in_process", "pty"]
 
 
 class CanInProcess:
@@ -91,6 +94,40 @@ class I2cElsewhere:
     def look(self):
         """Bring the store up to now: it tells nobody what was written, and the far end's own look may come late."""
         self._process.ask("look")
+
+
+class SerialInProcess:
+    """An emulated line at 9600 baud with two stop bits."""
+
+    exact = True
+    settings = {}
+
+    def __init__(self):
+        self.clock = EmulatedClock()
+        self.wire = SerialWire(self.clock, 11 / 9600)
+
+    def connect(self):
+        return EmulatedSerialLine(self.wire)
+
+    def supply(self, *arguments):
+        self.wire.device = FailingSupplyEnd(*arguments)
+        return self.wire.device
+
+
+class SerialElsewhere:
+    """A pseudo terminal; other load on the machine may hold up either side, so the times allowed are long."""
+
+    exact = False
+    settings = {"answer_s": 2.0, "period_s": 0.2}
+
+    def __init__(self, process, place):
+        self.clock = MonotonicClock()
+        self.connect = MachineWiring().serial("supply0", SerialBus(kind="serial", port=place["link"]))
+        self._process = process
+
+    def supply(self, *arguments):
+        self._process.ask("new", *arguments)
+        return FarEnd(self._process)
 
 
 class FarEnd:

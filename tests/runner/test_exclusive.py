@@ -50,7 +50,8 @@ def test_links_to_one_adapter_are_one_bus(tmp_path):
     there = [
         benchfile.CanBus(kind="can", interface="slcan", channel=c) for c in ("/dev/null@115200", f"{tmp_path}/by-id")
     ]
-    assert {exclusive._place(bus) for bus in there} == {"/dev/null"}
+    line = benchfile.SerialBus(kind="serial", port=f"{tmp_path}/by-id")
+    assert {exclusive._place(bus) for bus in (*there, line)} == {"/dev/null"}
 
 
 def test_a_killed_run_lets_go(holder):

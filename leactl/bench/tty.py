@@ -1,0 +1,80 @@
+"""A serial device of this machine: pyserial opens it and sets it up, the bytes go straight to the kernel and back.
+
+pyserial 3.5 never returns from a write that the kernel does not take (pyserial issue 280), and Linux holds up the close
+of a line that has something left to send for 30 s.
+"""
+
+import errno
+import os
+import select
+import termios
+from contextlib import suppress
+
+from leactl.bench.benchfile import SerialBus
+
+MOST_BYTES = 4096
+MEANING = {
+    errno.ENOENT: "no such device; is it plugged in and switched on?",
+    errno.EACCES: "no permission; add the user to group dialout",
+    errno.EAGAIN: "another program holds it",
+}
+
+
+class Tty:
+    """An open serial device that never makes anybody wait longer than they said."""
+
+    def __init__(self, bus: SerialBus) -> None:
+        import serial
+
+        try:
+            self._serial = serial.Serial(
+                bus.port,
+                baudrate=bus.baudrate,
+                bytesize=bus.data_bits,
+                parity=bus.parity[0].upper(),
+                stopbits=bus.stop_bits,
+                rtscts=bus.flow_control == "rtscts",
+                xonxoff=bus.flow_control == "xonxoff",
+                timeout=0,
+                exclusive=True,
+            )
+        except (OSError, ValueError, termios.error) as error:
+            number = getattr(error, "errno", None)
+            raise OSError(f"{bus.port}: {MEANING.get(number or 0, error)}") from None
+        self._place = self._serial.fileno()
+
+    def read(self, timeout: float) -> bytes:
+        """What has come; waits for the first byte no longer than this many seconds.
+
+        Raises
+        ------
+        OSError : the device is gone.
+        """
+        ready, _, _ = select.select([self._place], [], [], timeout)
+        if not ready:
+            return b""
+        try:
+            read = os.read(self._place, MOST_BYTES)
+        except BlockingIOError:
+            return b""
+        if not read:  # a device that was pulled out is always ready and has nothing
+            raise OSError("nothing is at the other end")
+        return read
+
+    def write(self, data: bytes) -> int:
+        """Hand over as much as the kernel takes at once.
+
+        Raises
+        ------
+        OSError : the device is gone.
+        """
+        try:
+            return os.write(self._place, data)
+        except BlockingIOError:
+            return 0
+
+    def close(self) -> None:
+        """Let the device go, and drop what it has not sent yet."""
+        with suppress(OSError, termios.error):
+            self._serial.reset_output_buffer()
+        self._serial.close()

@@ -1,0 +1,161 @@
+"""One serial line to one device, without threads: lines of text out, and lines in as they come.
+
+Nothing here waits unless it is told until when, so that a slow instrument may be talked to from within a fast loop.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Protocol
+
+from leactl.driver.clock import Clock
+from leactl.errors import DeviceError
+
+LONGEST_LINE = 256  # bytes; what is longer is noise, of which the end alone is kept
+MOST_LINES = 64  # that wait to be taken; a device that babbles pushes out the oldest
+
+
+class SerialLine(Protocol):
+    """A connection: the machine's own, or the near end of an emulated wire."""
+
+    def read(self, timeout: float) -> bytes:
+        """What has come; waits for the first byte no longer than this many seconds.
+
+        Raises
+        ------
+        OSError : the device is gone.
+        """
+
+    def write(self, data: bytes) -> int:
+        """Hand over as much as is taken at once; how many bytes that was.
+
+        Raises
+        ------
+        OSError : the device is gone.
+        """
+
+    def close(self) -> None:
+        """Let the line go, and drop what it has not sent yet."""
+
+
+class SerialPort:
+    """Lines of one device, each ended by a line feed; a carriage return before it is no part of the line."""
+
+    def __init__(self, connect: Callable[[], SerialLine], clock: Clock, name: str = "serial") -> None:
+        self._connect = connect
+        self.clock = clock
+        self.name = name
+        self._line: SerialLine | None = None
+        self._users = 0
+        self._begun = b""
+        self._lines: deque[bytes] = deque(maxlen=MOST_LINES)
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is a connection, dead or alive."""
+        return self._line is not None
+
+    def open(self) -> None:
+        """Connect, once for all users of the port.
+
+        Raises
+        ------
+        DeviceError : the device is absent or refuses.
+        """
+        if self._line is None:
+            self._open_line()
+        self._users += 1
+
+    def close(self) -> None:
+        """Disconnect when the last user has let go."""
+        self._users = max(0, self._users - 1)
+        if self._users == 0:
+            self._shut()
+
+    def reopen(self) -> None:
+        """Replace a connection that may be dead by a fresh one.
+
+        Raises
+        ------
+        DeviceError : the device is absent or refuses.
+        """
+        self._shut()
+        self._open_line()
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; never waits.
+
+        Raises
+        ------
+        DeviceError : the line is closed or gone, or takes no more because the device holds it up.
+        """
+        if self._line is None:
+            raise DeviceError(f"bus '{self.name}': not open")
+        try:
+            taken = self._line.write(data)
+        except OSError as error:
+            raise self._gone(error) from None
+        if taken < len(data):
+            raise DeviceError(f"bus '{self.name}': {len(data) - taken} of {len(data)} bytes were not taken")
+
+    def take_line(self) -> bytes | None:
+        """The oldest line that has come, without its end; None where none is complete; never waits.
+
+        Raises
+        ------
+        DeviceError : the line is closed or gone.
+        """
+        if not self._lines:
+            self._receive(0.0)
+        return self._lines.popleft() if self._lines else None
+
+    def wait(self, moment: float) -> None:
+        """Wait for a complete line until this moment on the clock, and no longer.
+
+        Raises
+        ------
+        DeviceError : the line is closed or gone.
+        """
+        while not self._lines and (left := moment - self.clock.now()) > 0.0:
+            self._receive(left)
+
+    def discard(self) -> None:
+        """Forget what has come so far, whole lines and begun ones.
+
+        Raises
+        ------
+        DeviceError : the line is closed or gone.
+        """
+        self._receive(0.0)
+        self._forget()
+
+    def _receive(self, timeout: float) -> None:
+        if self._line is None:
+            raise DeviceError(f"bus '{self.name}': not open")
+        try:
+            read = self._line.read(timeout)
+        except OSError as error:
+            raise self._gone(error) from None
+        *lines, begun = (self._begun + read).split(b"\n")
+        self._lines.extend(line[-LONGEST_LINE:].rstrip(b"\r") for line in lines)
+        self._begun = begun[-LONGEST_LINE:]
+
+    def _open_line(self) -> None:
+        try:
+            self._line = self._connect()
+        except (OSError, ValueError, ImportError) as error:
+            raise DeviceError(f"bus '{self.name}': {error}") from None
+
+    def _shut(self) -> None:
+        self._forget()
+        line, self._line = self._line, None
+        if line is not None:
+            with suppress(OSError):  # it is gone already, which is what was asked for
+                line.close()
+
+    def _forget(self) -> None:
+        self._lines.clear()
+        self._begun = b""
+
+    def _gone(self, error: OSError) -> DeviceError:
+        return DeviceError(f"bus '{self.name}': the device is gone: {error}")

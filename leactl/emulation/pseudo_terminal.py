@@ -1,0 +1,40 @@
+"""The far side of a serial line that another process opens by its path: a pseudo terminal in raw mode."""
+
+import os
+import pty
+import tty
+
+MOST_BYTES = 4096
+
+
+class PseudoTerminal:
+    """A pseudo terminal; `path` is what the other process opens, as often as it likes."""
+
+    def __init__(self) -> None:
+        self._master, self._slave = pty.openpty()  # holding the slave keeps the line up between two clients
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.path = os.ttyname(self._slave)
+
+    def fileno(self) -> int:
+        """What `select` waits for."""
+        return self._master
+
+    def read(self) -> bytes:
+        """What has come; never waits."""
+        try:
+            return os.read(self._master, MOST_BYTES)
+        except (BlockingIOError, OSError):
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Send; what a full line does not take is lost."""
+        try:
+            os.write(self._master, data)
+        except BlockingIOError:
+            return  # nobody reads
+
+    def close(self) -> None:
+        """Close the terminal."""
+        os.close(self._master)
+        os.close(self._slave)

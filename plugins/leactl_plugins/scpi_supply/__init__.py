@@ -1,0 +1,1 @@
+"""Programmable DC supplies that speak SCPI over a serial line."""

@@ -1,0 +1,104 @@
+"""What a supply's answers mean; whatever is not exactly an answer of its kind is refused, never guessed at."""
+
+import re
+from typing import NamedTuple
+
+from leactl.errors import DeviceError
+
+NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?")
+ERROR = re.compile(r'([+-]?\d{1,5}),\s*"(.*)"')
+MOST = 1e4  # V or A; SCPI-1999 volume 1, 7.2.1.4 and 7.2.1.5: 9.9E37 stands for infinity, 9.91E37 for not a number
+TRUE, FALSE = ("1", "ON", "YES"), ("0", "OFF", "NO")
+
+
+class Unreadable(DeviceError):
+    """An answer that is none of its kind: garbled, cut short, or meant for another question."""
+
+
+class Identity(NamedTuple):
+    """Four fields of IEEE 488.2, 10.14."""
+
+    maker: str
+    model: str
+    serial_number: str
+    revision: str
+
+
+class Entry(NamedTuple):
+    """One entry of the instrument's error queue; number 0 says that it is empty."""
+
+    number: int
+    text: str
+
+
+def number(line: bytes) -> float:
+    """A voltage or a current.
+
+    Raises
+    ------
+    Unreadable : not a number, or one that no supply puts out.
+    """
+    text = _text(line)
+    if not NUMBER.fullmatch(text) or not abs(float(text)) <= MOST:
+        raise Unreadable(f"{text!r} where a number was expected")
+    return float(text)
+
+
+def truth(line: bytes) -> bool:
+    """On or off, tripped or not.
+
+    Raises
+    ------
+    Unreadable : neither.
+    """
+    text = _text(line).upper()
+    if text not in TRUE + FALSE:
+        raise Unreadable(f"{text!r} where 0 or 1 was expected")
+    return text in TRUE
+
+
+def register(line: bytes) -> int:
+    """A status register's value.
+
+    Raises
+    ------
+    Unreadable : not a whole number from 0 to 65535.
+    """
+    text = _text(line)
+    if not re.fullmatch(r"\+?\d{1,5}", text) or int(text) > 0xFFFF:
+        raise Unreadable(f"{text!r} where a register was expected")
+    return int(text)
+
+
+def entry(line: bytes) -> Entry:
+    """An entry of the error queue.
+
+    Raises
+    ------
+    Unreadable : not a number with a quoted text.
+    """
+    text = _text(line)
+    found = ERROR.fullmatch(text)
+    if found is None:
+        raise Unreadable(f"{text!r} where an error entry was expected")
+    return Entry(int(found[1]), found[2])
+
+
+def identity(line: bytes) -> Identity:
+    """Who answers.
+
+    Raises
+    ------
+    Unreadable : not four fields.
+    """
+    fields = [field.strip() for field in _text(line).split(",")]
+    if len(fields) != 4 or not fields[0] or not fields[1]:
+        raise Unreadable(f"{_text(line)!r} where an identity of four fields was expected")
+    return Identity(*fields)
+
+
+def _text(line: bytes) -> str:
+    text = line.decode("ascii", "backslashreplace").strip(" ")
+    if not text.isprintable():
+        raise Unreadable(f"{text!r} where text was expected")
+    return text

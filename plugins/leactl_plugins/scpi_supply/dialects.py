@@ -1,0 +1,62 @@
+"""How two families of supplies spell what SCPI leaves open: protection, ranges, truth, and a way out of a deadlock."""
+
+from typing import Final, NamedTuple
+
+
+class Protection(NamedTuple):
+    """One protection: its level, its switch, and whether it has tripped."""
+
+    name: str
+    set_level: str
+    level: str
+    arm: str
+    armed: str
+    tripped: str
+
+
+class Dialect(NamedTuple):
+    """What is sent to an instrument of one family."""
+
+    voltage: Protection
+    current: Protection
+    set_range: str  # empty: the family has no ranges that can be set
+    clear: bytes  # gives up what the instrument is about, where it knows such a byte
+
+    @property
+    def off(self) -> bytes:
+        """What switches the output off from any state: the line feed ends what somebody has left half sent."""
+        return self.clear + b"\nSYST:REM\nOUTP OFF\n"
+
+
+DIALECTS: Final = {
+    "e36xx": Dialect(
+        Protection(
+            "over-voltage protection",
+            "VOLT:PROT",
+            "VOLT:PROT?",
+            "VOLT:PROT:STAT ON",
+            "VOLT:PROT:STAT?",
+            "VOLT:PROT:TRIP?",
+        ),
+        Protection(
+            "over-current protection",
+            "CURR:PROT",
+            "CURR:PROT?",
+            "CURR:PROT:STAT ON",
+            "CURR:PROT:STAT?",
+            "CURR:PROT:TRIP?",
+        ),
+        "VOLT:RANG",
+        b"\x03",  # device clear on RS-232 (E3632A User's Guide, page 61)
+    ),
+    "dp800": Dialect(
+        Protection(
+            "over-voltage protection", "OUTP:OVP:VAL", "OUTP:OVP:VAL?", "OUTP:OVP ON", "OUTP:OVP?", "OUTP:OVP:QUES?"
+        ),
+        Protection(
+            "over-current protection", "OUTP:OCP:VAL", "OUTP:OCP:VAL?", "OUTP:OCP ON", "OUTP:OCP?", "OUTP:OCP:QUES?"
+        ),
+        "",
+        b"",
+    ),
+}

@@ -1,0 +1,28 @@
+"""Settings of one power supply: which instrument it is, what it feeds, and what it may never put out."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from leactl.driver.contract import DriverSettings
+
+
+class ScpiSupplySettings(DriverSettings):
+    """One supply with one output at the end of a serial line."""
+
+    dialect: Literal["e36xx", "dp800"]
+    model: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_./ -]*$", max_length=40)]  # 2nd field of *IDN?
+    serial_number: Annotated[str, Field(max_length=40)] = ""  # 3rd field of *IDN?; the E36xx series leaves it 0
+    feeds: Literal["leads", "bus"]  # two leads of the role's motor, or the drives' DC link
+    voltage_limit_V: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)]  # noqa: N815 (a unit keeps its letter)
+    current_limit_A: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)]  # noqa: N815
+    output_range: Literal["low", "high"] | None = None  # of supplies with two; none: as the instrument stands
+    off_current_A: Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)] = 0.1  # noqa: N815
+    period_s: Annotated[float, Field(ge=0.2, le=60, allow_inf_nan=False)] = 1.0
+    answer_s: Annotated[float, Field(ge=0.05, le=5, allow_inf_nan=False)] = 0.3
+
+    @model_validator(mode="after")
+    def _has_ranges(self) -> "ScpiSupplySettings":
+        if self.output_range is not None and self.dialect != "e36xx":
+            raise ValueError(f"output_range is known of e36xx alone; with {self.dialect} set it at the instrument")
+        return self

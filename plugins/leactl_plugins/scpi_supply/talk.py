@@ -1,0 +1,120 @@
+"""A conversation with an instrument, one question at a time: a script says what to send and what the answers mean.
+
+The same script runs to its end while a bench is opened or made safe, and step by step within the loop, where nothing
+may wait.
+"""
+
+from collections.abc import Callable, Generator
+from typing import Any, Generic, NamedTuple, TypeVar
+
+from leactl.driver.serial_port import SerialPort
+from leactl.errors import DeviceError, NoAnswer
+from leactl_plugins.scpi_supply.answers import Unreadable
+
+Result = TypeVar("Result")
+
+
+class Question(NamedTuple):
+    """A query and how its answer is read; with `patient` whatever is none goes by until one comes."""
+
+    text: str
+    means: Callable[[bytes], Any]
+    patient: bool = False
+
+
+class Answer(NamedTuple):
+    """What an answer says, and when it was asked for and seen."""
+
+    value: Any
+    asked: float
+    seen: float
+
+
+class Pause:
+    """Nothing to say now: go on at the next step."""
+
+
+Said = str | bytes | Question | Pause
+Script = Generator[Said, Answer | None, Result]
+
+
+class Talk(Generic[Result]):
+    """Carries out a script over a port."""
+
+    def __init__(self, port: SerialPort, script: Script[Result], answer_s: float) -> None:
+        self._port, self._script, self._answer_s = port, script, answer_s
+        self._question: Question | None = None
+        self._asked = 0.0
+        self.ended = False
+        self.result: Result | None = None
+
+    def step(self) -> None:
+        """Go on as far as that is possible without waiting.
+
+        Raises
+        ------
+        DeviceError : what the script does not take care of.
+        """
+        while not self.ended:
+            if self._question is None:
+                if isinstance(self._say(self._script.send, None), Pause):
+                    return
+                continue
+            now = self._port.clock.now()
+            line = self._port.take_line()
+            if line is not None:
+                self._hear(self._question, line, now)
+            elif now - self._asked >= self._answer_s:
+                missed, self._question = self._question, None
+                self._say(self._script.throw, NoAnswer(f"no answer to {missed.text} within {self._answer_s:g} s"))
+            else:
+                return
+
+    def finish(self, deadline: float) -> Result:
+        """Go on to the end, waiting for what has to be waited for.
+
+        Raises
+        ------
+        DeviceError : what the script does not take care of; `NoAnswer` where the deadline comes first.
+        """
+        clock = self._port.clock
+        while True:
+            self.step()
+            if self.ended:
+                assert self.result is not None
+                return self.result
+            now = clock.now()
+            if now >= deadline:
+                asked = self._question.text if self._question else "the last command"
+                raise NoAnswer(f"no answer to {asked} in time")
+            if self._question is not None:
+                self._port.wait(min(deadline, self._asked + self._answer_s))
+            else:
+                clock.sleep_until(min(deadline, now + 0.01))
+
+    def _hear(self, question: Question, line: bytes, now: float) -> None:
+        try:
+            value = question.means(line)
+        except Unreadable as error:
+            if not question.patient:
+                self._question = None
+                self._say(self._script.throw, Unreadable(f"{question.text} was answered by {error}"))
+            return
+        self._question = None
+        self._say(self._script.send, Answer(value, self._asked, now))
+
+    def _say(self, proceed: Callable[[Any], Said], argument: Answer | DeviceError | None) -> Said | None:
+        """Let the script go on, and do what it says; None at its end."""
+        try:
+            said = proceed(argument)
+        except StopIteration as end:
+            self.ended, self.result = True, end.value
+            return None
+        if isinstance(said, Question):
+            self._port.write(said.text.encode("ascii") + b"\n")
+            self._question, self._asked = said, self._port.clock.now()
+        elif isinstance(said, bytes):
+            self._port.write(said)
+        elif isinstance(said, str):
+            self._port.write(said.encode("ascii") + b"\n")
+        return said

@@ -1,0 +1,85 @@
+"""A supply's driver, its far end and the line between them, with every byte of either side kept."""
+
+from leactl_plugins.scpi_supply.driver import ScpiSupply
+from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
+
+from leactl.driver.serial_port import SerialPort
+
+from .transports import SerialInProcess
+
+HEATED = {"dialect": "e36xx", "model": "E3633A", "feeds": "leads", "voltage_limit_V": 8.0, "current_limit_A": 10.0}
+
+
+class Tap:
+    """A connection with a tape of both directions, and a failure that a write or a read ends with."""
+
+    def __init__(self, bench) -> None:
+        self._bench, self._line = bench, bench.wire.connect()
+        bench.connections += 1
+
+    def read(self, timeout):
+        read = self._line.read(timeout)
+        self._bench.heard += read
+        return read
+
+    def write(self, data):
+        if self._bench.dead_connections >= self._bench.connections:
+            raise OSError(5, "Input/output error")
+        taken = self._line.write(data)
+        self._bench.said += data[:taken]
+        return taken
+
+    def close(self):
+        self._line.close()
+
+
+class SupplyBench:
+    """One supply at the host's line."""
+
+    def __init__(self, wire=None, **settings) -> None:
+        self.wire = wire or SerialInProcess()
+        self.exact, self.clock = self.wire.exact, self.wire.clock
+        self.settings = ScpiSupplySettings(**(HEATED | self.wire.settings | settings))
+        self.far = self.wire.supply(self.settings.dialect, self.settings.model, self.settings.serial_number or "0")
+        self.said, self.heard = bytearray(), bytearray()
+        self.connections = self.dead_connections = 0
+        self.port = SerialPort(lambda: Tap(self), self.clock, "supply0")
+        self.supply = ScpiSupply("supply", "test", self.settings, self.port, self.clock)
+
+    def lines(self):
+        """What was sent since the last call, a line each."""
+        sent = bytes(self.said).split(b"\n")
+        self.said.clear()
+        assert sent.pop() == b""
+        return sent
+
+    def until(self, arrived, limit_s=10.0, period=0.001):
+        """Run the loop until then; all rows."""
+        rows, end = [], self.clock.now() + limit_s
+        while self.clock.now() < end:
+            rows += self.supply.take()
+            if arrived(rows):
+                return rows
+            self.clock.sleep_until(self.clock.now() + period)
+        raise AssertionError(f"not within {limit_s} s")
+
+    def rows(self, count=1):
+        return self.until(lambda rows: len(rows) >= count)
+
+    def energise(self, volts=8.0, amperes=9.0):
+        """Open, and have the supply put out."""
+        self.supply.open()
+        self.supply.supply(volts, amperes)
+        self.supply.switch_on()
+        self.until(lambda _: self.supply.supplying)
+        self.rows()
+        self.said.clear()
+        self.supply.notices()
+
+    def made_safe(self):
+        """What the supply confirms, and how long that took."""
+        allowed, began = (1.0 if self.exact else 2.0), self.clock.now()
+        confirmed = self.supply.safe_state(allowed)
+        took = self.clock.now() - began
+        assert took <= allowed + (0.0 if self.exact else 0.5) + 1e-9
+        return confirmed

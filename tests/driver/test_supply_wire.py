@@ -1,0 +1,577 @@
+"""The supply's driver against its far end: bytes, refusals, answers that go wrong, and an output that goes off."""
+
+import math
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from leactl_plugins.scpi_supply import answers
+from leactl_plugins.scpi_supply.answers import Unreadable
+from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
+from pydantic import ValidationError
+
+from leactl.driver.contract import PowerSupply
+from leactl.driver.serial_port import LONGEST_LINE, SerialPort
+from leactl.emulation.clock import EmulatedClock
+from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
+
+from .failing import FailingSupplyEnd
+from .supply_bench import HEATED, SupplyBench
+
+E36XX = [
+    (b"\x03", b""),
+    (b"SYST:REM", b""),
+    (b"OUTP OFF", b""),
+    (b"*IDN?", b"HEWLETT-PACKARD,E3633A,0,1.7-5.0-1.0\r"),
+    (b"OUTP?", b"0\r"),
+    (b"MEAS:CURR?", b"+0.00000000E+00\r"),
+    (b"SYST:ERR?", b'+0,"No error"\r'),
+    (b"VOLT 0.0000", b""),
+    (b"VOLT?", b"+0.00000000E+00\r"),
+    (b"CURR 0.0000", b""),
+    (b"CURR?", b"+0.00000000E+00\r"),
+    (b"VOLT:PROT 8.0000", b""),
+    (b"VOLT:PROT?", b"+8.00000000E+00\r"),
+    (b"VOLT:PROT:STAT ON", b""),
+    (b"VOLT:PROT:STAT?", b"1\r"),
+    (b"VOLT:PROT:TRIP?", b"0\r"),
+    (b"CURR:PROT 10.0000", b""),
+    (b"CURR:PROT?", b"+1.00000000E+01\r"),
+    (b"CURR:PROT:STAT ON", b""),
+    (b"CURR:PROT:STAT?", b"1\r"),
+    (b"CURR:PROT:TRIP?", b"0\r"),
+    (b"SYST:ERR?", b'+0,"No error"\r'),
+]
+DP800 = [
+    (b"", b""),
+    (b"SYST:REM", b""),
+    (b"OUTP OFF", b""),
+    (b"*IDN?", b"RIGOL TECHNOLOGIES,DP811,DP8C1,00.01.16"),
+    (b"OUTP?", b"OFF"),
+    (b"MEAS:CURR?", b"0.0000"),
+    (b"SYST:ERR?", b'0,"No error"'),
+    (b"VOLT 0.0000", b""),
+    (b"VOLT?", b"0.0000"),
+    (b"CURR 0.0000", b""),
+    (b"CURR?", b"0.0000"),
+    (b"OUTP:OVP:VAL 8.0000", b""),
+    (b"OUTP:OVP:VAL?", b"8.0000"),
+    (b"OUTP:OVP ON", b""),
+    (b"OUTP:OVP?", b"ON"),
+    (b"OUTP:OVP:QUES?", b"NO"),
+    (b"OUTP:OCP:VAL 10.0000", b""),
+    (b"OUTP:OCP:VAL?", b"10.0000"),
+    (b"OUTP:OCP ON", b""),
+    (b"OUTP:OCP?", b"ON"),
+    (b"OUTP:OCP:QUES?", b"NO"),
+    (b"SYST:ERR?", b'0,"No error"'),
+]
+RIGOL = {"dialect": "dp800", "model": "DP811", "serial_number": "DP8C1"}
+
+
+@pytest.fixture
+def bench(make_supply):
+    return make_supply()
+
+
+@pytest.fixture
+def here():
+    """A bench in this process: its time is emulated, and its line fails on request."""
+    return SupplyBench()
+
+
+# -- opening ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("own", "exchanges"), [({}, E36XX), (RIGOL, DP800)], ids=["e36xx", "dp800"])
+def test_opening_makes_off_and_arms_the_protections_and_reads_each_back(make_supply, own, exchanges):
+    bench = make_supply(**own)
+    bench.supply.open()
+    assert bench.lines() == [sent for sent, _ in exchanges]
+    assert bytes(bench.heard).split(b"\n") == [*(answer for _, answer in exchanges if answer), b""]
+
+
+def test_an_output_that_was_left_on_is_off_after_opening(bench):
+    bench.far.leave_on(6.0, 5.0)
+    bench.far.note_error(-113, "Undefined header")
+    bench.supply.open()
+    assert bench.far.output() == [False, 0.0, 0.0]
+    assert bench.far.levels() == [0.0, 0.0, 8.0, 10.0]
+    assert bench.supply.notices() == ["had an error from before: -113, Undefined header"]
+
+
+@pytest.mark.parametrize(
+    ("other", "complaint"),
+    [
+        ({"model": "E3634A"}, "supply: HEWLETT-PACKARD E3633A answers; E3634A was expected"),
+        ({"serial_number": "MY5"}, "supply: serial number 0 answers; MY5 was expected"),
+    ],
+)
+def test_another_instrument_is_refused(here, other, complaint):
+    here.supply.settings = here.settings.model_copy(update=other)
+    with pytest.raises(DeviceError) as refused:
+        here.supply.open()
+    assert str(refused.value) == complaint
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "complaint"),
+    [
+        (("ignore", "VOLT:PROT 8"), DeviceError, "supply: VOLT:PROT holds 22 after 8 was written"),
+        (("ignore", "VOLT 0"), DeviceError, "supply: VOLT holds 6 after 0 was written"),
+        (("trip",), DeviceFault, "over-voltage protection has tripped; find out why, then clear it at the instrument"),
+        (("stuck_on",), DeviceFault, "supply: the output is still on"),
+        (("stuck_on", False), DeviceFault, "supply: the output is said to be off and 5.000 A flow"),
+        (("freeze",), NoAnswer, "supply: no answer to *IDN?"),
+    ],
+)
+def test_a_supply_that_is_not_as_it_was_told_to_be_is_refused(here, fault, kind, complaint):
+    here.far.leave_on(6.0, 5.0)
+    getattr(here.far, fault[0])(*fault[1:])
+    with pytest.raises(kind) as refused:
+        here.supply.open()
+    assert complaint in str(refused.value)
+
+
+def test_a_level_beyond_the_instrument_s_range_is_refused_by_its_error(here):
+    here.supply.settings = here.settings.model_copy(update={"output_range": "high", "voltage_limit_V": 21.0})
+    here.far.ignore("VOLT:RANG")
+    here.far.ignore("VOLT:PROT 21")
+    with pytest.raises(DeviceError, match="VOLT:PROT holds 22 after 21"):
+        here.supply.open()
+
+
+def test_output_range_is_chosen_where_there_are_two(here):
+    here.supply.settings = here.settings.model_copy(update={"output_range": "high"})
+    here.supply.open()
+    assert b"VOLT:RANG HIGH" in here.lines()
+    here.supply.settings = here.settings.model_copy(update={"current_limit_A": 15.0})
+    here.supply.supply(5.0, 12.0)  # 20 V range: 10 A
+    with pytest.raises(DeviceError, match="supply: CURR holds 0 after 12 was written"):
+        here.until(lambda _: False)
+
+
+# -- commands --------------------------------------------------------------------------------------------------------
+
+
+def test_levels_then_on_each_read_back(bench):
+    bench.supply.open()
+    bench.lines()
+    bench.supply.supply(7.5, 9.0)
+    bench.supply.switch_on()
+    assert not bench.supply.supplying
+    bench.until(lambda _: bench.supply.supplying)
+    expected = [b"*IDN?", b"CURR 9.0000", b"CURR?", b"VOLT 7.5000", b"VOLT?", b"OUTP ON", b"OUTP?"]
+    assert bench.lines()[:7] == expected
+    assert bench.far.output() == [True, pytest.approx(5.4), 9.0]
+    assert isinstance(bench.supply, PowerSupply)
+
+
+@pytest.mark.parametrize("levels", [(8.1, 1.0), (1.0, 10.1), (-0.1, 1.0), (1.0, math.nan), (math.inf, 1.0)])
+def test_levels_beyond_the_protections_go_nowhere(bench, levels):
+    bench.supply.open()
+    bench.rows()
+    bench.lines()
+    with pytest.raises(InputError, match=r"supply: .* asked of a supply that is good for 0 to"):
+        bench.supply.supply(*levels)
+    bench.rows()
+    assert not any(line.startswith((b"VOLT ", b"CURR ")) for line in bench.lines())
+
+
+def test_off_is_sent_at_once_in_the_middle_of_a_question_and_then_confirmed(bench):
+    bench.energise()
+    bench.until(lambda _: bench.said)
+    bench.lines()
+    bench.supply.switch_off()
+    assert bench.lines() == [b"\x03", b"SYST:REM", b"OUTP OFF"]
+    bench.until(lambda _: not bench.supply.supplying)
+    assert bench.lines()[:3] == [b"*IDN?", b"OUTP OFF", b"OUTP?"]
+    assert bench.far.output() == [False, 0.0, 0.0]
+    assert bench.rows()[0].fault == ""
+
+
+def test_an_output_that_does_not_go_on_is_a_fault(bench):
+    bench.supply.open()
+    bench.far.ignore("OUTP ON")
+    bench.supply.switch_on()
+    with pytest.raises(DeviceFault, match="supply: the output does not switch on"):
+        bench.until(lambda _: False)
+
+
+# -- readings --------------------------------------------------------------------------------------------------------
+
+
+def test_a_round_is_voltage_current_and_how_the_instrument_fares(bench):
+    bench.energise()
+    before = bench.clock.now()
+    (row,) = bench.rows()
+    assert bench.lines()[-7:] == [
+        b"MEAS:VOLT?",
+        b"MEAS:CURR?",
+        b"OUTP?",
+        b"STAT:QUES:COND?",
+        b"SYST:ERR?",
+        b"VOLT:PROT:TRIP?",
+        b"CURR:PROT:TRIP?",
+    ]
+    assert row.stream == "supply"
+    assert row.values == (pytest.approx(5.4), pytest.approx(9.0))
+    assert before - 1.1 <= row.time <= bench.clock.now()
+
+
+@pytest.mark.parametrize(
+    ("feeds", "quantities"), [("leads", ["line_voltage", "line_current"]), ("bus", ["bus_voltage", "bus_current"])]
+)
+def test_what_it_feeds_names_its_channels(feeds, quantities):
+    (stream,) = SupplyBench(feeds=feeds).supply.streams
+    assert [(channel.quantity, channel.role) for channel in stream.channels] == [(name, "test") for name in quantities]
+
+
+def test_the_stamp_is_the_middle_of_asking_for_voltage_and_current(here):
+    here.energise()
+    here.until(lambda _: b"MEAS:VOLT?" in here.said)
+    asked = here.clock.now()
+    here.until(lambda _: b"OUTP?" in here.said)
+    answered = here.clock.now()
+    (row,) = here.rows()
+    assert row.time == pytest.approx((asked + answered) / 2, abs=0.0015)
+
+
+def test_nothing_waits_in_the_loop_whatever_the_instrument_does(here):
+    here.energise()
+    here.far.slow_down(0.2)
+    for step in range(5000):
+        if step == 3000:
+            here.far.freeze()
+        before = here.clock.now()
+        try:
+            here.supply.take()
+        except NoAnswer:
+            break
+        finally:
+            assert here.clock.now() == before
+        here.clock.sleep_until(before + 0.001)
+    else:
+        raise AssertionError("a frozen supply is not missed")
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        (("go_off",), "supply: the output is off by itself"),
+        (("trip",), "supply: over-voltage protection has tripped"),
+        (("lose_regulation", 0.5), "supply: out of regulation, condition 0"),
+    ],
+)
+def test_what_the_supply_does_by_itself_is_a_fault_not_a_value(bench, fault, said):
+    bench.energise()
+    getattr(bench.far, fault[0])(*fault[1:])
+    row = bench.until(lambda rows: rows and rows[-1].fault)[-1]
+    assert row.fault == said
+    assert all(math.isnan(value) for value in row.values)
+
+
+def test_an_output_that_goes_on_by_itself_is_a_fault(bench):
+    bench.supply.open()
+    bench.rows()
+    bench.far.leave_on(5.0, 5.0)
+    assert bench.until(lambda rows: rows and rows[-1].fault)[-1].fault == "supply: the output is on by itself"
+
+
+def test_errors_and_changes_of_regulation_are_noticed(bench):
+    bench.energise()
+    bench.far.note_error(-222, "Data out of range")
+    bench.supply.supply(3.0, 9.0)
+    bench.until(lambda rows: rows and rows[-1].values[0] < 3.1)
+    bench.rows()
+    found = bench.supply.notices()
+    assert "error -222, Data out of range" in found
+    assert "constant voltage: 3.000 V, 5.000 A" in found
+
+
+# -- answers that go wrong -------------------------------------------------------------------------------------------
+
+GARBAGE = {
+    "garbled": b"+5.4\xff0000E+00\r\n".hex(),
+    "another question's": b'+0,"No error"\r\n'.hex(),
+    "cut short": b"+5.40000".hex(),
+    "no number": b"+9.91000000E+37\r\n".hex(),
+    "empty": b"\r\n".hex(),
+    "lost": None,
+}
+
+
+@pytest.mark.parametrize("answer", GARBAGE.values(), ids=GARBAGE)
+def test_one_bad_answer_costs_a_round_and_none_is_guessed(here, answer):
+    here.energise()
+    here.until(lambda _: b"MEAS:VOLT?" in here.said)
+    here.far.spoil(answer)
+    rows = here.rows(2)
+    assert all(row.values == (pytest.approx(5.4), pytest.approx(9.0)) for row in rows)
+    notices = [text for text in here.supply.notices() if text.startswith("a round was lost")]
+    assert len(notices) == 1
+
+
+def test_a_lost_answer_is_lived_with_on_every_transport(make_supply):
+    bench = make_supply()
+    bench.energise()
+    bench.far.spoil(None)
+    assert bench.rows()[0].values == (pytest.approx(5.4), pytest.approx(9.0))
+
+
+def test_a_late_answer_is_not_taken_for_the_next_question_s(here):
+    here.energise()
+    here.until(lambda _: b"MEAS:VOLT?" in here.said)
+    here.far.slow_down(0.35)
+    here.clock.sleep_until(here.clock.now() + 0.05)  # the question has arrived
+    here.far.slow_down(0.02)
+    rows = here.rows(3)
+    assert {(round(row.values[0], 6), round(row.values[1], 6)) for row in rows} == {(5.4, 9.0)}
+    assert here.supply.notices() == ["a round was lost: no answer to MEAS:VOLT? within 0.3 s"]
+
+
+def test_three_rounds_lost_in_a_row_end_it(here):
+    here.energise()
+    here.far.freeze()
+    began = here.clock.now()
+    with pytest.raises(NoAnswer, match=r"supply: no answer to .* within 0.3 s"):
+        here.until(lambda _: False)
+    assert here.clock.now() - began < 5.0
+
+
+def test_an_adapter_that_is_pulled_out_is_a_device_error(here):
+    here.energise()
+    here.wire.wire.gone = True
+    with pytest.raises(DeviceError, match="supply: bus 'supply0': the device is gone"):
+        here.until(lambda _: False)
+
+
+def test_an_error_queue_without_end_is_told(here):
+    here.supply.open()
+    here.far._next_error = lambda: '-350,"Queue overflow"'
+    with pytest.raises(DeviceError, match="the error queue does not end; last error -350, Queue overflow"):
+        here.until(lambda _: False)
+
+
+# -- the safe state --------------------------------------------------------------------------------------------------
+
+
+def never_opened(bench):
+    bench.far.leave_on(8.0, 9.0)
+
+
+def in_the_middle_of_a_question(bench):
+    bench.energise()
+    bench.until(lambda _: b"MEAS" in bench.said)
+
+
+def behind_a_half_sent_command(bench):
+    bench.energise()
+    bench.port.write(b"VOLT 3")
+
+
+def with_bytes_lost(bench):
+    bench.energise()
+    bench.far.miss(20)
+
+
+def with_an_answer_garbled(bench):
+    bench.energise()
+    bench.far.spoil(b"\xff\xff\r\n".hex())
+
+
+def closed(bench):
+    bench.energise()
+    bench.supply.close()
+
+
+def safe_already(bench):
+    bench.energise()
+    bench.supply.safe_state(1.0)
+
+
+STATES = [
+    never_opened,
+    SupplyBench.energise,
+    in_the_middle_of_a_question,
+    behind_a_half_sent_command,
+    with_bytes_lost,
+    with_an_answer_garbled,
+    closed,
+    safe_already,
+]
+
+
+@pytest.mark.parametrize("state", STATES, ids=lambda state: state.__name__)
+def test_off_from_any_state(make_supply, state):
+    bench = make_supply()
+    state(bench)
+    confirmed = bench.made_safe()
+    assert confirmed == (True, "output off, 0.000 A")
+    assert bench.far.output()[0] is False
+
+
+def test_off_is_asked_for_after_it_was_sent_and_the_current_measured(bench):
+    bench.energise()
+    bench.made_safe()
+    assert bench.lines() == [b"\x03", b"SYST:REM", b"OUTP OFF", b"*IDN?", b"OUTP?", b"MEAS:CURR?"]
+
+
+def test_stop_now_waits_for_nothing(here):
+    here.energise()
+    before = here.clock.now()
+    here.supply.stop_now()
+    assert (here.clock.now(), here.lines()) == (before, [b"\x03", b"SYST:REM", b"OUTP OFF"])
+
+
+@pytest.mark.parametrize(
+    ("admits", "detail"),
+    [(True, "the output is still on"), (False, "the output is said to be off and 9.000 A flow")],
+)
+def test_a_supply_that_does_not_switch_off_is_not_called_safe(bench, admits, detail):
+    bench.energise()
+    bench.far.stuck_on(admits)
+    confirmed = bench.made_safe()
+    assert not confirmed.safe
+    assert detail in confirmed.detail
+    assert bench.far.output()[2] == 9.0
+
+
+def test_a_supply_that_is_mended_is_switched_off_after_all(bench):
+    bench.energise()
+    bench.far.stuck_on()
+    assert not bench.made_safe().safe
+    bench.far.mend()
+    assert bench.made_safe().safe
+
+
+@pytest.mark.parametrize("failure", ["cut", "gone"])
+def test_a_line_that_is_dead_is_not_called_safe(here, failure):
+    here.energise()
+    setattr(here.wire.wire, failure, True)
+    confirmed = here.made_safe()
+    assert not confirmed.safe
+    assert "not confirmed within 1 s: " in confirmed.detail
+    setattr(here.wire.wire, failure, False)
+    assert here.made_safe().safe
+
+
+def test_a_connection_that_is_dead_is_replaced(bench):
+    bench.energise()
+    bench.dead_connections = bench.connections
+    bench.supply.stop_now()
+    assert bench.made_safe().safe
+    assert bench.connections == bench.dead_connections + 1
+
+
+def test_another_instrument_s_word_is_not_taken(here):
+    here.energise()
+    here.far.model = "34401A"
+    confirmed = here.made_safe()
+    assert not confirmed.safe
+    assert "HEWLETT-PACKARD 34401A answers; E3633A was expected" in confirmed.detail
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.lists(st.sampled_from(["0", "1", "+0.00000000E+00", "", None, "\xff"]), max_size=6), st.booleans())
+def test_stale_and_spoilt_answers_never_make_a_stuck_supply_safe(spoilt, asking):
+    bench = SupplyBench()
+    bench.energise()
+    if asking:
+        in_the_middle_of_a_question(bench)
+    bench.far.stuck_on()
+    for text in spoilt:  # answers to earlier questions that are still on their way
+        bench.far._output.append((bench.clock.now(), b"" if text is None else text.encode("latin1") + b"\r\n"))
+    assert not bench.supply.safe_state(1.0).safe
+
+
+@given(st.lists(st.one_of(st.binary(max_size=20), st.sampled_from([b"\n", b"OUTP", b"VOLT 3", b";", b"\x03", b"?"]))))
+def test_nothing_but_output_on_switches_the_far_end_on(chunks):
+    far = FailingSupplyEnd()
+    for step, chunk in enumerate(chunks):
+        far.receive(chunk, 0.1 * step)
+        far.tick(0.1 * step)
+    assert not far.on or b"OUTP" in b"".join(chunks).upper()
+
+
+# -- the parser and the port -----------------------------------------------------------------------------------------
+
+
+@given(st.binary(max_size=40))
+def test_an_answer_is_read_or_refused_never_anything_else(line):
+    for read in (answers.number, answers.truth, answers.register, answers.entry, answers.identity):
+        try:
+            value = read(line)
+        except Unreadable as error:
+            assert "\n" not in str(error)
+        else:
+            assert not isinstance(value, float) or abs(value) <= 1e4
+
+
+@given(st.floats(-1e4, 1e4), st.sampled_from(["{:+.8E}", "{:.4f}", "{:g}"]))
+def test_every_number_that_a_supply_prints_is_read(value, form):
+    text = form.format(value)
+    assert answers.number(text.encode()) == float(text)
+
+
+@pytest.mark.parametrize(
+    "text", [b"1e", b"+", b".", b"1.2.3", b"nan", b"inf", b"1_0", b"0x10", b"9.9E37", b" ", b"1 2"]
+)
+def test_what_is_no_number_is_refused(text):
+    with pytest.raises(Unreadable):
+        answers.number(text)
+
+
+class Chunks:
+    """A line on which these chunks come, one a read."""
+
+    def __init__(self, chunks):
+        self._chunks = list(chunks)
+
+    def read(self, timeout):
+        return self._chunks.pop(0) if self._chunks else b""
+
+
+@given(st.binary(max_size=60), st.lists(st.integers(0, 60), max_size=6))
+def test_lines_do_not_depend_on_how_their_bytes_come(data, cuts):
+    places = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
+    port = SerialPort(lambda: Chunks(data[a:b] for a, b in pairwise(places)), EmulatedClock())
+    port.open()
+    taken = [port.take_line() for _ in range(len(data) + len(places))]
+    assert [line for line in taken if line is not None] == [line.rstrip(b"\r") for line in data.split(b"\n")[:-1]]
+
+
+def test_noise_without_an_end_does_not_pile_up():
+    port = SerialPort(lambda: Chunks([b"x" * 5000] * 20 + [b"\n"]), EmulatedClock())
+    port.open()
+    lines = [port.take_line() for _ in range(21)]
+    assert lines[:-1] == [None] * 20
+    assert len(lines[-1]) <= LONGEST_LINE
+
+
+# -- settings --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"voltage_limit_V": 0},
+        {"current_limit_A": math.inf},
+        {"feeds": "drives"},
+        {"dialect": "korad"},
+        {"period_s": 0.01},
+        {"dialect": "dp800", "output_range": "low"},
+        {"model": ""},
+        {"volts": 3},
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(ValidationError):
+        ScpiSupplySettings(**(HEATED | wrong))
+
+
+def test_without_limits_there_is_no_supply():
+    for name in ("voltage_limit_V", "current_limit_A", "model"):
+        with pytest.raises(ValidationError):
+            ScpiSupplySettings(**{key: value for key, value in HEATED.items() if key != name})
