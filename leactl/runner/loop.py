@@ -70,6 +70,9 @@ class Loop:
             for action in self._plan.actions:
                 self._perform(action)
             self._cycle()
+        except BaseException as error:
+            self._supervisor.latch(str(error))  # a drive's fault as well as a trip: nothing is commanded after it
+            raise
         finally:
             self._pass_on_notices()
 
@@ -108,7 +111,8 @@ class Loop:
         bench.feed()
         self._flush.after_cycle()
         self.cycles += 1
-        if not self.cycles % NOTICES_EVERY:
+        if supervisor.warnings or not self.cycles % NOTICES_EVERY:
+            supervisor.free_space(self._flush.free_bytes)
             self._pass_on_notices()
         progress = self._progress
         progress.values, progress.own = row, self._newest
@@ -128,6 +132,9 @@ class Loop:
     def _pass_on_notices(self) -> None:
         for source, text in self._bench.notices():
             self._note("warning", source, text)
+        for text in self._supervisor.take_warnings():
+            self._note("warning", "safety", text)
+            self._progress.warnings.append(text)
 
     def _note(self, level: str, source: str, message: str) -> None:
         self._writer.event(self._clock.now() - self._start, level, source, message)

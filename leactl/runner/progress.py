@@ -19,6 +19,7 @@ class Progress:
     temperatures: dict[str, float] = field(default_factory=dict)
     step: str = ""
     prompt: str = ""
+    warnings: list[str] = field(default_factory=list)  # of interlocks, in the order of their crossing
     view_fault: str = ""  # what went wrong with showing the run, which is no fault of the run
     done_s: float = 0.0
     began: float = field(default_factory=time.monotonic)
