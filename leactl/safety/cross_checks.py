@@ -17,6 +17,7 @@ class _Still:
         self.panel, self.watch, self.stuck_s = panel, watch, stuck_s
         self.value, self.ends = math.nan, -math.inf
         self.others: list[Sequence[float]] = []
+        self.alone = True  # so far: no other channel has moved
 
 
 class Stuck:
@@ -48,6 +49,8 @@ class Stuck:
         SafetyTrip : by way of the watch's `trip`.
         """
         self._still = [item for item in self._still if item.panel.values[item.watch.index] == item.value]
+        for item in self._still:
+            item.alone = item.alone and not self._others_moved(item)
         if now >= self._next:
             self._turn(now)
         self.due = -math.inf if self._still else self._next
@@ -56,13 +59,14 @@ class Stuck:
         """End the stretches that are over, and begin the next."""
         for item in self._channels:
             if now >= item.ends and item.panel.values:
-                if item in self._still and self._others_moved(item):
+                if item in self._still and not item.alone:
                     watch = item.watch
                     watch.trip(
                         f"{watch.label} has been exactly {item.value:.6g} {watch.unit} for {item.stuck_s:g} s while"
                         " others moved: stuck"
                     )
                 item.value, item.ends = item.panel.values[item.watch.index], now + item.stuck_s
+                item.alone = True
                 item.others = [tuple(panel.values) for panel in self._panels]
                 if item not in self._still:
                     self._still.append(item)

@@ -106,7 +106,7 @@ class Supervisor:
         self._stuck = Stuck(panels, interlocks)
         self._pace = Pace(interlocks.loop_overruns, interlocks.clock, self.trip, now)
         self._disk = Disk(interlocks.disk_space, self.trip, self.warnings.append)
-        self._torques = self._torque_estimates(torque_model)
+        self._torques = self._torque_estimates(panels, torque_model)
         self._ages_due = -math.inf
 
     def _panel(self, channels: Sequence[ChannelSpec], age: float, now: float) -> Panel:
@@ -120,11 +120,11 @@ class Supervisor:
         panel = self._panel(channels, self._limits.cyclic_age(0.0), now)
         return _Guarded(axis, panel, place["q_axis_current"], place.get("angle"), place.get("velocity"), advanced=now)
 
-    def _torque_estimates(self, model: TorqueModel | None) -> TorqueEstimates | None:
+    def _torque_estimates(self, panels: Sequence[Panel], model: TorqueModel | None) -> TorqueEstimates | None:
         settings, test = self._interlocks.torque_disagreement, self._axes.get("test")
         if model is None or settings is None or test is None or test.velocity is None:
             return None
-        for panel in self._own.values():
+        for panel in panels:
             for watch in panel.watches:
                 if (watch.channel.quantity, watch.channel.role) == ("torque", "test"):
                     return TorqueEstimates(settings, model, (panel, watch))
