@@ -268,7 +268,7 @@ class Interlocks(BaseModel):
         for quantity, entry, place in self.entries():
             bounds = limits.of(quantity)
             low, high = entry.window("trip")
-            for value, beyond in ((low, bounds and low < bounds[0]), (high, bounds and high > bounds[1])):
+            for value, beyond in ((high, bounds and high > bounds[1]), (low, bounds and low < bounds[0])):
                 if bounds is not None and beyond and math.isfinite(value):
                     unit = UNITS[quantity]
                     message = (
