@@ -8,6 +8,7 @@ from leactl.safety.interlocks import Interlocks, TorqueDisagreement
 from leactl.safety.watching import Panel, Watch
 
 TEMPERATURE_STUCK_S = 600.0  # a temperature without a word on it: at a thousandth of a kelvin none stands still so long
+OTHERS_EVERY = 16  # cycles in which others are looked at: that they move at all shows soon enough
 
 
 class _Still:
@@ -38,7 +39,7 @@ class Stuck:
             if shortest is not None:
                 self._channels.append(_Still(owner, watch, shortest))
         self._still: list[_Still] = []
-        self._next = -math.inf
+        self._next, self._looks = -math.inf, 0
         self.due = -math.inf if self._channels else math.inf
 
     def look(self, now: float) -> None:
@@ -49,8 +50,10 @@ class Stuck:
         SafetyTrip : by way of the watch's `trip`.
         """
         self._still = [item for item in self._still if item.panel.values[item.watch.index] == item.value]
-        for item in self._still:
-            item.alone = item.alone and not self._others_moved(item)
+        self._looks += 1
+        if not self._looks % OTHERS_EVERY:
+            for item in self._still:
+                item.alone = item.alone and not self._others_moved(item)
         if now >= self._next:
             self._turn(now)
         self.due = -math.inf if self._still else self._next

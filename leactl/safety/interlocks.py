@@ -275,6 +275,7 @@ class Interlocks(BaseModel):
                         f"a trip at {value:g} {unit} is beyond the limits of {bounds[0]:g} to {bounds[1]:g} {unit}"
                     )
                     faults.append((place, f"{message}, which trip first; lower it, or raise the limit"))
+                    break
         return faults
 
     def blind(self, channels: Sequence[ChannelSpec]) -> list[tuple[Place, str]]:

@@ -107,7 +107,13 @@ class Supervisor:
         self._pace = Pace(interlocks.loop_overruns, interlocks.clock, self.trip, now)
         self._disk = Disk(interlocks.disk_space, self.trip, self.warnings.append)
         self._torques = self._torque_estimates(panels, torque_model)
-        self._ages_due = -math.inf
+        self._due = self._ages_due = -math.inf
+        # by names of their own: `check` runs in every cycle
+        self._judged = [
+            (role, guarded, guarded.axis.motion, guarded.axis.winding, guarded.panel.look)
+            for role, guarded in self._axes.items()
+        ]
+        self._keep_pace = self._pace.look
 
     def _panel(self, channels: Sequence[ChannelSpec], age: float, now: float) -> Panel:
         panel = Panel(channels, self._limits, self._interlocks, self.trip, self.warnings.append)
@@ -139,7 +145,7 @@ class Supervisor:
         for panel in self._own.values():
             panel.begin(now, self._limits.age_s)
         self._pace.begin(period, now)
-        self._ages_due = -math.inf
+        self._due = self._ages_due = -math.inf
 
     # -- commands ----------------------------------------------------------------------------------------------------
 
@@ -211,12 +217,11 @@ class Supervisor:
         """
         if self.tripped:
             raise SafetyTrip(self.tripped)
-        self._pace.look(now)
+        self._keep_pace(now)
         hottest = self._hottest
-        for role, guarded in self._axes.items():
-            _, motion, estimate = guarded.axis
+        for role, guarded, motion, estimate, look in self._judged:
             values = motion.values
-            guarded.panel.look(values, now)
+            look(values, now)
             if guarded.path is not None:
                 guarded.path.exchanged(guarded.measured_angle, motion.engaged, now)
             measured = abs(values[guarded.current])
@@ -230,14 +235,20 @@ class Supervisor:
             guarded.advanced, guarded.squares, guarded.cycles = now, 0.0, 0
             if not winding < hottest:
                 self.trip(f"{role} winding estimate of {winding:.1f} degC reached the limit of {hottest:g} degC")
-        if now >= self._ages_due:
-            self._ages_due = min((panel.check_age(now) for panel in self._own.values()), default=math.inf)
-        if now >= self._stuck.due:
-            self._stuck.look(now)
+        if now >= self._due:
+            self._look_at_all(now)
         if self._torques is not None:
             test = self._axes["test"]
             values = test.axis.motion.values
             self._torques.look(values[test.current], values[test.velocity or 0], now)
+
+    def _look_at_all(self, now: float) -> None:
+        """What need not be looked at in every cycle: ages of the devices' own streams, and what stands still."""
+        if now >= self._ages_due:
+            self._ages_due = min((panel.check_age(now) for panel in self._own.values()), default=math.inf)
+        if now >= self._stuck.due:
+            self._stuck.look(now)
+        self._due = min(self._ages_due, self._stuck.due)
 
     def receive(self, row: Row) -> None:
         """Judge a sample of a device's own stream.

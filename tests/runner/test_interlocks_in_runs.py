@@ -1,4 +1,4 @@
-"""Interlocks in whole runs: at most one cycle from a sample to zero torque on the wire, warnings in the file, the disk."""
+"""Interlocks in whole runs: one cycle from a sample to zero torque on the wire, warnings in the file, the disk."""
 
 import json
 import os

@@ -282,7 +282,7 @@ def test_a_share_of_overruns_trips_and_a_smaller_one_does_not(make):
             rig.supervised_cycle()
 
     every(14)
-    with pytest.raises(SafetyTrip, match="51 loop overruns in 0.5 s; 10 % of the cycles are allowed"):
+    with pytest.raises(SafetyTrip, match=r"51 loop overruns in 0.5 s; 10 % of the cycles are allowed"):
         every(4)
 
 
@@ -299,7 +299,7 @@ def test_a_clock_that_goes_back_or_leaps_trips(make):
     rig = make()
     rig.run(0.05)
     rig.clock._time -= 0.002
-    with pytest.raises(SafetyTrip, match="the bench's clock went back by 0.001 s"):
+    with pytest.raises(SafetyTrip, match=r"the bench's clock went back by 0.001 s"):
         rig.supervised_cycle()
 
 
