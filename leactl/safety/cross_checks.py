@@ -100,31 +100,36 @@ class TorqueEstimates:
     the Coulomb friction, so that its bound is allowed for, and |J acceleration| from the velocities of two cycles.
     """
 
-    def __init__(self, settings: TorqueDisagreement, model: TorqueModel, torque: tuple[Panel, Watch]) -> None:
+    def __init__(
+        self, settings: TorqueDisagreement, model: TorqueModel, sensor: tuple[Panel, Watch], drive: Panel
+    ) -> None:
         self._settings, self._model = settings, model
-        self._panel, self._watch = torque
+        (self._sensor, self._watch), self._drive = sensor, drive
+        place = {watch.channel.quantity: watch.index for watch in drive.watches}
+        self._current, self._speed, self._torque = place["q_axis_current"], place["velocity"], self._watch.index
         self._torque_constant = model.torque_constant
         self._least = settings.tolerance_Nm + model.coulomb_friction
         self._since = math.nan
         self._velocity, self._at = math.nan, -math.inf
 
-    def look(self, current: float, velocity: float, now: float) -> None:
-        """Judge the newest sensor reading by the exchange that has just ended.
+    def look(self, now: float) -> None:
+        """Judge the newest sensor reading, which there must be, by the exchange that has just ended.
 
         Raises
         ------
         SafetyTrip : by way of the watch's `trip`.
         """
-        if self._panel.values:
-            apart = self._panel.values[self._watch.index] - self._torque_constant * current
-            if -self._least <= apart <= self._least:
-                self._since = math.nan
-            else:
-                self._look_closer(apart, current, velocity, now)
-        self._velocity, self._at = velocity, now
+        values = self._drive.values
+        apart = self._sensor.values[self._torque] - self._torque_constant * values[self._current]
+        if -self._least <= apart <= self._least:
+            self._since = math.nan
+        else:
+            self._look_closer(apart, values[self._current], values[self._speed], now)
 
     def _look_closer(self, apart: float, current: float, velocity: float, now: float) -> None:
+        # from one closer look to the next: at the first the acceleration is unknown, and counts as none for a cycle
         acceleration = (velocity - self._velocity) / (now - self._at) if now > self._at else 0.0
+        self._velocity, self._at = velocity, now
         allowed = self._least + self._model.viscous_damping * abs(velocity)
         allowed += self._model.rotor_inertia * abs(acceleration)
         if not abs(apart) > allowed:  # NaN: its age tells

@@ -51,7 +51,6 @@ class _Guarded:
     panel: Panel
     current: int  # where the q-axis current stands among the values
     angle: int | None
-    velocity: int | None
     quantity: str = "setpoint"  # that the engaged mode sets
     bounds: tuple[float, float] = UNLIMITED
     reference: float = 0.0  # of a current, which heats
@@ -124,16 +123,17 @@ class Supervisor:
         channels = axis.motion.loop_channels
         place = {channel.quantity: index for index, channel in enumerate(channels)}
         panel = self._panel(channels, self._limits.cyclic_age(0.0), now)
-        return _Guarded(axis, panel, place["q_axis_current"], place.get("angle"), place.get("velocity"), advanced=now)
+        return _Guarded(axis, panel, place["q_axis_current"], place.get("angle"), advanced=now)
 
     def _torque_estimates(self, panels: Sequence[Panel], model: TorqueModel | None) -> TorqueEstimates | None:
         settings, test = self._interlocks.torque_disagreement, self._axes.get("test")
-        if model is None or settings is None or test is None or test.velocity is None:
+        if model is None or settings is None or test is None:
             return None
         for panel in panels:
             for watch in panel.watches:
                 if (watch.channel.quantity, watch.channel.role) == ("torque", "test"):
-                    return TorqueEstimates(settings, model, (panel, watch))
+                    panel.values = panel.values or [math.nan] * len(panel.watches)  # until the first reading
+                    return TorqueEstimates(settings, model, (panel, watch), test.panel)
         return None
 
     def begin(self, period: float) -> None:
@@ -238,9 +238,7 @@ class Supervisor:
         if now >= self._due:
             self._look_at_all(now)
         if self._torques is not None:
-            test = self._axes["test"]
-            values = test.axis.motion.values
-            self._torques.look(values[test.current], values[test.velocity or 0], now)
+            self._torques.look(now)
 
     def _look_at_all(self, now: float) -> None:
         """What need not be looked at in every cycle: ages of the devices' own streams, and what stands still."""

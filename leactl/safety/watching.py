@@ -134,8 +134,11 @@ class Panel:
         ]
         self.values: Sequence[float] = ()  # the latest
         self._windows = [(watch.index, *watch.quiet) for watch in self.watches]
-        self._rates = [(watch.index, watch.rate) for watch in self.watches if watch.rate < math.inf]
-        self._before: Sequence[float] = ()  # values of the last look, where a rate is watched
+        self._rated = [watch for watch in self.watches if watch.rate < math.inf]
+        # of each channel whose rate is watched: its place, its rate, and its value at the last look
+        self._rates: list[tuple[int, float, list[float]]] = [
+            (watch.index, watch.rate, [math.nan]) for watch in self._rated
+        ]
         self._quiet = False
         self.looked = -math.inf
 
@@ -158,28 +161,29 @@ class Panel:
                 if not low <= values[index] <= high:
                     break
             else:
-                if not self._rates:
-                    self.looked = now
-                    return
-                time, before = now - self.looked, self._before
-                for index, rate in self._rates:
-                    if not -rate * time <= values[index] - before[index] <= rate * time:
+                time = now - self.looked
+                for index, rate, last in self._rates:
+                    if not abs(values[index] - last[0]) <= rate * time:
                         break
+                    last[0] = values[index]
                 else:
-                    self.looked, self._before = now, tuple(values)
+                    self.looked = now
                     return
             self._remember()
         quiet = True
         for watch in self.watches:
             quiet = watch.look(values[watch.index], now) and quiet
-        self._quiet, self.looked, self._before = quiet, now, tuple(values)
+        for index, _rate, last in self._rates:
+            last[0] = values[index]
+        self._quiet, self.looked = quiet, now
 
     def _remember(self) -> None:
         """Up to the last look all was quiet, and nothing was kept of each channel."""
         for watch in self.watches:
             watch.seen = watch.last_at = self.looked
-            if self._before:
-                watch.last = self._before[watch.index]
+            watch.last = math.nan
+        for watch, (_index, _rate, last) in zip(self._rated, self._rates, strict=True):
+            watch.last = last[0]
 
     def check_age(self, now: float) -> float:
         """Trip where a channel is too old or stamped ahead of now; the time when the next one may be.
