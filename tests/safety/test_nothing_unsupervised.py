@@ -91,6 +91,7 @@ class Unsupervised(RuleBasedStateMachine):
         self.supervisor = Supervisor(LIMITS, axes, [], self.clock, block)
         self.mode = dict.fromkeys(NODES, Mode.OFF)
         self.passed = dict.fromkeys(NODES)
+        self.word = dict.fromkeys(NODES, 0)  # the latest controlword
         self.stood = {role: {self.counts(role)} for role in NODES}  # where the shaft was since the drive was engaged
         self.tape.clear()
 
@@ -109,6 +110,7 @@ class Unsupervised(RuleBasedStateMachine):
         self.tape.clear()
 
     def judge_torque(self, role, word, torque, _mode, tripped):
+        self.word[role] = word
         if torque:
             assert not tripped
             assert self.mode[role] in (Mode.CURRENT, Mode.TORQUE_PROFILE)
@@ -124,9 +126,9 @@ class Unsupervised(RuleBasedStateMachine):
             assert self.mode[role] is Mode.VELOCITY
             assert velocity == round(self.passed[role] / PER_COUNT)
             assert abs(velocity) <= 40.0 / PER_COUNT + 0.5
-        if self.mode[role] is Mode.ANGLE:
+        if self.mode[role] is Mode.ANGLE and self.word[role]:  # with a controlword of 0 it takes the drive out
             passed = self.passed[role]
-            assert target in self.stood[role] or target == round(passed / PER_COUNT)
+            assert target in self.stood[role] or (passed is not None and target == round(passed / PER_COUNT))
 
     # -- calls ---------------------------------------------------------------------------------------------------------
 
