@@ -7,7 +7,7 @@ from leactl.bench import benchfile
 from leactl.errors import InputError
 from leactl.protocol import protocolfile
 from leactl.runner.session import Request
-from leactl.safety.supervisor import check_rate
+from leactl.safety.refusals import check_rate
 
 MOST_SEED = 2**63 - 1
 

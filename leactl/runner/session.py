@@ -28,7 +28,8 @@ from leactl.runner.recorder import InlineFlush, ThreadedFlush
 from leactl.runner.signals import StopRequest, listening
 from leactl.safety.cross_checks import TorqueModel
 from leactl.safety.disk import check_room, free_bytes, planned_bytes
-from leactl.safety.supervisor import Axis, Supervisor, check_setpoints
+from leactl.safety.refusals import check_setpoints
+from leactl.safety.supervisor import Axis, Supervisor
 from leactl.safety.winding import ThermalParameters, WindingEstimate
 
 SENSED_SETUPS = ("coupled", "locked")  # where the torque sensor sees what the test actuator gives

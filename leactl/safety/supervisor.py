@@ -13,8 +13,8 @@ from typing import NamedTuple, NoReturn
 from leactl.driver import stopping
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver, Mode, MotionDevice, Row
-from leactl.errors import InputError, SafetyTrip
-from leactl.quantities import UNITS, ChannelSpec
+from leactl.errors import SafetyTrip
+from leactl.quantities import ChannelSpec
 from leactl.safety.angle_path import AnglePath
 from leactl.safety.cross_checks import Stuck, TorqueEstimates, TorqueModel
 from leactl.safety.disk import Disk
@@ -24,7 +24,6 @@ from leactl.safety.pace import Pace
 from leactl.safety.watching import UNLIMITED, Panel
 from leactl.safety.winding import WindingEstimate
 
-SIGNS_OF_LIFE = 3  # that fall into the time a device goes on without any: two may be lost
 WINDING_PERIOD_S = 0.01  # no more often: the winding's fastest time constant is seconds
 CURRENT_REFERENCE = "q_axis_current_reference"
 SETPOINT_QUANTITY = {
@@ -303,42 +302,3 @@ class Supervisor:
         """Bring every device to its safe state: test drive, load drive, then the rest; never raises."""
         drives = [self._axes[role].axis.driver for role in ("test", "load") if role in self._axes]
         return stopping.make_safe((*drives, *self._others))
-
-
-def check_setpoints(limits: Limits, peaks: Mapping[tuple[str, str], float]) -> None:
-    """Refuse a plan whose peaks are outside the limits, before anything moves.
-
-    Raises
-    ------
-    InputError : one line for each setpoint that is.
-    """
-    faults = []
-    for (role, quantity), peak in peaks.items():
-        bounds = limits.of(quantity)
-        if bounds is not None and not abs(peak) <= bounds[1]:
-            unit = UNITS[quantity]
-            faults.append(f"{role} {quantity}: {peak:g} {unit} is above the bench limit of {bounds[1]:g} {unit}")
-    if faults:
-        raise InputError(faults)
-
-
-def check_rate(rate_hz: float, silences: Mapping[str, float | None]) -> None:
-    """Refuse a loop so slow that a device which waits for the host's sign of life would stop between two.
-
-    Parameters
-    ----------
-    silences : how long each device goes on without a sign of life; None where it listens for none.
-
-    Raises
-    ------
-    InputError : one line for each device whose time holds fewer than three cycles.
-    """
-    faults = []
-    for name, silence in silences.items():
-        if silence is not None and rate_hz * silence < SIGNS_OF_LIFE * (1 - 1e-9):
-            faults.append(
-                f"rate_Hz: {rate_hz:g} Hz is too slow for {name}, which stops after {silence:g} s without the host;"
-                f" at least {SIGNS_OF_LIFE / silence:.4g} Hz was expected"
-            )
-    if faults:
-        raise InputError(faults)
