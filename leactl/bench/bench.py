@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+from leactl import yamlfile
 from leactl.bench.benchfile import BenchFile, Bus, CanBus, CheckedDevice, SerialBus
 from leactl.bench.wiring import Wiring
 from leactl.driver import registry
@@ -132,6 +133,19 @@ class Bench:
         """Send the host's sign of life to every drive; only the control loop calls this, after a supervised cycle."""
         for drive in self._motion:
             drive.feed()
+
+
+def refuse_blind(bench: Bench, document: yamlfile.Document) -> None:
+    """Refuse interlocks that no device measures anything for, and temperatures that none of them trips on.
+
+    Raises
+    ------
+    InputError : one line each, with file, line and column.
+    """
+    channels = [channel for stream in bench.streams().values() for channel in stream]
+    faults = [document.fault(("interlocks", *place), text) for place, text in bench.file.interlocks.blind(channels)]
+    if faults:
+        raise InputError(faults)
 
 
 def _port(name: str, bus: Bus, wiring: Wiring) -> CanPort | I2cPort | SerialPort:

@@ -13,6 +13,7 @@ from leactl.errors import InputError
 from leactl.model.motor import load_motor
 from leactl.model.nominal import BenchModel
 from leactl.quantities import UNITS
+from leactl.safety.interlocks import Interlocks
 from leactl.safety.limits import Limits
 
 STRICT = ConfigDict(frozen=True, extra="forbid")
@@ -98,6 +99,7 @@ class BenchFile(BaseModel):
     buses: dict[Name, Annotated[Bus, Field(discriminator="kind")]]
     devices: Annotated[dict[Name, Device], Field(min_length=1)]
     limits: Limits
+    interlocks: Interlocks = Interlocks()
     response: BenchModel = BenchModel()  # of supply, sensors and loops, as far as they are known
     emulated: Emulated | None = None
 
@@ -142,6 +144,7 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
     usable = [device for device in checked if device is not None]
     faults += _shared_addresses(document, bench.buses, usable)
     faults += _false_signs_of_life(document, usable)
+    faults += [document.fault(("interlocks", *place), text) for place, text in bench.interlocks.beyond(bench.limits)]
     if faults:
         raise InputError(faults)
     return bench, usable, document

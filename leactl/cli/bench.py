@@ -38,21 +38,28 @@ def model(bench: str) -> None:
 @app.command()
 def check(bench: str, as_json: bool = AS_JSON) -> None:
     """Check a bench file and every driver's settings in it, without touching a device."""
+    from leactl.bench.bench import Bench, refuse_blind
     from leactl.bench.benchfile import load
+    from leactl.bench.wiring import MachineWiring
     from leactl.emulation.faults import check_faults
 
     found, devices, document = load(bench)
     check_faults(found, devices, document)
+    refuse_blind(Bench(found, devices, MachineWiring()), document)
+    interlocks = found.interlocks.shown()
     if as_json:
         rows = [{"name": d.name, "driver": d.entry.driver, "role": d.entry.role} for d in devices]
-        answer = {"bench": found.name, "devices": rows, "limits": found.limits.model_dump(exclude_none=True)}
-        typer.echo(json.dumps(answer))
+        limits = found.limits.model_dump(exclude_none=True)
+        typer.echo(json.dumps({"bench": found.name, "devices": rows, "limits": limits, "interlocks": interlocks}))
         return
     typer.echo(f"{found.name}: {found.title}".rstrip(": "))
     for device in devices:
         typer.echo(f"  {device.name:<16} {device.entry.driver:<10} {device.entry.bus or '-':<6} {device.entry.role}")
     for name, value in found.limits.model_dump(exclude_none=True).items():
         typer.echo(f"  limit {name:<26} {value:g}")
+    for name, entries in interlocks.items():
+        for entry in entries if isinstance(entries, list | tuple) else [entries]:
+            typer.echo(f"  interlock {name:<22} " + ", ".join(f"{key} {value}" for key, value in entry.items()))
 
 
 @app.command()

@@ -66,7 +66,7 @@ def plan(
     if bench:
         from leactl.bench.benchfile import host_silences
         from leactl.bench.benchfile import load as load_bench
-        from leactl.safety.supervisor import check_rate, check_setpoints
+        from leactl.safety.refusals import check_rate, check_setpoints
 
         file, devices, _document = load_bench(bench)
         check_setpoints(file.limits, expanded.peaks())

@@ -85,6 +85,8 @@ def draw(progress: Progress, width: int) -> RenderableType:
     head.add_row(Text(progress.step or "starting"), shown)
     bar = ProgressBar(total=1.0, completed=progress.share, width=min(width, 120))
     parts: list[RenderableType] = [head, bar, _channels(progress, width)]
+    if progress.warnings:
+        parts.append(Text(f"warning: {progress.warnings[-1]}", style="bold yellow"))
     if progress.prompt:
         parts.append(Text(f"{progress.prompt}  {HOW}", style="bold yellow"))
     elif progress.hint:

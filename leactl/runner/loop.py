@@ -75,6 +75,9 @@ class Loop:
             for action in self._plan.actions:
                 self._perform(action)
             self._cycle()
+        except BaseException as error:
+            self._supervisor.latch(str(error))  # a drive's fault as well as a trip: nothing is commanded after it
+            raise
         finally:
             self._pass_on_notices()
 
@@ -114,7 +117,8 @@ class Loop:
         self._flush.after_cycle()
         self.cycles += 1
         self._sign[CYCLES] += 1
-        if not self.cycles % NOTICES_EVERY:
+        if supervisor.warnings or not self.cycles % NOTICES_EVERY:
+            supervisor.free_space(self._flush.free_bytes)
             self._pass_on_notices()
             self._see_watchdog()
         progress = self._progress
@@ -135,6 +139,9 @@ class Loop:
     def _pass_on_notices(self) -> None:
         for source, text in self._bench.notices():
             self._note("warning", source, text)
+        for text in self._supervisor.take_warnings():
+            self._note("warning", "safety", text)
+            self._progress.warnings.append(text)
 
     def _see_watchdog(self) -> None:
         fault = self._watchdog.fault()

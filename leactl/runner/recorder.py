@@ -1,9 +1,11 @@
 """Brings rows to the disk beside the loop: in a thread where the loop keeps wall time, inline where it makes time."""
 
+import math
 import threading
 import time
 
 from leactl.runfile.writer import RecordingFailed, RunWriter
+from leactl.safety.disk import free_bytes
 
 FLUSH_S = 0.8  # a kill may cost a second (run-format), of which the writing itself takes some
 
@@ -14,6 +16,7 @@ class InlineFlush:
     def __init__(self, writer: RunWriter) -> None:
         self._writer = writer
         self._due = time.monotonic()
+        self.free_bytes = math.inf  # on the disk, after the last flush
 
     def after_cycle(self) -> None:
         """Flush where it is due.
@@ -24,6 +27,7 @@ class InlineFlush:
         """
         if time.monotonic() >= self._due:
             self._writer.flush()
+            self.free_bytes = free_bytes(self._writer.path)
             self._due = time.monotonic() + FLUSH_S
 
     def stop(self) -> None:
@@ -35,6 +39,7 @@ class ThreadedFlush:
 
     def __init__(self, writer: RunWriter) -> None:
         self._writer = writer
+        self.free_bytes = math.inf  # on the disk, after the last flush
         self._ended = threading.Event()
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="leactl-flush", daemon=True)
@@ -44,6 +49,7 @@ class ThreadedFlush:
         while not self._ended.wait(FLUSH_S):
             try:
                 self._writer.flush()
+                self.free_bytes = free_bytes(self._writer.path)
             except BaseException as failure:  # noqa: BLE001 (a thread that dies in silence would record nothing more)
                 self._failure = failure
                 return

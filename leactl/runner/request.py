@@ -11,7 +11,7 @@ from leactl.errors import InputError
 from leactl.protocol import by_hand, protocolfile
 from leactl.protocol.plan import Plan
 from leactl.runner.session import Request
-from leactl.safety.supervisor import check_rate
+from leactl.safety.refusals import check_rate
 from leactl.yamlfile import Document
 
 MOST_SEED = 2**63 - 1

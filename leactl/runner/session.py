@@ -12,14 +12,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from leactl import __version__, yamlfile
-from leactl.bench.bench import Bench
+from leactl.bench.bench import Bench, refuse_blind
 from leactl.bench.benchfile import BenchFile, CheckedDevice
 from leactl.bench.wiring import MachineWiring, Wiring
 from leactl.driver.contract import Confirmation, MotionDevice
 from leactl.driver.stopping import doubt
 from leactl.errors import DeviceError, InputError, SafetyTrip, Stopped
 from leactl.model.motor import Motor, load_motor
-from leactl.protocol.plan import Engage, Plan
+from leactl.protocol.plan import Engage, Plan, Record
 from leactl.runfile.writer import RunInfo, RunWriter, new_run_id
 from leactl.runner import exclusive, latch, underway
 from leactl.runner.loop import Loop, Operator
@@ -28,9 +28,13 @@ from leactl.runner.recorder import InlineFlush, ThreadedFlush
 from leactl.runner.signals import StopRequest, StopSource, listening
 from leactl.runner.underway import Announcement
 from leactl.runner.watchdog import Unwatched, beside
-from leactl.safety.supervisor import Axis, Supervisor, check_setpoints
+from leactl.safety.cross_checks import TorqueModel
+from leactl.safety.disk import check_room, free_bytes, planned_bytes
+from leactl.safety.refusals import check_setpoints
+from leactl.safety.supervisor import Axis, Supervisor
 from leactl.safety.winding import ThermalParameters, WindingEstimate
 
+SENSED_SETUPS = ("coupled", "locked")  # where the torque sensor sees what the test actuator gives
 Watch = Callable[[Progress], AbstractContextManager[object]]
 
 
@@ -96,6 +100,8 @@ def execute(request: Request, operator: Operator, watch: Watch, stops: Sequence[
         ):
             bench = Bench(request.bench, request.devices, _wiring(request))
             _check_roles(request, bench)
+            refuse_blind(bench, request.bench_document)
+            _check_disk(request, bench)
             supervisor = _supervisor(request, bench, motors)
             for source in (announcement.asked, *stops):
                 stop.heed(source)
@@ -170,7 +176,8 @@ def _run(
     except Exception as failure:  # noqa: BLE001 (as above)
         error = _joined(error, failure)
     status, reason = _status(error)
-    return Outcome(writer.path, status, reason, error, safe, loop.time, loop.overruns, notes, loop.zeros)
+    told = [*notes, *(f"warning: {text}" for text in progress.warnings)]
+    return Outcome(writer.path, status, reason, error, safe, loop.time, loop.overruns, told, loop.zeros)
 
 
 @contextmanager
@@ -220,6 +227,13 @@ def _check_roles(request: Request, bench: Bench) -> None:
         )
 
 
+def _check_disk(request: Request, bench: Bench) -> None:
+    plan = request.plan
+    rates = [plan.record_Hz, *(action.rate_Hz for action in plan.actions if isinstance(action, Record))]
+    planned = planned_bytes(bench.streams(), max(rates), plan.rate_Hz, plan.duration_s)
+    check_room(request.bench.interlocks.disk_space, free_bytes(request.directory), planned)
+
+
 def _wiring(request: Request) -> Wiring:
     if not request.in_process:
         return MachineWiring()
@@ -243,7 +257,17 @@ def _supervisor(request: Request, bench: Bench, motors: Mapping[str, Motor]) -> 
             **motor.thermal.model_dump(),
         )
         axes[role] = Axis(driver, driver, WindingEstimate(thermal))
-    return Supervisor(request.bench.limits, axes, bench.others, bench.clock)
+    test = motors["test"]
+    torque = TorqueModel(test.torque_constant, test.coulomb_friction, test.viscous_damping, test.rotor_inertia)
+    joined = request.plan.setup in SENSED_SETUPS
+    return Supervisor(
+        request.bench.limits,
+        axes,
+        bench.others,
+        bench.clock,
+        request.bench.interlocks,
+        torque_model=torque if joined else None,
+    )
 
 
 def _info(request: Request) -> RunInfo:

@@ -6,6 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 CYCLES_OF_SILENCE = 3
 LEAST_CYCLIC_AGE_S = 0.05
+COLDEST_DEGC, HOTTEST_DEGC = -40.0, 200.0  # of anything on a bench; above, 25 degC in kelvin would pass for one
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
@@ -52,7 +53,9 @@ class Limits(BaseModel):
         if quantity == "bus_voltage":
             return self.bus_voltage_low_V, self.bus_voltage_high_V
         if quantity == "winding_temperature":
-            return -40.0, self.winding_temperature_degC
+            return COLDEST_DEGC, self.winding_temperature_degC
+        if quantity.endswith("_temperature"):
+            return COLDEST_DEGC, HOTTEST_DEGC
         return None
 
     def cyclic_age(self, period: float) -> float:

@@ -6,18 +6,24 @@ their safe state in a fixed order, and says what could not be confirmed.
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 from leactl.driver import stopping
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver, Mode, MotionDevice, Row
-from leactl.errors import InputError, SafetyTrip
-from leactl.quantities import UNITS, ChannelSpec
+from leactl.errors import SafetyTrip
+from leactl.quantities import ChannelSpec
+from leactl.safety.angle_path import AnglePath
+from leactl.safety.cross_checks import Stuck, TorqueEstimates, TorqueModel
+from leactl.safety.disk import Disk
+from leactl.safety.interlocks import Interlocks
 from leactl.safety.limits import CYCLES_OF_SILENCE, Limits
+from leactl.safety.pace import Pace
+from leactl.safety.watching import UNLIMITED, Panel
 from leactl.safety.winding import WindingEstimate
 
-SIGNS_OF_LIFE = 3  # that fall into the time a device goes on without any: two may be lost
 WINDING_PERIOD_S = 0.01  # no more often: the winding's fastest time constant is seconds
 CURRENT_REFERENCE = "q_axis_current_reference"
 SETPOINT_QUANTITY = {
@@ -26,7 +32,7 @@ SETPOINT_QUANTITY = {
     Mode.VELOCITY: "velocity_reference",
     Mode.ANGLE: "angle_reference",
 }
-UNLIMITED = (-math.inf, math.inf)
+DEFAULTS = Interlocks()
 NOTHING_PASSES = (math.nan, math.nan)
 
 
@@ -39,22 +45,9 @@ class Axis(NamedTuple):
 
 
 @dataclass
-class _Watch:
-    """One limited value of a device's exchange, and when it was last a number."""
-
-    index: int
-    label: str
-    unit: str
-    low: float
-    high: float
-    age: float  # the longest without a number [s]
-    seen: float
-
-
-@dataclass
 class _Guarded:
     axis: Axis
-    watches: list[_Watch]
+    panel: Panel
     current: int  # where the q-axis current stands among the values
     angle: int | None
     quantity: str = "setpoint"  # that the engaged mode sets
@@ -63,7 +56,7 @@ class _Guarded:
     squares: float = 0.0  # of the heating currents since the estimate was advanced
     cycles: int = 0
     advanced: float = field(default=-math.inf)
-    path: "_AnglePath | None" = None  # in angle mode alone
+    path: AnglePath | None = None  # in angle mode alone
 
     def turn_to(self, mode: Mode, limits: Limits, now: float) -> None:
         """Take the limits of what this mode sets."""
@@ -72,7 +65,7 @@ class _Guarded:
         self.reference, self.path = 0.0, None
         if mode is Mode.ANGLE:
             self.bounds = limits.of("angle_reference") or UNLIMITED  # the path bounds each step
-            self.path = _AnglePath(self.measured_angle, now)
+            self.path = AnglePath(self.measured_angle, now)
         else:
             self.bounds = (limits.of(quantity) or NOTHING_PASSES) if quantity else UNLIMITED
 
@@ -82,71 +75,76 @@ class _Guarded:
         return math.nan if self.angle is None else self.axis.motion.values[self.angle]
 
 
-class _AnglePath:
-    """Where the setpoints of angle mode have led so far, so that none is further away than the shaft may turn."""
-
-    def __init__(self, measured: float, now: float) -> None:
-        self.sent, self.sent_at = measured, now  # of the last exchange
-        self._asked: tuple[float, float] | None = None  # since then
-        self._held = False
-
-    def ask(self, value: float, now: float) -> None:
-        """A setpoint for the exchange to come; the last one before it counts."""
-        self._asked = value, now
-
-    def exchanged(self, measured: float, engaged: bool, now: float) -> None:
-        """An exchange has ended: until the drive follows its setpoint, that is wherever the shaft is."""
-        if not engaged or math.isnan(self.sent):
-            self.sent, self.sent_at = (self.sent if math.isnan(measured) else measured), now
-        elif self._held and self._asked is not None:
-            self.sent, self.sent_at = self._asked
-        else:
-            self.sent_at = now
-        self._held, self._asked = engaged, None
-
-
 class Supervisor:
-    """Limits, age, winding temperature, latch, and the orderly end."""
+    """Limits, interlocks, winding temperature, latch, and the orderly end."""
 
-    def __init__(self, limits: Limits, axes: Mapping[str, Axis], others: Sequence[Driver], clock: Clock) -> None:
-        self._limits, self._clock, self._others = limits, clock, list(others)
-        self._longest_age, self._hottest = limits.age_s, limits.winding_temperature_degC
+    def __init__(
+        self,
+        limits: Limits,
+        axes: Mapping[str, Axis],
+        others: Sequence[Driver],
+        clock: Clock,
+        interlocks: Interlocks = DEFAULTS,
+        torque_model: TorqueModel | None = None,
+    ) -> None:
+        """Without a torque model the torque sensor is not held against Kt i: nothing couples the two."""
+        self._limits, self._interlocks, self._clock, self._others = limits, interlocks, clock, list(others)
+        self._hottest = limits.winding_temperature_degC
         self._period = 0.0
         self.tripped: str = ""
+        self.warnings: list[str] = []
         now = clock.now()
         self._axes = {role: self._guard(axis, now) for role, axis in axes.items()}
-        self._own: dict[str, list[_Watch]] = {}
-        for device in (*[axis.driver for axis in axes.values()], *others):
-            for stream in device.streams:
-                self._own[stream.name] = self._watches(stream.channels, limits.age_s, now)
-        self._asynchronous = [watch for watches in self._own.values() for watch in watches]
+        self._own = {
+            stream.name: self._panel(stream.channels, limits.age_s, now)
+            for device in (*[axis.driver for axis in axes.values()], *others)
+            for stream in device.streams
+        }
+        panels = [*[guarded.panel for guarded in self._axes.values()], *self._own.values()]
+        self._stuck = Stuck(panels, interlocks)
+        self._pace = Pace(interlocks.loop_overruns, interlocks.clock, self.trip, now)
+        self._disk = Disk(interlocks.disk_space, self.trip, self.warnings.append)
+        self._torques = self._torque_estimates(panels, torque_model)
+        self._due = self._ages_due = -math.inf
+        # by names of their own: `check` runs in every cycle
+        self._judged = [
+            (role, guarded, guarded.axis.motion, guarded.axis.winding, guarded.panel.look)
+            for role, guarded in self._axes.items()
+        ]
+        self._keep_pace = self._pace.look
+
+    def _panel(self, channels: Sequence[ChannelSpec], age: float, now: float) -> Panel:
+        panel = Panel(channels, self._limits, self._interlocks, self.trip, self.warnings.append)
+        panel.begin(now, age)
+        return panel
 
     def _guard(self, axis: Axis, now: float) -> _Guarded:
         channels = axis.motion.loop_channels
         place = {channel.quantity: index for index, channel in enumerate(channels)}
-        watches = self._watches(channels, self._limits.cyclic_age(0.0), now)
-        return _Guarded(axis, watches, place["q_axis_current"], place.get("angle"), advanced=now)
+        panel = self._panel(channels, self._limits.cyclic_age(0.0), now)
+        return _Guarded(axis, panel, place["q_axis_current"], place.get("angle"), advanced=now)
 
-    def _watches(self, channels: Sequence[ChannelSpec], age: float, now: float) -> list[_Watch]:
-        watches = []
-        for index, channel in enumerate(channels):
-            bounds = self._limits.of(channel.quantity)
-            if channel.quantity == "angle":
-                bounds = bounds or UNLIMITED  # its age is watched in any case
-            if bounds is not None and not channel.quantity.endswith("_reference"):
-                label = f"{channel.role} {channel.quantity}"
-                watches.append(_Watch(index, label, channel.unit, *bounds, age=age, seen=now))
-        return watches
+    def _torque_estimates(self, panels: Sequence[Panel], model: TorqueModel | None) -> TorqueEstimates | None:
+        settings, test = self._interlocks.torque_disagreement, self._axes.get("test")
+        if model is None or settings is None or test is None:
+            return None
+        for panel in panels:
+            for watch in panel.watches:
+                if (watch.channel.quantity, watch.channel.role) == ("torque", "test"):
+                    panel.values = panel.values or [math.nan] * len(panel.watches)  # until the first reading
+                    return TorqueEstimates(settings, model, (panel, watch), test.panel)
+        return None
 
     def begin(self, period: float) -> None:
         """The loop begins: ages count from here, for opening devices and making a file take what time they take."""
         now, self._period = self._clock.now(), period
         for guarded in self._axes.values():
             guarded.advanced = now
-            for watch in guarded.watches:
-                watch.seen, watch.age = now, self._limits.cyclic_age(period)
-        for watch in self._asynchronous:
-            watch.seen = now
+            guarded.panel.begin(now, self._limits.cyclic_age(period))
+        for panel in self._own.values():
+            panel.begin(now, self._limits.age_s)
+        self._pace.begin(period, now)
+        self._due = self._ages_due = -math.inf
 
     # -- commands ----------------------------------------------------------------------------------------------------
 
@@ -193,7 +191,7 @@ class Supervisor:
             self._judge_angle(role, guarded.path, value)
         guarded.axis.motion.command(value)
 
-    def _judge_angle(self, role: str, path: _AnglePath, value: float) -> None:
+    def _judge_angle(self, role: str, path: AnglePath, value: float) -> None:
         if math.isnan(path.sent):
             self.trip(f"{role} angle_reference of {value:g} rad while the shaft's angle is not known")
         now, period = self._clock.now(), self._period
@@ -218,17 +216,11 @@ class Supervisor:
         """
         if self.tripped:
             raise SafetyTrip(self.tripped)
+        self._keep_pace(now)
         hottest = self._hottest
-        for role, guarded in self._axes.items():
-            _, motion, estimate = guarded.axis
+        for role, guarded, motion, estimate, look in self._judged:
             values = motion.values
-            for watch in guarded.watches:
-                if watch.low <= values[watch.index] <= watch.high:
-                    watch.seen = now
-                else:
-                    self._question(watch, values[watch.index])
-                    if now - watch.seen > watch.age:
-                        self._too_old(watch, now)
+            look(values, now)
             if guarded.path is not None:
                 guarded.path.exchanged(guarded.measured_angle, motion.engaged, now)
             measured = abs(values[guarded.current])
@@ -242,10 +234,18 @@ class Supervisor:
             guarded.advanced, guarded.squares, guarded.cycles = now, 0.0, 0
             if not winding < hottest:
                 self.trip(f"{role} winding estimate of {winding:.1f} degC reached the limit of {hottest:g} degC")
-        oldest = now - self._longest_age
-        for watch in self._asynchronous:
-            if watch.seen < oldest:
-                self._too_old(watch, now)
+        if now >= self._due:
+            self._look_at_all(now)
+        if self._torques is not None:
+            self._torques.look(now)
+
+    def _look_at_all(self, now: float) -> None:
+        """What need not be looked at in every cycle: ages of the devices' own streams, and what stands still."""
+        if now >= self._ages_due:
+            self._ages_due = min((panel.check_age(now) for panel in self._own.values()), default=math.inf)
+        if now >= self._stuck.due:
+            self._stuck.look(now)
+        self._due = min(self._ages_due, self._stuck.due)
 
     def receive(self, row: Row) -> None:
         """Judge a sample of a device's own stream.
@@ -258,32 +258,39 @@ class Supervisor:
             raise SafetyTrip(self.tripped)
         if row.fault:
             self.trip(row.fault)
-        for watch in self._own[row.stream]:
-            value = row.values[watch.index]
-            if watch.low <= value <= watch.high:
-                watch.seen = row.time
-            else:
-                self._question(watch, value)
+        self._own[row.stream].look(row.values, row.time)
 
-    def _question(self, watch: _Watch, value: float) -> None:
-        """A value that is not inside its limits: it is outside, or no number, which only its age tells against."""
-        if value == value:
-            bound = watch.low if value < watch.low else watch.high
-            self.trip(f"{watch.label} of {value:.4g} {watch.unit} passed the limit of {bound:g} {watch.unit}")
+    def free_space(self, free_bytes: float) -> None:
+        """Judge what is left on the disk that takes the recording.
 
-    def _too_old(self, watch: _Watch, now: float) -> None:
-        age = now - watch.seen
-        self.trip(f"{watch.label}: no reading for {age:.3f} s, {watch.age:g} s are allowed")
+        Raises
+        ------
+        SafetyTrip : too little.
+        """
+        self._disk.look(free_bytes)
 
-    def trip(self, cause: str) -> None:
+    def take_warnings(self) -> list[str]:
+        """What has crossed a warning since the last call, one line a crossing."""
+        found = list(self.warnings)
+        self.warnings.clear()
+        return found
+
+    def trip(self, cause: str) -> NoReturn:
         """Latch a trip and end the run; the first cause stays.
 
         Raises
         ------
         SafetyTrip : always.
         """
-        self.tripped = self.tripped or cause
+        self.latch(cause)
         raise SafetyTrip(self.tripped)
+
+    def latch(self, cause: str) -> None:
+        """Let nothing pass from here on, and take the setpoint from every drive: a further cycle switches it off."""
+        self.tripped = self.tripped or cause or "the run has ended"
+        for guarded in self._axes.values():
+            with suppress(Exception):  # a driver that breaks here is switched off by `make_safe`, and hides no trip
+                guarded.axis.motion.release()
 
     def temperatures(self) -> dict[str, float]:
         """Winding estimate of each actuator [degC]."""
@@ -295,42 +302,3 @@ class Supervisor:
         """Bring every device to its safe state: test drive, load drive, then the rest; never raises."""
         drives = [self._axes[role].axis.driver for role in ("test", "load") if role in self._axes]
         return stopping.make_safe((*drives, *self._others))
-
-
-def check_setpoints(limits: Limits, peaks: Mapping[tuple[str, str], float]) -> None:
-    """Refuse a plan whose peaks are outside the limits, before anything moves.
-
-    Raises
-    ------
-    InputError : one line for each setpoint that is.
-    """
-    faults = []
-    for (role, quantity), peak in peaks.items():
-        bounds = limits.of(quantity)
-        if bounds is not None and not abs(peak) <= bounds[1]:
-            unit = UNITS[quantity]
-            faults.append(f"{role} {quantity}: {peak:g} {unit} is above the bench limit of {bounds[1]:g} {unit}")
-    if faults:
-        raise InputError(faults)
-
-
-def check_rate(rate_hz: float, silences: Mapping[str, float | None]) -> None:
-    """Refuse a loop so slow that a device which waits for the host's sign of life would stop between two.
-
-    Parameters
-    ----------
-    silences : how long each device goes on without a sign of life; None where it listens for none.
-
-    Raises
-    ------
-    InputError : one line for each device whose time holds fewer than three cycles.
-    """
-    faults = []
-    for name, silence in silences.items():
-        if silence is not None and rate_hz * silence < SIGNS_OF_LIFE * (1 - 1e-9):
-            faults.append(
-                f"rate_Hz: {rate_hz:g} Hz is too slow for {name}, which stops after {silence:g} s without the host;"
-                f" at least {SIGNS_OF_LIFE / silence:.4g} Hz was expected"
-            )
-    if faults:
-        raise InputError(faults)

@@ -1,5 +1,6 @@
 """One cycle at 1 kHz with two drives beside a bare python-can exchange of the seven frames it consists of."""
 
+import math
 from collections.abc import Callable
 
 import can
@@ -85,6 +86,7 @@ class FlushByCycles:
 
     def __init__(self, writer: RunWriter) -> None:
         self._writer, self._cycles = writer, 0
+        self.free_bytes = math.inf
 
     def after_cycle(self) -> None:
         self._cycles += 1

@@ -45,6 +45,8 @@ def served(here, place):
     for role in ("test", "load"):  # other load on the machine may hold up either process
         bench["devices"][f"drive_{role}"]["settings"] |= {"consumer_heartbeat_ms": 1000, "sdo_timeout_s": 1.0}
     bench["limits"] |= {"age_s": 30, "cyclic_age_s": 30}
+    seldom = {"in_a_row": 10_000, "share_percent": 99, "window_s": 600}
+    bench["interlocks"] = {"clock": {"jump_s": 10}, "loop_overruns": seldom}
     if place == "kernel" and "kernel" in I2C:
         bench["buses"]["i2c1"]["number"] = i2c_place()["number"]
     else:  # without i2c-stub there is no I2C between processes

@@ -10,7 +10,8 @@ from pydantic import ValidationError
 from leactl.driver.contract import Confirmation, Mode, Row
 from leactl.errors import InputError, SafetyTrip
 from leactl.safety.limits import Limits
-from leactl.safety.supervisor import Axis, Supervisor, check_setpoints
+from leactl.safety.refusals import check_setpoints
+from leactl.safety.supervisor import Axis, Supervisor
 from leactl.safety.winding import ThermalParameters, WindingEstimate
 from tests.driver.elmo_bench import ElmoBench
 

@@ -1,0 +1,145 @@
+"""What no channel shows by itself: a reading that stands still while others move, and two torques that disagree."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from leactl.safety.interlocks import Interlocks, TorqueDisagreement
+from leactl.safety.watching import Panel, Watch
+
+TEMPERATURE_STUCK_S = 600.0  # a temperature without a word on it: at a thousandth of a kelvin none stands still so long
+OTHERS_EVERY = 16  # cycles in which others are looked at: that they move at all shows soon enough
+
+
+class _Still:
+    """One channel over one stretch of time: the value that it began with."""
+
+    def __init__(self, panel: Panel, watch: Watch, stuck_s: float) -> None:
+        self.panel, self.watch, self.stuck_s = panel, watch, stuck_s
+        self.value, self.ends = math.nan, -math.inf
+        self.others: list[Sequence[float]] = []
+        self.alone = True  # so far: no other channel has moved
+
+
+class Stuck:
+    """Trips on a channel that repeats one value through a whole stretch of its `stuck_s` while any other moves.
+
+    Stretches follow one another, so that it takes between one and two of them; a channel that has moved once costs
+    nothing until its next.
+    """
+
+    def __init__(self, panels: Sequence[Panel], interlocks: Interlocks) -> None:
+        self._panels = panels
+        self._channels: list[_Still] = []
+        for owner, watch in ((panel, watch) for panel in panels for watch in panel.watches):
+            quantity, role = watch.channel.quantity, watch.channel.role
+            shortest = min((entry.stuck_s for entry in interlocks.of(quantity, role) if entry.stuck_s), default=None)
+            if shortest is None and watch.temperature:
+                shortest = TEMPERATURE_STUCK_S
+            if shortest is not None:
+                self._channels.append(_Still(owner, watch, shortest))
+        self._still: list[_Still] = []
+        self._next, self._looks = -math.inf, 0
+        self.due = -math.inf if self._channels else math.inf
+
+    def look(self, now: float) -> None:
+        """Compare; call it in every cycle once `due` has come.
+
+        Raises
+        ------
+        SafetyTrip : by way of the watch's `trip`.
+        """
+        self._still = [item for item in self._still if item.panel.values[item.watch.index] == item.value]
+        self._looks += 1
+        if not self._looks % OTHERS_EVERY:
+            for item in self._still:
+                item.alone = item.alone and not self._others_moved(item)
+        if now >= self._next:
+            self._turn(now)
+        self.due = -math.inf if self._still else self._next
+
+    def _turn(self, now: float) -> None:
+        """End the stretches that are over, and begin the next."""
+        for item in self._channels:
+            if now >= item.ends and item.panel.values:
+                if item in self._still and not item.alone:
+                    watch = item.watch
+                    watch.trip(
+                        f"{watch.label} has been exactly {item.value:.6g} {watch.unit} for {item.stuck_s:g} s while"
+                        " others moved: stuck"
+                    )
+                item.value, item.ends = item.panel.values[item.watch.index], now + item.stuck_s
+                item.alone = True
+                item.others = [tuple(panel.values) for panel in self._panels]
+                if item not in self._still:
+                    self._still.append(item)
+        self._next = min(item.ends for item in self._channels)
+
+    def _others_moved(self, item: _Still) -> bool:
+        for panel, before in zip(self._panels, item.others, strict=True):
+            for watch in panel.watches:
+                index = watch.index
+                if watch is not item.watch and before and abs(panel.values[index] - before[index]) > 0.0:
+                    return True  # NaN compares false: what is absent does not move
+        return False
+
+
+class TorqueModel(NamedTuple):
+    """What a motor file says of the torque that reaches the shaft, SI."""
+
+    torque_constant: float
+    coulomb_friction: float
+    viscous_damping: float
+    rotor_inertia: float
+
+
+class TorqueEstimates:
+    """Kt i of the test actuator against the torque sensor.
+
+    The sensor sees Kt i less friction and less what accelerates the rotor. Friction at rest has any sign and size up to
+    the Coulomb friction, so that its bound is allowed for, and |J acceleration| from the velocities of two cycles.
+    """
+
+    def __init__(
+        self, settings: TorqueDisagreement, model: TorqueModel, sensor: tuple[Panel, Watch], drive: Panel
+    ) -> None:
+        self._settings, self._model = settings, model
+        (self._sensor, self._watch), self._drive = sensor, drive
+        place = {watch.channel.quantity: watch.index for watch in drive.watches}
+        self._current, self._speed, self._torque = place["q_axis_current"], place["velocity"], self._watch.index
+        self._torque_constant = model.torque_constant
+        self._least = settings.tolerance_Nm + model.coulomb_friction
+        self._since = math.nan
+        self._velocity, self._at = math.nan, -math.inf
+
+    def look(self, now: float) -> None:
+        """Judge the newest sensor reading, which there must be, by the exchange that has just ended.
+
+        Raises
+        ------
+        SafetyTrip : by way of the watch's `trip`.
+        """
+        values = self._drive.values
+        apart = self._sensor.values[self._torque] - self._torque_constant * values[self._current]
+        if -self._least <= apart <= self._least:
+            self._since = math.nan
+        else:
+            self._look_closer(apart, values[self._current], values[self._speed], now)
+
+    def _look_closer(self, apart: float, current: float, velocity: float, now: float) -> None:
+        # from one closer look to the next: at the first the acceleration is unknown, and counts as none for a cycle
+        acceleration = (velocity - self._velocity) / (now - self._at) if now > self._at else 0.0
+        self._velocity, self._at = velocity, now
+        allowed = self._least + self._model.viscous_damping * abs(velocity)
+        allowed += self._model.rotor_inertia * abs(acceleration)
+        if not abs(apart) > allowed:  # NaN: its age tells
+            self._since = math.nan
+            return
+        if not self._since <= now:
+            self._since = now
+        if now - self._since >= self._settings.for_s:
+            self._watch.trip(
+                f"{self._watch.label} is {apart:+.4g} N*m from Kt i at {current:.4g} A for {now - self._since:.3g} s;"
+                f" {allowed:.4g} N*m are explained by friction, inertia and the tolerance of"
+                f" {self._settings.tolerance_Nm:g} N*m"
+            )

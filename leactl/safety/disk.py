@@ -1,0 +1,68 @@
+"""Room on the disk of the run file: enough for the plan before it starts, and never too little while it runs."""
+
+import math
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from leactl.errors import InputError
+from leactl.quantities import ChannelSpec
+from leactl.safety.interlocks import DiskSpace
+from leactl.safety.watching import Trip, Warn
+
+BYTES_A_VALUE = 8
+COPIES = 2  # the live file, and the packed one that replaces it at the end
+
+
+class Disk:
+    """Warns once while space is short, and trips when it is too little."""
+
+    def __init__(self, settings: DiskSpace, trip: Trip, warn: Warn) -> None:
+        self._settings, self._trip, self._warn = settings, trip, warn
+        self._least, self._warned = 1e6 * settings.trip_MB, False
+
+    def look(self, free: float) -> None:
+        """Judge the free space [bytes].
+
+        Raises
+        ------
+        SafetyTrip : by way of `trip`.
+        """
+        if free < self._least:
+            self._trip(f"disk: {free / 1e6:.0f} MB are free; {self._settings.trip_MB:g} MB at least are required")
+        short = free < self._settings.warn_bytes
+        if short and not self._warned:
+            self._warn(f"disk: {free / 1e6:.0f} MB are free; below {self._settings.trip_MB:g} MB the run trips")
+        self._warned = short
+
+
+def free_bytes(path: Path) -> float:
+    """What is free where this file or directory is, or will be made."""
+    there = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
+    usage = shutil.disk_usage(there)
+    return float(usage.free) if usage.total else math.inf  # a file system without a size: whoever writes is told
+
+
+def planned_bytes(
+    streams: Mapping[str, Sequence[ChannelSpec]], record_hz: float, rate_hz: float, duration_s: float
+) -> float:
+    """What a run takes at the most: the loop's stream as recorded, of any other a row a cycle."""
+    rows = duration_s * sum(
+        (1 + len(channels)) * (record_hz if name == "loop" else rate_hz) for name, channels in streams.items()
+    )
+    return COPIES * BYTES_A_VALUE * rows
+
+
+def check_room(settings: DiskSpace, free: float, planned: float) -> None:
+    """Refuse a run that the disk may not take.
+
+    Raises
+    ------
+    InputError : with what is free and what was expected.
+    """
+    needed = planned + 1e6 * settings.trip_MB
+    if free < needed:
+        raise InputError(
+            f"disk: {free / 1e6:.0f} MB are free; {needed / 1e6:.0f} MB were expected, {planned / 1e6:.0f} MB for"
+            f" the run and {settings.trip_MB:g} MB to spare (interlocks.disk_space); free space, or choose --out"
+        )

@@ -1,0 +1,305 @@
+"""The `interlocks:` block of a bench file: from which value a reading warns and trips, for how long, and how fast.
+
+The `limits:` block trips at once and is required; what stands here is narrower, or watches what a limit cannot. What a
+file leaves out of the loop, the clock and the disk has a default, never infinity.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
+
+from leactl.quantities import UNITS, ChannelSpec
+from leactl.safety.limits import COLDEST_DEGC, HOTTEST_DEGC, Limits, Positive
+
+STRICT = ConfigDict(frozen=True, extra="forbid")
+NEED_A_TRIP = ("drive_temperature", "housing_temperature")  # no limit of the bench covers them
+UNIT_KEYS = {"A": "A", "V": "V", "rad": "rad", "rad/s": "rad_s", "N*m": "Nm", "degC": "degC"}
+VALUES = ("warn", "trip", "warn_low", "warn_high", "trip_low", "trip_high", "rate")
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Duration = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Place = tuple[str | int, ...]
+T = TypeVar("T")
+
+
+def _key(unit: str, name: str) -> str:
+    """The key of a bench file for one of an entry's fields."""
+    if name not in VALUES:
+        return name
+    return f"{name}_{unit}_per_s" if name == "rate" else f"{name}_{unit}"
+
+
+class Entry(BaseModel):
+    """What one quantity may do, of one role or of all; `warn` and `trip` are magnitudes, or `_low` and `_high`."""
+
+    model_config = STRICT
+    unit: ClassVar[str] = ""
+    lowest: ClassVar[float] = -1.0  # times a lone `trip` or `warn`: to either side
+
+    role: Literal["test", "load", "bench"] | None = None
+    warn: Finite | None = None
+    trip: Finite | None = None
+    warn_low: Finite | None = None
+    warn_high: Finite | None = None
+    trip_low: Finite | None = None
+    trip_high: Finite | None = None
+    for_s: Duration = 0.0  # how long beyond `trip` before it trips
+    rate: Positive | None = None  # per second, between one reading and the next
+    stuck_s: Positive | None = None  # how long the very same value may repeat while others move
+    age_s: Positive | None = None  # instead of the limits' own
+
+    def window(self, kind: Literal["warn", "trip"]) -> tuple[float, float]:
+        """Lowest and highest value that does not warn, or trip; infinite where nothing is said."""
+        lone: float | None = getattr(self, kind)
+        if lone is not None:
+            return self.lowest * lone, lone
+        low: float | None = getattr(self, f"{kind}_low")
+        high: float | None = getattr(self, f"{kind}_high")
+        return (-math.inf if low is None else low), (math.inf if high is None else high)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_units(cls, data: Any) -> Any:
+        for name in (*VALUES, "for", "stuck", "age") if isinstance(data, dict) else ():
+            if name in data:
+                expected = _key(cls.unit, name) if name in VALUES else f"{name}_s"
+                raise ValueError(f"{name} carries no unit; {expected} was expected")
+        return data
+
+    @model_validator(mode="after")
+    def _in_order(self) -> "Entry":
+        for kind in ("warn", "trip"):
+            lone = _key(self.unit, kind)
+            if getattr(self, kind) is not None:
+                if getattr(self, f"{kind}_low") is not None or getattr(self, f"{kind}_high") is not None:
+                    raise ValueError(f"{lone} stands beside a low or a high one; one of the two was expected")
+                if self.lowest < 0 and not getattr(self, kind) > 0:
+                    raise ValueError(f"{lone} {getattr(self, kind):g} is a magnitude; more than 0 was expected")
+        (warn_low, warn_high), (trip_low, trip_high) = self.window("warn"), self.window("trip")
+        for low, high, kind in ((warn_low, warn_high, "warn"), (trip_low, trip_high, "trip")):
+            if low >= high:
+                raise ValueError(f"{_key(self.unit, kind + '_low')} {low:g} is not below its high one, {high:g}")
+        for name, warn, trip, beyond in (
+            ("_high" if self.warn is None else "", warn_high, trip_high, warn_high > trip_high),
+            ("_low" if self.warn is None else "", warn_low, trip_low, warn_low < trip_low),
+        ):
+            if beyond and math.isfinite(warn):
+                raise ValueError(
+                    f"{_key(self.unit, 'warn' + name)} {warn:g} is beyond the trip of {trip:g}; it would never warn"
+                )
+        if self.for_s and math.isinf(trip_low) and math.isinf(trip_high):
+            raise ValueError(f"for_s {self.for_s:g} s is how long beyond a trip; {_key(self.unit, 'trip')} is missing")
+        if not self.model_fields_set - {"role"}:
+            raise ValueError(f"says nothing; {_key(self.unit, 'trip')} or another value was expected")
+        return self
+
+
+def _keys_in(unit: str) -> ConfigDict:
+    return ConfigDict(alias_generator=lambda name: _key(unit, name))
+
+
+class InAmperes(Entry):
+    """Of a current."""
+
+    model_config = _keys_in("A")
+    unit = "A"
+
+
+class InVolts(Entry):
+    """Of a voltage."""
+
+    model_config = _keys_in("V")
+    unit = "V"
+
+
+class InRadians(Entry):
+    """Of an angle."""
+
+    model_config = _keys_in("rad")
+    unit = "rad"
+
+
+class InRadiansPerSecond(Entry):
+    """Of a velocity."""
+
+    model_config = _keys_in("rad_s")
+    unit = "rad_s"
+
+
+class InNewtonMetres(Entry):
+    """Of a torque."""
+
+    model_config = _keys_in("Nm")
+    unit = "Nm"
+
+
+class InDegrees(Entry):
+    """Of a temperature: a lone `warn` or `trip` is the hot side, and what reads like kelvin is refused."""
+
+    model_config = _keys_in("degC")
+    unit = "degC"
+    lowest = -math.inf
+
+    @model_validator(mode="after")
+    def _in_celsius(self) -> "InDegrees":
+        for name in VALUES[:-1]:
+            value: float | None = getattr(self, name)
+            if value is not None and not COLDEST_DEGC <= value <= HOTTEST_DEGC:
+                raise ValueError(
+                    f"{name}_degC {value:g} is no temperature of a bench; {COLDEST_DEGC:g} to {HOTTEST_DEGC:g} degC was"
+                    " expected (degC, not K)"
+                )
+        return self
+
+    def window(self, kind: Literal["warn", "trip"]) -> tuple[float, float]:
+        """Lowest and highest temperature that does not warn, or trip."""
+        lone: float | None = getattr(self, kind)
+        return super().window(kind) if lone is None else (-math.inf, lone)
+
+
+def _form(value: Any) -> str:
+    return "[several]" if isinstance(value, list | tuple) else "[one]"
+
+
+Entries = Annotated[
+    Annotated[T, Tag("[one]")] | Annotated[tuple[T, ...], Tag("[several]")],
+    Discriminator(_form),
+]
+
+
+class TorqueDisagreement(BaseModel):
+    """How far the torque sensor may be from Kt i, friction and inertia allowed for, coupled or locked."""
+
+    model_config = STRICT
+    tolerance_Nm: Positive  # noqa: N815 (a unit keeps its letter)
+    for_s: Annotated[float, Field(gt=0, le=60, allow_inf_nan=False)] = 0.1
+
+
+class Supply(BaseModel):
+    """The DC link voltage that the supply regulates to, and how far and how long it may be away."""
+
+    model_config = STRICT
+    expected_V: Positive  # noqa: N815
+    band_V: Positive  # noqa: N815
+    for_s: Duration = 0.0
+
+
+class LoopOverruns(BaseModel):
+    """Cycles that took more than one period too long: how many in a row, or which share of a window."""
+
+    model_config = STRICT
+    in_a_row: Annotated[int, Field(ge=1, le=10_000)] = 20
+    share_percent: Annotated[float, Field(gt=0, lt=100)] = 20.0
+    window_s: Annotated[float, Field(gt=0, le=600)] = 2.0
+
+
+class ClockJump(BaseModel):
+    """The longest step of the bench's clock from one cycle to the next; five cycles at the least. Back is never."""
+
+    model_config = STRICT
+    jump_s: Annotated[float, Field(gt=0, le=10)] = 0.25
+
+
+class DiskSpace(BaseModel):
+    """Free space on the disk of the run file, beyond what the planned run takes at its start."""
+
+    model_config = STRICT
+    trip_MB: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 100.0  # noqa: N815
+    warn_MB: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None  # noqa: N815 (None: five times the trip)
+
+    @property
+    def warn_bytes(self) -> float:
+        """Free space below which a run is warned."""
+        return 1e6 * (5 * self.trip_MB if self.warn_MB is None else self.warn_MB)
+
+    @model_validator(mode="after")
+    def _warns_first(self) -> "DiskSpace":
+        if self.warn_MB is not None and self.warn_MB < self.trip_MB:
+            raise ValueError(f"warn_MB {self.warn_MB:g} is beyond the trip of {self.trip_MB:g}; it would never warn")
+        return self
+
+
+class Interlocks(BaseModel):
+    """The whole block: one entry or a list of them a quantity, and the loop, the clock and the disk."""
+
+    model_config = STRICT
+    q_axis_current: Entries[InAmperes] = ()
+    d_axis_current: Entries[InAmperes] = ()
+    line_current: Entries[InAmperes] = ()
+    bus_current: Entries[InAmperes] = ()
+    q_axis_voltage: Entries[InVolts] = ()
+    d_axis_voltage: Entries[InVolts] = ()
+    line_voltage: Entries[InVolts] = ()
+    bus_voltage: Entries[InVolts] = ()
+    velocity: Entries[InRadiansPerSecond] = ()
+    angle: Entries[InRadians] = ()
+    torque: Entries[InNewtonMetres] = ()
+    drive_temperature: Entries[InDegrees] = ()
+    housing_temperature: Entries[InDegrees] = ()
+    winding_temperature: Entries[InDegrees] = ()
+    ambient_temperature: Entries[InDegrees] = ()
+    torque_disagreement: TorqueDisagreement | None = None
+    supply: Supply | None = None
+    loop_overruns: LoopOverruns = LoopOverruns()
+    clock: ClockJump = ClockJump()
+    disk_space: DiskSpace = DiskSpace()
+
+    def entries(self) -> Iterator[tuple[str, Entry, Place]]:
+        """Every entry of a quantity with its place in the block."""
+        for quantity in UNITS:
+            found: Entry | tuple[Entry, ...] = getattr(self, quantity, ())
+            if isinstance(found, Entry):
+                yield quantity, found, (quantity,)
+            else:
+                yield from ((quantity, entry, (quantity, number)) for number, entry in enumerate(found))
+        if self.supply is not None:
+            expected, band = self.supply.expected_V, self.supply.band_V
+            window = {"trip_low_V": expected - band, "trip_high_V": expected + band, "for_s": self.supply.for_s}
+            yield "bus_voltage", InVolts.model_validate(window), ("supply",)
+
+    def of(self, quantity: str, role: str) -> list[Entry]:
+        """Entries that hold for a channel."""
+        return [entry for name, entry, _ in self.entries() if name == quantity and entry.role in (None, role)]
+
+    def beyond(self, limits: Limits) -> list[tuple[Place, str]]:
+        """Trips that would come after a limit of the bench did, each with its place in the block."""
+        faults: list[tuple[Place, str]] = []
+        for quantity, entry, place in self.entries():
+            bounds = limits.of(quantity)
+            low, high = entry.window("trip")
+            for value, beyond in ((high, bounds and high > bounds[1]), (low, bounds and low < bounds[0])):
+                if bounds is not None and beyond and math.isfinite(value):
+                    unit = UNITS[quantity]
+                    message = (
+                        f"a trip at {value:g} {unit} is beyond the limits of {bounds[0]:g} to {bounds[1]:g} {unit}"
+                    )
+                    faults.append((place, f"{message}, which trip first; lower it, or raise the limit"))
+                    break
+        return faults
+
+    def blind(self, channels: Sequence[ChannelSpec]) -> list[tuple[Place, str]]:
+        """Entries that nothing is measured for, and temperatures that no entry trips on, each with its place."""
+        measured = {(channel.quantity, channel.role) for channel in channels}
+        quantities = {quantity for quantity, _role in measured}
+        faults: list[tuple[Place, str]] = []
+        for quantity, entry, place in self.entries():
+            if (quantity, entry.role) not in measured and not (entry.role is None and quantity in quantities):
+                whose = f" of role '{entry.role}'" if entry.role else ""
+                faults.append((place, f"no device measures a {quantity}{whose}; it would never trip"))
+        if self.torque_disagreement and not {("torque", "test"), ("q_axis_current", "test")} <= measured:
+            message = "no device measures both torque and q_axis_current of role 'test'; it would never trip"
+            faults.append((("torque_disagreement",), message))
+        for channel in channels:
+            entries = self.of(channel.quantity, channel.role)
+            if channel.quantity in NEED_A_TRIP and not any(math.isfinite(e.window("trip")[1]) for e in entries):
+                message = (
+                    f"{channel.device} measures it of role '{channel.role}', and no trip_degC says how hot it may be"
+                )
+                faults.append(((channel.quantity,), message))
+        return faults
+
+    def shown(self) -> dict[str, Any]:
+        """What holds, by the keys of the bench file, defaults included."""
+        whole: dict[str, Any] = self.model_dump(by_alias=True, exclude_none=True)
+        return {name: value for name, value in whole.items() if value not in ((), [])}

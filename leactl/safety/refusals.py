@@ -1,0 +1,48 @@
+"""What is refused before a run starts: setpoints beyond the limits, and a loop too slow for its drives."""
+
+from collections.abc import Mapping
+
+from leactl.errors import InputError
+from leactl.quantities import UNITS
+from leactl.safety.limits import Limits
+
+SIGNS_OF_LIFE = 3  # that fall into the time a device goes on without any: two may be lost
+
+
+def check_setpoints(limits: Limits, peaks: Mapping[tuple[str, str], float]) -> None:
+    """Refuse a plan whose peaks are outside the limits, before anything moves.
+
+    Raises
+    ------
+    InputError : one line for each setpoint that is.
+    """
+    faults = []
+    for (role, quantity), peak in peaks.items():
+        bounds = limits.of(quantity)
+        if bounds is not None and not abs(peak) <= bounds[1]:
+            unit = UNITS[quantity]
+            faults.append(f"{role} {quantity}: {peak:g} {unit} is above the bench limit of {bounds[1]:g} {unit}")
+    if faults:
+        raise InputError(faults)
+
+
+def check_rate(rate_hz: float, silences: Mapping[str, float | None]) -> None:
+    """Refuse a loop so slow that a device which waits for the host's sign of life would stop between two.
+
+    Parameters
+    ----------
+    silences : how long each device goes on without a sign of life; None where it listens for none.
+
+    Raises
+    ------
+    InputError : one line for each device whose time holds fewer than three cycles.
+    """
+    faults = []
+    for name, silence in silences.items():
+        if silence is not None and rate_hz * silence < SIGNS_OF_LIFE * (1 - 1e-9):
+            faults.append(
+                f"rate_Hz: {rate_hz:g} Hz is too slow for {name}, which stops after {silence:g} s without the host;"
+                f" at least {SIGNS_OF_LIFE / silence:.4g} Hz was expected"
+            )
+    if faults:
+        raise InputError(faults)

@@ -1,0 +1,202 @@
+"""What each channel may do, watched reading by reading: outside its limits, for too long, too fast, or not there.
+
+A reading inside every window costs a comparison and nothing else: what needs memory is looked at only from the first
+reading that leaves a window until all is quiet again.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NoReturn
+
+from leactl.quantities import ChannelSpec
+from leactl.safety.interlocks import Entry, Interlocks
+from leactl.safety.limits import Limits
+
+UNLIMITED = (-math.inf, math.inf)
+REARM_S = 1.0  # a warning is told again only after so long without it: noise at the threshold is one crossing
+KELVIN_AT_ZERO_DEGC = 273.15
+
+Trip = Callable[[str], NoReturn]
+Warn = Callable[[str], None]
+
+
+class Window:
+    """A window that a value must not leave for longer than a time, and a narrower one that it leaves with a warning."""
+
+    def __init__(
+        self, word: str, trip: tuple[float, float], warn: tuple[float, float] = UNLIMITED, for_s: float = 0.0
+    ) -> None:
+        self.word, self.for_s = word, for_s
+        self.low, self.high = trip
+        self.warn_low, self.warn_high = warn
+        self.since = math.nan  # when the value left; NaN while it is inside
+        self.told, self.told_at = False, -math.inf
+
+    @property
+    def quiet(self) -> tuple[float, float]:
+        """Where neither is left."""
+        return max(self.low, self.warn_low), min(self.high, self.warn_high)
+
+    def look(self, watch: "Watch", value: float, now: float) -> bool:
+        """Judge a number; True where nothing has to be remembered of it."""
+        if not self.low <= value <= self.high:
+            if not self.since <= now:
+                self.since = now
+            if now - self.since >= self.for_s:
+                bound = self.low if value < self.low else self.high
+                lasting = f" for {now - self.since:.3g} s" if self.for_s else ""
+                watch.trip(
+                    f"{watch.label} of {value:.4g} {watch.unit} passed the {self.word} of {bound:g} {watch.unit}"
+                    f"{lasting}{watch.hint(value)}"
+                )
+        else:
+            self.since = math.nan
+        if not self.warn_low <= value <= self.warn_high:
+            if not self.told:
+                bound = self.warn_low if value < self.warn_low else self.warn_high
+                watch.warn(f"{watch.label} of {value:.4g} {watch.unit} passed {bound:g} {watch.unit}, where it warns")
+            self.told, self.told_at = True, now
+        elif self.told and now - self.told_at > REARM_S:
+            self.told = False
+        return not self.told and self.since != self.since
+
+
+class Watch:
+    """One channel: its windows, its fastest change, and when it was last a number."""
+
+    def __init__(
+        self, index: int, channel: ChannelSpec, limits: Limits, entries: Sequence[Entry], trip: Trip, warn: Warn
+    ) -> None:
+        self.index, self.channel = index, channel
+        self.label, self.unit = f"{channel.role} {channel.quantity}", channel.unit
+        self.temperature = channel.quantity.endswith("_temperature")
+        self.trip, self.warn = trip, warn
+        self.windows = [Window("limit", limits.of(channel.quantity) or UNLIMITED)]
+        self.windows += [
+            Window("interlock", entry.window("trip"), entry.window("warn"), entry.for_s) for entry in entries
+        ]
+        self.rate = min((entry.rate for entry in entries if entry.rate), default=math.inf)
+        self.own_age = min((entry.age_s for entry in entries if entry.age_s), default=math.nan)
+        self.age = limits.age_s  # the longest without a number [s]
+        self.seen = -math.inf
+        self.last, self.last_at = math.nan, -math.inf
+
+    @property
+    def quiet(self) -> tuple[float, float]:
+        """The narrowest of all windows."""
+        bounds = [window.quiet for window in self.windows]
+        return max(low for low, _ in bounds), min(high for _, high in bounds)
+
+    def begin(self, now: float, age: float) -> None:
+        """Count the age from now, against this one where the channel has none of its own."""
+        self.seen, self.age = now, (age if math.isnan(self.own_age) else self.own_age)
+
+    def look(self, value: float, now: float) -> bool:
+        """Judge a value that may be no number, which only its age tells against; True where all is quiet."""
+        if value != value:
+            if now - self.seen > self.age:
+                self.too_old(now)
+            return False
+        quiet = True
+        for window in self.windows:
+            quiet = window.look(self, value, now) and quiet
+        change, time = value - self.last, now - self.last_at
+        if abs(change) > self.rate * time:
+            per = f"{self.unit}/s" if "/" not in self.unit else f"({self.unit})/s"
+            self.trip(
+                f"{self.label} changed by {change:.4g} {self.unit} in {time:.3g} s;"
+                f" the interlock's rate is {self.rate:g} {per}"
+            )
+        self.seen = self.last_at = now
+        self.last = value
+        return quiet
+
+    def too_old(self, now: float) -> NoReturn:
+        """Trip on the age."""
+        self.trip(f"{self.label}: no reading for {now - self.seen:.3f} s, {self.age:g} s are allowed")
+
+    def hint(self, value: float) -> str:
+        """What a temperature that no bench has may mean."""
+        celsius = value - KELVIN_AT_ZERO_DEGC
+        return f" (kelvin? {celsius:.1f} degC would be)" if self.temperature and -40 <= celsius <= 120 else ""
+
+
+class Panel:
+    """The channels that come together: of one exchange with a drive, or of one stream of a device."""
+
+    def __init__(
+        self, channels: Sequence[ChannelSpec], limits: Limits, interlocks: Interlocks, trip: Trip, warn: Warn
+    ) -> None:
+        self.watches = [
+            Watch(index, channel, limits, interlocks.of(channel.quantity, channel.role), trip, warn)
+            for index, channel in enumerate(channels)
+            if not channel.quantity.endswith("_reference")  # no number in any other mode than its own
+        ]
+        self.values: Sequence[float] = ()  # the latest
+        self._windows = [(watch.index, *watch.quiet) for watch in self.watches]
+        self._rated = [watch for watch in self.watches if watch.rate < math.inf]
+        # of each channel whose rate is watched: its place, its rate, and its value at the last look
+        self._rates: list[tuple[int, float, list[float]]] = [
+            (watch.index, watch.rate, [math.nan]) for watch in self._rated
+        ]
+        self._quiet = False
+        self.looked = -math.inf
+
+    def begin(self, now: float, age: float) -> None:
+        """Ages count from here."""
+        self._quiet, self.looked = False, now
+        for watch in self.watches:
+            watch.begin(now, age)
+
+    def look(self, values: Sequence[float], now: float) -> None:
+        """Judge the values that came together, in the order of the channels.
+
+        Raises
+        ------
+        SafetyTrip : by way of `trip`.
+        """
+        self.values = values
+        if self._quiet:
+            for index, low, high in self._windows:
+                if not low <= values[index] <= high:
+                    break
+            else:
+                time = now - self.looked
+                for index, rate, last in self._rates:
+                    if not abs(values[index] - last[0]) <= rate * time:
+                        break
+                    last[0] = values[index]
+                else:
+                    self.looked = now
+                    return
+            self._remember()
+        quiet = True
+        for watch in self.watches:
+            quiet = watch.look(values[watch.index], now) and quiet
+        for index, _rate, last in self._rates:
+            last[0] = values[index]
+        self._quiet, self.looked = quiet, now
+
+    def _remember(self) -> None:
+        """Up to the last look all was quiet, and nothing was kept of each channel."""
+        for watch in self.watches:
+            watch.seen = watch.last_at = self.looked
+            watch.last = math.nan
+        for watch, (_index, _rate, last) in zip(self._rated, self._rates, strict=True):
+            watch.last = last[0]
+
+    def check_age(self, now: float) -> float:
+        """Trip where a channel is too old or stamped ahead of now; the time when the next one may be.
+
+        Raises
+        ------
+        SafetyTrip : by way of `trip`.
+        """
+        if self._quiet:
+            self._remember()
+        for watch in self.watches:
+            if not now - watch.age <= watch.seen:
+                watch.too_old(now)
+            if watch.seen > now:
+                watch.trip(f"{watch.label}: a reading is stamped {watch.seen - now:.3f} s ahead of the bench's clock")
+        return min((watch.seen + watch.age for watch in self.watches), default=math.inf)

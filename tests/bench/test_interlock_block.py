@@ -1,0 +1,139 @@
+"""The `interlocks:` block at the door: what cannot be meant, or would never trip, is one line with its place."""
+
+import json
+
+import pytest
+
+from leactl.bench import benchfile
+from leactl.bench.bench import Bench, refuse_blind
+from leactl.bench.wiring import MachineWiring
+from leactl.errors import InputError
+from tests.cli.terminal import leactl
+
+
+def written(tmp_path, interlocks, more=""):
+    head, _, rest = (benchfile.SHIPPED / "emulated.yaml").read_text().partition("interlocks:")
+    rest = rest.partition("response:")[2]
+    if more:
+        head = head.replace("limits:\n", f"{more}limits:\n")
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"{head}interlocks:\n  {interlocks}\nresponse:{rest}")
+    return path
+
+
+def refused(path):
+    with pytest.raises(InputError) as caught:
+        file, devices, document = benchfile.load(str(path))
+        refuse_blind(Bench(file, devices, MachineWiring()), document)
+    return caught.value.faults
+
+
+@pytest.mark.parametrize(
+    ("interlocks", "column", "message"),
+    [
+        ("torqe: {trip_Nm: 3}", 10, "interlocks.torqe: unknown key"),
+        ("torque: {trip: 3}", 11, "interlocks.torque: trip carries no unit; trip_Nm was expected"),
+        ("torque: {trip_Nm: 3, for: 1}", 11, "interlocks.torque: for carries no unit; for_s was expected"),
+        ("torque: {trip_A: 3}", 20, "interlocks.torque.trip_A: unknown key"),
+        (
+            "torque: {warn_Nm: 4, trip_Nm: 3}",
+            11,
+            "interlocks.torque: warn_Nm 4 is beyond the trip of 3; it would never warn",
+        ),
+        (
+            "bus_voltage: {warn_low_V: 23, trip_low_V: 24}",
+            16,
+            "interlocks.bus_voltage: warn_low_V 23 is beyond the trip of 24; it would never warn",
+        ),
+        (
+            "torque: {trip_Nm: 3, for_s: -0.1}",
+            31,
+            "interlocks.torque.for_s: -0.1: input should be greater than",
+        ),
+        ("torque: {rate_Nm_per_s: 0}", 27, "interlocks.torque.rate_Nm_per_s: 0: input should be greater than 0"),
+        ("torque: {trip_Nm: -3}", 11, "interlocks.torque: trip_Nm -3 is a magnitude; more than 0 was expected"),
+        ("torque: {for_s: 1}", 11, "interlocks.torque: for_s 1 s is how long beyond a trip; trip_Nm is missing"),
+        ("torque: {role: test}", 11, "interlocks.torque: says nothing; trip_Nm or another value was expected"),
+        ("torque: {trip_Nm: 3, trip_low_Nm: 1}", 11, "interlocks.torque: trip_Nm stands beside a low or a high one"),
+        (
+            "bus_voltage: {trip_low_V: 40, trip_high_V: 30}",
+            16,
+            "interlocks.bus_voltage: trip_low_V 40 is not below its high one, 30",
+        ),
+        ("[{trip_Nm: 3}]", 3, "interlocks: input should be a valid dictionary"),
+        (
+            "housing_temperature: {trip_degC: 358}",
+            24,
+            "interlocks.housing_temperature: trip_degC 358 is no temperature of a bench; -40 to 200 degC was expected",
+        ),
+        (
+            "torque: {trip_Nm: 18}",
+            11,
+            "interlocks.torque: a trip at 18 N*m is beyond the limits of -17 to 17 N*m, which trip first",
+        ),
+        ("torque_disagreement: {tolerance_Nm: 1, for_s: 0}", 49, "for_s: 0: input should be greater than 0"),
+        ("loop_overruns: {share_percent: 100}", 34, "share_percent: 100: input should be less than 100"),
+        ("clock: {jump_s: -1}", 19, "interlocks.clock.jump_s: -1: input should be greater than 0"),
+        ("disk_space: {warn_MB: 1, trip_MB: 2}", 15, "interlocks.disk_space: warn_MB 1 is beyond the trip of 2"),
+    ],
+)
+def test_a_fault_is_one_line_with_its_place(tmp_path, interlocks, column, message):
+    path = written(tmp_path, interlocks)
+    line = next(n for n, text in enumerate(path.read_text().splitlines(), 1) if text.strip() == interlocks)
+    faults = refused(path)
+    assert any(fault.startswith(f"{path}:{line}:{column}  ") and message in fault for fault in faults), faults
+
+
+@pytest.mark.parametrize(
+    ("interlocks", "message"),
+    [
+        ("drive_temperature: {trip_degC: 85}", "drive_temperature: no device measures a drive_temperature; it would"),
+        ("torque: {role: load, trip_Nm: 3}", "torque: no device measures a torque of role 'load'; it would never trip"),
+    ],
+)
+def test_an_interlock_on_what_nobody_measures_is_refused(tmp_path, interlocks, message):
+    (fault,) = refused(written(tmp_path, interlocks))
+    assert message in fault
+    assert f"{tmp_path}/mine.yaml:" in fault
+
+
+THERMISTOR = """  thermistor:
+    driver: ads1115
+    bus: i2c1
+    role: bench
+    settings:
+      address: 73
+      inputs: [{name: t, quantity: housing_temperature, role: test, pins: A0, scale_per_V: 100}]
+"""
+
+
+def test_a_temperature_that_is_measured_needs_a_trip(tmp_path):
+    (fault,) = refused(written(tmp_path, "clock: {jump_s: 1}", THERMISTOR))
+    assert "housing_temperature: thermistor measures it of role 'test', and no trip_degC says" in fault
+    (fault,) = refused(written(tmp_path, "housing_temperature: {role: test, warn_degC: 70}", THERMISTOR))
+    assert "and no trip_degC says how hot it may be" in fault
+    path = written(tmp_path, "housing_temperature: {role: test, trip_degC: 85}", THERMISTOR)
+    file, devices, document = benchfile.load(str(path))
+    refuse_blind(Bench(file, devices, MachineWiring()), document)
+
+
+def test_a_bench_without_limits_is_refused_and_one_without_interlocks_has_defaults(tmp_path):
+    text = (benchfile.SHIPPED / "emulated.yaml").read_text()
+    without = tmp_path / "without.yaml"
+    without.write_text(text.partition("limits:")[0] + "emulated: {}\n")
+    with pytest.raises(InputError, match=r"without\.yaml:1:1  limits: is required and missing"):
+        benchfile.load(str(without))
+    head, _, rest = text.partition("interlocks:")
+    without.write_text(head + "response:" + rest.partition("response:")[2])
+    found = benchfile.load(str(without))[0].interlocks.shown()
+    assert set(found) == {"loop_overruns", "clock", "disk_space"}
+
+
+def test_the_check_shows_interlocks_and_refuses_with_status_2(tmp_path):
+    shown = leactl("bench", "check", "testbed")
+    assert "  interlock torque_disagreement    tolerance_Nm 2.0, for_s 0.2" in shown.stdout.splitlines()
+    answer = json.loads(leactl("bench", "check", "testbed", "--json").stdout)
+    assert answer["interlocks"]["supply"] == {"expected_V": 29.6, "band_V": 5.0, "for_s": 0.0}
+    done = leactl("bench", "check", str(written(tmp_path, "drive_temperature: {trip_degC: 85}")))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
