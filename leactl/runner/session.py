@@ -294,7 +294,7 @@ def _introduce(request: Request, windings: Windings, writer: RunWriter) -> None:
         seed = request.bench.emulated.seed if request.seed is None else request.seed
         writer.event(0.0, "info", "emulation", f"seed = {seed}")
     for role, found in windings.recalled.items():
-        writer.event(0.0, "info", "safety", f"{role} winding: {found.known}, at most {found.nodes[0]:.1f} degC")
+        writer.event(0.0, "info", "windings", f"{role} winding: {found.known}, at most {found.nodes[0]:.1f} degC")
 
 
 def _unconfirmed(error: BaseException | None, safe: Mapping[str, Confirmation]) -> BaseException | None:

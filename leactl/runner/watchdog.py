@@ -90,7 +90,7 @@ class Watchdog(Unwatched):
             )
         finally:
             os.close(memory)
-        bench = file.model_dump(mode="json", exclude={"interlocks"})  # they watch a run; this only ends one
+        bench = file.model_dump(mode="json", by_alias=True, exclude_none=True)  # keys as a person writes them
         orders = {"process": os.getpid(), "bench": bench, "devices": [d.name for d in devices]}
         self._tell(json.dumps(orders))
 

@@ -44,14 +44,14 @@ def main(path, *changes):
     file, devices, _document = benchfile.load(path)
     bench = EmulatedBench(file, devices, "coupled", "")
     bench.wires["can0"].attach(Recorder(bench, devices[0].settings.host_node))
-    clock, drives = bench.clock, [bench.far_ends[name] for name in ("drive_test", "drive_load")]
+    clock, drives = bench.time, [bench.far_ends[name] for name in ("drive_test", "drive_load")]
     if "without-dead-man" in changes:
         for drive in drives:
             drive._lose_host = lambda: None
     # a drive keeps its own time: where this process was held up, the moments it missed come one after the other
     clock.stop_at(lambda: (int(clock.now() * STEPS_PER_S + 1e-6) + 1) / STEPS_PER_S)
     clock.stop_at(lambda: min(drive.due for drive in drives))
-    with listening() as stop, bridged(file, bench.wires) as bridges:
+    with listening() as stop, bridged(file, bench.wires, bench.serial_wires) as bridges:
         print(json.dumps(bridges["can0"].place), flush=True)
         serve(clock, list(bridges.values()), [], lambda: bool(stop.cause))
 

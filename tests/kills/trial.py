@@ -58,7 +58,7 @@ class ServedBench:
         on_pty = {"interface": "pty", "options": {"sleep_after_open": 0.0}}
         place = on_pty if bus == "pty" else can_place("udp_multicast")
         bench["buses"] = {"can0": bench["buses"]["can0"] | place}
-        del bench["devices"]["torque_sensor"]
+        del bench["devices"]["torque_sensor"], bench["interlocks"]["torque"], bench["interlocks"]["torque_disagreement"]
         for role in ("test", "load"):
             bench["devices"][f"drive_{role}"]["settings"] |= {
                 "consumer_heartbeat_ms": consumer_ms,
