@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,12 +25,15 @@ def run(
     bus: list[str] = typer.Option(
         [], metavar="NAME=INTERFACE:CHANNEL", help="Put a bus elsewhere; NAME=serial:PORT a serial line."
     ),
+    cold: bool = typer.Option(False, "--cold", help="Nothing has heated the actuators since they were at ambient."),
+    insert_cooldown: bool = typer.Option(False, "--insert-cooldown", help="Wait where a winding would grow too hot."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
     """Run a protocol on a bench; status 3 is a safety trip, 4 a stop, 5 a device, 6 an acceptance limit not met."""
     from leactl.runner.request import prepare
 
     request = prepare(protocol, bench, settings, actuator, condition, operator, out, realtime, served, bus)
+    request = replace(request, cold=cold, insert_cooldown=insert_cooldown)
     outcome = perform(request)
     answer = told(outcome) | {"acceptance": []}
     unmet: list[str] = []

@@ -44,8 +44,8 @@ class Windings:
         self.motors = motors_of(bench)
         self.settings = guard_settings(bench, devices, self.motors)
         limit, ambient = self.settings.limit, self.settings.ambient
-        names = {role: actuator if role == "test" and actuator else f"{bench.name}.{role}" for role in self.motors}
-        memories = {role: Memory(names[role], motor, limit, ambient) for role, motor in self.motors.items()}
+        self.names = {role: actuator if role == "test" and actuator else f"{bench.name}.{role}" for role in self.motors}
+        memories = {role: Memory(self.names[role], motor, limit, ambient) for role, motor in self.motors.items()}
         now = time.time()
         self.recalled: dict[str, Recalled] = {
             role: memory.cold() if cold or emulated_here else memory.recall(now) for role, memory in memories.items()

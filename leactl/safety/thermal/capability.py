@@ -19,6 +19,7 @@ CURRENTS = 200
 LEAST_A, HARDEST_A = 0.5, 500.0
 SOONEST_S = 0.02
 TURNING, STANDING = 0.0, 1.0
+PEAKS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 60.0, 300.0)
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,16 @@ class Carried:
     guaranteed: float  # by every actuator inside the tolerances
     nominal: float
     favourable: float
+
+
+@dataclass(frozen=True)
+class Held:
+    """What may be carried for ever in one kind of motion."""
+
+    motion: str
+    speed: float  # rad/s
+    current: Carried  # A
+    torque: Carried  # N*m
 
 
 @dataclass(frozen=True)
@@ -58,6 +69,19 @@ def continuous_current(motor: Motor, ambient: float, aligned: float, speed: floa
         return float(bound.hottest()[0])
 
     return _each(motor, ambient, hottest)
+
+
+def continuous(motor: Motor, ambient: float, speeds: Sequence[float]) -> list[Held]:
+    """Continuous current and torque turning slowly, standing, and at these speeds [rad/s]; ambient in degC.
+
+    Raises
+    ------
+    InputError : the motor file has no tolerances.
+    """
+    kinds = [("slowly", TURNING, 0.0), ("standing", STANDING, 0.0)]
+    kinds += [(f"{speed:g} rad/s", TURNING, speed) for speed in speeds]
+    found = [(name, speed, continuous_current(motor, ambient, aligned, speed)) for name, aligned, speed in kinds]
+    return [Held(name, speed, current, torque(motor, current)) for name, speed, current in found]
 
 
 def peaks(motor: Motor, ambient: float, durations: Sequence[float]) -> list[Peak]:

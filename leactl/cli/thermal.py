@@ -1,0 +1,110 @@
+"""`leactl thermal`: what windings may carry, how warm they may be, and what a protocol would do to them."""
+
+import json
+from typing import Any
+
+import typer
+
+app = typer.Typer(help="Limits, state and forecast of windings.", no_args_is_help=True, rich_markup_mode=None)
+AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
+AMBIENT = typer.Option(25.0, "--ambient", min=-40.0, max=60.0, help="Of the air around the actuator [degC].")
+BENCH = typer.Option("emulated", help="Name of a shipped bench, or a path to a .yaml.")
+SET = typer.Option([], "--set", metavar="NAME=VALUE", help="Set a parameter of the protocol.")
+ACTUATOR = typer.Option("", help="Label of the one under test.")
+COLD = typer.Option(False, "--cold", help="Nothing has heated the actuators.")
+
+
+@app.command()
+def limits(
+    motor: str = typer.Option("lea", help="Name of a shipped motor, or a path to a .yaml."),
+    ambient: float = AMBIENT,
+    speed: list[float] = typer.Option([31.4], min=0.0, help="Further speeds [rad/s], for the heat of friction."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """State continuous and peak current and torque: guaranteed over the motor's tolerances, nominal, favourable."""
+    from dataclasses import asdict
+
+    from leactl.model.motor import load_motor
+    from leactl.report.thermal import limits_text
+    from leactl.safety.thermal.capability import PEAKS_S, continuous, peaks
+
+    found = load_motor(motor)[0]
+    held = continuous(found, ambient, speed)
+    short = peaks(found, ambient, PEAKS_S)
+    if as_json:
+        body = {
+            "motor": found.name,
+            "ambient_degC": ambient,
+            "winding_limit_degC": found.limits.winding_temperature,
+            "continuous": [asdict(one) for one in held],
+            "peak": [asdict(one) for one in short],
+        }
+        typer.echo(json.dumps(body))
+        return
+    typer.echo(limits_text(found, ambient, held, short))
+
+
+@app.command()
+def state(
+    bench: str = BENCH, actuator: str = typer.Option("", help="Label of the one under test."), as_json: bool = AS_JSON
+) -> None:
+    """Show how warm the windings of a bench may be by now, and how that is known."""
+    from leactl.bench.benchfile import load
+    from leactl.report.thermal import state_text
+    from leactl.runner.windings import Windings
+
+    file, devices, _document = load(bench)
+    windings = Windings(file, devices, actuator)
+    rows: list[dict[str, Any]] = [
+        {
+            "role": role,
+            "actuator": windings.names[role],
+            "hottest_phase_degC": round(float(found.nodes[0]), 2),
+            "winding_degC": round(float(found.nodes[1]), 2),
+            "housing_degC": round(float(found.nodes[2]), 2),
+            "limit_degC": windings.settings.limit,
+            "known": found.known,
+        }
+        for role, found in windings.recalled.items()
+    ]
+    typer.echo(json.dumps({"bench": file.name, "windings": rows}) if as_json else state_text(file.name, rows))
+
+
+@app.command()
+def plan(
+    protocol: str,
+    bench: str = BENCH,
+    overrides: list[str] = SET,
+    condition: str = typer.Option("", help="Condition of the run."),
+    actuator: str = ACTUATOR,
+    cold: bool = COLD,
+    as_json: bool = AS_JSON,
+) -> None:
+    """Forecast how hot a protocol may make the windings, and the waits that would keep them below the limit."""
+    from leactl.bench.benchfile import load as load_bench
+    from leactl.errors import InputError
+    from leactl.protocol.protocolfile import load, read_overrides
+    from leactl.report.thermal import forecast_text
+    from leactl.runner.windings import Windings
+
+    file, devices, _document = load_bench(bench)
+    expanded = load(protocol, read_overrides(overrides), condition)
+    windings = Windings(file, devices, actuator, cold=cold)
+    found = windings.forecast(expanded)
+    longer = expanded
+    if found.passing is not None:
+        try:
+            longer = windings.approved(expanded, insert_cooldown=True)
+        except InputError:
+            longer = expanded
+    waits = [row for row in longer.timeline() if row.name == "cooldown"]
+    body = {
+        "protocol": expanded.name,
+        "limit_degC": windings.settings.limit,
+        "peaks_degC": {role: round(value, 2) for role, value in found.peaks.items()},
+        "passes": None
+        if found.passing is None
+        else {"step": found.passing.step, "time_s": round(found.passing.time_s, 2), "role": found.passing.role},
+        "cooldowns": [{"start_s": round(row.start_s, 3), "duration_s": row.duration_s} for row in waits],
+    }
+    typer.echo(json.dumps(body) if as_json else forecast_text(body))

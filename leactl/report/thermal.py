@@ -1,0 +1,53 @@
+"""Thermal limits, state and forecasts as text that fits 80 columns."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from leactl.model.motor import Motor
+from leactl.safety.thermal.capability import Carried, Held, Peak
+
+HEAD = f"{'':<28}{'guaranteed':>12}{'nominal':>12}{'favourable':>12}"
+
+
+def limits_text(motor: Motor, ambient: float, held: Sequence[Held], short: Sequence[Peak]) -> str:
+    """Continuous and peak figures of one motor."""
+    lines = [
+        f"{motor.name}: hottest phase at {motor.limits.winding_temperature:g} degC, ambient {ambient:g} degC",
+        "guaranteed: by every actuator inside the motor file's tolerances",
+        "",
+        HEAD,
+    ]
+    for one in held:
+        lines += [_row(f"continuous, {one.motion} [A]", one.current), _row("    [N*m]", one.torque)]
+    for peak in short:
+        lines += [_row(f"{peak.duration_s:g} s at standstill [A]", peak.current), _row("    [N*m]", peak.torque)]
+    return "\n".join(lines)
+
+
+def _row(label: str, values: Carried) -> str:
+    return f"{label:<28}{values.guaranteed:12.2f}{values.nominal:12.2f}{values.favourable:12.2f}"
+
+
+def state_text(bench: str, rows: Sequence[Mapping[str, Any]]) -> str:
+    """How warm each winding may be."""
+    lines = [f"{bench}: at most, in degC", f"{'role':<6}{'phase':>8}{'winding':>9}{'housing':>9}{'limit':>7}  known by"]
+    for row in rows:
+        numbers = f"{row['hottest_phase_degC']:8.1f}{row['winding_degC']:9.1f}{row['housing_degC']:9.1f}"
+        lines.append(f"{row['role']:<6}{numbers}{row['limit_degC']:7.0f}  {row['actuator']}: {row['known']}")
+    return "\n".join(lines)
+
+
+def forecast_text(body: Mapping[str, Any]) -> str:
+    """Peaks of a plan, and what would keep it below the limit."""
+    lines = [f"{body['protocol']}: hottest phases at most, limit {body['limit_degC']:g} degC"]
+    lines += [f"  {role:<6}{value:8.1f} degC" for role, value in body["peaks_degC"].items()]
+    passes = body["passes"]
+    if passes is None:
+        lines.append("may be run as it is")
+        return "\n".join(lines)
+    lines.append(f"the {passes['role']} winding may pass it in step '{passes['step']}', after {passes['time_s']:g} s")
+    for wait in body["cooldowns"]:
+        lines.append(f"  a wait of {wait['duration_s']:g} s at {wait['start_s']:g} s helps (--insert-cooldown)")
+    if not body["cooldowns"]:
+        lines.append("  no wait between its steps helps: shorten or lower them")
+    return "\n".join(lines)
