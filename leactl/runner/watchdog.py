@@ -90,8 +90,8 @@ class Watchdog(Unwatched):
             )
         finally:
             os.close(memory)
-        orders = {"process": os.getpid(), "bench": file.model_dump(mode="json"), "devices": [d.name for d in devices]}
-        self._tell(json.dumps(orders))
+        bench = file.model_dump(mode="json", by_alias=True)  # interlocks are read by the keys of a bench file alone
+        self._tell(json.dumps({"process": os.getpid(), "bench": bench, "devices": [d.name for d in devices]}))
 
     def _tell(self, line: str) -> None:
         pipe = self._process.stdin

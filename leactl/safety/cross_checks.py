@@ -8,22 +8,29 @@ from leactl.safety.interlocks import Interlocks, TorqueDisagreement
 from leactl.safety.watching import Panel, Watch
 
 TEMPERATURE_STUCK_S = 600.0  # a temperature without a word on it: at a thousandth of a kelvin none stands still so long
+TURNING_RAD_S = 0.1  # far above the noise of a velocity: an angle that stands still meanwhile is stuck
+TURNED_RAD = 0.01  # 64 counts of 40000: a velocity that repeats one value meanwhile is stuck
 OTHERS_EVERY = 16  # cycles in which others are looked at: that they move at all shows soon enough
 
 
 class _Still:
-    """One channel over one stretch of time: the value that it began with."""
+    """One channel over one stretch of time: the value that it began with, and what it is held against."""
 
     def __init__(self, panel: Panel, watch: Watch, stuck_s: float) -> None:
         self.panel, self.watch, self.stuck_s = panel, watch, stuck_s
         self.value, self.ends = math.nan, -math.inf
         self.others: list[Sequence[float]] = []
         self.alone = True  # so far: no other channel has moved
+        place = {other.channel.quantity: other.index for other in panel.watches}
+        quantity = watch.channel.quantity
+        self.velocity = place.get("velocity") if quantity == "angle" else None
+        self.angle = place.get("angle") if quantity == "velocity" else None
 
 
 class Stuck:
     """Trips on a channel that repeats one value through a whole stretch of its `stuck_s` while any other moves.
 
+    A shaft at rest repeats its angle and its velocity, so that each of the two is held against the other alone.
     Stretches follow one another, so that it takes between one and two of them; a channel that has moved once costs
     nothing until its next.
     """
@@ -76,6 +83,11 @@ class Stuck:
         self._next = min(item.ends for item in self._channels)
 
     def _others_moved(self, item: _Still) -> bool:
+        if item.velocity is not None:
+            return abs(item.panel.values[item.velocity]) > TURNING_RAD_S
+        if item.angle is not None:
+            before = item.others[self._panels.index(item.panel)]
+            return abs(item.panel.values[item.angle] - before[item.angle]) > TURNED_RAD
         for panel, before in zip(self._panels, item.others, strict=True):
             for watch in panel.watches:
                 index = watch.index
