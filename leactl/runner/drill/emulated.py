@@ -6,11 +6,11 @@ person who drills are left alone.
 
 import os
 import tempfile
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import yaml
 
@@ -19,61 +19,22 @@ from leactl.bench.benchfile import BenchFile, CheckedDevice
 from leactl.driver import registry
 from leactl.emulation.faults.drilling import Rehearsal, rehearsals
 from leactl.emulation.witness import witnessed
-from leactl.errors import InputError
+from leactl.errors import InputError, Stopped
 from leactl.protocol import by_hand
 from leactl.runfile.integrity import verify
 from leactl.runfile.reader import Run
-from leactl.runner.drill.finding import CAUGHT, DeviceEnd, Drilled, Finding, of_the_end
+from leactl.runner.drill.finding import CAUGHT, DeviceEnd, Drilled, Finding, Tell, of_the_end
+from leactl.runner.drill.plant import Plant
 from leactl.runner.operators import granted
 from leactl.runner.request import prepare_by_hand
 from leactl.runner.session import Outcome, execute
-
-if TYPE_CHECKING:
-    from leactl.emulation.emulated_bench import EmulatedBench
+from leactl.runner.signals import between_runs
 
 MOST_CURRENT_A, MOST_VELOCITY_RAD_S = 4.0, 5.0  # or a quarter of the bench's limits
 BEFORE_S, AFTER_S = 0.3, 0.2  # of the held step, before the fault and beyond the latest moment to notice it
 CYCLE_S = 1 / by_hand.RATE_HZ
 NOTHING, STOP = "no_fault", "stop"
 STOPPED = "stopped by the drill"
-
-Tell = Callable[[str, int, int], None]
-"""Takes what is rehearsed next, how many have been, and how many there are."""
-
-
-class Plant:
-    """The emulated bench of one run: when each cycle began, and since when no drive has had power."""
-
-    def __init__(self) -> None:
-        self.began = self.cycle = 0.0  # on the bench's own clock [s], of the run and of its last cycle
-        self.without_power: float | None = None
-        self._bench: EmulatedBench | None = None
-
-    @property
-    def bench(self) -> "EmulatedBench":
-        """The bench itself."""
-        assert self._bench is not None
-        return self._bench
-
-    def see(self, bench: "EmulatedBench") -> None:
-        """Watch a bench that has just been made."""
-        self._bench = bench
-        bench.time.follow(self._look)
-
-    def powered(self, role: str) -> bool:
-        """Whether a drive lets current flow."""
-        actuator = self.bench.rig.actuators[role]
-        return actuator.mode != "off" or actuator.current_true != 0.0
-
-    def _look(self, now: float) -> None:
-        if any(self.powered(role) for role in self.bench.rig.actuators):
-            self.without_power = None
-        elif self.without_power is None:
-            self.without_power = now
-
-    def end(self) -> None:
-        """The run is over, no time has passed since the last device was made safe."""
-        self._look(self.bench.time.now())
 
 
 @dataclass(frozen=True)
@@ -123,20 +84,23 @@ class EmulatedDrill:
         DeviceError, RecordingFailed : as of any run.
         """
         count = 1 + self._stops + len(self._rehearsals)
-        self._tell(NOTHING, 0, count)
-        first, moment = self._without_fault()
-        findings = [first]
-        if first.held:
+        with between_runs() as check:
+            self._tell(NOTHING, 0, count)
+            first, moment = self._without_fault()
+            if not first.held:
+                untried = dict.fromkeys((item.fault for item in self._rehearsals), "a run without a fault did not pass")
+                return Drilled(self._file.name, True, [first], untried)
+            findings = [first]
             if self._stops:
+                check()
                 self._tell(STOP, 1, count)
                 findings.append(self._stopped(moment))
             for item in self._rehearsals:
+                check()
                 self._tell(" ".join(filter(None, (item.fault, item.on))), len(findings), count)
                 findings.append(self._rehearsed(item, moment, len(findings)))
-        left_out = self._left_out
-        if not first.held:
-            left_out = {item.fault: "the bench does not pass a run without a fault" for item in self._rehearsals}
-        return Drilled(self._file.name, True, findings, left_out)
+            check()
+        return Drilled(self._file.name, True, findings, self._left_out)
 
     def _without_fault(self) -> tuple[Finding, float]:
         """A run in which nothing goes wrong, and the moment of the bench's time at which something may."""
@@ -153,8 +117,6 @@ class EmulatedDrill:
     def _stopped(self, moment: float) -> Finding:
         ended = self._run(STOP, [], stop_at=moment)
         faults = [*of_the_end(ended.outcome, ["stopped"], ended.ends), *ended.file_faults]
-        if isinstance(ended.outcome.error, BaseException) and ended.outcome.reason != STOPPED:
-            raise ended.outcome.error
         return self._finding(STOP, "", {}, "the stop request", CYCLE_S, ended, moment, faults)
 
     def _rehearsed(self, item: Rehearsal, moment: float, number: int) -> Finding:
@@ -225,6 +187,8 @@ class EmulatedDrill:
 
         with _own_state(), witnessed(plant.see):
             outcome = execute(request, granted, begin, [each_cycle])
+        if isinstance(outcome.error, Stopped) and outcome.reason != STOPPED:
+            raise outcome.error
         plant.end()
         ends = {
             name: DeviceEnd(

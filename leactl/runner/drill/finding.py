@@ -1,13 +1,15 @@
 """What a drill found: of each rehearsal how it was noticed, how fast, and how the bench ended."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from leactl.errors import Stopped
 from leactl.runner.session import Outcome
 
 CAUGHT = ("tripped", "failed")
+
+Tell = Callable[[str, int, int], None]
+"""Takes what is rehearsed next, how many have been, and how many there are."""
 
 
 @dataclass(frozen=True)
@@ -77,13 +79,7 @@ def of_the_end(outcome: Outcome, wanted: Sequence[str], ends: Mapping[str, Devic
     ----------
     wanted : the statuses that it may have.
     stays_on : a device that nothing but its supply takes the power from.
-
-    Raises
-    ------
-    Stopped : a person stopped the run, which was not asked for.
     """
-    if isinstance(outcome.error, Stopped) and "stopped" not in wanted:
-        raise outcome.error
     faults = []
     if outcome.status not in wanted:
         faults.append("not caught" if outcome.status == "complete" else f"{outcome.status}: {outcome.reason}")
