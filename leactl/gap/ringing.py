@@ -12,13 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.gap.evidence import Evidence, usual_unrest
-from leactl.gap.regression import Fit, residuals
+from leactl.gap.regression import Fit, Rows, residuals
 
 Array = npt.NDArray[np.float64]
 SEGMENT = 64  # rows
 FULL = 0.6  # of a segment's rows that must be there
 NEIGHBOURS = 5  # bins to either side, the next one left out
 LOWEST = 4  # bin; below it there is no neighbourhood on either side, and `unrest` sees what is slow
+STEADY = 0.05  # of a speed, by which it varies where it is not steady
 FEWEST = 8  # segments
 DEVIATIONS = 3.0  # that a mean spectrum of so many segments scatters by
 COLOURLESS = 10.0  # usual unrest, up to which a sound model leaves a rest even enough to hear a line in
@@ -49,7 +50,7 @@ def ringing(evidence: Evidence, fit: Fit, heard: Sequence[bool]) -> dict[tuple[s
         step = int(np.min(np.diff(rows.index)))
         place = (rows.index - rows.index[0]) // step
         even = np.full(place[-1] + 1, np.nan)
-        even[place] = left
+        even[place] = np.where(steady(rows, place), np.nan, left)
         key = (rows.equation, rows.quantity, rows.mechanical)
         rates[key] = 1.0 / (step * rows.signals.interval)
         spectra.setdefault(key, []).extend(periodograms(even))
@@ -59,6 +60,20 @@ def ringing(evidence: Evidence, fit: Fit, heard: Sequence[bool]) -> dict[tuple[s
             at, over = highest_bin(np.mean(found, axis=0))
             lines[key] = Line(over * (1.0 - DEVIATIONS / np.sqrt(len(found))), at * rates[key] / SEGMENT)
     return lines
+
+
+def steady(rows: Rows, place: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+    """Rows around which the speed stays as it is: an encoder's counts come in a rhythm there."""
+    if rows.signals.velocity is None:
+        return np.zeros(len(place), bool)
+    speed = rows.signals.velocity[rows.index]
+    reach = SEGMENT // 4
+    first, last = (np.searchsorted(place, place + side * reach) for side in (-1, 1))
+    count = np.maximum(last - first, 1)
+    sums, squares = (np.concatenate([[0.0], np.cumsum(part)]) for part in (speed, speed**2))
+    mean = (sums[last] - sums[first]) / count
+    spread = np.sqrt(np.maximum((squares[last] - squares[first]) / count - mean**2, 0.0))
+    return np.asarray(spread < STEADY * np.abs(mean), np.bool_)
 
 
 def periodograms(values: Array) -> list[Array]:

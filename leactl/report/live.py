@@ -107,7 +107,8 @@ def _channels(progress: Progress, width: int) -> Table:
     for stream, channels in progress.streams.items():
         values = progress.values if stream == "loop" else progress.own.get(stream, ())
         cells += _cells(channels, values)
-    cells += [(f"{role} winding estimate", f"{value:.1f} degC") for role, value in progress.temperatures.items()]
+    estimates, bounds = progress.windings
+    cells += [(f"{role} winding", f"{value:.0f}, at most {bounds[role]:.0f} degC") for role, value in estimates.items()]
     columns = max(1, width // 40)
     table = Table.grid(expand=False, padding=(0, 2))
     for _ in range(columns):

@@ -69,6 +69,7 @@ class Loop:
         SafetyTrip, Stopped, DeviceError, RecordingFailed : whatever ended it early.
         """
         self._supervisor.begin(self._period)
+        self._progress.windings = self._supervisor.windings
         self._watchdog.begin(self._period)
         try:
             self._cycle()
@@ -175,7 +176,6 @@ class Loop:
             if segment.duration_s > 0.0:
                 self._writer.step(segment.name, began, self.time, segment.settle_s, segment.parameters)
         self._planned += segment.duration_s
-        self._progress.temperatures = self._supervisor.temperatures()
 
     def _command(self, setpoints: list[tuple[str, Profile]], into: float) -> None:
         for role, profile in setpoints:

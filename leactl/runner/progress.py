@@ -16,7 +16,10 @@ class Progress:
     streams: Mapping[str, tuple[ChannelSpec, ...]]
     values: Sequence[float] = ()  # of stream "loop"
     own: Mapping[str, Sequence[float]] = field(default_factory=dict)  # newest row of every other stream
-    temperatures: dict[str, float] = field(default_factory=dict)
+    windings: tuple[Mapping[str, float], Mapping[str, float]] = (
+        {},
+        {},
+    )  # by role: estimate, and bound of the hottest phase
     step: str = ""
     prompt: str = ""
     hint: str = ""  # what the operator can do meanwhile

@@ -18,7 +18,7 @@ from leactl.bench.wiring import MachineWiring, Wiring
 from leactl.driver.contract import Confirmation, MotionDevice
 from leactl.driver.stopping import doubt
 from leactl.errors import DeviceError, InputError, SafetyTrip, Stopped
-from leactl.model.motor import Motor, load_motor
+from leactl.model.motor import load_motor
 from leactl.protocol.plan import Engage, Plan, Record
 from leactl.runfile.writer import RunInfo, RunWriter, new_run_id
 from leactl.runner import exclusive, latch, underway
@@ -28,11 +28,11 @@ from leactl.runner.recorder import InlineFlush, ThreadedFlush
 from leactl.runner.signals import StopRequest, StopSource, listening
 from leactl.runner.underway import Announcement
 from leactl.runner.watchdog import Unwatched, beside
+from leactl.runner.windings import Windings
 from leactl.safety.cross_checks import TorqueModel
 from leactl.safety.disk import check_room, free_bytes, planned_bytes
 from leactl.safety.refusals import check_setpoints
 from leactl.safety.supervisor import Axis, Supervisor
-from leactl.safety.winding import ThermalParameters, WindingEstimate
 
 SENSED_SETUPS = ("coupled", "locked")  # where the torque sensor sees what the test actuator gives
 Watch = Callable[[Progress], AbstractContextManager[object]]
@@ -52,6 +52,8 @@ class Request:
     seed: int | None = None
     realtime: bool = False
     served: bool = False  # the bench is emulated by another process, on real buses
+    cold: bool = False  # a person says that nothing has heated the actuators
+    insert_cooldown: bool = False  # wait where a winding would otherwise pass its limit
 
     @property
     def in_process(self) -> bool:
@@ -88,7 +90,7 @@ def execute(request: Request, operator: Operator, watch: Watch, stops: Sequence[
     DeviceError : another run holds the bench, or a device could not be opened; those that were are safe and closed.
     RecordingFailed : the run file could not be made.
     """
-    motors = _check(request)
+    _check(request)
     alone: AbstractContextManager[list[int]]
     alone = nullcontext([]) if request.in_process else exclusive.held(request.bench, request.devices)
     with alone as locks, listening() as stop:
@@ -102,14 +104,17 @@ def execute(request: Request, operator: Operator, watch: Watch, stops: Sequence[
             _check_roles(request, bench)
             refuse_blind(bench, request.bench_document)
             _check_disk(request, bench)
-            supervisor = _supervisor(request, bench, motors)
+            windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
+            request = replace(request, plan=windings.approved(request.plan, request.insert_cooldown))
+            supervisor = _supervisor(request, bench, windings)
             for source in (announcement.asked, *stops):
                 stop.heed(source)
-            bench.open()
-            try:
-                outcome = _run(request, bench, supervisor, stop, operator, watch, announcement, watchdog)
-            finally:
-                left = bench.close()
+            with windings.remembered():
+                bench.open()
+                try:
+                    outcome = _run(request, bench, windings, supervisor, stop, operator, watch, announcement, watchdog)
+                finally:
+                    left = bench.close()
             announcement.tell(status=outcome.status, reason=outcome.reason, run=str(outcome.path.resolve()))
     return replace(outcome, notes=[*outcome.notes, *left])
 
@@ -124,6 +129,7 @@ def _watched(request: Request, locks: Sequence[int]) -> AbstractContextManager[U
 def _run(
     request: Request,
     bench: Bench,
+    windings: Windings,
     supervisor: Supervisor,
     stop: StopRequest,
     operator: Operator,
@@ -146,7 +152,7 @@ def _run(
     with _shown(watch, progress):
         error: BaseException | None = None
         try:
-            _introduce(request, writer)
+            _introduce(request, windings, writer)
             if announcement.fault:
                 writer.event(0.0, "warning", "runner", announcement.fault)
             loop.run()
@@ -205,16 +211,14 @@ def _latch(bench: str, error: SafetyTrip, run: Path) -> None:
         error.add_note(f"THE BENCH IS NOT LATCHED: {failure}")
 
 
-def _check(request: Request) -> dict[str, Motor]:
-    """Refuse what cannot go well, before anything is touched; the motors by role."""
+def _check(request: Request) -> None:
+    """Refuse what cannot go well, before anything is touched."""
     plan, bench = request.plan, request.bench
     if bench.setup is not None and bench.setup != plan.setup:
         raise InputError(f"protocol '{plan.name}' needs set-up '{plan.setup}'; bench '{bench.name}' is '{bench.setup}'")
     if not request.in_process and (request.seed is not None or request.realtime):
         raise InputError(f"bench '{bench.name}' is not emulated here: it takes no seed and always keeps wall time")
     check_setpoints(bench.limits, plan.peaks())
-    test = load_motor(bench.motors["test"])[0]
-    return {"test": test, "load": load_motor(bench.motors["load"])[0] if "load" in bench.motors else test}
 
 
 def _check_roles(request: Request, bench: Bench) -> None:
@@ -245,19 +249,12 @@ def _wiring(request: Request) -> Wiring:
     )
 
 
-def _supervisor(request: Request, bench: Bench, motors: Mapping[str, Motor]) -> Supervisor:
+def _supervisor(request: Request, bench: Bench, windings: Windings) -> Supervisor:
     axes = {}
     for role, driver in bench.drives.items():
         assert isinstance(driver, MotionDevice)
-        motor = motors[role]
-        thermal = ThermalParameters(
-            phase_resistance=motor.phase_resistance,
-            resistance_coefficient=motor.resistance_coefficient,
-            reference_temperature=motor.reference_temperature,
-            **motor.thermal.model_dump(),
-        )
-        axes[role] = Axis(driver, driver, WindingEstimate(thermal))
-    test = motors["test"]
+        axes[role] = Axis(driver, driver)
+    test = windings.motors["test"]
     torque = TorqueModel(test.torque_constant, test.coulomb_friction, test.viscous_damping, test.rotor_inertia)
     joined = request.plan.setup in SENSED_SETUPS
     return Supervisor(
@@ -265,6 +262,7 @@ def _supervisor(request: Request, bench: Bench, motors: Mapping[str, Motor]) -> 
         axes,
         bench.others,
         bench.clock,
+        windings.guard,
         request.bench.interlocks,
         torque_model=torque if joined else None,
     )
@@ -288,13 +286,15 @@ def _info(request: Request) -> RunInfo:
     )
 
 
-def _introduce(request: Request, writer: RunWriter) -> None:
-    """Note what the stored YAML texts do not tell: the parameters as resolved, and the seed."""
+def _introduce(request: Request, windings: Windings, writer: RunWriter) -> None:
+    """Note what the stored YAML texts do not tell: parameters as resolved, the seed, how warm windings may be."""
     for name, value in request.plan.parameters.items():
         writer.event(0.0, "info", "protocol", f"{name} = {value}")
     if request.in_process and request.bench.emulated is not None:
         seed = request.bench.emulated.seed if request.seed is None else request.seed
         writer.event(0.0, "info", "emulation", f"seed = {seed}")
+    for role, found in windings.recalled.items():
+        writer.event(0.0, "info", "safety", f"{role} winding: {found.known}, at most {found.nodes[0]:.1f} degC")
 
 
 def _unconfirmed(error: BaseException | None, safe: Mapping[str, Confirmation]) -> BaseException | None:

@@ -90,8 +90,9 @@ class Watchdog(Unwatched):
             )
         finally:
             os.close(memory)
-        bench = file.model_dump(mode="json", by_alias=True)  # interlocks are read by the keys of a bench file alone
-        self._tell(json.dumps({"process": os.getpid(), "bench": bench, "devices": [d.name for d in devices]}))
+        bench = file.model_dump(mode="json", exclude={"interlocks"})  # they watch a run; this only ends one
+        orders = {"process": os.getpid(), "bench": bench, "devices": [d.name for d in devices]}
+        self._tell(json.dumps(orders))
 
     def _tell(self, line: str) -> None:
         pipe = self._process.stdin

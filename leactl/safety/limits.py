@@ -6,6 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 CYCLES_OF_SILENCE = 3
 LEAST_CYCLIC_AGE_S = 0.05
+UNKNOWN_AMBIENT_DEGC = 40.0  # what is not told is taken as hot
 COLDEST_DEGC, HOTTEST_DEGC = -40.0, 200.0  # of anything on a bench; above, 25 degC in kelvin would pass for one
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
@@ -25,6 +26,7 @@ class Limits(BaseModel):
     bus_voltage_high_V: Positive  # noqa: N815
     age_s: Positive
     winding_temperature_degC: Annotated[float, Field(gt=25, le=200)]  # noqa: N815
+    ambient_temperature_degC: Annotated[float, Field(ge=-40, le=60)] = UNKNOWN_AMBIENT_DEGC  # noqa: N815
     cyclic_age_s: Positive | None = None  # None: three cycles, 50 ms at the least
     angle_rad: Positive | None = None  # to either side of the encoder's zero; None: the shaft may turn on and on
 

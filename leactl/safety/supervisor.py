@@ -7,7 +7,7 @@ their safe state in a fixed order, and says what could not be confirmed.
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple, NoReturn
 
 from leactl.driver import stopping
@@ -21,11 +21,11 @@ from leactl.safety.disk import Disk
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.limits import CYCLES_OF_SILENCE, Limits
 from leactl.safety.pace import Pace
+from leactl.safety.thermal.guard import ThermalGuard
 from leactl.safety.watching import UNLIMITED, Panel
-from leactl.safety.winding import WindingEstimate
 
-WINDING_PERIOD_S = 0.01  # no more often: the winding's fastest time constant is seconds
 CURRENT_REFERENCE = "q_axis_current_reference"
+STALL_CYCLES = 2.5  # between two, from which a loop has stalled
 SETPOINT_QUANTITY = {
     Mode.CURRENT: CURRENT_REFERENCE,
     Mode.TORQUE_PROFILE: CURRENT_REFERENCE,
@@ -37,11 +37,10 @@ NOTHING_PASSES = (math.nan, math.nan)
 
 
 class Axis(NamedTuple):
-    """A drive under supervision: the device as a driver and as a motion device, and its winding's estimate."""
+    """A drive under supervision: the device as a driver and as a motion device."""
 
     driver: Driver
     motion: MotionDevice
-    winding: WindingEstimate
 
 
 @dataclass
@@ -49,20 +48,19 @@ class _Guarded:
     axis: Axis
     panel: Panel
     current: int  # where the q-axis current stands among the values
+    velocity: int | None
     angle: int | None
     quantity: str = "setpoint"  # that the engaged mode sets
     bounds: tuple[float, float] = UNLIMITED
-    reference: float = 0.0  # of a current, which heats
-    squares: float = 0.0  # of the heating currents since the estimate was advanced
-    cycles: int = 0
-    advanced: float = field(default=-math.inf)
+    asked: float = 0.0  # A^2 of a current reference, which heats
+    scaled: bool = False  # whether its last setpoint was more than the winding may carry
     path: AnglePath | None = None  # in angle mode alone
 
     def turn_to(self, mode: Mode, limits: Limits, now: float) -> None:
         """Take the limits of what this mode sets."""
         quantity = SETPOINT_QUANTITY.get(mode)
         self.quantity = quantity or "setpoint"
-        self.reference, self.path = 0.0, None
+        self.asked, self.path = 0.0, None
         if mode is Mode.ANGLE:
             self.bounds = limits.of("angle_reference") or UNLIMITED  # the path bounds each step
             self.path = AnglePath(self.measured_angle, now)
@@ -76,7 +74,7 @@ class _Guarded:
 
 
 class Supervisor:
-    """Limits, interlocks, winding temperature, latch, and the orderly end."""
+    """Limits, interlocks, thermal guard, latch, and the orderly end."""
 
     def __init__(
         self,
@@ -84,12 +82,16 @@ class Supervisor:
         axes: Mapping[str, Axis],
         others: Sequence[Driver],
         clock: Clock,
+        guard: ThermalGuard,
         interlocks: Interlocks = DEFAULTS,
         torque_model: TorqueModel | None = None,
     ) -> None:
-        """Without a torque model the torque sensor is not held against Kt i: nothing couples the two."""
+        """The guard knows the axes by the same roles.
+
+        Without a torque model the torque sensor is not held against Kt i: nothing couples the two.
+        """
         self._limits, self._interlocks, self._clock, self._others = limits, interlocks, clock, list(others)
-        self._hottest = limits.winding_temperature_degC
+        self._thermal, self._worst, self._stall = guard, limits.current_A**2, 0.0
         self._period = 0.0
         self.tripped: str = ""
         self.warnings: list[str] = []
@@ -108,9 +110,13 @@ class Supervisor:
         self._due = self._ages_due = -math.inf
         # by names of their own: `check` runs in every cycle
         self._judged = [
-            (role, guarded, guarded.axis.motion, guarded.axis.winding, guarded.panel.look)
+            (guard.roles.index(role), guarded, guarded.axis.motion, guarded.panel.look)
             for role, guarded in self._axes.items()
         ]
+        guard.watch(self._motion_of)
+        guard.begin(now)
+        self._heated = now
+        self.windings = guard.estimate, guard.hottest  # degC by role, kept up to date
         self._keep_pace = self._pace.look
 
     def _panel(self, channels: Sequence[ChannelSpec], age: float, now: float) -> Panel:
@@ -122,7 +128,7 @@ class Supervisor:
         channels = axis.motion.loop_channels
         place = {channel.quantity: index for index, channel in enumerate(channels)}
         panel = self._panel(channels, self._limits.cyclic_age(0.0), now)
-        return _Guarded(axis, panel, place["q_axis_current"], place.get("angle"), advanced=now)
+        return _Guarded(axis, panel, place["q_axis_current"], place.get("velocity"), place.get("angle"))
 
     def _torque_estimates(self, panels: Sequence[Panel], model: TorqueModel | None) -> TorqueEstimates | None:
         settings, test = self._interlocks.torque_disagreement, self._axes.get("test")
@@ -138,8 +144,9 @@ class Supervisor:
     def begin(self, period: float) -> None:
         """The loop begins: ages count from here, for opening devices and making a file take what time they take."""
         now, self._period = self._clock.now(), period
+        self._thermal.begin(now)
+        self._heated, self._stall = now, STALL_CYCLES * period
         for guarded in self._axes.values():
-            guarded.advanced = now
             guarded.panel.begin(now, self._limits.cyclic_age(period))
         for panel in self._own.values():
             panel.begin(now, self._limits.age_s)
@@ -186,10 +193,29 @@ class Supervisor:
         if not low <= value <= high:
             self.trip(f"{role} {guarded.quantity} of {value:g} is outside the limits {guarded.bounds}")
         if guarded.quantity == CURRENT_REFERENCE:
-            guarded.reference = value
+            value = self._carried(role, guarded, value)
+            guarded.asked = value * value
         if guarded.path is not None:
             self._judge_angle(role, guarded.path, value)
         guarded.axis.motion.command(value)
+
+    def _carried(self, role: str, guarded: _Guarded, value: float) -> float:
+        """As much of a current as the winding may carry; said once each time that this becomes less than all of it."""
+        allowed = self._thermal.allowed[role]
+        scaled = abs(value) > allowed
+        if scaled and not guarded.scaled:
+            self.warnings.append(
+                f"{role} current of {value:g} A is scaled down, to {allowed:.1f} A at first: the hottest phase"
+                f" may be at {self._thermal.hottest[role]:.1f} degC"
+            )
+        guarded.scaled = scaled
+        return math.copysign(allowed, value) if scaled else value
+
+    def _motion_of(self, place: int) -> tuple[float, float]:
+        """Angle and velocity of an actuator as last measured."""
+        guarded = self._axes[self._thermal.roles[place]]
+        velocity = math.nan if guarded.velocity is None else guarded.axis.motion.values[guarded.velocity]
+        return guarded.measured_angle, velocity
 
     def _judge_angle(self, role: str, path: AnglePath, value: float) -> None:
         if math.isnan(path.sent):
@@ -212,28 +238,29 @@ class Supervisor:
 
         Raises
         ------
-        SafetyTrip : a value is outside its limits, a channel is too old, or a winding estimate is too hot.
+        SafetyTrip : a value is outside its limits, a channel is too old, or a winding may become too hot.
         """
         if self.tripped:
             raise SafetyTrip(self.tripped)
         self._keep_pace(now)
-        hottest = self._hottest
-        for role, guarded, motion, estimate, look in self._judged:
+        guard, elapsed, stall = self._thermal, now - self._heated, self._stall
+        self._heated = now
+        squares, flowing = guard.squares, guard.flowing
+        for place, guarded, motion, look in self._judged:
             values = motion.values
             look(values, now)
             if guarded.path is not None:
                 guarded.path.exchanged(guarded.measured_angle, motion.engaged, now)
-            measured = abs(values[guarded.current])
-            asked = abs(guarded.reference)
-            heating = measured if measured > asked else asked  # NaN compares false: the reference counts then
-            guarded.squares += heating * heating
-            guarded.cycles += 1
-            if now - guarded.advanced < WINDING_PERIOD_S:
-                continue
-            winding = estimate.advance(now - guarded.advanced, math.sqrt(guarded.squares / guarded.cycles))
-            guarded.advanced, guarded.squares, guarded.cycles = now, 0.0, 0
-            if not winding < hottest:
-                self.trip(f"{role} winding estimate of {winding:.1f} degC reached the limit of {hottest:g} degC")
+            square = values[guarded.current] ** 2
+            if not square >= guarded.asked:  # a reading that is no number is the worst that may flow
+                square = guarded.asked if square == square else self._worst
+            # a stall of the loop is longer than a cycle: what flowed before it may have gone on
+            squares[place] += (square if elapsed < stall or square > flowing[place] else flowing[place]) * elapsed
+            flowing[place] = square
+        if now >= guard.due or elapsed < 0.0:
+            too_hot = guard.check(now)
+            if too_hot:
+                self.trip(too_hot)
         if now >= self._due:
             self._look_at_all(now)
         if self._torques is not None:
@@ -291,10 +318,6 @@ class Supervisor:
         for guarded in self._axes.values():
             with suppress(Exception):  # a driver that breaks here is switched off by `make_safe`, and hides no trip
                 guarded.axis.motion.release()
-
-    def temperatures(self) -> dict[str, float]:
-        """Winding estimate of each actuator [degC]."""
-        return {role: guarded.axis.winding.winding for role, guarded in self._axes.items()}
 
     # -- the end -----------------------------------------------------------------------------------------------------
 

@@ -19,15 +19,14 @@ from leactl.runner.request import prepare
 from leactl.runner.signals import StopRequest
 from leactl.runner.watchdog import Unwatched
 from leactl.safety.supervisor import Axis, Supervisor
-from leactl.safety.winding import ThermalParameters, WindingEstimate
 from tests.benchmarks.replay import SYNC, RehearsedBus, ReplayBus
 from tests.benchmarks.rounds import compare
 from tests.runfile.specimen import info
+from tests.safety.guards import guard_of
 
 LIMIT = 2.5
 CYCLES = 16000
 FLUSH_EVERY = round(1000 * FLUSH_S)  # cycles
-LEA = ThermalParameters(0.264, 0.004, 25.0, 5.6, 0.3, 1.7, 22.9, 469.1)
 
 BENCH = """
 name: two-drives
@@ -104,8 +103,8 @@ def prepared(request, machine, number):
     """A loop on open devices, ready to run, and what it wants closed afterwards."""
     wiring = Rehearsal(machine)
     bench = Bench(request.bench, request.devices, wiring)
-    axes = {role: Axis(drive, drive, WindingEstimate(LEA)) for role, drive in bench.drives.items()}
-    supervisor = Supervisor(request.bench.limits, axes, bench.others, bench.clock)
+    axes = {role: Axis(drive, drive) for role, drive in bench.drives.items()}
+    supervisor = Supervisor(request.bench.limits, axes, bench.others, bench.clock, guard_of(axes))
     bench.open()
     writer = RunWriter(request.directory, info(f"20261120T101530Z-cycles-{number:04}"), bench.streams())
     progress = Progress("", request.plan.duration_s, bench.streams())

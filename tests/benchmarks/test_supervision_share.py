@@ -6,9 +6,9 @@ from leactl.emulation.emulated_bench import EmulatedBench
 from leactl.quantities import ChannelSpec
 from leactl.safety.cross_checks import TorqueModel
 from leactl.safety.supervisor import Axis, Supervisor
-from leactl.safety.winding import WindingEstimate
 from tests.benchmarks import test_control_cycle as cycle
 from tests.benchmarks.rounds import compare
+from tests.safety.guards import guard_of
 
 LIMIT = 0.10  # of the cycle's CPU time
 TORQUE_EVERY_MS = 2  # an ADS1115 converts in 1.2 ms, and is read by the cycle after
@@ -40,10 +40,11 @@ def test_the_supervisor_takes_a_tenth_of_a_cycle_at_the_most(tmp_path, figure, m
 
     def prepare_next():
         loop, bench, writer, _wiring = cycle.prepared(request, machine, len(loops))
-        axes = {role: Axis(drive, drive, WindingEstimate(cycle.LEA)) for role, drive in bench.drives.items()}
+        axes = {role: Axis(drive, drive) for role, drive in bench.drives.items()}
         model = TorqueModel(0.49, 0.208, 0.0238, 0.0024)
         interlocks = request.bench.interlocks
-        judge = Supervisor(request.bench.limits, axes, [Sensor([torque])], EmulatedClock(), interlocks, model)
+        devices, clock = [Sensor([torque])], EmulatedClock()
+        judge = Supervisor(request.bench.limits, axes, devices, clock, guard_of(axes), interlocks, model)
         judge.begin(0.001)
         rows[:] = [Row("torque_sensor", k / 1000 + 4e-4, (0.001 * (k & 7),)) for k in range(cycle.CYCLES)]
         loops.append((loop, bench, writer, judge))

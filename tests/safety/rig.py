@@ -11,9 +11,9 @@ from leactl.safety.cross_checks import TorqueModel
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.limits import Limits
 from leactl.safety.supervisor import Axis, Supervisor
-from leactl.safety.winding import ThermalParameters, WindingEstimate
 from tests.driver.elmo_bench import ElmoBench
 from tests.driver.failing import FailingConverter
+from tests.safety.guards import guard_of
 
 LIMITS = Limits(
     current_A=30,
@@ -24,7 +24,6 @@ LIMITS = Limits(
     age_s=2.5,
     winding_temperature_degC=130,
 )
-LEA = ThermalParameters(0.264, 0.004, 25.0, 5.6, 0.3, 1.7, 22.9, 469.1)
 LEA_TORQUE = TorqueModel(torque_constant=0.49, coulomb_friction=0.208, viscous_damping=0.0238, rotor_inertia=0.0024)
 TORQUE = {"name": "torque", "quantity": "torque", "role": "test", "pins": "A0", "scale_per_V": 5.0, "range_V": 6.144}
 HOUSING = {"name": "t", "quantity": "housing_temperature", "role": "test", "pins": "A0", "scale_per_V": 100.0}
@@ -42,8 +41,8 @@ class Rig(ElmoBench):
         self.sensor = Ads1115("sensor", "bench", checked, I2cPort(lambda: bus, "i2c-1"), self.clock)
         self.sensor.open()
         block = yamlfile.parse(interlocks).validate(Interlocks)
-        axes = {"test": Axis(self.drive, self.drive, WindingEstimate(LEA))}
-        self.supervisor = Supervisor(limits, axes, [self.sensor], self.clock, block, LEA_TORQUE)
+        axes = {"test": Axis(self.drive, self.drive)}
+        self.supervisor = Supervisor(limits, axes, [self.sensor], self.clock, guard_of(), block, LEA_TORQUE)
         self.supervisor.begin(period)
         self.period = period
 

@@ -22,10 +22,10 @@ from leactl.emulation.wires import CanWire, EmulatedCanBus
 from leactl.errors import DeviceError, InputError, SafetyTrip
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.supervisor import Axis, Supervisor
-from leactl.safety.winding import WindingEstimate
 from tests.driver.elmo_bench import Tap, q_axis
 from tests.driver.failing import COUNTS, RATED_MA, Shaft
-from tests.safety.rig import LEA, LIMITS
+from tests.safety.guards import guard_of
+from tests.safety.rig import LIMITS
 
 PERIOD = 0.01
 NODES = {"test": 1, "load": 2}
@@ -73,6 +73,8 @@ class Wiring:
     def i2c(self, _name, _bus):
         raise NotImplementedError
 
+    serial = i2c
+
     def wait_for_disk(self):
         return
 
@@ -89,9 +91,9 @@ class Unsupervised(RuleBasedStateMachine):
         file, devices = self.file
         self.bench = Bench(file, devices, self.wiring)
         self.bench.open()
-        axes = {role: Axis(drive, drive, WindingEstimate(LEA)) for role, drive in self.bench.drives.items()}
+        axes = {role: Axis(drive, drive) for role, drive in self.bench.drives.items()}
         block = yamlfile.parse(INTERLOCKS).validate(Interlocks)
-        self.supervisor = Supervisor(LIMITS, axes, [], self.clock, block)
+        self.supervisor = Supervisor(LIMITS, axes, [], self.clock, guard_of(axes), block)
         self.mode = dict.fromkeys(NODES, Mode.OFF)
         self.passed = dict.fromkeys(NODES)
         self.word = dict.fromkeys(NODES, 0)  # the latest controlword

@@ -1,13 +1,14 @@
 """The thermal guard of a bench: heat in, every cycle; a bound, a trip and the current that may still flow, out.
 
-Heat is the larger of what a drive reports and what it is asked for, by the measured time between cycles. The bound is
-advanced every `STEP_S`, and from `SOONEST_S` on where the heat since then could take a winding to its limit. It must
-hold for longer than now: a drive that loses its host goes on with its last current until its own watchdog stops it, so
-that the bound is looked at `reserve_s` ahead, at the current that flows and standing at one electrical angle.
+Heat is the larger of what a drive reports and what it is asked for, by the measured time between cycles. Rotors and
+budgets are looked at every `LOOK_S`. The bound is advanced every `STEP_S` where anything that may flow could take a
+winding to its limit before the next step, else every `COLD_STEP_S`. It must hold for longer than now: a drive that
+loses its host goes on with its last current until its own watchdog stops it, so that the bound is looked at `reserve_s`
+ahead, at the current that flows and standing at one electrical angle.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,11 +17,15 @@ from leactl.model.motor import Motor
 from leactl.safety.thermal.bound import HOTTEST, MEAN, ThermalBound
 from leactl.safety.thermal.box import PHASE_SHARE, Array, Box
 
+LOOK_S = 0.01
 STEP_S = 0.1
-SOONEST_S = 0.01
+COLD_STEP_S = 0.5
 HORIZON_S = 1.0  # over which a current is scaled down as the limit comes near
-MARGIN_K = 0.5  # below the limit, where a bench is stopped: what the largest current heats in SOONEST_S
+MARGIN_K = 0.5  # below the limit, where a bench is stopped: what the largest current heats in LOOK_S
 SCALED_K = 1.0  # below the limit, where scaling ends, so that a hold that is scaled is not stopped
+
+
+Motion = Callable[[int], tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -34,17 +39,17 @@ class GuardSettings:
     reserve_s: float  # that a drive may go on for without its host
 
 
-class _Heat:
-    """What one actuator has taken since the last step: integrals of i^2, of i^2 at its electrical angle, and speed."""
+class _Turn:
+    """Where the heat of one actuator went since the last step: integral of i^2 at its electrical angle, and speed."""
 
-    __slots__ = ("aligned_cos", "aligned_sin", "angle", "latest", "poles", "speed", "square")
+    __slots__ = ("angle", "cos", "poles", "sin", "speed", "taken")
 
     def __init__(self, poles: int) -> None:
-        self.poles, self.latest, self.angle = 2.0 * poles, 0.0, 0.0
+        self.poles, self.angle = 2.0 * poles, 0.0
         self.clear()
 
     def clear(self) -> None:
-        self.square = self.aligned_cos = self.aligned_sin = self.speed = 0.0
+        self.taken = self.cos = self.sin = self.speed = 0.0
 
 
 class ThermalGuard:
@@ -52,6 +57,8 @@ class ThermalGuard:
 
     def __init__(self, motors: Mapping[str, Motor], settings: GuardSettings, start: Mapping[str, Array]) -> None:
         """Begin from bounds of hottest phase, mean of the phases and housing [degC] of each role.
+
+        Until `watch` says where to, nothing is known of the rotors: they count as standing and at full speed.
 
         Raises
         ------
@@ -62,7 +69,10 @@ class ThermalGuard:
         self._bound = ThermalBound([*boxes, *(Box.exact(motor) for motor in motors.values())], settings.ambient)
         nodes = np.stack([start[role] for role in self.roles], axis=1)
         self._bound.set(np.concatenate([nodes, nodes], axis=1))
-        self._heats = [_Heat(motor.pole_pairs) for motor in motors.values()]
+        self.squares = [0.0] * len(boxes)  # A^2 s of each role since the last step; the supervisor adds to it
+        self.flowing = [0.0] * len(boxes)  # A^2 of the latest cycle
+        self.due = -math.inf  # when `check` is to be called again
+        self._turns = [_Turn(motor.pole_pairs) for motor in motors.values()]
         # degC per A^2 s of a phase that takes two thirds of the heat, at its limit, cooling left out
         self._heating = [
             box.current_gain**2
@@ -72,83 +82,94 @@ class ThermalGuard:
             / (box.winding_capacitance.low / 3.0)
             for box in boxes
         ]
-        self._advanced = self._cycle = 0.0
+        self._advanced = self._looked = 0.0
+        self._step = STEP_S
+        self._motion: Motion = lambda index: (math.nan, math.nan)
+        self._forgotten: Callable[[], str] = str
         self._budgets = [-math.inf] * len(boxes)
-        self.hottest = {role: float(nodes[HOTTEST, k]) for k, role in enumerate(self.roles)}
+        self.hottest = {role: float(nodes[HOTTEST, k]) for k, role in enumerate(self.roles)}  # degC, at the most
+        self.estimate = {role: float(nodes[MEAN, k]) for k, role in enumerate(self.roles)}  # degC, for display alone
         self.allowed = dict.fromkeys(self.roles, math.inf)
+        self.kept = {role: nodes[:, k] for k, role in enumerate(self.roles)}  # bounds of all nodes, for a memory
+
+    def watch(self, motion: Motion) -> None:
+        """Ask here for angle [rad] and velocity [rad/s] of an actuator by its place among the roles; NaN if unknown."""
+        self._motion = motion
+
+    def remember(self, fault: Callable[[], str]) -> None:
+        """Ask here why the bounds cannot be kept beyond this process; a guard that is forgotten stops the bench."""
+        self._forgotten = fault
 
     def begin(self, now: float) -> None:
         """Time counts from here."""
-        self._advanced = self._cycle = now
-
-    def heat(self, index: int, now: float, current: float, asked: float, angle: float, velocity: float) -> None:
-        """Take in one cycle of one actuator; what is not a number is taken at its worst.
-
-        Parameters
-        ----------
-        current, asked : measured and asked for [A].
-        angle, velocity : of the rotor [rad], [rad/s].
-        """
-        heat, elapsed = self._heats[index], now - self._cycle
-        if elapsed < 0.0:
-            elapsed = math.inf  # a clock that goes backwards leaves no bound
-        measured, wanted = abs(current), abs(asked)
-        if measured != measured:
-            measured = self._settings.most_current
-        flowing = measured if measured > wanted else wanted
-        square = flowing * flowing
-        # a stall of the loop is longer than a cycle: whatever was larger before or after it may have flowed meanwhile
-        taken = (square if square > heat.latest else heat.latest) * elapsed
-        heat.latest = square
-        heat.square += taken
-        speed = abs(velocity)
-        if speed != speed:
-            speed = self._settings.most_speed
-            velocity = 0.0
-        if speed > heat.speed:
-            heat.speed = speed
-        if angle != angle:
-            angle = heat.angle + velocity * elapsed
-        heat.angle = angle
-        turned = heat.poles * angle
-        heat.aligned_cos += taken * math.cos(turned)
-        heat.aligned_sin += taken * math.sin(turned)
+        self._advanced = self._looked = self.due = now
 
     def check(self, now: float) -> str:
-        """End a cycle; gives why the bench must stop, and nothing where it may go on."""
-        self._cycle = now
+        """Look at heat and rotors; gives why the bench must stop, and nothing where it may go on."""
+        if now < self._looked:
+            return "the clock of the bench has gone backwards: no bound of a winding's temperature holds"
+        self._look(now)
         since = now - self._advanced
-        if 0.0 <= since < STEP_S:
-            for heat, budget in zip(self._heats, self._budgets, strict=True):
-                if heat.square + heat.latest * self._settings.reserve_s > budget and since >= SOONEST_S:
+        if since < self._step:
+            for square, flowing, budget in zip(self.squares, self.flowing, self._budgets, strict=True):
+                if square + flowing * self._settings.reserve_s > budget:
                     break
             else:
                 return ""
-        return self._advance(now, since)
+        return self._advance(now, since) if since > 0.0 else ""
+
+    def _look(self, now: float) -> None:
+        """Put the heat since the last look at the electrical angle of now.
+
+        A rotor so fast that angles are taken too seldom gives every angle, or one by chance, which is the worst.
+        """
+        for index, turn in enumerate(self._turns):
+            angle, velocity = self._motion(index)
+            speed = abs(velocity)
+            if speed != speed:
+                speed, velocity = self._settings.most_speed, 0.0
+            if speed > turn.speed:
+                turn.speed = speed
+            turn.angle = angle if angle == angle else turn.angle + velocity * (now - self._looked)
+            square = self.squares[index]
+            fresh, turn.taken = square - turn.taken, square
+            turn.cos += fresh * math.cos(turn.poles * turn.angle)
+            turn.sin += fresh * math.sin(turn.poles * turn.angle)
+        self._looked = now
+        self.due = now + LOOK_S
 
     def _advance(self, now: float, duration: float) -> str:
-        squares = [heat.square / duration for heat in self._heats]
+        squares = [square / duration for square in self.squares]
         aligned = [
-            min(1.0, math.hypot(heat.aligned_cos, heat.aligned_sin) / heat.square) if heat.square > 0.0 else 0.0
-            for heat in self._heats
+            min(1.0, math.hypot(turn.cos, turn.sin) / turn.taken) if turn.taken > 0.0 else 0.0 for turn in self._turns
         ]
-        speeds = [heat.speed for heat in self._heats]
+        speeds = [turn.speed for turn in self._turns]
         self._bound.step(duration, *self._twice(squares, aligned, speeds), self._settings.ambient)
         self._advanced = now
-        for heat in self._heats:
-            heat.clear()
-        return self._judge(speeds)
+        for index, turn in enumerate(self._turns):
+            self.squares[index] = 0.0
+            turn.clear()
+        return self._judge(speeds) or self._forgotten()
 
     def _judge(self, speeds: list[float]) -> str:
         """Look ahead from where the bound stands: trip, scale, and how much heat may pass before the next look."""
         settings, bound = self._settings, self._bound
-        hottest = bound.hottest()
-        flowing = [heat.latest for heat in self._heats]
-        held = self._ahead(flowing, speeds, settings.reserve_s)
+        found = bound.nodes()
+        hottest, estimates = found[HOTTEST], found[MEAN, len(self.roles) :]
+        self.kept = {role: found[:, k] for k, role in enumerate(self.roles)}
+        for k, role in enumerate(self.roles):
+            self.hottest[role], self.estimate[role] = float(hottest[k]), float(estimates[k])
+            self._budgets[k] = (settings.limit - MARGIN_K - self.hottest[role]) / self._heating[k]
+        horizon = max(HORIZON_S, settings.reserve_s) + COLD_STEP_S
+        if all(settings.most_current**2 * horizon < budget for budget in self._budgets):
+            self._step = COLD_STEP_S  # nothing that may flow takes any winding there
+            self.allowed = dict.fromkeys(self.roles, math.inf)
+            return ""
+        self._step = STEP_S
+        held = self._ahead(self.flowing, speeds, settings.reserve_s)
         most = self._ahead([settings.most_current**2] * len(self.roles), speeds, HORIZON_S)
         cause = ""
         for k, role in enumerate(self.roles):
-            self.hottest[role] = float(hottest[k])
             if not max(hottest[k], held[k]) < settings.limit - MARGIN_K:
                 cause = cause or (
                     f"{role} winding: its hottest phase may be at {hottest[k]:.1f} degC, and at {held[k]:.1f} degC"
@@ -158,7 +179,6 @@ class ThermalGuard:
             if not most[k] < settings.limit - SCALED_K:
                 least = self._ahead([0.0] * len(self.roles), speeds, HORIZON_S)[k]
                 self.allowed[role] = self._between(least, most[k])
-            self._budgets[k] = (settings.limit - MARGIN_K - self.hottest[role]) / self._heating[k]
         return cause
 
     def _between(self, least: float, most: float) -> float:
@@ -181,13 +201,3 @@ class ThermalGuard:
     def _twice(squares: list[float], aligned: list[float], speeds: list[float]) -> tuple[Array, Array, Array]:
         """For the bounds and for the estimates."""
         return np.array(squares + squares), np.array(aligned + aligned), np.array(speeds + speeds)
-
-    def nodes(self) -> dict[str, Array]:
-        """Bounds of hottest phase, mean of the phases and housing of each role [degC]."""
-        found = self._bound.nodes()
-        return {role: found[:, k] for k, role in enumerate(self.roles)}
-
-    def estimates(self) -> dict[str, float]:
-        """Estimate of each winding's mean temperature [degC], for display alone."""
-        found = self._bound.nodes()[MEAN, len(self.roles) :]
-        return {role: float(value) for role, value in zip(self.roles, found, strict=True)}

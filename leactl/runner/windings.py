@@ -1,0 +1,137 @@
+"""The windings of a run: what their guard starts from, whether the plan keeps them below the limit, and what is kept.
+
+An emulated bench of this process is at ambient whenever it begins, by its own clock; every other bench has a memory.
+"""
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+from leactl.bench.benchfile import BenchFile, CheckedDevice, host_silences
+from leactl.driver.contract import SAFE_STATE_S
+from leactl.errors import InputError
+from leactl.model.motor import Motor, load_motor
+from leactl.protocol.plan import Plan
+from leactl.runner.thermal_memory import Keeper, Memory, Recalled
+from leactl.safety.thermal.foresight import Forecast, Foresight
+from leactl.safety.thermal.guard import GuardSettings, ThermalGuard
+
+STOPS_WITHIN_S = 0.02  # after its silence, by which a drive is without torque
+
+
+class Windings:
+    """The actuators of one bench as a run finds them."""
+
+    def __init__(
+        self,
+        bench: BenchFile,
+        devices: Sequence[CheckedDevice],
+        actuator: str = "",
+        emulated_here: bool = False,
+        cold: bool = False,
+    ) -> None:
+        """Recall what is known of them.
+
+        Parameters
+        ----------
+        actuator : label of the one under test; the bench's name and the role stand for one without.
+        cold : a person says that nothing has heated them.
+
+        Raises
+        ------
+        InputError : a motor file that cannot be used, or one without tolerances.
+        """
+        self.motors = motors_of(bench)
+        self.settings = guard_settings(bench, devices, self.motors)
+        limit, ambient = self.settings.limit, self.settings.ambient
+        names = {role: actuator if role == "test" and actuator else f"{bench.name}.{role}" for role in self.motors}
+        memories = {role: Memory(names[role], motor, limit, ambient) for role, motor in self.motors.items()}
+        now = time.time()
+        self.recalled: dict[str, Recalled] = {
+            role: memory.cold() if cold or emulated_here else memory.recall(now) for role, memory in memories.items()
+        }
+        if bench.emulated is not None:  # nothing burns that is emulated: what nothing is known of is at ambient
+            fresh = {role for role, memory in memories.items() if not memory.path.is_file()}
+            self.recalled |= {role: memories[role].cold() for role in fresh}
+        start = {role: found.nodes for role, found in self.recalled.items()}
+        self.guard = ThermalGuard(self.motors, self.settings, start)
+        self.keeper = None if emulated_here else Keeper(memories, lambda: self.guard.kept, time.time)
+
+    @contextmanager
+    def remembered(self) -> Iterator[None]:
+        """Keep the bounds for the next run while the block lasts, and once more at its end.
+
+        Raises
+        ------
+        InputError : there is no place to keep them.
+        """
+        if self.keeper is None:
+            yield
+            return
+        self.keeper.start()
+        self.guard.remember(self.keeper.fault)
+        try:
+            yield
+        finally:
+            self.keeper.stop()
+
+    def forecast(self, plan: Plan) -> Forecast:
+        """What a plan would do to the windings."""
+        return self._foresight().forecast(plan)
+
+    def approved(self, plan: Plan, insert_cooldown: bool = False) -> Plan:
+        """The plan, or one with waits where that was asked for.
+
+        Raises
+        ------
+        InputError : a winding may pass its limit; with the step, the time, and the wait that would help.
+        """
+        foresight = self._foresight()
+        found = foresight.forecast(plan)
+        if found.passing is None:
+            return plan
+        longer, later = foresight.with_waits(plan)
+        if insert_cooldown and later.passing is None:
+            return longer
+        at = found.passing
+        if later.passing is None:
+            waits = longer.duration_s - plan.duration_s
+            helps = f"--insert-cooldown adds {waits:.0f} s of waiting, which is enough"
+        elif insert_cooldown:
+            helps = "no wait helps"
+        else:
+            helps = "no wait between its steps helps: shorten or lower them"
+        known = "; ".join(f"{role} {one.known}, at most {one.nodes[0]:.0f} degC" for role, one in self.recalled.items())
+        raise InputError(
+            f"protocol '{plan.name}': step '{at.step}' may take the {at.role} winding to its limit of"
+            f" {self.settings.limit:g} degC after {at.time_s:.0f} s; {helps}"
+            f" ({known}; --cold where nothing has heated them)"
+        )
+
+    def _foresight(self) -> Foresight:
+        start = {role: found.nodes for role, found in self.recalled.items()}
+        return Foresight(self.motors, self.settings, start)
+
+
+def motors_of(bench: BenchFile) -> dict[str, Motor]:
+    """The motors of a bench by role; a load that the file does not tell is like the one under test.
+
+    Raises
+    ------
+    InputError : a motor that is not known, or faults in its file.
+    """
+    test = load_motor(bench.motors["test"])[0]
+    return {"test": test, "load": load_motor(bench.motors["load"])[0] if "load" in bench.motors else test}
+
+
+def guard_settings(bench: BenchFile, devices: Sequence[CheckedDevice], motors: Mapping[str, Motor]) -> GuardSettings:
+    """What a bench file tells the guard; the lowest limit of bench and motors counts."""
+    limits = bench.limits
+    silences = [s for s in host_silences(devices).values() if s is not None]
+    return GuardSettings(
+        limit=min(limits.winding_temperature_degC, *(motor.limits.winding_temperature for motor in motors.values())),
+        ambient=limits.ambient_temperature_degC,
+        most_current=limits.current_A,
+        most_speed=limits.velocity_rad_s,
+        reserve_s=max(silences, default=SAFE_STATE_S) + STOPS_WITHIN_S,
+    )
