@@ -11,6 +11,7 @@ import yaml
 from leactl.bench import benchfile
 from leactl.runner import latch
 from tests.cli.terminal import COMMAND, leactl, start
+from tests.cli.test_stop_key import Terminal
 
 
 @pytest.fixture(autouse=True)
@@ -154,6 +155,33 @@ def test_a_bench_on_real_buses_is_stopped_and_asked_to_confirm(served):
     assert why["operator_stop"] == "it takes a person at a terminal"
     assert why["sensor_unplugged"] == "no sensor on an analogue input"
     assert "kill -9" in why["dead_man"]
+
+
+@pytest.fixture
+def at_the_bench(served):
+    """A person at a terminal in front of the served bench, who is asked about the operator's stop."""
+    terminal = Terminal("safety", "drill", *served, "--only", "operator_stop", "--json")
+    terminal.read_until(lambda: b"Go on? [y/N]" in terminal.shown)
+    assert b"keep clear of the shaft" in terminal.shown
+    yield terminal
+    terminal.close()
+
+
+def test_a_person_at_the_terminal_agrees_and_presses_the_key(at_the_bench):
+    os.write(at_the_bench.hands, b"y\n")
+    at_the_bench.read_until(lambda: b"Press space or q now" in at_the_bench.shown)
+    os.write(at_the_bench.hands, b" ")
+    (finding,) = json.loads(at_the_bench.wait())["findings"]
+    assert at_the_bench.process.returncode == 0
+    assert (finding["status"], finding["reason"]) == ("stopped", "stopped by the operator: key space")
+    assert all(end["confirmed"] for end in finding["devices"].values())
+
+
+def test_a_person_who_does_not_agree_moves_nothing(at_the_bench, here):
+    os.write(at_the_bench.hands, b"no\n")
+    told = json.loads(at_the_bench.wait())
+    assert (at_the_bench.process.returncode, told["findings"]) == (0, [])
+    assert told["not_rehearsed"][0] == {"name": "operator_stop", "why": "not agreed to"}
 
 
 def test_a_bench_that_another_run_holds_is_not_drilled(holder):
