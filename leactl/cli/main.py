@@ -10,7 +10,21 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import typer
 
 from leactl import __version__
-from leactl.cli import analyze, bench, bench_by_hand, demo, doctor, driver, gap, motor, protocol, run, runs, thermal
+from leactl.cli import (
+    analyze,
+    bench,
+    bench_by_hand,
+    demo,
+    doctor,
+    driver,
+    gap,
+    motor,
+    protocol,
+    run,
+    runs,
+    safety,
+    thermal,
+)
 from leactl.errors import InputError, LeactlError, Stopped
 
 CTRL_C_OF_TYPER = 130
@@ -32,6 +46,7 @@ app.add_typer(gap.app, name="gap")
 app.add_typer(motor.app, name="motor")
 app.add_typer(protocol.app, name="protocol")
 app.add_typer(runs.app, name="runs")
+app.add_typer(safety.app, name="safety")
 app.add_typer(thermal.app, name="thermal")
 app.command("run")(run.run)
 app.command("demo")(demo.demo)

@@ -11,6 +11,7 @@ from leactl.driver import registry
 from leactl.driver.far_end import Physics, SupplyLoad
 from leactl.driver.i2c_port import SmBus
 from leactl.driver.serial_port import SerialLine
+from leactl.emulation import witness
 from leactl.emulation.actuator import Actuator
 from leactl.emulation.clock import EmulatedClock, HostClock
 from leactl.emulation.effects import make_effect
@@ -114,6 +115,7 @@ class EmulatedBench:
         for device in devices:
             self._place(device, bool(faults))
         Schedule(self, faults, number)
+        witness.show(self)
 
     def can(self, name: str, bus: CanBus) -> Callable[[], can.BusABC]:
         """How to connect to an emulated CAN bus."""

@@ -5,7 +5,7 @@ vary too. The run file keeps the text, and `leactl run` takes it.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ from leactl.protocol.protocolfile import expanded
 from leactl.protocol.setpointkeys import SPELLINGS
 
 RATE_HZ = 50
+HELD = "held"  # the step in which a bench turns and pulls
 TARE_SAMPLES = 100  # 2 s, as in torque-constant
 GENTLE = {Mode.CURRENT: 5.0, Mode.VELOCITY: 10.0, Mode.ANGLE: 0.5}  # A/s, rad/s^2, rad/s: a hand can follow
 
@@ -80,6 +81,34 @@ def reading(duration_s: float) -> list[str]:
 def zeroing() -> list[str]:
     """Steps that tare the torque sensor, with every drive off."""
     return [f"tare: {{samples: {TARE_SAMPLES}}}"]
+
+
+def turning_and_pulling(
+    setup: str, roles: Collection[str], velocity: float, current: float, hold_s: float
+) -> list[str]:
+    """Steps that let every drive do what a set-up allows: coupled, the load drive turns and the test drive pulls.
+
+    Parameters
+    ----------
+    velocity, current : of what turns and of what pulls [rad/s, A]; locked, nothing turns, and uncoupled nothing pulls.
+
+    Raises
+    ------
+    InputError : no drive that this set-up lets move.
+    """
+    pulls = "test" in roles and (setup == "locked" or (setup == "coupled" and "load" in roles))
+    turns = [] if setup in ("locked", "heated") else [role for role in roles if not (pulls and role == "test")]
+    modes = {role: Mode.VELOCITY for role in turns} | ({"test": Mode.CURRENT} if pulls else {})
+    if not modes:
+        raise InputError(f"set-up '{setup}' with drives {', '.join(roles) or 'none'}: nothing could be moved")
+    moves = []
+    for role, mode in modes.items():
+        keys, goal = SPELLINGS[mode], velocity if mode is Mode.VELOCITY else current
+        moves.append(f"ramp: {{role: {role}, to_{keys.setpoint}: {goal!r}, {keys.rate}: {GENTLE[mode]!r}}}")
+        held = f"hold: {{name: {HELD}, role: {role}, {keys.setpoint}: {goal!r}, duration_s: {hold_s!r}}}"
+    engaged = ", ".join(f"{role}: {mode}" for role, mode in modes.items())
+    left = ", ".join(f"{role}: off" for role in modes)
+    return [f"mode: {{{engaged}}}", *moves, held, f"mode: {{{left}}}"]
 
 
 def written(name: str, setup: str, steps: Sequence[str]) -> Plan:

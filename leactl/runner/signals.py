@@ -1,6 +1,7 @@
 """What asks a run to stop: signals, which set a flag, and sources that the loop looks at; neither breaks its end."""
 
 import signal
+import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -56,3 +57,28 @@ def listening() -> Iterator[StopRequest]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def between_runs() -> Iterator[Callable[[], None]]:
+    """Run after run: what is yielded raises `Stopped` where a signal came that no run of them has taken.
+
+    One that comes while a run closes its file is noted by that run, which looks no more: the descriptor hears it.
+    """
+    ours, theirs = socket.socketpair()
+    ours.setblocking(False)
+    theirs.setblocking(False)
+    with ours, theirs, listening():
+        before = signal.set_wakeup_fd(theirs.fileno(), warn_on_full_buffer=False)
+
+        def check() -> None:
+            try:
+                numbers = ours.recv(4096)
+            except BlockingIOError:
+                return
+            raise Stopped(f"stopped by {signal.Signals(numbers[0]).name}")
+
+        try:
+            yield check
+        finally:
+            signal.set_wakeup_fd(before)

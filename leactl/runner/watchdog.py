@@ -90,7 +90,7 @@ class Watchdog(Unwatched):
             )
         finally:
             os.close(memory)
-        bench = file.model_dump(mode="json", by_alias=True, exclude_none=True)  # keys as a person writes them
+        bench = file.model_dump(mode="json", by_alias=True)  # keys as a person writes them
         orders = {"process": os.getpid(), "bench": bench, "devices": [d.name for d in devices]}
         self._tell(json.dumps(orders))
 

@@ -8,22 +8,38 @@ from leactl.safety.interlocks import Interlocks, TorqueDisagreement
 from leactl.safety.watching import Panel, Watch
 
 TEMPERATURE_STUCK_S = 600.0  # a temperature without a word on it: at a thousandth of a kelvin none stands still so long
+TURNING_RAD_S = 0.1  # far above the noise of a velocity: below, nothing is said of an angle or a velocity that stands
 OTHERS_EVERY = 16  # cycles in which others are looked at: that they move at all shows soon enough
 
 
 class _Still:
-    """One channel over one stretch of time: the value that it began with."""
+    """One channel over one stretch of time: the value that it began with, and what it is held against."""
 
     def __init__(self, panel: Panel, watch: Watch, stuck_s: float) -> None:
         self.panel, self.watch, self.stuck_s = panel, watch, stuck_s
-        self.value, self.ends = math.nan, -math.inf
+        self.value, self.began, self.ends = math.nan, -math.inf, -math.inf
+        self.stood_at = math.nan  # the angle when it began
         self.others: list[Sequence[float]] = []
         self.alone = True  # so far: no other channel has moved
+        place = {other.channel.quantity: other.index for other in panel.watches}
+        quantity = watch.channel.quantity
+        self.velocity = place.get("velocity") if quantity == "angle" else None
+        self.angle = place.get("angle") if quantity == "velocity" else None
+
+    def turns(self, now: float) -> bool | None:
+        """Of an angle or a velocity, whether the other of the two tells that the shaft turns; None of any else."""
+        values = self.panel.values
+        if self.velocity is not None:
+            return abs(values[self.velocity]) > TURNING_RAD_S
+        if self.angle is not None:
+            return abs(values[self.angle] - self.stood_at) > TURNING_RAD_S * (now - self.began)
+        return None
 
 
 class Stuck:
     """Trips on a channel that repeats one value through a whole stretch of its `stuck_s` while any other moves.
 
+    A shaft at rest repeats its angle and its velocity: each of the two is stuck only while the other tells of motion.
     Stretches follow one another, so that it takes between one and two of them; a channel that has moved once costs
     nothing until its next.
     """
@@ -52,8 +68,7 @@ class Stuck:
         self._still = [item for item in self._still if item.panel.values[item.watch.index] == item.value]
         self._looks += 1
         if not self._looks % OTHERS_EVERY:
-            for item in self._still:
-                item.alone = item.alone and not self._others_moved(item)
+            self._still = [item for item in self._still if self._is_judged(item, now)]
         if now >= self._next:
             self._turn(now)
         self.due = -math.inf if self._still else self._next
@@ -68,12 +83,19 @@ class Stuck:
                         f"{watch.label} has been exactly {item.value:.6g} {watch.unit} for {item.stuck_s:g} s while"
                         " others moved: stuck"
                     )
-                item.value, item.ends = item.panel.values[item.watch.index], now + item.stuck_s
+                item.value, item.began, item.ends = item.panel.values[item.watch.index], now, now + item.stuck_s
+                item.stood_at = math.nan if item.angle is None else item.panel.values[item.angle]
                 item.alone = True
                 item.others = [tuple(panel.values) for panel in self._panels]
                 if item not in self._still:
                     self._still.append(item)
         self._next = min(item.ends for item in self._channels)
+
+    def _is_judged(self, item: _Still, now: float) -> bool:
+        """Look at what others do meanwhile; False where the shaft rests, so that this stretch tells nothing."""
+        turns = item.turns(now)
+        item.alone = item.alone and not (self._others_moved(item) if turns is None else turns)
+        return turns is not False
 
     def _others_moved(self, item: _Still) -> bool:
         for panel, before in zip(self._panels, item.others, strict=True):

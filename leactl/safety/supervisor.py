@@ -213,7 +213,9 @@ class Supervisor:
 
     def _motion_of(self, place: int) -> tuple[float, float]:
         """Angle and velocity of an actuator as last measured."""
-        guarded = self._axes[self._thermal.roles[place]]
+        guarded = self._axes.get(self._thermal.roles[place])
+        if guarded is None:
+            return 0.0, 0.0  # no drive turns it
         velocity = math.nan if guarded.velocity is None else guarded.axis.motion.values[guarded.velocity]
         return guarded.measured_angle, velocity
 

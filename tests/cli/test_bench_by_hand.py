@@ -25,10 +25,10 @@ def here(tmp_path, monkeypatch):
 
 @pytest.fixture
 def bench(here):
-    """Write a bench file like the emulated one with these changes."""
+    """Write a bench file like the emulated one with these changes, watched by its limits alone."""
 
     def write(**blocks):
-        content = yaml.safe_load((benchfile.SHIPPED / "emulated.yaml").read_text())
+        content = yaml.safe_load((benchfile.SHIPPED / "emulated.yaml").read_text()) | {"interlocks": {}}
         for name, changes in blocks.items():
             content[name] |= changes
         (here / "bench.yaml").write_text(yaml.safe_dump(content))

@@ -32,7 +32,7 @@ steps:
 def written(path, supply, role="test", drives=False, **emulated):
     text = yaml.safe_load((benchfile.SHIPPED / "emulated.yaml").read_text())
     if not drives:
-        text["devices"], text["buses"] = {}, {}
+        text["devices"], text["buses"], text["interlocks"] = {}, {}, {}  # an interlock needs what it watches
     text["buses"]["supply0"] = {"kind": "serial", "stop_bits": 2}
     text["devices"]["supply"] = {"driver": "scpi_supply", "bus": "supply0", "role": role, "settings": supply}
     text["emulated"] |= emulated
@@ -129,6 +129,32 @@ def test_half_the_current_is_out_of_regulation_and_a_fault(opened):
     emulated.far_ends["supply"].lose_regulation(0.5)
     assert emulated.rig.line_current == pytest.approx(4.5)
     assert run(bench, 3.0)[-1].fault == "supply: out of regulation, condition 0"
+
+
+STUCK = {"fault": "supply_stuck_on", "at_s": 10, "for_s": 20, "device": "supply"}
+
+
+@pytest.mark.parametrize(
+    ("admits", "said"), [(True, "the output is still on"), (False, "the output is said to be off and 9.000 A flow")]
+)
+def test_a_bench_file_lets_a_supply_be_stuck_on_until_it_is_mended(opened, admits, said):
+    bench, emulated = opened("heated", LEADS, faults=[STUCK | {"admits": admits}])
+    switched_on(bench, 8.0, 9.0)
+    run(bench, 10.0 - bench.clock.now())
+    assert doubt(make_safe(bench.drivers.values())).endswith(f"supply: not confirmed within 1 s: {said}")
+    assert emulated.rig.line_current == 9.0
+    bench.clock.sleep_until(30.1)
+    assert make_safe(bench.drivers.values())["supply"].safe
+    assert emulated.rig.line_current == 0.0
+
+
+def test_a_bench_file_lets_a_supply_lose_its_regulation(opened):
+    fault = {"fault": "supply_out_of_regulation", "at_s": 10, "device": "supply", "share": 0.5}
+    bench, emulated = opened("heated", LEADS, faults=[fault])
+    switched_on(bench, 8.0, 9.0)
+    assert not any(row.fault for row in run(bench, 9.9 - bench.clock.now()))
+    assert run(bench, 2.0)[-1].fault == "supply: out of regulation, condition 0"
+    assert emulated.rig.line_current == pytest.approx(4.5)
 
 
 def test_leads_of_a_motor_that_is_not_set_up_for_it_carry_nothing(opened):

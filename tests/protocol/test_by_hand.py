@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from leactl import yamlfile
 from leactl.driver.contract import Mode
 from leactl.errors import InputError
-from leactl.protocol.by_hand import Jog, reading, written, zeroing
+from leactl.protocol.by_hand import Jog, reading, turning_and_pulling, written, zeroing
 from leactl.protocol.plan import SETPOINT_QUANTITY, Engage, Tare
 from leactl.protocol.protocolfile import expanded
 from tests.protocol.writing import segments
@@ -76,3 +76,26 @@ def test_what_no_protocol_can_be_written_of_is_refused(changes, words):
     with pytest.raises(InputError) as refused:
         Jog("test", Mode.CURRENT, 1.0, 1.0)._replace(**changes).check()
     assert refused.value.faults == [words]
+
+
+@pytest.mark.parametrize(
+    ("setup", "roles", "modes"),
+    [
+        ("coupled", ["test", "load"], {"load": Mode.VELOCITY, "test": Mode.CURRENT}),
+        ("coupled", ["test"], {"test": Mode.VELOCITY}),
+        ("free", ["test", "load"], {"test": Mode.VELOCITY, "load": Mode.VELOCITY}),
+        ("locked", ["test", "load"], {"test": Mode.CURRENT}),
+    ],
+)
+def test_a_bench_turns_and_pulls_as_far_as_its_set_up_allows(setup, roles, modes):
+    plan = written("drill", setup, turning_and_pulling(setup, roles, 5.0, 4.0, 1.0))
+    engaged = [action.modes for action in plan.actions if isinstance(action, Engage)]
+    assert engaged == [modes, dict.fromkeys(modes, Mode.OFF)]
+    goals = {Mode.VELOCITY: 5.0, Mode.CURRENT: 4.0}
+    assert sorted(plan.peaks().values()) == sorted(goals[mode] for mode in modes.values())
+
+
+@pytest.mark.parametrize(("setup", "roles"), [("heated", ["test"]), ("locked", ["load"]), ("free", [])])
+def test_where_nothing_can_be_moved_no_protocol_is_written(setup, roles):
+    with pytest.raises(InputError, match="nothing could be moved"):
+        turning_and_pulling(setup, roles, 5.0, 4.0, 1.0)

@@ -184,6 +184,26 @@ def test_a_sensor_that_is_stuck_trips_and_one_that_moves_does_not(make):
     assert 0.2 <= trips_after(rig, "test torque has been exactly .* for 0.2 s", 1, waving(rig)) <= 0.42
 
 
+@pytest.mark.parametrize("quantity", ["angle", "velocity"])
+def test_an_angle_and_a_velocity_are_stuck_only_where_the_other_tells_of_motion(make, quantity):
+    rig = make(f"{quantity}: {{stuck_s: 0.2}}")
+    rig.converter.climb(1e-4)  # the torque moves all the time
+    rig.run(1.0)  # at rest
+    rig.shaft.velocity = 0.5
+    turned = itertools.count(1)
+    rig.run(0.5, lambda: turning(rig, next(turned)))
+    if quantity == "angle":
+        assert 0.2 <= trips_after(rig, "test angle has been exactly .* for 0.2 s", 1) <= 0.42
+    else:
+        each = lambda: setattr(rig.shaft, "angle", 5e-4 * next(turned))  # noqa: E731
+        assert 0.2 <= trips_after(rig, "test velocity has been exactly 0.50.* for 0.2 s", 1, each) <= 0.42
+
+
+def turning(rig, cycle):
+    """The shaft turns at about 0.5 rad/s."""
+    rig.shaft.angle, rig.shaft.velocity = 5e-4 * cycle, 0.5 + 1e-3 * (cycle % 3)
+
+
 def test_a_bench_on_which_nothing_moves_is_not_stuck(make):
     make("torque: {stuck_s: 0.1}").run(1.0)
 

@@ -1,8 +1,10 @@
 """A CAN controller that has left the bus."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from leactl.emulation.faults.contract import Draw, OfBus, Undo
+from leactl.bench.benchfile import BenchFile
+from leactl.emulation.faults.contract import Draw, Drill, OfBus, Undo
 
 if TYPE_CHECKING:
     from leactl.emulation.emulated_bench import EmulatedBench
@@ -12,6 +14,11 @@ class BusOff(OfBus):
     """The host's controller has gone bus-off after too many errors: nothing comes in and sending is refused."""
 
     example = "{fault: bus_off, at_s: 2, bus: can0}"
+
+    @classmethod
+    def drills(cls, file: BenchFile) -> Sequence[Drill]:
+        """Off."""
+        return (Drill({}, 0.05, "the bus itself"),)
 
     def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
         """Take the host's connections off the segment."""

@@ -1,10 +1,12 @@
 """A host whose clock jumps."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from leactl.emulation.faults.contract import Draw, Fault, Undo
+from leactl.bench.benchfile import BenchFile
+from leactl.emulation.faults.contract import Draw, Drill, Fault, Undo
 
 if TYPE_CHECKING:
     from leactl.emulation.emulated_bench import EmulatedBench
@@ -17,6 +19,11 @@ class ClockJump(Fault):
     where_served = "the clock is that of the run's own process"
 
     jump_s: Annotated[float, Field(ge=-1e6, le=1e6)] = Field(description="how far it jumps; negative: back")
+
+    @classmethod
+    def drills(cls, file: BenchFile) -> Sequence[Drill]:
+        """Forward by a second, and back by a second and by little."""
+        return tuple(Drill({"jump_s": jump}, 0.05, "clock, or a heartbeat's age") for jump in (1.0, -1.0, -0.05))
 
     def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
         """Move what the host's clock shows."""

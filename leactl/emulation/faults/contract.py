@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice
 from leactl.driver import registry
-from leactl.driver.far_end import Breakable, CanEmulator, Frame
+from leactl.driver.far_end import Breakable, CanEmulator, FailingSupply, Frame
 from leactl.emulation.parameters import BenchParameters
 from leactl.emulation.signals import STILL, Signals
 from leactl.errors import InputError
@@ -43,12 +43,22 @@ class Standing(NamedTuple):
         return far_end, set(signals.changes)
 
 
+class Drill(NamedTuple):
+    """One rehearsal of a fault, beside when it begins and the device or the bus that it happens to."""
+
+    parameters: Mapping[str, Any]
+    within_s: float  # from its beginning to the cycle that ends the run, at the most
+    by: str  # what ought to end it
+    stays_on: bool = False  # only its supply takes the power from the device
+
+
 class Fault(BaseModel, ABC):
     """A fault; the first sentence of a subclass says what it is on a real bench, its fields are its parameters."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    example: ClassVar[str]  # an entry of `emulated: faults:`, on the shipped emulated bench
+    example: ClassVar[str]  # an entry of `emulated: faults:`, on the shipped bench where that has what it needs
     where_served: ClassVar[str] = ""  # why it does nothing on a bench that is served to another process
+    not_drilled: ClassVar[str] = ""  # why it is no part of `leactl safety drill`
 
     fault: str = Field(description="name of the fault")
     at_s: Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)] = Field(
@@ -65,6 +75,11 @@ class Fault(BaseModel, ABC):
         }
         summary = " ".join((cls.__doc__ or "").split())
         return {"fault": name, "summary": summary, "parameters": parameters, "example": cls.example}
+
+    @classmethod
+    def drills(cls, file: BenchFile) -> Sequence[Drill]:
+        """How it is rehearsed on a bench, on every device or bus that it fits."""
+        return ()
 
     @property
     def ends_s(self) -> float:
@@ -155,6 +170,27 @@ class OfDrive(OfDevice):
     def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:
         """A device whose emulator has no faults of its own."""
         return {} if isinstance(far_end, Breakable) else {"device": f"'{self.device}' is no drive that can fail so"}
+
+
+class OfPowerSupply(OfDevice, LastingFault):
+    """A fault of a device that is a power supply."""
+
+    not_drilled = "no protocol switches a power supply on, and one that is off can fail in neither way"
+
+    def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:
+        """A device whose emulator has no faults of a supply."""
+        fails = isinstance(far_end, FailingSupply)
+        return {} if fails else {"device": f"'{self.device}' is no power supply that can fail so"}
+
+    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+        """Let the supply fail, until it is whole again."""
+        supply: FailingSupply = bench.far_ends[self.device]
+        self.strike(supply)
+        return supply.mend
+
+    @abstractmethod
+    def strike(self, supply: FailingSupply) -> None:
+        """What happens to it."""
 
 
 class OfSensor(OfDevice, LastingFault):

@@ -1,11 +1,12 @@
 """A sensor whose cable, or whose converter, is off."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
-from leactl.bench.benchfile import I2cBus
-from leactl.emulation.faults.contract import Draw, LastingFault, OfDevice, Standing, Undo
+from leactl.bench.benchfile import BenchFile, I2cBus
+from leactl.emulation.faults.contract import Draw, Drill, LastingFault, OfDevice, Standing, Undo
 
 if TYPE_CHECKING:
     from leactl.emulation.emulated_bench import EmulatedBench
@@ -19,6 +20,15 @@ class DisconnectedSensor(OfDevice, LastingFault):
     quantity: str | None = Field(
         None, description="the reading whose sensor is unplugged; left out: the device itself, where its bus is I2C"
     )
+
+    @classmethod
+    def drills(cls, file: BenchFile) -> Sequence[Drill]:
+        """A converter, the torque sensor at one, and the current sensor of a drive."""
+        return (
+            Drill({}, 0.05, "the device's own bus"),
+            Drill({"quantity": "torque"}, 2.1, "stuck_s or torque_disagreement"),
+            Drill({"quantity": "q_axis_current"}, 2.1, "stuck_s"),
+        )
 
     def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:
         """A quantity that the device does not read, or a device that hangs on no I2C bus."""

@@ -1,10 +1,12 @@
 """A drive that fails and says so."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
-from leactl.emulation.faults.contract import Draw, OfDrive, Undo
+from leactl.bench.benchfile import BenchFile
+from leactl.emulation.faults.contract import Draw, Drill, OfDrive, Undo
 
 if TYPE_CHECKING:
     from leactl.emulation.emulated_bench import EmulatedBench
@@ -28,6 +30,11 @@ class DriveFault(OfDrive):
     example = "{fault: drive_fault, at_s: 2, device: drive_test, code: 0x2340}"
 
     code: ErrorCode = Field(description="error code (CiA 301), as 0x2340 for a short circuit")
+
+    @classmethod
+    def drills(cls, file: BenchFile) -> Sequence[Drill]:
+        """A short circuit."""
+        return (Drill({"code": 0x2340}, 0.05, "the drive's emergency message"),)
 
     def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
         """Fail."""

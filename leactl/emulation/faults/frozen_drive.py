@@ -1,8 +1,10 @@
 """A drive whose firmware hangs."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from leactl.emulation.faults.contract import Draw, LastingFault, OfDrive, Undo
+from leactl.bench.benchfile import BenchFile
+from leactl.emulation.faults.contract import Draw, Drill, LastingFault, OfDrive, Undo
 
 if TYPE_CHECKING:
     from leactl.emulation.emulated_bench import EmulatedBench
@@ -12,6 +14,11 @@ class FrozenDrive(OfDrive, LastingFault):
     """The drive's processor hangs while its power stage goes on with the last demand: deaf, dumb and energised."""
 
     example = "{fault: frozen_drive, at_s: 2, device: drive_test}"
+
+    @classmethod
+    def drills(cls, file: BenchFile) -> Sequence[Drill]:
+        """Each drive."""
+        return (Drill({}, 0.1, "cyclic_age_s", stays_on=True),)
 
     def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
         """Freeze it."""

@@ -1,12 +1,13 @@
 """A drive that shows no sign of life and goes on."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
-from leactl.bench.benchfile import CanBus
+from leactl.bench.benchfile import BenchFile, CanBus
 from leactl.driver.far_end import CanEmulator, Frame
-from leactl.emulation.faults.contract import Draw, LastingFault, OfDevice, Standing, Undo
+from leactl.emulation.faults.contract import Draw, Drill, LastingFault, OfDevice, Standing, Undo
 
 if TYPE_CHECKING:
     from leactl.emulation.emulated_bench import EmulatedBench
@@ -20,6 +21,11 @@ class HeartbeatLoss(OfDevice, LastingFault):
     example = "{fault: heartbeat_loss, at_s: 2, device: drive_test, answers: true}"
 
     answers: bool = Field(False, description="true: every other frame of the drive stays away as well")
+
+    @classmethod
+    def drills(cls, file: BenchFile) -> Sequence[Drill]:
+        """The heartbeat alone, and all that the drive sends."""
+        return Drill({}, 0.5, "the drive's heartbeat"), Drill({"answers": True}, 0.1, "cyclic_age_s")
 
     def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:
         """A device that hangs on no CAN bus sends no heartbeat."""

@@ -1,8 +1,11 @@
 """Frames that arrive too late."""
 
+from collections.abc import Sequence
+
 from pydantic import Field
 
-from leactl.emulation.faults.contract import OfFrames, Positive
+from leactl.bench.benchfile import BenchFile
+from leactl.emulation.faults.contract import Drill, OfFrames, Positive
 
 
 class LateFrames(OfFrames):
@@ -11,6 +14,11 @@ class LateFrames(OfFrames):
     example = "{fault: late_frames, at_s: 2, for_s: 1, bus: can0, delay_s: 0.1, direction: to_host}"
 
     delay_s: Positive = Field(description="how much later a frame arrives")
+
+    @classmethod
+    def drills(cls, file: BenchFile) -> Sequence[Drill]:
+        """Late by more than a reading may be old."""
+        return (Drill({"delay_s": 0.2, "direction": "to_host"}, 0.1, "cyclic_age_s"),)
 
     @property
     def fate(self) -> float | None:

@@ -1,10 +1,11 @@
 """A sensor that tells more noise than value."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from pydantic import Field
 
-from leactl.emulation.faults.contract import Draw, OfSensor, Positive, Standing
+from leactl.bench.benchfile import BenchFile
+from leactl.emulation.faults.contract import Draw, Drill, OfSensor, Positive, Standing
 from leactl.quantities import UNITS
 
 
@@ -15,6 +16,12 @@ class NoisySensor(OfSensor):
 
     spread: Positive = Field(description="standard deviation of the noise, in the unit given")
     unit: str = Field(description="unit of the spread, which is the quantity's own")
+
+    @classmethod
+    def drills(cls, file: BenchFile) -> Sequence[Drill]:
+        """A torque with noise as large as its limit: one sample in three is beyond."""
+        spread = file.limits.torque_Nm
+        return (Drill({"quantity": "torque", "spread": spread, "unit": "N*m"}, 0.5, "limit of torque_Nm"),)
 
     def misfits(self, standing: Standing) -> dict[str, str]:
         """Besides what misfits any sensor, a unit that is not the quantity's."""

@@ -1,11 +1,12 @@
 """A sensor at the end of its range."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 from pydantic import Field
 
-from leactl.emulation.faults.contract import Draw, OfSensor, Standing
+from leactl.bench.benchfile import BenchFile
+from leactl.emulation.faults.contract import Draw, Drill, OfSensor, Standing
 
 BEYOND_ANY_RANGE = 1e6
 ENDLESS = ("velocity", "angle")
@@ -17,6 +18,14 @@ class SaturatedSensor(OfSensor):
     example = "{fault: saturated_sensor, at_s: 2, device: torque_sensor, quantity: torque, end: high}"
 
     end: Literal["high", "low"] = Field("high", description="high or low")
+
+    @classmethod
+    def drills(cls, file: BenchFile) -> Sequence[Drill]:
+        """A torque at the end of its range, and a current."""
+        return (
+            Drill({"quantity": "torque"}, 0.05, "the converter's saturation"),
+            Drill({"quantity": "q_axis_current", "end": "low"}, 0.05, "limit of current_A"),
+        )
 
     def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:
         """An encoder has no range to be at the end of."""

@@ -1,0 +1,115 @@
+"""`leactl safety`: what a bench does when something goes wrong, before it does."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from leactl.runner.drill.finding import Drilled
+
+app = typer.Typer(help="Rehearse what keeps a bench safe.", no_args_is_help=True, rich_markup_mode=None)
+PAGE = """# The drill of the bench `{bench}`
+
+Written by `{command}`; what the columns mean is in [safety.md](safety.md), the faults are in [faults.md](faults.md).
+
+"""
+
+
+@app.callback()
+def safety() -> None:
+    """Rehearse what keeps a bench safe."""
+
+
+@app.command()
+def drill(
+    bench: str = typer.Argument("emulated", help="Name of a shipped bench, or a path to a .yaml."),
+    only: list[str] = typer.Option([], metavar="NAME", help="This rehearsal alone; `leactl bench faults` lists them."),
+    yes: bool = typer.Option(False, "--yes", help="Do not ask before each rehearsal on a real bench."),
+    served: bool = typer.Option(False, "--served", help="Meet an emulated bench that another process serves."),
+    bus: list[str] = typer.Option([], metavar="NAME=INTERFACE:CHANNEL", help="Put a bus elsewhere."),
+    out: Path = typer.Option(None, help="Keep the run files here, each beside its bench file."),
+    report: Path = typer.Option(None, metavar="FILE", help="Write the report to this .md as well."),
+    as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
+) -> None:
+    """Rehearse every fault on a bench: what caught it, how fast, how the bench ended; status 3 where something was not.
+
+    On a real bench nothing is put out of order: stops, and a sensor that you unplug, each asked for before.
+    """
+    import tempfile
+    from dataclasses import replace
+
+    from leactl.errors import SafetyTrip
+    from leactl.report.drill import markdown, print_drill
+
+    if report is not None:
+        _write(report, "", "a")  # a page that cannot be written is refused before anything is rehearsed
+    if out is not None:
+        _make(out)
+        drilled = _drill(bench, only, yes, served, bus, out)
+    else:
+        with tempfile.TemporaryDirectory(prefix="leactl-drill-") as place:
+            drilled = _drill(bench, only, yes, served, bus, Path(place))
+        drilled = replace(drilled, findings=[replace(finding, run="") for finding in drilled.findings])
+    if report is not None:
+        _write(report, PAGE.format(bench=drilled.bench, command=_command(bench, only, report)) + markdown(drilled))
+    if as_json:
+        typer.echo(json.dumps(drilled.told()))
+    else:
+        print_drill(drilled)
+    wrong = [finding for finding in drilled.findings if not finding.held]
+    if wrong:
+        what = "; ".join(f"{finding.name} {finding.on}".strip() + f": {finding.faults[0]}" for finding in wrong)
+        raise SafetyTrip(f"{len(wrong)} of {len(drilled.findings)} did not end as they ought to: {what}")
+
+
+def _drill(bench: str, only: list[str], yes: bool, served: bool, bus: list[str], directory: Path) -> "Drilled":
+    from leactl.bench.benchfile import load
+    from leactl.errors import InputError
+    from leactl.report.drill import progress
+    from leactl.runner.drill.emulated import EmulatedDrill
+    from leactl.runner.drill.real import Person, RealDrill
+
+    if load(bench)[0].emulated is not None and not served:
+        if bus:
+            raise InputError("--bus: an emulated bench has its buses in this process; --served meets another's")
+        with progress() as tell:
+            return EmulatedDrill(bench, only, directory, tell).run()
+    present = sys.stdin.isatty() and sys.stderr.isatty()
+    if not (yes or present):
+        raise InputError("a real bench is asked for before it moves, and stdin is no terminal; --yes agrees to all")
+    person = Person(
+        agrees=lambda text: yes or _agreed(text), tell=lambda text: typer.echo(text, err=True), present=present
+    )
+    return RealDrill(bench, only, directory, person, served, bus).run()
+
+
+def _agreed(text: str) -> bool:
+    """Ask on stderr: stdout may be JSON's."""
+    typer.echo(f"{text}\nGo on? [y/N]: ", err=True, nl=False)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+def _make(directory: Path) -> None:
+    from leactl.errors import InputError
+
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out {directory}: {error.strerror or error}") from None
+
+
+def _write(path: Path, text: str, mode: str = "w") -> None:
+    from leactl.errors import InputError
+
+    try:
+        with path.open(mode, encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        raise InputError(f"--report {path}: {error.strerror or error}") from None
+
+
+def _command(bench: str, only: list[str], report: Path) -> str:
+    return " ".join(["leactl safety drill", bench, *(f"--only {name}" for name in only), f"--report {report}"])

@@ -1,0 +1,132 @@
+"""A drill as text, as a page of Markdown, and its progress on stderr with the time that is left."""
+
+import io
+import shutil
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from leactl.report.terminal import encodable, encoding_of_stdout, wrapped
+from leactl.runner.drill.finding import Drilled, Finding, Tell
+
+NARROWEST = 72
+WIDEST = 160  # characters: the longest reason then stands on two lines
+LONGEST_NAME, SHORTEST_END = 19, 13  # characters: of a fault, of a device and what became of it
+VERDICT, AFTER, NO_TORQUE = 3, 6, 7
+
+
+def print_drill(drilled: Drilled) -> None:
+    """Print the drill as wide as the terminal, 80 columns into a pipe."""
+    width = shutil.get_terminal_size((80, 24)).columns
+    sys.stdout.write(render(drilled, width, encoding_of_stdout()))
+
+
+def render(drilled: Drilled, width: int = 80, encoding: str = "utf-8") -> str:
+    """The whole drill, for a stream of this width and encoding."""
+    width = min(max(width, NARROWEST), WIDEST)
+    rest = width - VERDICT - AFTER - NO_TORQUE - 5  # a space between two columns
+    name, end = max(LONGEST_NAME, rest // 3), max(SHORTEST_END, rest // 4)
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
+    table.add_column(width=VERDICT)
+    table.add_column("rehearsed", overflow="fold", width=name)
+    table.add_column("ended by", overflow="fold", width=rest - name - end)
+    table.add_column("after, s", justify="right", width=AFTER)
+    table.add_column("no torque, s", justify="right", width=NO_TORQUE)
+    table.add_column("end", overflow="fold", width=end)
+    for finding in drilled.findings:
+        table.add_row("ok" if finding.held else "NOT", *_cells(finding))
+    buffer = io.StringIO()
+    Console(file=buffer, width=width, color_system=None, markup=False, highlight=False, emoji=False).print(table)
+    lines = [line.rstrip() for line in buffer.getvalue().splitlines()]
+    lines += ["", *(wrapped("NOT AS IT OUGHT:", [text], width) for text in _wrong(drilled))]
+    lines += [wrapped("note:", [text], width) for text in _notes(drilled)]
+    lines += [wrapped("not rehearsed:", [f"{name}: {why}"], width) for name, why in drilled.left_out.items()]
+    lines.append(wrapped(summary(drilled), [], width))
+    return encodable("\n".join(lines) + "\n", encoding)
+
+
+def markdown(drilled: Drilled) -> str:
+    """The same as a page of documentation, without its heading."""
+    lines = [summary(drilled), "", "| | rehearsed | ended by | after, s | no torque after, s | end |", "|" + "---|" * 6]
+    for finding in drilled.findings:
+        cells = ["ok" if finding.held else "**NOT**", *_cells(finding)]
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    lines += ["", *(f"- not as it ought: {text}" for text in _wrong(drilled))]
+    lines += [f"- {text}" for text in _notes(drilled)]
+    lines += [f"- not rehearsed: {name}: {why}" for name, why in drilled.left_out.items()]
+    return "\n".join(lines) + "\n"
+
+
+def summary(drilled: Drilled) -> str:
+    """How many were rehearsed and how many were as they ought to be."""
+    held = sum(finding.held for finding in drilled.findings)
+    kind = "emulated" if drilled.emulated else "real or served"
+    return f"{drilled.bench} ({kind}): {len(drilled.findings)} rehearsed, {held} ended as they ought to"
+
+
+def _wrong(drilled: Drilled) -> list[str]:
+    return [f"{_name(finding)}: {'; '.join(finding.faults)}" for finding in drilled.findings if not finding.held]
+
+
+def _notes(drilled: Drilled) -> list[str]:
+    return [f"{_name(finding)}: {note}" for finding in drilled.findings for note in finding.notes]
+
+
+def _name(finding: Finding) -> str:
+    given = [
+        f"{name} {value:g}" if isinstance(value, float) else f"0x{value:X}" if name == "code" else _word(name, value)
+        for name, value in finding.parameters.items()
+        if name != "unit"
+    ]
+    return " ".join(filter(None, (finding.name, finding.on, *given)))
+
+
+def _word(name: str, value: object) -> str:
+    return name if value is True else str(value)
+
+
+def _cells(finding: Finding) -> tuple[str, ...]:
+    return (
+        _name(finding),
+        finding.reason or finding.status,
+        "" if finding.ended_s is None else f"{finding.ended_s:.2f}",
+        "" if finding.zero_torque_s is None else f"{finding.zero_torque_s:.2f}",
+        _end(finding),
+    )
+
+
+def _end(finding: Finding) -> str:
+    on = [name for name, end in finding.devices.items() if end.without_power is False]
+    doubtful = [name for name, end in finding.devices.items() if not end.confirmed and name not in on]
+    off = "off, " if finding.zero_torque_s is not None else ""
+    said = [f"{', '.join(on)} HAS POWER"] if on else []
+    said += [f"{', '.join(doubtful)} {off}not confirmed"] if doubtful else []
+    return "; ".join(said) or "safe"
+
+
+@contextmanager
+def progress(console: Console | None = None) -> Iterator[Tell]:
+    """Show what is rehearsed and how long it will take: one line on a terminal, plain lines anywhere else."""
+    console = console or Console(stderr=True)
+    began = time.monotonic()
+    if not console.is_terminal:
+
+        def tell(what: str, done: int, count: int) -> None:
+            left = f", about {(time.monotonic() - began) / done * (count - done):.0f} s left" if done else ""
+            print(f"{done + 1} of {count}: {what}{left}", file=console.file, flush=True)
+
+        yield tell
+        return
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, refresh_per_second=4) as shown:
+        task: TaskID = shown.add_task("")
+
+        def advance(what: str, done: int, count: int) -> None:
+            shown.update(task, description=f"{done + 1} of {count}: {what}", completed=done, total=count)
+
+        yield advance
