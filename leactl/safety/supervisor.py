@@ -165,8 +165,8 @@ class Supervisor:
         if self.tripped:
             raise SafetyTrip(self.tripped)
         guarded = self._axes[role]
+        guarded.axis.motion.engage(mode)  # what the drive refuses leaves the limits as they are
         guarded.turn_to(mode, self._limits, self._clock.now())
-        guarded.axis.motion.engage(mode)
 
     def release(self, role: str) -> None:
         """Let a drive leave operation; always allowed."""
