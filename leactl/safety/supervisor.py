@@ -22,6 +22,7 @@ from leactl.safety.interlocks import Interlocks
 from leactl.safety.limits import CYCLES_OF_SILENCE, Limits
 from leactl.safety.pace import Pace
 from leactl.safety.thermal.guard import ThermalGuard
+from leactl.safety.thermal.measured import Measured
 from leactl.safety.watching import UNLIMITED, Panel
 
 CURRENT_REFERENCE = "q_axis_current_reference"
@@ -97,11 +98,11 @@ class Supervisor:
         self.warnings: list[str] = []
         now = clock.now()
         self._axes = {role: self._guard(axis, now) for role, axis in axes.items()}
-        self._own = {
-            stream.name: self._panel(stream.channels, limits.age_s, now)
-            for device in (*[axis.driver for axis in axes.values()], *others)
-            for stream in device.streams
-        }
+        streams = [
+            stream for device in (*[axis.driver for axis in axes.values()], *others) for stream in device.streams
+        ]
+        self._own = {stream.name: self._panel(stream.channels, limits.age_s, now) for stream in streams}
+        self._measured = Measured(guard, streams, self.trip)
         panels = [*[guarded.panel for guarded in self._axes.values()], *self._own.values()]
         self._stuck = Stuck(panels, interlocks)
         self._pace = Pace(interlocks.loop_overruns, interlocks.clock, self.trip, now)
@@ -288,6 +289,7 @@ class Supervisor:
         if row.fault:
             self.trip(row.fault)
         self._own[row.stream].look(row.values, row.time)
+        self._measured.look(row)
 
     def free_space(self, free_bytes: float) -> None:
         """Judge what is left on the disk that takes the recording.

@@ -32,7 +32,7 @@ HOUSING = {"name": "t", "quantity": "housing_temperature", "role": "test", "pins
 class Rig(ElmoBench):
     """One drive at node 1 and one sensor; `interlocks` as a person writes them in YAML."""
 
-    def __init__(self, interlocks="{}", sensor=TORQUE, limits=LIMITS, period=0.001, **settings):
+    def __init__(self, interlocks="{}", sensor=TORQUE, limits=LIMITS, period=0.001, start=28.0, **settings):
         super().__init__(**settings)
         self.drive.open()
         bus = EmulatedI2cBus(self.clock)
@@ -42,7 +42,7 @@ class Rig(ElmoBench):
         self.sensor.open()
         block = yamlfile.parse(interlocks).validate(Interlocks)
         axes = {"test": Axis(self.drive, self.drive)}
-        self.supervisor = Supervisor(limits, axes, [self.sensor], self.clock, guard_of(), block, LEA_TORQUE)
+        self.supervisor = Supervisor(limits, axes, [self.sensor], self.clock, guard_of(start=start), block, LEA_TORQUE)
         self.supervisor.begin(period)
         self.period = period
 

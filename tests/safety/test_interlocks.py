@@ -135,7 +135,7 @@ def test_readings_that_stayed_away_give_a_change_the_time_it_had(make):
 
 
 def test_a_temperature_warns_and_trips_after_its_time(make):
-    rig = make("housing_temperature: {warn_degC: 70, trip_degC: 85, for_s: 0.5}", HOUSING)
+    rig = make("housing_temperature: {warn_degC: 70, trip_degC: 85, for_s: 0.5}", HOUSING, start=90.0)
     rig.converter.apply(0.72)
     rig.run(0.2)
     (told,) = rig.supervisor.take_warnings()

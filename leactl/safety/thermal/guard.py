@@ -71,6 +71,7 @@ class ThermalGuard:
         self._bound.set(np.concatenate([nodes, nodes], axis=1))
         self.squares = [0.0] * len(boxes)  # A^2 s of each role since the last step; the supervisor adds to it
         self.flowing = [0.0] * len(boxes)  # A^2 of the latest cycle
+        self.leads: dict[int, float] = {}  # A^2 that heats like what flows through two leads, where that is measured
         self.due = -math.inf  # when `check` is to be called again
         self._turns = [_Turn(motor.pole_pairs) for motor in motors.values()]
         # degC per A^2 s of a phase that takes two thirds of the heat, at its limit, cooling left out
@@ -108,6 +109,9 @@ class ThermalGuard:
         """Look at heat and rotors; gives why the bench must stop, and nothing where it may go on."""
         if now < self._looked:
             return "the clock of the bench has gone backwards: no bound of a winding's temperature holds"
+        for index, square in self.leads.items():
+            self.squares[index] += square * (now - self._looked)
+            self.flowing[index] = max(self.flowing[index], square)
         self._look(now)
         since = now - self._advanced
         if since < self._step:

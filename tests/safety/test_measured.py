@@ -1,0 +1,54 @@
+"""Measured temperatures and lead currents against the guard."""
+
+import numpy as np
+import pytest
+
+from leactl.driver.contract import Row, StreamSpec
+from leactl.errors import SafetyTrip
+from leactl.quantities import ChannelSpec
+from leactl.safety.thermal.measured import Measured
+from tests.safety.guards import guard_of
+
+CHANNELS = ("winding_temperature", "housing_temperature", "line_current")
+STREAM = StreamSpec("camera", tuple(ChannelSpec(name, name, "test", "camera") for name in CHANNELS))
+
+
+def tripped(cause):
+    raise SafetyTrip(cause)
+
+
+def measured(guard):
+    return Measured(guard, [STREAM], tripped)
+
+
+@pytest.mark.parametrize(
+    ("values", "cause"),
+    [
+        ((60.0, 30.0, 0.0), r"test winding is measured at 60\.0 degC, and no actuator .* can be above 28\.0 degC"),
+        ((30.0, 45.0, 0.0), r"test housing is measured at 45\.0 degC"),
+        ((297.0, 296.0, 0.0), "test winding is measured"),
+    ],
+)
+def test_a_reading_hotter_than_any_actuator_can_be_trips(values, cause):
+    with pytest.raises(SafetyTrip, match=cause):
+        measured(guard_of()).look(Row("camera", 0.0, values))
+
+
+@pytest.mark.parametrize("values", [(32.0, 31.0, 0.0), (-20.0, 0.0, 0.0), (np.nan, np.nan, np.nan)])
+def test_a_reading_makes_no_bound_cooler_and_none_trips_below_it(values):
+    guard = guard_of()
+    guard.begin(0.0)
+    measured(guard).look(Row("camera", 0.0, values))
+    assert guard.check(0.5) == ""
+    assert guard.hottest["test"] == pytest.approx(28.0, abs=0.01)
+
+
+def test_a_direct_current_through_two_leads_heats_as_both_phases_do():
+    guard = guard_of()
+    guard.begin(0.0)
+    look = measured(guard)
+    for step in range(1, 1201):
+        look.look(Row("camera", step / 20, (np.nan, np.nan, 9.0)))
+        assert guard.check(step / 20) == ""
+    # two phases take R i^2 each: 21.4 W at 25 degC, twice what a phase of a third has at its mean share of 2 R i^2
+    assert 55.0 < guard.hottest["test"] < 85.0
