@@ -92,7 +92,7 @@ class Supervisor:
         Without a torque model the torque sensor is not held against Kt i: nothing couples the two.
         """
         self._limits, self._interlocks, self._clock, self._others = limits, interlocks, clock, list(others)
-        self._thermal, self._worst, self._stall = guard, limits.current_A**2, 0.0
+        self._thermal, self._worst = guard, limits.current_A**2
         self._period = 0.0
         self.tripped: str = ""
         self.warnings: list[str] = []
@@ -116,7 +116,7 @@ class Supervisor:
         ]
         guard.watch(self._motion_of)
         guard.begin(now)
-        self._heated = now
+        self._heated, self._heating = now, (guard, guard.squares, guard.flowing, math.inf)
         self.windings = guard.estimate, guard.hottest  # degC by role, kept up to date
         self._keep_pace = self._pace.look
 
@@ -145,8 +145,9 @@ class Supervisor:
     def begin(self, period: float) -> None:
         """The loop begins: ages count from here, for opening devices and making a file take what time they take."""
         now, self._period = self._clock.now(), period
-        self._thermal.begin(now)
-        self._heated, self._stall = now, STALL_CYCLES * period
+        guard = self._thermal
+        guard.begin(now)
+        self._heated, self._heating = now, (guard, guard.squares, guard.flowing, STALL_CYCLES * period)
         for guarded in self._axes.values():
             guarded.panel.begin(now, self._limits.cyclic_age(period))
         for panel in self._own.values():
@@ -246,15 +247,16 @@ class Supervisor:
         if self.tripped:
             raise SafetyTrip(self.tripped)
         self._keep_pace(now)
-        guard, elapsed, stall = self._thermal, now - self._heated, self._stall
+        elapsed = now - self._heated
         self._heated = now
-        squares, flowing = guard.squares, guard.flowing
+        guard, squares, flowing, stall = self._heating
         for place, guarded, motion, look in self._judged:
             values = motion.values
             look(values, now)
             if guarded.path is not None:
                 guarded.path.exchanged(guarded.measured_angle, motion.engaged, now)
-            square = values[guarded.current] ** 2
+            current = values[guarded.current]
+            square = current * current
             if not square >= guarded.asked:  # a reading that is no number is the worst that may flow
                 square = guarded.asked if square == square else self._worst
             # a stall of the loop is longer than a cycle: what flowed before it may have gone on
