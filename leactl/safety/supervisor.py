@@ -53,6 +53,7 @@ class _Guarded:
     angle: int | None
     quantity: str = "setpoint"  # that the engaged mode sets
     bounds: tuple[float, float] = UNLIMITED
+    heats: bool = False  # whether the engaged mode sets a current
     asked: float = 0.0  # A^2 of a current reference, which heats
     scaled: bool = False  # whether its last setpoint was more than the winding may carry
     path: AnglePath | None = None  # in angle mode alone
@@ -60,7 +61,7 @@ class _Guarded:
     def turn_to(self, mode: Mode, limits: Limits, now: float) -> None:
         """Take the limits of what this mode sets."""
         quantity = SETPOINT_QUANTITY.get(mode)
-        self.quantity = quantity or "setpoint"
+        self.quantity, self.heats = quantity or "setpoint", quantity == CURRENT_REFERENCE
         self.asked, self.path = 0.0, None
         if mode is Mode.ANGLE:
             self.bounds = limits.of("angle_reference") or UNLIMITED  # the path bounds each step
@@ -194,24 +195,26 @@ class Supervisor:
         low, high = guarded.bounds
         if not low <= value <= high:
             self.trip(f"{role} {guarded.quantity} of {value:g} is outside the limits {guarded.bounds}")
-        if guarded.quantity == CURRENT_REFERENCE:
-            value = self._carried(role, guarded, value)
+        if guarded.heats:
+            allowed = self._thermal.allowed[role]
+            if not -allowed <= value <= allowed:
+                value = self._scaled(role, guarded, value, allowed)
+            elif guarded.scaled:
+                guarded.scaled = False
             guarded.asked = value * value
         if guarded.path is not None:
             self._judge_angle(role, guarded.path, value)
         guarded.axis.motion.command(value)
 
-    def _carried(self, role: str, guarded: _Guarded, value: float) -> float:
+    def _scaled(self, role: str, guarded: _Guarded, value: float, allowed: float) -> float:
         """As much of a current as the winding may carry; said once each time that this becomes less than all of it."""
-        allowed = self._thermal.allowed[role]
-        scaled = abs(value) > allowed
-        if scaled and not guarded.scaled:
+        if not guarded.scaled:
+            guarded.scaled = True
             self.warnings.append(
                 f"{role} current of {value:g} A is scaled down, to {allowed:.1f} A at first: the hottest phase"
                 f" may be at {self._thermal.hottest[role]:.1f} degC"
             )
-        guarded.scaled = scaled
-        return math.copysign(allowed, value) if scaled else value
+        return math.copysign(allowed, value)
 
     def _motion_of(self, place: int) -> tuple[float, float]:
         """Angle and velocity of an actuator as last measured."""
