@@ -1,6 +1,7 @@
 """`leactl thermal`: what windings may carry, how warm they may be, and what a protocol would do to them."""
 
 import json
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -68,6 +69,28 @@ def state(
         for role, found in windings.recalled.items()
     ]
     typer.echo(json.dumps({"bench": file.name, "windings": rows}) if as_json else state_text(file.name, rows))
+
+
+@app.command()
+def fit(
+    runs: list[Path] = typer.Argument(help="Runs with temperatures of winding, housing and ambient."),
+    motor: str = typer.Option("lea", help="Name of a shipped motor, or a path to a .yaml."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Fit the thermal network and the resistance to runs, and state the tolerances that these leave."""
+    from dataclasses import asdict
+
+    from leactl.gap.thermal_fit import thermal_fit
+    from leactl.model.motor import load_motor
+    from leactl.report.thermal import fit_text
+
+    found = thermal_fit(runs, load_motor(motor)[0])
+    body = {
+        "parameters": [asdict(one) for one in found.parameters],
+        "correlation": [[round(float(value), 4) for value in row] for row in found.correlation],
+        "tolerances": found.tolerances,
+    }
+    typer.echo(json.dumps(body) if as_json else fit_text(found))
 
 
 @app.command()

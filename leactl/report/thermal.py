@@ -3,9 +3,11 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from leactl.gap.thermal_fit import ThermalFit
 from leactl.model.motor import Motor
 from leactl.safety.thermal.capability import Carried, Held, Peak
 
+CORRELATIONS = 3  # told, the largest
 HEAD = f"{'':<28}{'guaranteed':>12}{'nominal':>12}{'favourable':>12}"
 
 
@@ -26,6 +28,21 @@ def limits_text(motor: Motor, ambient: float, held: Sequence[Held], short: Seque
 
 def _row(label: str, values: Carried) -> str:
     return f"{label:<28}{values.guaranteed:12.2f}{values.nominal:12.2f}{values.favourable:12.2f}"
+
+
+def fit_text(found: ThermalFit) -> str:
+    """Parameters with standard errors, their largest correlations, and a `tolerances:` block."""
+    lines = [f"{'parameter':<36}{'nominal':>11}{'fitted':>11}{'std':>10}  unit"]
+    for one in found.parameters:
+        lines.append(f"{one.parameter:<36}{one.nominal:11.5g}{one.fitted:11.5g}{one.std:10.2g}  {one.units}")
+    size = len(found.parameters)
+    pairs = [(abs(found.correlation[i, k]), i, k) for i in range(size) for k in range(i)]
+    for _, i, k in sorted(pairs, reverse=True)[:CORRELATIONS]:
+        first, second = (found.parameters[n].parameter.removeprefix("thermal.") for n in (k, i))
+        lines.append(f"  correlation {found.correlation[i, k]:+.2f} of {first} and {second}")
+    lines += ["tolerances:  # of the motor file, three standard errors; others as they were"]
+    lines += [f"  {name}: {value:g}" for name, value in found.tolerances.items()]
+    return "\n".join(lines)
 
 
 def state_text(bench: str, rows: Sequence[Mapping[str, Any]]) -> str:

@@ -1,0 +1,62 @@
+"""The thermal network from runs of the emulated plant, which shares no equation with the fit."""
+
+import json
+
+import pytest
+
+from leactl.emulation.blind.make import make
+from leactl.errors import InputError
+from leactl.gap.thermal_fit import FITTED, thermal_fit
+from leactl.model.motor import load_motor
+from tests.cli.terminal import leactl
+
+LEA = load_motor("lea")[0]
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("thermal")
+    make(1, folder / "cases", folder / "key", seed=21, kinds=("none",), prefix="bench")
+    key = json.loads((folder / "key" / "key.json").read_text(encoding="utf-8"))
+    [(name, entry)] = key["cases"].items()
+    return sorted((folder / "cases" / name).glob("*.h5")), entry["true_base"]
+
+
+def test_the_network_comes_out_within_four_standard_errors(bench):
+    runs, true = bench
+    found = thermal_fit(runs, LEA)
+    assert [one.parameter for one in found.parameters] == list(FITTED)
+    for one in found.parameters:
+        assert abs(one.fitted - true[one.parameter]) < 4.0 * one.std
+        assert one.std < 0.03 * one.fitted
+
+
+def test_tolerances_cover_the_truth_and_are_narrower_than_the_file_s(bench):
+    runs, true = bench
+    found = thermal_fit(runs, LEA)
+    fitted = {one.parameter.removeprefix("thermal."): one.fitted for one in found.parameters}
+    for name, tolerance in found.tolerances.items():
+        actual = true.get(f"thermal.{name}", true.get(name))
+        assert abs(actual - fitted[name]) < tolerance * fitted[name]
+        assert 0.01 <= tolerance < 0.1
+    assert {
+        "winding_housing_resistance",
+        "housing_ambient_resistance",
+        "housing_capacitance",
+    } <= found.tolerances.keys()
+
+
+def test_a_run_that_cannot_be_read_is_refused(bench):
+    runs, _ = bench
+    with pytest.raises(InputError, match="no-such.h5"):
+        thermal_fit([runs[0].with_name("no-such.h5")], LEA)
+
+
+def test_the_command_prints_a_block_for_the_motor_file(bench):
+    runs, _ = bench
+    done = leactl("thermal", "fit", *map(str, runs))
+    assert done.returncode == 0, done.stderr
+    assert "tolerances:" in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    body = json.loads(leactl("thermal", "fit", *map(str, runs), "--json").stdout)
+    assert len(body["correlation"]) == len(body["parameters"])
