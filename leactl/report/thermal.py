@@ -33,8 +33,10 @@ def _row(label: str, values: Carried) -> str:
 def fit_text(found: ThermalFit) -> str:
     """Parameters with standard errors, their largest correlations, and a `tolerances:` block."""
     lines = [f"{'parameter':<36}{'nominal':>11}{'fitted':>11}{'std':>10}  unit"]
-    for one in found.parameters:
-        lines.append(f"{one.parameter:<36}{one.nominal:11.5g}{one.fitted:11.5g}{one.std:10.2g}  {one.units}")
+    lines += [
+        f"{one.parameter:<36}{one.nominal:11.5g}{one.fitted:11.5g}{one.std:10.2g}  {one.units}"
+        for one in found.parameters
+    ]
     size = len(found.parameters)
     pairs = [(abs(found.correlation[i, k]), i, k) for i in range(size) for k in range(i)]
     for _, i, k in sorted(pairs, reverse=True)[:CORRELATIONS]:

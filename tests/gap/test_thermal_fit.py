@@ -48,7 +48,7 @@ def test_tolerances_cover_the_truth_and_are_narrower_than_the_file_s(bench):
 
 def test_a_run_that_cannot_be_read_is_refused(bench):
     runs, _ = bench
-    with pytest.raises(InputError, match="no-such.h5"):
+    with pytest.raises(InputError, match=r"no-such\.h5"):
         thermal_fit([runs[0].with_name("no-such.h5")], LEA)
 
 
