@@ -12,12 +12,12 @@ import numpy as np
 
 from leactl.driver.contract import Mode
 from leactl.model.motor import Motor
-from leactl.protocol.plan import Action, Constant, Engage, Plan, Profile, Segment, Tare
+from leactl.protocol.plan import Action, Constant, Engage, Plan, Profile, Samples, Segment, Tare
 from leactl.safety.thermal.bound import ThermalBound
 from leactl.safety.thermal.box import Array, Box
 from leactl.safety.thermal.guard import MARGIN_K, STEP_S, GuardSettings
 
-PARTS = 10  # samples of a step, where setpoints vary
+PARTS = 10  # samples of a step, where setpoints vary along a line
 COARSE_K = 2.0  # that a node may rise by in one step, where they do not
 LONGEST_S = 2.0
 MOST_WAIT_S = 4 * 3600.0
@@ -123,7 +123,9 @@ class Foresight:
                 step = min(left, LONGEST_S, max(COARSE_K / rate if rate > 0.0 else LONGEST_S, 0.01))
             else:
                 step = min(left, STEP_S)
-                at = [time + step * (k + 0.5) / PARTS for k in range(PARTS)]
+                # a list of setpoints is taken as the loop takes it: between its own samples anything may stand
+                parts = max(PARTS, math.ceil(step * plan.rate_Hz - 1e-6)) if state.listed else PARTS
+                at = [time + step * (k + 0.5) / parts for k in range(parts)]
                 squares, aligned, speeds = self._heats(plan, state, at, step)
             yield step, squares, aligned, speeds, state.constant
             time += step
@@ -132,26 +134,30 @@ class Foresight:
         """Mean square currents, how far each stands at one electrical angle, and speeds of all roles at the most."""
         currents = np.zeros((len(self._roles), len(at)))
         speeds, planned = self._speeds(plan, state, at)
+        accelerations = self._accelerations(plan, state, at)
         for k, role in enumerate(self._roles):
             if state.modes.get(role) in CURRENT_MODES:
                 currents[k] = [abs(state.setpoints[role].at(t)) for t in at]
         for k, role in enumerate(self._roles):
             if state.modes.get(role) in (Mode.VELOCITY, Mode.ANGLE):
                 currents[k] = np.minimum(
-                    self._held_current(plan, role, k, currents, speeds), self._settings.most_current
+                    self._held_current(plan, role, k, currents, speeds, accelerations), self._settings.most_current
                 )
-        turned = np.array([self._motors[role].pole_pairs for role in self._roles]) * planned * max(step, STEP_S)
+        turned = np.array([self._motors[role].pole_pairs for role in self._roles]) * planned * STEP_S
         aligned = 1.0 / np.maximum(turned, 1.0)  # |sin x / x|
         return np.mean(currents**2, axis=1), aligned, speeds
 
-    def _held_current(self, plan: Plan, role: str, place: int, currents: Array, speeds: Array) -> Array:
-        """What a drive that follows a speed needs at the most: the other's torque, and friction of both."""
+    def _held_current(
+        self, plan: Plan, role: str, place: int, currents: Array, speeds: Array, accelerations: Array
+    ) -> Array:
+        """What a drive that follows a speed needs at the most: the other's torque, friction and inertia of both."""
         motor = self._motors[role]
         resisting = 0.0
         for k, other in enumerate(self._roles):
             if k == place or plan.setup == "coupled":
                 box = Box.of(self._motors[other])
                 resisting += box.coulomb_friction.high + box.viscous_damping.high * speeds[k]
+                resisting += self._motors[other].rotor_inertia * accelerations[place]
         against = np.zeros(currents.shape[1])
         if plan.setup == "coupled":
             for k, other in enumerate(self._roles):
@@ -180,6 +186,20 @@ class Foresight:
             most[:], least[:] = (most[led[0]], least[led[0]]) if led else (most.max(), 0.0)
         return most, least
 
+    def _accelerations(self, plan: Plan, state: "_State", at: Sequence[float]) -> Array:
+        """Of each role that follows a speed or listed angles; where a setpoint jumps none is planned."""
+        found = np.zeros(len(self._roles))
+        if len(at) < 2 or plan.setup in ("locked", "heated"):
+            return found
+        for k, role in enumerate(self._roles):
+            mode, profile = state.modes.get(role), state.setpoints.get(role)
+            if profile is not None and (mode is Mode.VELOCITY or (mode is Mode.ANGLE and isinstance(profile, Samples))):
+                order = 1 if mode is Mode.VELOCITY else 2
+                spacing = profile.period if isinstance(profile, Samples) else at[1] - at[0]
+                told = [profile.at(t) for t in np.arange(at[0], at[-1] + (order + 0.5) * spacing, spacing)]
+                found[k] = float(np.max(np.abs(np.diff(told, order)))) / spacing**order
+        return found
+
 
 @dataclass(frozen=True)
 class _State:
@@ -194,6 +214,11 @@ class _State:
     def constant(self) -> bool:
         """Whether every setpoint stays as it is."""
         return all(profile.low == profile.high for profile in self.setpoints.values())
+
+    @property
+    def listed(self) -> bool:
+        """Whether any setpoint is a list."""
+        return any(isinstance(profile, Samples) for profile in self.setpoints.values())
 
 
 def _states(plan: Plan) -> Iterator[_State]:

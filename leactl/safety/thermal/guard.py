@@ -122,6 +122,22 @@ class ThermalGuard:
                 return ""
         return self._advance(now, since) if since > 0.0 else ""
 
+    def end(self, now: float) -> None:
+        """No cycle comes any more: bring `kept` to now, and by what may flow until drives stop by themselves."""
+        reserve = self._settings.reserve_s
+        on = max(now - self._looked, 0.0) + reserve
+        duration = max(now - self._advanced, 0.0) + reserve
+        heat = zip(self.squares, self.flowing, strict=True)
+        squares = [(square + flowing * on) / duration for square, flowing in heat]
+        speeds, standing = [turn.speed for turn in self._turns], [1.0] * len(squares)
+        self._bound.step(duration, *self._twice(squares, standing, speeds), self._settings.ambient)
+        self._advanced = self._looked = now
+        self.squares, self.flowing = [0.0] * len(squares), [0.0] * len(squares)
+        self._keep(self._bound.nodes())
+
+    def _keep(self, nodes: Array) -> None:
+        self.kept = {role: nodes[:, k] for k, role in enumerate(self.roles)}
+
     def _look(self, now: float) -> None:
         """Put the heat since the last look at the electrical angle of now.
 
@@ -160,7 +176,7 @@ class ThermalGuard:
         settings, bound = self._settings, self._bound
         found = bound.nodes()
         hottest, estimates = found[HOTTEST], found[MEAN, len(self.roles) :]
-        self.kept = {role: found[:, k] for k, role in enumerate(self.roles)}
+        self._keep(found)
         for k, role in enumerate(self.roles):
             self.hottest[role], self.estimate[role] = float(hottest[k]), float(estimates[k])
             self._budgets[k] = (settings.limit - MARGIN_K - self.hottest[role]) / self._heating[k]
