@@ -54,7 +54,7 @@ def test_a_trip_comes_early_enough_for_a_drive_that_goes_on(reserve):
     bound = ThermalBound([Box.of(LEA)], 25.0)
     bound.set(guard.kept["test"][:, None])
     bound.step(reserve, np.array([400.0]), np.ones(1), np.zeros(1), 25.0, even=True)
-    assert 118.5 < bound.hottest()[0] <= 120.0
+    assert 116.0 < bound.hottest()[0] <= 120.0
 
 
 def test_a_longer_reserve_trips_earlier():
@@ -73,7 +73,7 @@ def test_an_angle_that_is_not_known_follows_the_velocity(angle):
     turned, unknown, stood = hot.values()
     assert unknown >= stood
     if math.isnan(angle):
-        assert turned < stood - 15.0
+        assert turned < stood - 8.0
     else:  # an angle that is told counts, whatever the velocity
         assert turned == pytest.approx(stood, abs=0.5)
 
@@ -111,7 +111,7 @@ def test_the_current_that_is_allowed_keeps_the_bound_below_the_limit(period, tur
     guard = ready(start=100.0, turning=turning)
     cause, _when = fed(guard, 40.0, current=30.0, period=period, scaled=True)
     assert cause == ""
-    assert 127.0 < guard.hottest["test"] < SETTINGS.limit - 0.5
+    assert 122.0 < guard.hottest["test"] < SETTINGS.limit - 0.5
     assert 0.0 < guard.allowed["test"] < 15.0
 
 
@@ -132,8 +132,8 @@ def test_each_role_is_told_by_itself():
     fed(guard, 3.0, current=12.0, role=1)
     assert guard.hottest["test"] == pytest.approx(28.0, abs=0.1)
     assert guard.estimate["test"] < 28.0
-    assert guard.hottest["load"] > 50.0
-    assert 30.0 < guard.estimate["load"] < guard.kept["load"][1] < guard.hottest["load"]
+    assert guard.hottest["load"] > 37.0
+    assert 29.0 < guard.estimate["load"] < guard.kept["load"][1] < guard.hottest["load"]
 
 
 def test_a_trip_names_the_role_that_is_hot():
@@ -237,6 +237,7 @@ def test_a_jump_to_the_bench_s_limit_trips_before_the_limit_is_passed(period, st
     rig.shaft.read = lambda: (29.9, 0.0, rig.shaft.angle)
     rig.pass_time(period)
     assert rig.follow([(10.0, 0.0, 0.0, None)])
+    rig.pass_time(STEP_S)
     assert start < rig.peak <= 130.0
     rig.drive.close()
 
@@ -254,10 +255,11 @@ def test_a_trip_leaves_time_for_a_drive_that_hears_no_stop(start):
 def test_a_current_that_is_not_known_counts_as_the_bench_s_limit():
     rig = HeatedRig(Plant.inside(WORST), 28.0, 0.001)
     rig.follow([(0.3, 0.0, 0.0, None)])
+    current = [channel.quantity for channel in rig.drive.loop_channels].index("q_axis_current")
     rig.far.frozen = True  # no answer: every reading of the exchange is no number
     rig.shaft.read = lambda: (29.9, 0.0, 0.0)
     assert not rig.follow([(0.6, 0.0, 0.0, None)])
-    assert math.isnan(rig.drive.values[0])
+    assert math.isnan(rig.drive.values[current])
     assert rig.state[:3].max() > 40.0
     assert rig.guard.hottest["test"] + 5.0 >= rig.state[:3].max()  # heat since the last step is not told yet
     rig.supervisor.make_safe()
