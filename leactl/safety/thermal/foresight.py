@@ -15,7 +15,7 @@ from leactl.model.motor import Motor
 from leactl.protocol.plan import Action, Constant, Engage, Plan, Profile, Samples, Segment, Tare
 from leactl.safety.thermal.bound import ThermalBound
 from leactl.safety.thermal.box import Array, Box
-from leactl.safety.thermal.guard import MARGIN_K, STEP_S, GuardSettings
+from leactl.safety.thermal.guard import MARGIN_K, STEP_S, Budgets, GuardSettings
 
 PARTS = 10  # samples of a step, where setpoints vary along a line
 COARSE_K = 2.0  # that a node may rise by in one step, where they do not
@@ -55,7 +55,8 @@ class Foresight:
         """
         self._motors, self._settings = dict(motors), settings
         self._roles = tuple(motors)
-        self._bound = ThermalBound([Box.of(motor) for motor in motors.values()], settings.ambient)
+        boxes = [Box.of(motor) for motor in motors.values()]
+        self._bound, self._budgets = ThermalBound(boxes, settings.ambient), Budgets(boxes, settings)
         self._bound.set(np.stack([start[role] for role in self._roles], axis=1))
         self._start = self._bound.state
 
@@ -103,16 +104,20 @@ class Foresight:
         peaks = dict(zip(self._roles, self._bound.hottest().tolist(), strict=True))
         limit = self._settings.limit - MARGIN_K
         for index, state in enumerate(states):
-            for duration, squares, aligned, speeds, even in self._pieces(plan, state):
-                self._bound.step(duration, squares, aligned, speeds, self._settings.ambient, even)
+            for duration, squares, aligned, speeds in self._pieces(plan, state):
+                before = self._bound.hottest().tolist()
+                # no cooler than the guard, which knows no more than what has flowed since its last step
+                share = (1.0 + aligned) * (1.0 + self._bound.unevenness(self._budgets.step(self._budgets.left(before))))
+                self._bound.step(duration, squares, share - 1.0, speeds, self._settings.ambient, even=True)
                 time += duration
-                for role, hottest in zip(self._roles, self._bound.hottest().tolist(), strict=True):
+                after = self._bound.hottest().tolist()
+                for role, was, hottest in zip(self._roles, before, after, strict=True):
                     peaks[role] = max(peaks[role], hottest)
-                    if not hottest < limit:
+                    if not (hottest < limit or hottest < was):
                         return Forecast(peaks, Passing(index, state.name, time, role))
         return Forecast(peaks, None)
 
-    def _pieces(self, plan: Plan, state: "_State") -> Iterator[tuple[float, Array, Array, Array, bool]]:
+    def _pieces(self, plan: Plan, state: "_State") -> Iterator[tuple[float, Array, Array, Array]]:
         """Heat of one action, step by step."""
         time = 0.0
         while time < state.duration:
@@ -127,7 +132,7 @@ class Foresight:
                 parts = max(PARTS, math.ceil(step * plan.rate_Hz - 1e-6)) if state.listed else PARTS
                 at = [time + step * (k + 0.5) / parts for k in range(parts)]
                 squares, aligned, speeds = self._heats(plan, state, at, step)
-            yield step, squares, aligned, speeds, state.constant
+            yield step, squares, aligned, speeds
             time += step
 
     def _heats(self, plan: Plan, state: "_State", at: Sequence[float], step: float) -> tuple[Array, Array, Array]:
