@@ -19,7 +19,9 @@ COLD = typer.Option(False, "--cold", help="Nothing has heated the actuators.")
 def limits(
     motor: str = typer.Option("lea", help="Name of a shipped motor, or a path to a .yaml."),
     ambient: float = AMBIENT,
-    speed: list[float] = typer.Option([31.4], min=0.0, help="Further speeds [rad/s], for the heat of friction."),
+    speed: list[float] = typer.Option(
+        [31.4], min=0.0, max=1000.0, help="Further speeds [rad/s], for the heat of friction."
+    ),
     as_json: bool = AS_JSON,
 ) -> None:
     """State continuous and peak current and torque: guaranteed over the motor's tolerances, nominal, favourable."""

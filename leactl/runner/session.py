@@ -160,6 +160,7 @@ def _run(
             error = caught
         watchdog.ending()
         safe = supervisor.make_safe()
+        windings.end(all(confirmation.safe for confirmation in safe.values()))
         watchdog.dismiss()
         if watchdog.verdict():
             error = _joined(SafetyTrip(watchdog.verdict()), error)

@@ -20,6 +20,7 @@ import numpy as np
 from leactl.errors import InputError
 from leactl.model.motor import Motor
 from leactl.runner.latch import state_directory
+from leactl.safety.limits import COLDEST_DEGC, HOTTEST_DEGC
 from leactl.safety.thermal.bound import HOUSING, ThermalBound
 from leactl.safety.thermal.box import Array, Box
 from leactl.safety.thermal.guard import SCALED_K
@@ -29,7 +30,6 @@ WRITTEN_EVERY_S = 1.0
 OVERDUE_S = 10.0  # without a writing, after which a run is ended
 AHEAD_S = 60.0  # by which another clock may be ahead of this one
 FORGOTTEN_S = 48 * 3600.0  # by then any actuator is at ambient
-KELVIN = (-60.0, 400.0)  # degC that a node may have
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Memory:
             nodes, time, running = self._read(now)
         except FileNotFoundError:
             return self._hot("nothing is known of it")
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:
             return self._hot(f"{self.path} cannot be used: {error}")
         left = max(now - time, 0.0)
         bound = ThermalBound([Box.of(self._motor)], self._ambient)
@@ -118,8 +118,8 @@ class Memory:
         if kept["motor_sha256"] != self._digest:
             raise ValueError(f"it is of another motor file ('{kept['motor']}')")
         nodes, time = kept["nodes_degC"], float(kept["time"])
-        if len(nodes) != 3 or not all(KELVIN[0] < float(value) < KELVIN[1] for value in nodes):
-            raise ValueError(f"nodes_degC {nodes}: three temperatures were expected")
+        if len(nodes) != 3 or not all(COLDEST_DEGC <= float(value) <= HOTTEST_DEGC for value in nodes):
+            raise ValueError(f"nodes_degC {nodes}: three temperatures in degC were expected")
         if not (math.isfinite(time) and time <= now + AHEAD_S):
             raise ValueError(f"it is of the future, {_told(time)}")
         if kept["running"] not in (True, False):
@@ -137,6 +137,7 @@ class Keeper:
         self._ended = threading.Event()
         self._fault = ""
         self._written = clock()
+        self.doubted = False  # whether something may go on heating them when the run has ended
         self._thread = threading.Thread(target=self._keep_on, name="leactl-thermal", daemon=True)
 
     def start(self) -> None:
@@ -158,11 +159,11 @@ class Keeper:
         return f"the windings' state was not written for {since:.0f} s: {self._fault}" if since > OVERDUE_S else ""
 
     def stop(self) -> None:
-        """Write a last time, at rest; where that fails, the next run takes the actuators as hot."""
+        """Write a last time, at rest where nothing is doubted; where that fails, the next run takes it all as hot."""
         self._ended.set()
         self._thread.join(OVERDUE_S)
         with suppress(OSError):
-            self._write(running=False)
+            self._write(running=self.doubted)
 
     def _keep_on(self) -> None:
         while not self._ended.wait(WRITTEN_EVERY_S):

@@ -75,6 +75,11 @@ class Windings:
         finally:
             self.keeper.stop()
 
+    def end(self, confirmed: bool) -> None:
+        """A run has ended; where a device is not confirmed safe, the next run takes the windings as after a crash."""
+        if self.keeper is not None:
+            self.keeper.doubted = not confirmed
+
     def forecast(self, plan: Plan) -> Forecast:
         """What a plan would do to the windings."""
         return self._foresight().forecast(plan)

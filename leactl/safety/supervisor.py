@@ -333,4 +333,7 @@ class Supervisor:
     def make_safe(self) -> dict[str, Confirmation]:
         """Bring every device to its safe state: test drive, load drive, then the rest; never raises."""
         drives = [self._axes[role].axis.driver for role in ("test", "load") if role in self._axes]
-        return stopping.make_safe((*drives, *self._others))
+        safe = stopping.make_safe((*drives, *self._others))
+        with suppress(Exception):  # what flowed last is not in the bounds yet that the next run starts from
+            self._thermal.end(self._clock.now())
+        return safe

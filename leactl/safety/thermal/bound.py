@@ -142,6 +142,10 @@ class ThermalBound:
         shrink[decay == 0.0] = 1.0
         return np.minimum(state + gained * shrink * h / capacitance, BURNT), ceiling, floor
 
+    def unevenness(self, duration: float) -> float:
+        """Part of a winding's heat that is added, where all of it may come at the end of such a step."""
+        return duration / float(np.min(self._slowest))
+
     def fastest(self, squares: Array, aligned: Array, speeds: Array, ambient: float) -> float:
         """How fast any node rises at the most under such heat [K/s]; arguments as of `step`."""
         return float(np.max(self._rates(self.state, *self._heat(squares, aligned, speeds, ambient))))

@@ -12,12 +12,12 @@ import numpy as np
 
 from leactl.driver.contract import Mode
 from leactl.model.motor import Motor
-from leactl.protocol.plan import Action, Constant, Engage, Plan, Profile, Segment, Tare
+from leactl.protocol.plan import Action, Constant, Engage, Plan, Profile, Samples, Segment, Tare
 from leactl.safety.thermal.bound import ThermalBound
 from leactl.safety.thermal.box import Array, Box
-from leactl.safety.thermal.guard import MARGIN_K, STEP_S, GuardSettings
+from leactl.safety.thermal.guard import MARGIN_K, STEP_S, Budgets, GuardSettings
 
-PARTS = 10  # samples of a step, where setpoints vary
+PARTS = 10  # samples of a step, where setpoints vary along a line
 COARSE_K = 2.0  # that a node may rise by in one step, where they do not
 LONGEST_S = 2.0
 MOST_WAIT_S = 4 * 3600.0
@@ -55,7 +55,8 @@ class Foresight:
         """
         self._motors, self._settings = dict(motors), settings
         self._roles = tuple(motors)
-        self._bound = ThermalBound([Box.of(motor) for motor in motors.values()], settings.ambient)
+        boxes = [Box.of(motor) for motor in motors.values()]
+        self._bound, self._budgets = ThermalBound(boxes, settings.ambient), Budgets(boxes, settings)
         self._bound.set(np.stack([start[role] for role in self._roles], axis=1))
         self._start = self._bound.state
 
@@ -103,16 +104,20 @@ class Foresight:
         peaks = dict(zip(self._roles, self._bound.hottest().tolist(), strict=True))
         limit = self._settings.limit - MARGIN_K
         for index, state in enumerate(states):
-            for duration, squares, aligned, speeds, even in self._pieces(plan, state):
-                self._bound.step(duration, squares, aligned, speeds, self._settings.ambient, even)
+            for duration, squares, aligned, speeds in self._pieces(plan, state):
+                before = self._bound.hottest().tolist()
+                # no cooler than the guard, which knows no more than what has flowed since its last step
+                share = (1.0 + aligned) * (1.0 + self._bound.unevenness(self._budgets.step(self._budgets.left(before))))
+                self._bound.step(duration, squares, share - 1.0, speeds, self._settings.ambient, even=True)
                 time += duration
-                for role, hottest in zip(self._roles, self._bound.hottest().tolist(), strict=True):
+                after = self._bound.hottest().tolist()
+                for role, was, hottest in zip(self._roles, before, after, strict=True):
                     peaks[role] = max(peaks[role], hottest)
-                    if not hottest < limit:
+                    if not (hottest < limit or hottest < was):
                         return Forecast(peaks, Passing(index, state.name, time, role))
         return Forecast(peaks, None)
 
-    def _pieces(self, plan: Plan, state: "_State") -> Iterator[tuple[float, Array, Array, Array, bool]]:
+    def _pieces(self, plan: Plan, state: "_State") -> Iterator[tuple[float, Array, Array, Array]]:
         """Heat of one action, step by step."""
         time = 0.0
         while time < state.duration:
@@ -123,35 +128,41 @@ class Foresight:
                 step = min(left, LONGEST_S, max(COARSE_K / rate if rate > 0.0 else LONGEST_S, 0.01))
             else:
                 step = min(left, STEP_S)
-                at = [time + step * (k + 0.5) / PARTS for k in range(PARTS)]
+                # a list of setpoints is taken as the loop takes it: between its own samples anything may stand
+                parts = max(PARTS, math.ceil(step * plan.rate_Hz - 1e-6)) if state.listed else PARTS
+                at = [time + step * (k + 0.5) / parts for k in range(parts)]
                 squares, aligned, speeds = self._heats(plan, state, at, step)
-            yield step, squares, aligned, speeds, state.constant
+            yield step, squares, aligned, speeds
             time += step
 
     def _heats(self, plan: Plan, state: "_State", at: Sequence[float], step: float) -> tuple[Array, Array, Array]:
         """Mean square currents, how far each stands at one electrical angle, and speeds of all roles at the most."""
         currents = np.zeros((len(self._roles), len(at)))
         speeds, planned = self._speeds(plan, state, at)
+        accelerations = self._accelerations(plan, state, at)
         for k, role in enumerate(self._roles):
             if state.modes.get(role) in CURRENT_MODES:
                 currents[k] = [abs(state.setpoints[role].at(t)) for t in at]
         for k, role in enumerate(self._roles):
             if state.modes.get(role) in (Mode.VELOCITY, Mode.ANGLE):
                 currents[k] = np.minimum(
-                    self._held_current(plan, role, k, currents, speeds), self._settings.most_current
+                    self._held_current(plan, role, k, currents, speeds, accelerations), self._settings.most_current
                 )
-        turned = np.array([self._motors[role].pole_pairs for role in self._roles]) * planned * max(step, STEP_S)
+        turned = np.array([self._motors[role].pole_pairs for role in self._roles]) * planned * STEP_S
         aligned = 1.0 / np.maximum(turned, 1.0)  # |sin x / x|
         return np.mean(currents**2, axis=1), aligned, speeds
 
-    def _held_current(self, plan: Plan, role: str, place: int, currents: Array, speeds: Array) -> Array:
-        """What a drive that follows a speed needs at the most: the other's torque, and friction of both."""
+    def _held_current(
+        self, plan: Plan, role: str, place: int, currents: Array, speeds: Array, accelerations: Array
+    ) -> Array:
+        """What a drive that follows a speed needs at the most: the other's torque, friction and inertia of both."""
         motor = self._motors[role]
         resisting = 0.0
         for k, other in enumerate(self._roles):
             if k == place or plan.setup == "coupled":
                 box = Box.of(self._motors[other])
                 resisting += box.coulomb_friction.high + box.viscous_damping.high * speeds[k]
+                resisting += self._motors[other].rotor_inertia * accelerations[place]
         against = np.zeros(currents.shape[1])
         if plan.setup == "coupled":
             for k, other in enumerate(self._roles):
@@ -180,6 +191,20 @@ class Foresight:
             most[:], least[:] = (most[led[0]], least[led[0]]) if led else (most.max(), 0.0)
         return most, least
 
+    def _accelerations(self, plan: Plan, state: "_State", at: Sequence[float]) -> Array:
+        """Of each role that follows a speed or listed angles; where a setpoint jumps none is planned."""
+        found = np.zeros(len(self._roles))
+        if len(at) < 2 or plan.setup in ("locked", "heated"):
+            return found
+        for k, role in enumerate(self._roles):
+            mode, profile = state.modes.get(role), state.setpoints.get(role)
+            if profile is not None and (mode is Mode.VELOCITY or (mode is Mode.ANGLE and isinstance(profile, Samples))):
+                order = 1 if mode is Mode.VELOCITY else 2
+                spacing = profile.period if isinstance(profile, Samples) else at[1] - at[0]
+                told = [profile.at(t) for t in np.arange(at[0], at[-1] + (order + 0.5) * spacing, spacing)]
+                found[k] = float(np.max(np.abs(np.diff(told, order)))) / spacing**order
+        return found
+
 
 @dataclass(frozen=True)
 class _State:
@@ -194,6 +219,11 @@ class _State:
     def constant(self) -> bool:
         """Whether every setpoint stays as it is."""
         return all(profile.low == profile.high for profile in self.setpoints.values())
+
+    @property
+    def listed(self) -> bool:
+        """Whether any setpoint is a list."""
+        return any(isinstance(profile, Samples) for profile in self.setpoints.values())
 
 
 def _states(plan: Plan) -> Iterator[_State]:

@@ -8,7 +8,7 @@ ahead, at the current that flows and standing at one electrical angle.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +37,31 @@ class GuardSettings:
     most_current: float  # A, that the bench lets pass
     most_speed: float  # rad/s, the same
     reserve_s: float  # that a drive may go on for without its host
+
+
+class Budgets:
+    """How much heat may pass before a bound is looked at again."""
+
+    def __init__(self, boxes: Sequence[Box], settings: GuardSettings) -> None:
+        self._limit = settings.limit - MARGIN_K
+        self._most = settings.most_current**2 * (max(HORIZON_S, settings.reserve_s) + COLD_STEP_S)
+        # degC per A^2 s of a phase that takes two thirds of the heat, at its limit, cooling left out
+        self._heating = [
+            box.current_gain**2
+            * PHASE_SHARE
+            * box.phase_resistance.high
+            * max(1.0, 1.0 + box.resistance_coefficient.high * (settings.limit - box.reference_temperature))
+            / (box.winding_capacitance.low / 3.0)
+            for box in boxes
+        ]
+
+    def left(self, hottest: Iterable[float]) -> list[float]:
+        """Of each actuator [A^2 s], from bounds of the hottest phases [degC]."""
+        return [(self._limit - one) / heating for one, heating in zip(hottest, self._heating, strict=True)]
+
+    def step(self, budgets: Iterable[float]) -> float:
+        """How long a step may be [s]: the longer one where nothing that may flow takes any winding to its limit."""
+        return COLD_STEP_S if all(self._most < budget for budget in budgets) else STEP_S
 
 
 class _Turn:
@@ -74,15 +99,7 @@ class ThermalGuard:
         self.leads: dict[int, float] = {}  # A^2 that heats like what flows through two leads, where that is measured
         self.due = -math.inf  # when `check` is to be called again
         self._turns = [_Turn(motor.pole_pairs) for motor in motors.values()]
-        # degC per A^2 s of a phase that takes two thirds of the heat, at its limit, cooling left out
-        self._heating = [
-            box.current_gain**2
-            * PHASE_SHARE
-            * box.phase_resistance.high
-            * max(1.0, 1.0 + box.resistance_coefficient.high * (settings.limit - box.reference_temperature))
-            / (box.winding_capacitance.low / 3.0)
-            for box in boxes
-        ]
+        self._budgets_of = Budgets(boxes, settings)
         self._advanced = self._looked = 0.0
         self._step = STEP_S
         self._motion: Motion = lambda index: (math.nan, math.nan)
@@ -122,6 +139,22 @@ class ThermalGuard:
                 return ""
         return self._advance(now, since) if since > 0.0 else ""
 
+    def end(self, now: float) -> None:
+        """No cycle comes any more: bring `kept` to now, and by what may flow until drives stop by themselves."""
+        reserve = self._settings.reserve_s
+        on = max(now - self._looked, 0.0) + reserve
+        duration = max(now - self._advanced, 0.0) + reserve
+        heat = zip(self.squares, self.flowing, strict=True)
+        squares = [(square + flowing * on) / duration for square, flowing in heat]
+        speeds, standing = [turn.speed for turn in self._turns], [1.0] * len(squares)
+        self._bound.step(duration, *self._twice(squares, standing, speeds), self._settings.ambient)
+        self._advanced = self._looked = now
+        self.squares, self.flowing = [0.0] * len(squares), [0.0] * len(squares)
+        self._keep(self._bound.nodes())
+
+    def _keep(self, nodes: Array) -> None:
+        self.kept = {role: nodes[:, k] for k, role in enumerate(self.roles)}
+
     def _look(self, now: float) -> None:
         """Put the heat since the last look at the electrical angle of now.
 
@@ -160,21 +193,22 @@ class ThermalGuard:
         settings, bound = self._settings, self._bound
         found = bound.nodes()
         hottest, estimates = found[HOTTEST], found[MEAN, len(self.roles) :]
-        self.kept = {role: found[:, k] for k, role in enumerate(self.roles)}
+        self._keep(found)
+        before = list(self.hottest.values())
         for k, role in enumerate(self.roles):
             self.hottest[role], self.estimate[role] = float(hottest[k]), float(estimates[k])
-            self._budgets[k] = (settings.limit - MARGIN_K - self.hottest[role]) / self._heating[k]
-        horizon = max(HORIZON_S, settings.reserve_s) + COLD_STEP_S
-        if all(settings.most_current**2 * horizon < budget for budget in self._budgets):
-            self._step = COLD_STEP_S  # nothing that may flow takes any winding there
+        self._budgets = self._budgets_of.left(self.hottest.values())
+        self._step = self._budgets_of.step(self._budgets)
+        if self._step > STEP_S:
             self.allowed = dict.fromkeys(self.roles, math.inf)
             return ""
-        self._step = STEP_S
         held = self._ahead(self.flowing, speeds, settings.reserve_s)
         most = self._ahead([settings.most_current**2] * len(self.roles), speeds, HORIZON_S)
         cause = ""
         for k, role in enumerate(self.roles):
-            if not max(hottest[k], held[k]) < settings.limit - MARGIN_K:
+            # what starts above the limit may cool there: no stop would cool it any faster
+            cools = held[k] < hottest[k] < before[k]
+            if not (cools or max(hottest[k], held[k]) < settings.limit - MARGIN_K):
                 cause = cause or (
                     f"{role} winding: its hottest phase may be at {hottest[k]:.1f} degC, and at {held[k]:.1f} degC"
                     f" {settings.reserve_s:g} s on; the limit is {settings.limit:g} degC"

@@ -1,0 +1,281 @@
+"""Plans under the bound before anything moves: what is refused, what waits help, and how it compares to a run."""
+
+import math
+from contextlib import nullcontext
+
+import numpy as np
+import pytest
+
+from leactl.driver.contract import Mode
+from leactl.errors import InputError
+from leactl.protocol.plan import Constant, Engage, Plan, Ramp, Samples, Segment
+from leactl.runner.operators import granted
+from leactl.runner.request import prepare
+from leactl.runner.session import execute
+from leactl.runner.windings import Windings
+from leactl.safety.thermal.box import Box
+from leactl.safety.thermal.foresight import Foresight, _states
+from tests.safety.guards import LEA, SETTINGS
+
+BOTH = {"test": LEA, "load": LEA}
+
+
+def made(*actions, setup="locked", rate=100.0):
+    return Plan("p", "", setup, "", rate, rate, {}, "", tuple(actions), (), "")
+
+
+def held(seconds, name="hold", **setpoints):
+    return Segment(name, seconds, 0.0, {role: Constant(value) for role, value in setpoints.items()}, {})
+
+
+def foresight(start=28.0, motors=BOTH):
+    return Foresight(motors, SETTINGS, {role: np.full(3, start) for role in motors})
+
+
+CURRENT = Engage({"test": Mode.CURRENT})
+BURST = [held(0.0, "to 25", test=25.0), held(4.0, "burst", test=25.0), held(0.0, "to 0", test=0.0)]
+REST = held(1.0, "rest", test=0.0)
+
+
+def test_a_plan_that_passes_is_named_with_step_time_and_role():
+    plan = made(CURRENT, held(2.0, "mild", test=5.0), held(60.0, "hot", test=25.0))
+    passing = foresight().forecast(plan).passing
+    assert (passing.step, passing.role, passing.action) == ("hot", "test", 2)
+    assert 2.0 + 4.0 < passing.time_s < 2.0 + 9.0
+    load = foresight().forecast(made(Engage({"load": Mode.CURRENT}), held(60.0, "hot", load=25.0)))
+    assert load.passing.role == "load"
+    assert load.peaks["test"] < 29.0
+
+
+def test_a_plan_that_passes_nowhere_tells_its_peaks():
+    found = foresight().forecast(made(CURRENT, *BURST))
+    assert found.passing is None
+    assert 80.0 < found.peaks["test"] < 129.5
+    assert found.peaks["load"] == pytest.approx(28.0, abs=0.01)
+
+
+def test_a_start_at_the_limit_may_cool_and_carries_nothing():
+    assert foresight(130.0).forecast(made(CURRENT, REST)).passing is None
+    assert foresight(130.0).forecast(made(CURRENT, held(5.0, test=10.0))).passing.time_s < 0.8
+
+
+def waits(plan):
+    return [(place, action) for place, action in enumerate(plan.actions) if getattr(action, "name", "") == "cooldown"]
+
+
+@pytest.mark.parametrize("start", [28.0, 60.0, 100.0])
+@pytest.mark.parametrize("bursts", [2, 4])
+def test_a_plan_with_waits_passes_nowhere_and_waits_no_longer_than_it_must(start, bursts):
+    plan = made(CURRENT, *[REST, *BURST] * bursts)
+    sight = foresight(start)
+    assert sight.forecast(plan).passing is not None
+    longer, found = sight.with_waits(plan)
+    assert found.passing is None
+    assert sight.forecast(longer).passing is None
+    assert [action for action in longer.actions if getattr(action, "name", "") != "cooldown"] == list(plan.actions)
+    assert waits(longer)
+    for place, wait in waits(longer):
+        asked = [a.setpoints["test"].value for a in longer.actions[1:place] if "test" in getattr(a, "setpoints", {})]
+        assert asked[-1:] in ([], [0.0])
+        # shorter by the rounding and 5 %, it would not do: the plan passes in the burst that this wait is for
+        less = Segment("cooldown", 0.95 * wait.duration_s - 10.0, 0.0, {}, {})
+        if less.duration_s > 0.0:
+            following = min([later for later, _wait in waits(longer) if later > place], default=len(longer.actions))
+            cut = made(*longer.actions[:place], less, *longer.actions[place + 1 : following])
+            assert sight.forecast(cut).passing is not None
+
+
+def test_no_wait_stands_where_current_or_speed_is_asked_for():
+    busy = made(CURRENT, *BURST, held(2.0, "low", test=3.0), *BURST)
+    longer, found = foresight().with_waits(busy)
+    assert found.passing is None or not waits(longer)
+    for place, _wait in waits(longer):
+        before = [a.setpoints["test"].value for a in longer.actions[1:place] if a.setpoints]
+        assert before[-1:] in ([], [0.0])
+    spun = made(Engage({"test": Mode.VELOCITY}), held(0.0, "to", test=35.0), held(3600.0, test=35.0), setup="free")
+    longer, _found = foresight(motors={"test": LEA}).with_waits(spun)
+    assert all(place <= 1 for place, _wait in waits(longer))
+
+
+def test_what_no_wait_can_help_stays_as_it_is():
+    plan = made(CURRENT, held(60.0, "hot", test=25.0))
+    longer, found = foresight().with_waits(plan)
+    assert longer == plan
+    assert found.passing.step == "hot"
+
+
+HOT = """
+name: hot
+setup: locked
+rate_Hz: 50
+steps:
+  - mode: {test: current}
+  - hold: {role: test, current_A: 25, duration_s: 60}
+"""
+
+
+@pytest.fixture
+def at_the_bench(tmp_path, monkeypatch):
+    """Requests for the shipped emulated bench."""
+    monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "state"))
+
+    def request(text):
+        path = tmp_path / "protocol.yaml"
+        path.write_text(text)
+        return prepare(str(path), "emulated", ("seed=5",), "", "design", "", tmp_path / "runs", False)
+
+    return request
+
+
+@pytest.mark.parametrize("insert", [False, True])
+def test_a_hopeless_plan_is_refused_with_that_word(at_the_bench, insert):
+    made = at_the_bench(HOT)
+    windings = Windings(made.bench, made.devices, emulated_here=True)
+    with pytest.raises(InputError) as refused:
+        windings.approved(made.plan, insert)
+    words = str(refused.value)
+    assert "may take the test winding to its limit of 130 degC after " in words
+    assert ("no wait helps" if insert else "no wait between its steps helps: shorten or lower them") in words
+    assert "\n" not in words
+
+
+# -- currents that are not planned -------------------------------------------------------------------------------------
+
+
+def warmed(plan, role="test", motors=BOTH):
+    sight = foresight(motors=motors)
+    return sight.forecast(plan).peaks[role]
+
+
+def squares(plan, motors=BOTH):
+    """Mean square currents of both roles in the last action, as foresight takes them to be."""
+    sight = foresight(motors=motors)
+    *_before, state = _states(plan)
+    _duration, found, _aligned, _speeds = next(sight._pieces(plan, state))
+    return dict(zip(motors, found.tolist(), strict=True))
+
+
+def friction(speed):
+    box = Box.of(LEA)
+    return box.coulomb_friction.high + box.viscous_damping.high * speed
+
+
+def test_a_free_drive_at_speed_needs_its_own_friction():
+    plan = made(Engage({"test": Mode.VELOCITY}), held(0.0, test=20.0), held(5.0, test=20.0), setup="free")
+    assert squares(plan)["test"] == pytest.approx((friction(20.0) / 0.49) ** 2)
+
+
+def test_a_coupled_drive_at_speed_needs_the_friction_of_both_and_the_other_one_s_torque():
+    modes = Engage({"test": Mode.CURRENT, "load": Mode.VELOCITY})
+    plan = made(modes, held(0.0, test=6.0, load=20.0), held(5.0, test=6.0, load=20.0), setup="coupled")
+    assert squares(plan)["load"] == pytest.approx((6.0 + 2.0 * friction(20.0) / 0.49) ** 2)
+    assert squares(plan)["test"] == pytest.approx(36.0)
+
+
+def test_a_coupled_drive_that_holds_an_angle_needs_the_other_one_s_torque():
+    modes = Engage({"test": Mode.CURRENT, "load": Mode.ANGLE})
+    plan = made(modes, held(0.0, test=-9.0), held(5.0, test=-9.0), setup="coupled")
+    assert squares(plan)["load"] == pytest.approx((9.0 + 2.0 * friction(0.0) / 0.49) ** 2)
+
+
+def test_a_drive_that_gains_speed_needs_current_for_the_inertia():
+    ramp = Segment("up", 0.2, 0.0, {"test": Ramp(0.0, 20.0, 0.2)}, {})
+    plan = made(Engage({"test": Mode.VELOCITY}), ramp, setup="free")
+    assert squares(plan)["test"] > (friction(0.0) / 0.49 + 0.9 * 0.0024 * 100.0 / 0.49) ** 2
+    swing = 0.3 * np.sin(2.0 * np.pi * 4.0 * np.arange(200) / 100.0)
+    plan = made(
+        Engage({"test": Mode.ANGLE}),
+        Segment("swing", 2.0, 0.0, {"test": Samples(0.01, swing)}, {}),
+        setup="free",
+    )
+    inertia = 0.0024 * 0.3 * (2.0 * math.pi * 4.0) ** 2 / 0.49
+    assert squares(plan)["test"] > 0.8 * inertia**2
+
+
+def test_no_current_is_taken_to_be_more_than_the_bench_lets_pass():
+    modes = Engage({"test": Mode.CURRENT, "load": Mode.VELOCITY})
+    plan = made(modes, held(0.0, test=30.0, load=38.0), held(1.0, test=30.0, load=38.0), setup="coupled")
+    assert squares(plan)["load"] == pytest.approx(SETTINGS.most_current**2)
+
+
+def test_a_locked_rotor_stands_and_a_turning_one_is_cooler():
+    hold = [held(0.0, test=12.0), held(20.0, test=12.0)]
+    locked = warmed(made(CURRENT, *hold))
+    modes = Engage({"test": Mode.CURRENT, "load": Mode.VELOCITY})
+    turning = warmed(made(modes, held(0.0, load=5.0), *hold, setup="coupled"))
+    crawling = warmed(made(modes, held(0.0, load=0.01), *hold, setup="coupled"))
+    assert turning < locked - 10.0
+    assert crawling == pytest.approx(locked, abs=1.0)
+
+
+def test_setpoints_that_alternate_faster_than_parts_of_a_step_are_all_counted():
+    """20 A and 0 A in turn at 1 kHz: any coarse comb could meet the zeros alone."""
+    for first in (0, 1):
+        listed = Samples(0.001, np.where(np.arange(4000) % 2 == first, 20.0, 0.0))
+        plan = made(CURRENT, Segment("comb", 4.0, 0.0, {"test": listed}, {}), rate=1000.0)
+        assert squares(plan)["test"] == pytest.approx(200.0, rel=0.01)
+
+
+# -- against the guard of a run ----------------------------------------------------------------------------------------
+
+LOCKED = """
+name: bursts
+setup: locked
+rate_Hz: 50
+steps:
+  - mode: {test: current}
+  - hold: {role: test, current_A: 20, duration_s: 4}
+  - hold: {role: test, current_A: 0, duration_s: 2}
+  - ramp: {role: test, to_current_A: -18, rate_A_s: 9}
+  - hold: {role: test, current_A: -18, duration_s: 2}
+"""
+CRAWLING = """
+name: crawl
+setup: coupled
+rate_Hz: 50
+steps:
+  - mode: {test: current, load: velocity}
+  - ramp: {role: load, to_velocity_rad_s: 0.06, rate_rad_s2: 1}
+  - ramp: {role: test, to_current_A: 10, rate_A_s: 40}
+  - hold: {role: test, current_A: 10, duration_s: 25}
+"""
+SPINNING = """
+name: spin
+setup: coupled
+rate_Hz: 50
+steps:
+  - mode: {test: current, load: velocity}
+  - ramp: {role: load, to_velocity_rad_s: 25, rate_rad_s2: 50}
+  - ramp: {role: test, to_current_A: 8, rate_A_s: 40}
+  - hold: {role: test, current_A: 8, duration_s: 12}
+"""
+
+
+@pytest.mark.parametrize(("text", "above"), [(LOCKED, 60.0), (CRAWLING, 45.0), (SPINNING, 33.0)])
+def test_no_forecast_is_cooler_than_what_the_guard_of_the_run_finds(at_the_bench, monkeypatch, text, above):
+    found = []
+
+    class Seen(Windings):
+        def __init__(self, *args):
+            super().__init__(*args)
+            found.append(self)
+            self.peaks = dict.fromkeys(self.motors, -math.inf)
+            judge = self.guard._judge
+
+            def judged(speeds):
+                cause = judge(speeds)
+                self.peaks = {role: max(peak, self.guard.hottest[role]) for role, peak in self.peaks.items()}
+                return cause
+
+            self.guard._judge = judged
+
+    monkeypatch.setattr("leactl.runner.session.Windings", Seen)
+    request = at_the_bench(text)
+    outcome = execute(request, granted, lambda _progress: nullcontext())
+    assert outcome.status == "complete", outcome.reason
+    [windings] = found
+    peaks = windings.forecast(request.plan).peaks
+    assert max(windings.peaks.values()) > above
+    for role, peak in windings.peaks.items():
+        assert peak <= peaks[role] + 0.2, (role, peak, peaks[role])  # noise of the reading heats as well
+    assert max(peaks.values()) - 28.0 < 2.5 * (max(windings.peaks.values()) - 28.0)
