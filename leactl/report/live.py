@@ -23,6 +23,7 @@ from leactl.runner.operators import HOW
 from leactl.runner.progress import Progress
 
 FRAMES_PER_S = 4
+WARM_DEGC = 50.0  # from which on it is told how long a winding can go on
 PATIENCE_S = 1.0  # how long a view may take to clear the screen
 SHORT = {"q_axis_": "", "_reference": " ref", "drive_enabled": "enabled", "_": " "}
 
@@ -108,7 +109,11 @@ def _channels(progress: Progress, width: int) -> Table:
         values = progress.values if stream == "loop" else progress.own.get(stream, ())
         cells += _cells(channels, values)
     estimates, bounds = progress.windings
-    cells += [(f"{role} winding", f"{value:.0f}, at most {bounds[role]:.0f} degC") for role, value in estimates.items()]
+    going = progress.time_left() if max(bounds.values(), default=0.0) > WARM_DEGC else {}
+    for role, estimate in estimates.items():
+        cells.append((f"{role} winding", f"{estimate:.0f}, at most {bounds[role]:.0f} degC"))
+        if math.isfinite(going.get(role, math.inf)):
+            cells.append((f"{role} winding at its limit in", duration(going[role])))
     columns = max(1, width // 40)
     table = Table.grid(expand=False, padding=(0, 2))
     for _ in range(columns):

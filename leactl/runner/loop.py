@@ -69,7 +69,7 @@ class Loop:
         SafetyTrip, Stopped, DeviceError, RecordingFailed : whatever ended it early.
         """
         self._supervisor.begin(self._period)
-        self._progress.windings = self._supervisor.windings
+        self._progress.windings, self._progress.time_left = self._supervisor.windings, self._supervisor.time_left
         self._watchdog.begin(self._period)
         try:
             self._cycle()

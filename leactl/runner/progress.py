@@ -1,7 +1,7 @@
 """How far a run is, for whoever shows it: written by the loop, read at any time from another thread."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from leactl.quantities import ChannelSpec
@@ -20,6 +20,7 @@ class Progress:
         {},
         {},
     )  # by role: estimate, and bound of the hottest phase
+    time_left: Callable[[], Mapping[str, float]] = dict  # by role, at what flows now [s]
     step: str = ""
     prompt: str = ""
     hint: str = ""  # what the operator can do meanwhile

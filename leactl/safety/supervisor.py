@@ -119,6 +119,7 @@ class Supervisor:
         guard.begin(now)
         self._heated, self._heating = now, (guard, guard.squares, guard.flowing, math.inf)
         self.windings = guard.estimate, guard.hottest  # degC by role, kept up to date
+        self.time_left = guard.time_left
         self._keep_pace = self._pace.look
 
     def _panel(self, channels: Sequence[ChannelSpec], age: float, now: float) -> Panel:

@@ -306,3 +306,14 @@ def test_runs_shorter_than_a_step_of_the_guard_are_not_forgotten(seconds):
         assert nodes[HOTTEST] >= state[3]
     assert rig.peak <= 130.0
     assert rig.peak > 35.0
+
+
+def test_the_time_left_is_what_a_plant_at_the_worst_of_its_box_would_have():
+    guard = guard_of(start=28.0)
+    guard.begin(0.0)
+    assert guard.time_left() == {"test": math.inf}
+    guard.flowing[0] = 28.0**2
+    assert 4.0 < guard.time_left()["test"] < 5.6  # 27.96 A are carried for 5 s from there, see `thermal limits`
+    guard.flowing[0] = 8.0**2
+    assert guard.time_left() == {"test": math.inf}
+    assert guard.hottest["test"] == 28.0

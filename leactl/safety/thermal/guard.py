@@ -9,6 +9,7 @@ ahead, at the current that flows and standing at one electrical angle.
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,7 @@ from leactl.safety.thermal.box import PHASE_SHARE, Array, Box
 LOOK_S = 0.01
 STEP_S = 0.1
 COLD_STEP_S = 0.5
+LONGEST_LEFT_S, GROWTH = 3600.0, 1.15  # that a time left is told up to, and of the steps to it
 HORIZON_S = 1.0  # over which a current is scaled down as the limit comes near
 MARGIN_K = 0.5  # below the limit, where a bench is stopped: what the largest current heats in LOOK_S
 SCALED_K = 1.0  # below the limit, where scaling ends, so that a hold that is scaled is not stopped
@@ -239,3 +241,19 @@ class ThermalGuard:
     def _twice(squares: list[float], aligned: list[float], speeds: list[float]) -> tuple[Array, Array, Array]:
         """For the bounds and for the estimates."""
         return np.array(squares + squares), np.array(aligned + aligned), np.array(speeds + speeds)
+
+    def time_left(self) -> dict[str, float]:
+        """How long each role could go on as it does before its bound reaches the limit [s]; infinite beyond an hour.
+
+        From another thread at any time: it works on a copy.
+        """
+        bound, speeds = copy(self._bound), [turn.speed for turn in self._turns]
+        heat = self._twice(list(self.flowing), [1.0] * len(self.roles), speeds)
+        left, time, step = dict.fromkeys(self.roles, math.inf), 0.0, STEP_S
+        while time < LONGEST_LEFT_S and math.inf in left.values():
+            bound.step(step, *heat, self._settings.ambient, even=True)
+            time, step = time + step, step * GROWTH
+            for role, hottest in zip(self.roles, bound.hottest(), strict=False):
+                if math.isinf(left[role]) and not hottest < self._settings.limit - MARGIN_K:
+                    left[role] = time
+        return left
