@@ -180,7 +180,7 @@ def test_without_a_place_to_keep_state_no_run_begins(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "file"))
     keeper = Keeper({"test": memory()}, lambda: {"test": WARM}, lambda: NOW)
-    with pytest.raises(InputError, match="the windings' state cannot be kept: .*; set LEACTL_STATE"):
+    with pytest.raises(InputError, match=r"the windings' state cannot be kept: .*; set LEACTL_STATE"):
         keeper.start()
 
 
