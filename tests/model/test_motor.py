@@ -22,6 +22,11 @@ def test_the_lea_ships_with_the_papers_figures():
         ("winding: wye", "winding: star", "'star': input should be 'wye' or 'delta'"),
         ("  winding_capacitance: 22.9 ", "  winding_capacity: 22.9 ", "thermal.winding_capacity: unknown key"),
         ("rotor_inertia: 0.0024 ", "rotor_inertia: .nan ", "a finite number was expected"),
+        ("  phase_resistance: 0.1\n", "  phase_resistance: -0.1\n", "tolerances.phase_resistance: -0.1: "),
+        ("  winding_capacitance: 0.1\n", "  winding_capacitance: 0.51\n", "tolerances.winding_capacitance: 0.51: "),
+        ("  coulomb_friction: 0.1\n", "  coulomb_friction: .nan\n", "tolerances.coulomb_friction"),
+        ("  housing_capacitance: 0.1\n", "", "tolerances.housing_capacitance"),
+        ("  ambient_K: 3.0", "  ambient_K: 298", "tolerances.ambient_K: 298: "),
     ],
 )
 def test_faults_name_their_place(tmp_path, old, new, message):
