@@ -257,7 +257,7 @@ steps:
 """
 
 
-@pytest.mark.parametrize(("text", "above"), [(LOCKED, 60.0), (CRAWLING, 45.0), (SPINNING, 33.0)])
+@pytest.mark.parametrize(("text", "above"), [(LOCKED, 60.0), (CRAWLING, 40.0), (SPINNING, 33.0)])
 def test_no_forecast_is_cooler_than_what_the_guard_of_the_run_finds(at_the_bench, monkeypatch, text, above):
     found = []
 
