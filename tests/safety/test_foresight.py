@@ -78,7 +78,7 @@ def test_a_plan_with_waits_passes_nowhere_and_waits_no_longer_than_it_must(start
         asked = [a.setpoints["test"].value for a in longer.actions[1:place] if "test" in getattr(a, "setpoints", {})]
         assert asked[-1:] in ([], [0.0])
         # shorter by the rounding and 5 %, it would not do: the plan passes in the burst that this wait is for
-        less = Segment("cooldown", 0.95 * wait.duration_s - 10.0, 0.0, {}, {})
+        less = Segment("cooldown", 0.95 * wait.duration_s - 5.0, 0.0, {}, {})
         if less.duration_s > 0.0:
             following = min([later for later, _wait in waits(longer) if later > place], default=len(longer.actions))
             cut = made(*longer.actions[:place], less, *longer.actions[place + 1 : following])
@@ -181,7 +181,7 @@ def test_a_coupled_drive_that_holds_an_angle_needs_the_other_one_s_torque():
 def test_a_drive_that_gains_speed_needs_current_for_the_inertia():
     ramp = Segment("up", 0.2, 0.0, {"test": Ramp(0.0, 20.0, 0.2)}, {})
     plan = made(Engage({"test": Mode.VELOCITY}), ramp, setup="free")
-    assert squares(plan)["test"] > (friction(0.0) / 0.49 + 0.9 * 0.0024 * 100.0 / 0.49) ** 2
+    assert squares(plan)["test"] > (friction(9.5) / 0.49 + 0.9 * 0.0024 * 100.0 / 0.49) ** 2
     swing = 0.3 * np.sin(2.0 * np.pi * 4.0 * np.arange(200) / 100.0)
     plan = made(
         Engage({"test": Mode.ANGLE}),
@@ -189,7 +189,7 @@ def test_a_drive_that_gains_speed_needs_current_for_the_inertia():
         setup="free",
     )
     inertia = 0.0024 * 0.3 * (2.0 * math.pi * 4.0) ** 2 / 0.49
-    assert squares(plan)["test"] > 0.8 * inertia**2
+    assert squares(plan)["test"] > (friction(0.0) / 0.49 + 0.9 * inertia) ** 2
 
 
 def test_no_current_is_taken_to_be_more_than_the_bench_lets_pass():
@@ -203,7 +203,7 @@ def test_a_locked_rotor_stands_and_a_turning_one_is_cooler():
     locked = warmed(made(CURRENT, *hold))
     modes = Engage({"test": Mode.CURRENT, "load": Mode.VELOCITY})
     turning = warmed(made(modes, held(0.0, load=5.0), *hold, setup="coupled"))
-    crawling = warmed(made(modes, held(0.0, load=0.01), *hold, setup="coupled"))
+    crawling = warmed(made(modes, held(0.0, load=0.2), *hold, setup="coupled"))
     assert turning < locked - 10.0
     assert crawling == pytest.approx(locked, abs=1.0)
 
@@ -214,6 +214,12 @@ def test_setpoints_that_alternate_faster_than_parts_of_a_step_are_all_counted():
         listed = Samples(0.001, np.where(np.arange(4000) % 2 == first, 20.0, 0.0))
         plan = made(CURRENT, Segment("comb", 4.0, 0.0, {"test": listed}, {}), rate=1000.0)
         assert squares(plan)["test"] == pytest.approx(200.0, rel=0.01)
+
+
+def test_a_duration_that_no_step_divides_evenly_is_followed_to_its_end():
+    for tenths in range(1, 60):
+        ramp = Segment("up", 0.1 * tenths, 0.0, {"test": Ramp(0.0, 2.0, 0.1 * tenths)}, {})
+        assert foresight().forecast(made(Engage({"test": Mode.VELOCITY}), ramp, setup="free")).passing is None
 
 
 # -- against the guard of a run ----------------------------------------------------------------------------------------
@@ -235,7 +241,7 @@ setup: coupled
 rate_Hz: 50
 steps:
   - mode: {test: current, load: velocity}
-  - ramp: {role: load, to_velocity_rad_s: 0.06, rate_rad_s2: 1}
+  - ramp: {role: load, to_velocity_rad_s: 0.2, rate_rad_s2: 1}
   - ramp: {role: test, to_current_A: 10, rate_A_s: 40}
   - hold: {role: test, current_A: 10, duration_s: 25}
 """
@@ -251,7 +257,7 @@ steps:
 """
 
 
-@pytest.mark.parametrize(("text", "above"), [(LOCKED, 60.0), (CRAWLING, 45.0), (SPINNING, 33.0)])
+@pytest.mark.parametrize(("text", "above"), [(LOCKED, 60.0), (CRAWLING, 40.0), (SPINNING, 33.0)])
 def test_no_forecast_is_cooler_than_what_the_guard_of_the_run_finds(at_the_bench, monkeypatch, text, above):
     found = []
 
