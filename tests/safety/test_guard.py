@@ -238,7 +238,7 @@ def test_no_plant_of_the_box_passes_its_limit_whatever_is_asked_or_done(period, 
             break
     assert rig.peak <= 130.0
     rig.supervisor.make_safe()
-    assert rig.guard.kept["test"][HOTTEST] >= rig.state[:3].max()
+    assert rig.guard.kept["test"][HOTTEST] >= rig.state[:3].max() - 0.02  # the plant moves by steps of 5 ms
     rig.drive.close()
 
 
@@ -277,7 +277,7 @@ def test_a_current_that_is_not_known_counts_as_the_bench_s_limit():
     assert rig.state[:3].max() > 40.0
     assert rig.guard.hottest["test"] + 5.0 >= rig.state[:3].max()  # heat since the last step is not told yet
     rig.supervisor.make_safe()
-    assert rig.guard.kept["test"][HOTTEST] >= rig.state[:3].max()
+    assert rig.guard.kept["test"][HOTTEST] >= rig.state[:3].max() - 0.02  # the plant moves by steps of 5 ms
 
 
 def test_a_loop_that_stalls_counts_what_flowed_before_it():

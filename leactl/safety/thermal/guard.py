@@ -1,10 +1,10 @@
 """The thermal guard of a bench: heat in, every cycle; a bound, a trip and the current that may still flow, out.
 
-Heat is the larger of what a drive reports and what it is asked for, by the measured time between cycles. Rotors and
-budgets are looked at every `LOOK_S`. The bound is advanced every `STEP_S` where anything that may flow could take a
-winding to its limit before the next step, else every `COLD_STEP_S`. It must hold for longer than now: a drive that
-loses its host goes on with its last current until its own watchdog stops it, so that the bound is looked at `reserve_s`
-ahead, at the current that flows and standing at one electrical angle.
+Heat is the larger of what a drive reports and what it is asked for, by the measured time between cycles. Budgets are
+looked at every `LOOK_S`, rotors every `TURN_S`. The bound is advanced every `STEP_S` where anything that may flow could
+take a winding to its limit before the next step, else every `COLD_STEP_S`. It must hold for longer than now: a drive
+that loses its host goes on with its last current until its own watchdog stops it, so that the bound is looked at
+`reserve_s` ahead, at the current that flows and standing at one electrical angle.
 """
 
 import math
@@ -19,6 +19,7 @@ from leactl.safety.thermal.bound import HOTTEST, MEAN, ThermalBound
 from leactl.safety.thermal.box import PHASE_SHARE, Array, Box
 
 LOOK_S = 0.01
+TURN_S = 0.05  # between two looks at the rotors
 STEP_S = 0.1
 COLD_STEP_S = 0.5
 LONGEST_LEFT_S, GROWTH = 3600.0, 1.15  # that a time left is told up to, and of the steps to it
@@ -128,10 +129,9 @@ class ThermalGuard:
         """Look at heat and rotors; gives why the bench must stop, and nothing where it may go on."""
         if now < self._looked:
             return "the clock of the bench has gone backwards: no bound of a winding's temperature holds"
-        for index, square in self.leads.items():
-            self.squares[index] += square * (now - self._looked)
-            self.flowing[index] = max(self.flowing[index], square)
-        self._look(now)
+        self.due = now + LOOK_S
+        if now - self._looked >= (TURN_S if self._step > STEP_S else LOOK_S):
+            self._look(now)
         since = now - self._advanced
         if since < self._step:
             for square, flowing, budget in zip(self.squares, self.flowing, self._budgets, strict=True):
@@ -142,26 +142,32 @@ class ThermalGuard:
         return self._advance(now, since) if since > 0.0 else ""
 
     def end(self, now: float) -> None:
-        """No cycle comes any more: bring `kept` to now, and by what may flow until drives stop by themselves."""
+        """No cycle comes any more: bring `kept` to now, and to what may flow until drives stop by themselves."""
         reserve = self._settings.reserve_s
-        on = max(now - self._looked, 0.0) + reserve
-        duration = max(now - self._advanced, 0.0) + reserve
-        heat = zip(self.squares, self.flowing, strict=True)
-        squares = [(square + flowing * on) / duration for square, flowing in heat]
-        speeds, standing = [turn.speed for turn in self._turns], [1.0] * len(squares)
-        self._bound.step(duration, *self._twice(squares, standing, speeds), self._settings.ambient)
+        speeds, standing = [turn.speed for turn in self._turns], [1.0] * len(self.squares)
+        since, on = max(now - self._advanced, 0.0), max(now - self._looked, 0.0)
+        nodes = self._bound.nodes()
+        if since > 0.0:
+            heat = zip(self.squares, self.flowing, strict=True)
+            squares = [(square + flowing * on) / since for square, flowing in heat]
+            self._bound.step(since, *self._twice(squares, standing, speeds), self._settings.ambient)
+            nodes = self._bound.nodes()
+        self._bound.step(reserve, *self._twice(self.flowing, standing, speeds), self._settings.ambient)
         self._advanced = self._looked = now
-        self.squares, self.flowing = [0.0] * len(squares), [0.0] * len(squares)
-        self._keep(self._bound.nodes())
+        self.squares, self.flowing = [0.0] * len(self.squares), [0.0] * len(self.squares)
+        self._keep(np.maximum(nodes, self._bound.nodes()))
 
     def _keep(self, nodes: Array) -> None:
         self.kept = {role: nodes[:, k] for k, role in enumerate(self.roles)}
 
     def _look(self, now: float) -> None:
-        """Put the heat since the last look at the electrical angle of now.
+        """Put the heat since the last look at the electrical angles that the rotor has passed since.
 
-        A rotor so fast that angles are taken too seldom gives every angle, or one by chance, which is the worst.
+        Over x rad to either side of their middle a current that stays the same leaves |sin x / x| of an alignment.
         """
+        for index, square in self.leads.items():
+            self.squares[index] += square * (now - self._looked)
+            self.flowing[index] = max(self.flowing[index], square)
         for index, turn in enumerate(self._turns):
             angle, velocity = self._motion(index)
             speed = abs(velocity)
@@ -169,15 +175,21 @@ class ThermalGuard:
                 speed, velocity = self._settings.most_speed, 0.0
             if speed > turn.speed:
                 turn.speed = speed
-            turn.angle = angle if angle == angle else turn.angle + velocity * (now - self._looked)
+            before = turn.angle
+            turn.angle = angle = angle if angle == angle else before + velocity * (now - self._looked)
             square = self.squares[index]
             fresh, turn.taken = square - turn.taken, square
-            turn.cos += fresh * math.cos(turn.poles * turn.angle)
-            turn.sin += fresh * math.sin(turn.poles * turn.angle)
+            passed = 0.5 * turn.poles * abs(angle - before)
+            if passed > 1.0:
+                fresh /= passed
+            middle = 0.5 * turn.poles * (angle + before)
+            turn.cos += fresh * math.cos(middle)
+            turn.sin += fresh * math.sin(middle)
         self._looked = now
-        self.due = now + LOOK_S
 
     def _advance(self, now: float, duration: float) -> str:
+        if now > self._looked:
+            self._look(now)
         squares = [square / duration for square in self.squares]
         aligned = [
             min(1.0, math.hypot(turn.cos, turn.sin) / turn.taken) if turn.taken > 0.0 else 0.0 for turn in self._turns
