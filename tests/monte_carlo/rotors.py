@@ -71,11 +71,10 @@ class Rotors:
                 stage.current = 0.0
             elif stage.mode == "current":
                 stage.current = min(max(stage.demand * stage.factor, -PEAK_A), PEAK_A)
-                torque += stage.torque_constant * stage.current
+                if self._coupled or stage is test:  # else the load's rotor is not on this shaft
+                    torque += stage.torque_constant * stage.current
             else:
                 servo = stage
-        if not self._coupled:
-            torque = test.torque_constant * test.current  # the load's rotor is not on this shaft
         if self._locked:
             if servo is not None:
                 servo.current = 0.0
