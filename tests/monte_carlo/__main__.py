@@ -1,4 +1,4 @@
-"""`python -m tests.monte_carlo`: random protocols on random plants; status 1 where a winding, a drive or a file was lost.
+"""`python -m tests.monte_carlo`: random protocols on random plants; status 1 where the guard, a stop or a file failed.
 
 Results are kept as a line of JSON each: the command given again goes on where it was interrupted.
 """

@@ -1,4 +1,4 @@
-"""A bench without wires: drives and a torque sensor that fulfil the driver's contract with the rotors right behind them.
+"""A bench without wires: drives and a torque sensor that fulfil the driver's contract, with rotors right behind them.
 
 What a loop and its supervisor ask of a bench, they ask of this one in the same order; faults stand between the rotors
 and what is told of them, and come at moments of the rotors' own time.

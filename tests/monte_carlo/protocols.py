@@ -7,7 +7,9 @@ from tests.protocol.writing import read
 
 RATES_HZ = (20, 25, 50, 100)  # whole numbers of the plant's ticks in a cycle
 SHORTEST_S, LONGEST_S = 20.0, 600.0
+SETUPS = (*["coupled"] * 6, *["locked"] * 3, "free")  # a free rotor takes no current that could hurt
 MOST_CURRENT_A = 29.9  # of a bench limit of 30 A, below which the noise of a reading has to stay
+CURRENTS_A = ((1.0, 8.0), (8.0, 14.0), (14.0, MOST_CURRENT_A), (14.0, MOST_CURRENT_A))  # of the largest, by chance
 FRICTION_NM, DAMPING_NM_S = 2 * 0.208 * 1.1, 2 * 0.0238 * 1.1  # of both actuators at the most
 TORQUE_CONSTANT = 0.49
 SPARE_A = 1.5  # of the drive that holds a speed, for accelerations and misread currents
@@ -18,11 +20,11 @@ class Protocol:
 
     def __init__(self, draw: np.random.Generator, longest_s: float) -> None:
         self._draw = draw
-        self.setup = str(draw.choice(["coupled", "coupled", "coupled", "locked", "free"]))
+        self.setup = str(draw.choice(SETUPS))
         self.rate = int(draw.choice(RATES_HZ))
         self.duration = float(np.exp(draw.uniform(np.log(SHORTEST_S), np.log(longest_s))))
         self.speed = float(draw.choice([0.0, draw.uniform(0.02, 0.5), draw.uniform(0.5, 8.0), draw.uniform(8.0, 35.0)]))
-        within = [(1.0, 8.0), (8.0, 14.0), (14.0, MOST_CURRENT_A)][draw.integers(3)]
+        within = CURRENTS_A[draw.integers(len(CURRENTS_A))]
         self.current = min(float(draw.uniform(*within)), self._most_current())
         self.held = "angle" if self.setup == "coupled" and draw.random() < 0.2 else "velocity"
         self.steps: list[str] = []

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from tests.monte_carlo.plants import OUTSIDE
+from tests.monte_carlo.supervised import AFTER_S
 from tests.monte_carlo.trial import LIMIT_DEGC, MILD_DEGC, Campaign, needless, violations
 
 Told = dict[str, Any]
@@ -32,7 +33,7 @@ def report(told: Sequence[Told], campaign: Campaign) -> str:
     judged = [item for item in inside if needless(item) is not None]
     wired = [item for item in inside if item["kind"] == "wire"]
     lines = [
-        f"    python -m tests.monte_carlo --count {campaign.count} --wire {campaign.over_wire}"
+        f"    .venv/bin/python -m tests.monte_carlo --count {campaign.count} --wire {campaign.over_wire}"
         f" --outside {campaign.outside} --seed {campaign.seed} --results monte-carlo.jsonl --report monte-carlo.md",
         "",
         f"{len(inside)} of {campaign.count} trials inside the tolerances, {len(wired)} of them over the wire,"
@@ -53,8 +54,9 @@ def report(told: Sequence[Told], campaign: Campaign) -> str:
         "",
         f"The highest of all is {max((item['peak_degC'] for item in sound), default=0.0):.2f} degC."
         f" Apart from these {len(frozen)} drives froze, deaf to everything:"
-        f" {sum(bool(item['energised']) for item in frozen)} were left energised, which only their supply ends, and"
-        f" {sum(item['peak_degC'] > LIMIT_DEGC for item in frozen)} were above {LIMIT_DEGC:g} degC within 0.5 s of the end.",
+        f" {sum(bool(item['energised']) for item in frozen)} were left energised, which only their supply ends;"
+        f" {sum(item['peak_degC'] > LIMIT_DEGC for item in frozen)} were above {LIMIT_DEGC:g} degC up to {AFTER_S:g} s"
+        " after the end.",
         "",
         "| group | trials | complete | tripped | failed | killed | scaled | highest, degC |",
         "|---|---|---|---|---|---|---|---|",
@@ -67,7 +69,11 @@ def report(told: Sequence[Told], campaign: Campaign) -> str:
     ]
     lines += [_group(name, [item for item in sound if rule(item)]) for name, rule in groups]
     kinds = sorted({item["fault"] for item in inside if item["fault"]})
-    lines += ["", "| fault | trials | complete | tripped | failed | killed | scaled | highest, degC |", "|---" * 8 + "|"]
+    lines += [
+        "",
+        "| fault | trials | complete | tripped | failed | killed | scaled | highest, degC |",
+        "|---" * 8 + "|",
+    ]
     lines += [_group(kind, [item for item in inside if item["fault"] == kind]) for kind in kinds]
     lines += ["", "| outside the model | trials | complete | tripped | failed | killed | scaled | highest, degC |"]
     lines += ["|---" * 8 + "|"]
@@ -78,7 +84,10 @@ def report(told: Sequence[Told], campaign: Campaign) -> str:
     lines += ["", "| outside the model: what ended the run | trials |", "|---|---|"]
     lines += [f"| {name} | {count} |" for name, count in _causes(beyond)]
     bad = [item for item in inside if violations(item)]
-    lines += ["", *(f"    {item['number']} {item['setup']} {item['fault']}: {'; '.join(violations(item))}" for item in bad)]
+    lines += [
+        "",
+        *(f"    {item['number']} {item['setup']} {item['fault']}: {'; '.join(violations(item))}" for item in bad),
+    ]
     return "\n".join(lines).rstrip() + "\n"
 
 

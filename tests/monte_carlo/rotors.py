@@ -91,7 +91,7 @@ class Rotors:
                 servo.current = min(max(wanted / servo.torque_constant, -PEAK_A), PEAK_A)
                 torque += servo.torque_constant * servo.current
             after = velocity + (torque - friction) * TICK_S / self._inertia
-            if velocity == 0.0 and abs(torque) <= self._coulomb or velocity * after < 0.0 and servo is None:
+            if (velocity == 0.0 and abs(torque) <= self._coulomb) or (velocity * after < 0.0 and servo is None):
                 after = 0.0
         self._sense(test, velocity, after)
         self.currents[0].append(test.current)

@@ -152,7 +152,7 @@ def _loop(plan: Plan, bench: DirectBench, supervisor: Supervisor | Unsupervised)
         loop.run()
     except Killed:
         return "killed", "", progress.warnings
-    except Exception as error:  # noqa: BLE001 (as the session: whatever ended it, the devices are made safe)
+    except Exception as error:
         from leactl.errors import SafetyTrip
 
         status = "tripped" if isinstance(error, SafetyTrip) else "failed"
@@ -167,5 +167,12 @@ def _course(bench: DirectBench, status: str, reason: str, scaled: bool, kept: Ma
     currents = tuple(np.array(one) for one in rotors.currents)
     velocity = np.array(rotors.velocities)
     return Course(
-        status, reason, scaled, bench.energised, currents, velocity, bench.setup == "coupled", dict(kept)  # type: ignore[arg-type]
+        status,
+        reason,
+        scaled,
+        bench.energised,
+        currents,
+        velocity,
+        bench.setup == "coupled",
+        dict(kept),  # type: ignore[arg-type]
     )

@@ -1,4 +1,4 @@
-"""One trial: a random protocol on a random plant, what was forecast, what the run came to, and the true temperatures."""
+"""One trial: a random protocol on a random plant, its forecast, what its run came to, and the true temperatures."""
 
 import time
 from collections.abc import Iterable, Mapping
@@ -123,7 +123,9 @@ def _start(
     earlier = Protocol(draw, LONGEST_EARLIER_S).plan()
     killed = draw.random() < EARLIER_KILLED_SHARE
     at = float(draw.uniform(0.3, 1.0)) * earlier.duration_s
-    before = run(earlier, truth, Fault("process killed", at, 0.0, "test", 0.0) if killed else None, cold, seed + 1, guard_of)
+    before = run(
+        earlier, truth, Fault("process killed", at, 0.0, "test", 0.0) if killed else None, cold, seed + 1, guard_of
+    )
     pause = round(float(np.exp(draw.uniform(np.log(1.0), np.log(LONGEST_PAUSE_S)))), 2)
     died = before.status == "killed"
     written = float(draw.uniform(0.0, 1.0)) if died else 0.0  # s before the end
@@ -165,7 +167,7 @@ def violations(told: Mapping[str, Any]) -> list[str]:
 
 
 def needless(told: Mapping[str, Any]) -> bool | None:
-    """Whether a fault-free protocol that stays mild was refused or tripped for its windings; None where not in question."""
+    """Whether a fault-free protocol that stays mild was refused or tripped; None where that is not in question."""
     if told["fault"] or told["start"] == "warm, killed" or told["kind"] == "outside":
         return None
     if not told["undisturbed_degC"] < MILD_DEGC:

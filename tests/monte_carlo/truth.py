@@ -1,4 +1,4 @@
-"""The true temperatures of many runs at once: their currents and speeds through the emulation's phase-resolved lanes."""
+"""True temperatures of many runs at once: their currents and speeds through the emulation's phase-resolved lanes."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
