@@ -7,7 +7,7 @@ from typing import Any
 
 from tests.monte_carlo.plants import OUTSIDE
 from tests.monte_carlo.supervised import AFTER_S
-from tests.monte_carlo.trial import LIMIT_DEGC, MILD_DEGC, Campaign, needless, violations
+from tests.monte_carlo.trial import LIMIT_DEGC, MILD_DEGC, THERMAL, Campaign, needless, violations
 
 Told = dict[str, Any]
 FROZEN = ("frozen drive", "frozen_drive")
@@ -49,8 +49,9 @@ def report(told: Sequence[Told], campaign: Campaign) -> str:
         _row("run file unreadable or not verified", wired, lambda item: bool(item["file_faults"])),
         _row(f"fault-free, below {MILD_DEGC:g} degC undisturbed: tripped or refused", judged, lambda i: needless(i)),
         _row("of these: refused", judged, lambda item: item["forecast"] == "refused"),
-        _row("of these: accepted, then tripped", judged, lambda i: needless(i) and i["forecast"] == "accepted"),
-        _row("of these: accepted, then scaled down", judged, lambda i: i["scaled"] and i["forecast"] == "accepted"),
+        _row("of these: accepted, then tripped for a winding", judged, lambda i: needless(i) and _by_guard(i)),
+        _row("of these: accepted, then ended by another limit", judged, lambda i: needless(i) and not _for_heat(i)),
+        _row("not counted: accepted, complete, but scaled down", judged, lambda i: i["scaled"] and not needless(i)),
         "",
         f"The highest of all is {max((item['peak_degC'] for item in sound), default=0.0):.2f} degC."
         f" Apart from these {len(frozen)} drives froze, deaf to everything:"
@@ -95,6 +96,14 @@ def _row(name: str, items: Sequence[Told], rule: Callable[[Told], bool | None]) 
     hits = sum(bool(rule(item)) for item in items)
     low, high = wilson(hits, len(items))
     return f"| {name} | {len(items)} | {hits} | {100 * low:.3f} to {100 * high:.3f} % |"
+
+
+def _by_guard(item: Told) -> bool:
+    return item["forecast"] == "accepted" and THERMAL in item["reason"]
+
+
+def _for_heat(item: Told) -> bool:
+    return item["forecast"] == "refused" or THERMAL in item["reason"]
 
 
 def _group(name: str, items: Sequence[Told]) -> str:
