@@ -24,6 +24,7 @@ LONGEST_STEP_S = 2.0
 OTHER_PHASES = 0.55  # weight of the hottest phase in the winding's resistance: half where phases heat alike, see docs
 AHEAD = 1.5  # times what a node would gain in a step at its present rate, that it is taken to gain at most
 WIDER = 1e-3  # K
+FOLLOWING = 0.01  # of what the fastest node gains in a step, that one at rest may gain behind it
 WIDENINGS = 6
 MOST_ITERATIONS, SETTLED_K = 2000, 1e-7
 RUNAWAY = 20.0  # time constants of a growing temperature within a step
@@ -132,8 +133,9 @@ class ThermalBound:
         """The state after a step, and between what it is taken to stay on the way."""
         state = self.state
         rate = self._rates(state, square, share, friction, air)
-        ceiling = np.minimum(state + factor * (h * np.maximum(rate, 0.0) + WIDER), BURNT)
-        floor = state + factor * (h * np.minimum(rate, 0.0) - WIDER)
+        gains, losses = h * np.maximum(rate, 0.0), h * np.minimum(rate, 0.0)
+        ceiling = np.minimum(state + factor * (gains + WIDER + FOLLOWING * gains.max(axis=0)), BURNT)
+        floor = state + factor * (losses - WIDER + FOLLOWING * losses.min(axis=0))
         constant, slope = self._lines(ceiling, floor, square, share, friction, air)
         gained = constant - slope * state
         capacitance = np.where(gained > 0.0, *self._capacitance)

@@ -19,7 +19,8 @@ from leactl.safety.thermal.guard import MARGIN_K, STEP_S, Budgets, GuardSettings
 
 PARTS = 10  # samples of a step, where setpoints vary along a line
 COARSE_K = 2.0  # that a node may rise by in one step, where they do not
-LONGEST_S, SHORTEST_S = 2.0, 1e-9
+LONGEST_S = 2.0
+LEAST_S = 1e-6  # rounding of a sum of steps, which is no step of its own
 MOST_WAIT_S = 4 * 3600.0
 WAIT_ROUNDING_S = 5.0
 CURRENT_MODES = (Mode.CURRENT, Mode.TORQUE_PROFILE)
@@ -120,8 +121,7 @@ class Foresight:
     def _pieces(self, plan: Plan, state: "_State") -> Iterator[tuple[float, Array, Array, Array]]:
         """Heat of one action, step by step."""
         time = 0.0
-        while state.duration - time > SHORTEST_S:
-            left = state.duration - time
+        while (left := state.duration - time) > LEAST_S:
             if state.constant:
                 squares, aligned, speeds = self._heats(plan, state, [0.0], 0.0)
                 rate = self._bound.fastest(squares, aligned, speeds, self._settings.ambient)

@@ -1,0 +1,1 @@
+"""Random protocols on random plants under the real supervisor: does the guard hold, and what does it cost?"""
