@@ -23,7 +23,6 @@ from leactl.runner.latch import state_directory
 from leactl.safety.limits import COLDEST_DEGC, HOTTEST_DEGC
 from leactl.safety.thermal.bound import HOUSING, ThermalBound
 from leactl.safety.thermal.box import Array, Box
-from leactl.safety.thermal.guard import SCALED_K
 
 FORMAT, VERSION = "leactl-thermal", 1
 WRITTEN_EVERY_S = 1.0
@@ -44,8 +43,7 @@ class Memory:
     """The file of one actuator, for one motor at one limit and ambient [degC]."""
 
     def __init__(self, actuator: str, motor: Motor, limit: float, ambient: float) -> None:
-        self.actuator, self._motor, self._ambient = actuator, motor, ambient
-        self._limit = limit - SCALED_K  # a guard lets no winding further, and would end at once what begins there
+        self.actuator, self._motor, self._limit, self._ambient = actuator, motor, limit, ambient
         self._digest = sha256(motor.model_dump_json().encode()).hexdigest()
         self.path = _path(actuator)
 
