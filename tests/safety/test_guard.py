@@ -189,6 +189,11 @@ class HeatedRig(ElmoBench):
     def pass_time(self, seconds):
         """What flows goes on; the plant in fine steps, the rotor with it."""
         self.clock.sleep_until(self.clock.now() + seconds)
+        parts = math.ceil(seconds / (0.25 * STEP_S))
+        for _ in range(parts):  # a rotor passes every angle on its way
+            self._go_on(seconds / parts)
+
+    def _go_on(self, seconds):
         self._heat += self.shaft.read()[0] ** 2 * seconds
         self._since += seconds
         self.shaft.angle += self.shaft.velocity * seconds
