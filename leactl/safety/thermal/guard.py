@@ -70,10 +70,10 @@ class Budgets:
 class _Turn:
     """Where the heat of one actuator went since the last step: integral of i^2 at its electrical angle, and speed."""
 
-    __slots__ = ("angle", "cos", "poles", "sin", "speed", "taken")
+    __slots__ = ("angle", "cos", "poles", "sin", "speed", "taken", "velocity")
 
     def __init__(self, poles: int) -> None:
-        self.poles, self.angle = 2.0 * poles, 0.0
+        self.poles, self.angle, self.velocity = 2.0 * poles, 0.0, 0.0
         self.clear()
 
     def clear(self) -> None:
@@ -163,7 +163,8 @@ class ThermalGuard:
     def _look(self, now: float) -> None:
         """Put the heat since the last look at the electrical angles that the rotor has passed since.
 
-        Over x rad to either side of their middle a current that stays the same leaves |sin x / x| of an alignment.
+        Turning evenly over 2 x rad leaves |sin x / x| of an alignment. A rotor that stood at either look may have stood
+        in between: it has turned evenly no further than the slower look tells.
         """
         for index, square in self.leads.items():
             self.squares[index] += square * (now - self._looked)
@@ -179,12 +180,14 @@ class ThermalGuard:
             turn.angle = angle = angle if angle == angle else before + velocity * (now - self._looked)
             square = self.squares[index]
             fresh, turn.taken = square - turn.taken, square
-            passed = 0.5 * turn.poles * abs(angle - before)
+            evenly = min(abs(velocity), turn.velocity) * (now - self._looked)
+            turn.velocity = abs(velocity)
+            passed = 0.5 * turn.poles * min(abs(angle - before), evenly)
             if passed > 1.0:
                 fresh /= passed
-            middle = 0.5 * turn.poles * (angle + before)
-            turn.cos += fresh * math.cos(middle)
-            turn.sin += fresh * math.sin(middle)
+            turned = turn.poles * angle
+            turn.cos += fresh * math.cos(turned)
+            turn.sin += fresh * math.sin(turned)
         self._looked = now
 
     def _advance(self, now: float, duration: float) -> str:
