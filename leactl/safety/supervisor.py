@@ -55,6 +55,7 @@ class _Guarded:
     bounds: tuple[float, float] = UNLIMITED
     heats: bool = False  # whether the engaged mode sets a current
     asked: float = 0.0  # A^2 of a current reference, which heats
+    held: float = 0.0  # A^2, the same as the exchange before left it, which its reading tells of
     scaled: bool = False  # whether its last setpoint was more than the winding may carry
     path: AnglePath | None = None  # in angle mode alone
 
@@ -260,12 +261,13 @@ class Supervisor:
             if guarded.path is not None:
                 guarded.path.exchanged(guarded.measured_angle, motion.engaged, now)
             current = values[guarded.current]
-            square = current * current
-            if not square >= guarded.asked:  # a reading that is no number is the worst that may flow
-                square = guarded.asked if square == square else self._worst
+            square, asked = current * current, guarded.asked
+            if not square >= guarded.held:  # a reading that is no number is the worst that may flow
+                square = guarded.held if square == square else self._worst
             # a stall of the loop is longer than a cycle: what flowed before it may have gone on
             squares[place] += (square if elapsed < stall or square > flowing[place] else flowing[place]) * elapsed
-            flowing[place] = square
+            guarded.held = asked
+            flowing[place] = square if square > asked else asked
         if now >= guard.due or elapsed < 0.0:
             too_hot = guard.check(now)
             if too_hot:

@@ -1,6 +1,8 @@
 """The whole diagnosis on benches of the emulated plant, whose effects the library shares no equation with."""
 
 import json
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -66,9 +68,19 @@ def with_effect(benches):
     return keyed(benches, "one", "effects")
 
 
+@pytest.fixture(scope="session")
+def answers(benches, with_effect, request):
+    """What the diagnosis makes of each bench that a test asks for by name, on two processes."""
+    folders = with_effect | keyed(benches, "unknown", "unlisted")
+    asked = [item.callspec.params["name"] for item in request.session.items if "answers" in item.fixturenames]
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        yield {name: pool.submit(answer, folders[name]) for name in asked}
+        pool.shutdown(cancel_futures=True)
+
+
 @pytest.mark.parametrize("name", effect_names())
-def test_each_effect_of_the_emulated_bench_is_named_first_and_its_gap_closed(with_effect, name):
-    found = answer(with_effect[name])
+def test_each_effect_of_the_emulated_bench_is_named_first_and_its_gap_closed(answers, name):
+    found = answers[name].result()
     first = found.causes[0]
     assert found.verdict == "effect"
     assert name in (first.effect, *first.indistinguishable_from)
@@ -78,8 +90,8 @@ def test_each_effect_of_the_emulated_bench_is_named_first_and_its_gap_closed(wit
 
 
 @pytest.mark.parametrize("name", unlisted_effects())
-def test_what_no_effect_explains_is_owned_up_to(benches, name):
-    found = answer(keyed(benches, "unknown", "unlisted")[name])
+def test_what_no_effect_explains_is_owned_up_to(answers, name):
+    found = answers[name].result()
     assert found.verdict == "unknown"
     assert all(cause.probability < 0.5 for cause in found.causes)
     assert any(note.startswith("unexplained: ") for note in found.notes)

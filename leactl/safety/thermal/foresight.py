@@ -7,15 +7,16 @@ bound it. Where a current is planned the speed may be anything up to the bench's
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from leactl.driver.contract import Mode
 from leactl.model.motor import Motor
 from leactl.protocol.plan import Action, Constant, Engage, Plan, Profile, Samples, Segment, Tare
-from leactl.safety.thermal.bound import ThermalBound
+from leactl.safety.thermal.bound import ThermalBound, lateness
 from leactl.safety.thermal.box import Array, Box
-from leactl.safety.thermal.guard import MARGIN_K, STEP_S, Budgets, GuardSettings
+from leactl.safety.thermal.guard import MARGIN_K, STEP_S, TURN_S, Budgets, GuardSettings
 
 PARTS = 10  # samples of a step, where setpoints vary along a line
 COARSE_K = 2.0  # that a node may rise by in one step, where they do not
@@ -23,6 +24,7 @@ LONGEST_S = 2.0
 LEAST_S = 1e-6  # rounding of a sum of steps, which is no step of its own
 MOST_WAIT_S = 4 * 3600.0
 WAIT_ROUNDING_S = 5.0
+TURNING_RAD_S = 0.1  # from which on a rotor that is to turn does so one way
 CURRENT_MODES = (Mode.CURRENT, Mode.TORQUE_PROFILE)
 
 
@@ -105,12 +107,11 @@ class Foresight:
         peaks = dict(zip(self._roles, self._bound.hottest().tolist(), strict=True))
         limit = self._settings.limit - MARGIN_K
         for index, state in enumerate(states):
-            for duration, squares, aligned, speeds in self._pieces(plan, state):
+            for piece in self._pieces(plan, state):
                 before = self._bound.hottest().tolist()
-                # no cooler than the guard, which knows no more than what has flowed since its last step
-                share = (1.0 + aligned) * (1.0 + self._bound.unevenness(self._budgets.step(self._budgets.left(before))))
-                self._bound.step(duration, squares, share - 1.0, speeds, self._settings.ambient, even=True)
-                time += duration
+                heat = piece.squares, piece.aligned, piece.speeds
+                self._bound.step(piece.duration, *heat, self._settings.ambient, piece.late)
+                time += piece.duration
                 after = self._bound.hottest().tolist()
                 for role, was, hottest in zip(self._roles, before, after, strict=True):
                     peaks[role] = max(peaks[role], hottest)
@@ -118,57 +119,72 @@ class Foresight:
                         return Forecast(peaks, Passing(index, state.name, time, role))
         return Forecast(peaks, None)
 
-    def _pieces(self, plan: Plan, state: "_State") -> Iterator[tuple[float, Array, Array, Array]]:
-        """Heat of one action, step by step."""
+    def _pieces(self, plan: Plan, state: "_State") -> Iterator["_Piece"]:
+        """Heat of one action, step by step: no less than the guard will find, which takes steps of its own.
+
+        The guard's steps around the ends of an action see its currents change, those in between do not.
+        """
         time = 0.0
         while (left := state.duration - time) > LEAST_S:
+            own = self._budgets.step(self._budgets.left(self._bound.hottest().tolist()))
             if state.constant:
-                squares, aligned, speeds = self._heats(plan, state, [0.0], 0.0)
+                squares, turned, speeds = self._heats(plan, state, [0.0])
+                aligned = _aligned(turned * own)
                 rate = self._bound.fastest(squares, aligned, speeds, self._settings.ambient)
                 step = min(left, LONGEST_S, max(COARSE_K / rate if rate > 0.0 else LONGEST_S, 0.01))
+                late = np.array([lateness(own, 1.0, one, TURN_S) for one in aligned])
+                if time < own - LEAST_S or left <= own + LEAST_S:
+                    step, late = min(step, own), np.full(len(aligned), own)
+                else:
+                    step = min(step, left - own)
             else:
                 step = min(left, STEP_S)
                 # a list of setpoints is taken as the loop takes it: between its own samples anything may stand
                 parts = max(PARTS, math.ceil(step * plan.rate_Hz - 1e-6)) if state.listed else PARTS
                 at = [time + step * (k + 0.5) / parts for k in range(parts)]
-                squares, aligned, speeds = self._heats(plan, state, at, step)
-            yield step, squares, aligned, speeds
+                squares, turned, speeds = self._heats(plan, state, at)
+                aligned, late = _aligned(turned * STEP_S), np.full(len(squares), own)
+            yield _Piece(step, squares, aligned, speeds, late)
             time += step
 
-    def _heats(self, plan: Plan, state: "_State", at: Sequence[float], step: float) -> tuple[Array, Array, Array]:
-        """Mean square currents, how far each stands at one electrical angle, and speeds of all roles at the most."""
+    def _heats(self, plan: Plan, state: "_State", at: Sequence[float]) -> tuple[Array, Array, Array]:
+        """Mean square currents, electrical speeds at the least [rad/s], and speeds at the most, of all roles."""
         currents = np.zeros((len(self._roles), len(at)))
         speeds, planned = self._speeds(plan, state, at)
         accelerations = self._accelerations(plan, state, at)
         for k, role in enumerate(self._roles):
             if state.modes.get(role) in CURRENT_MODES:
-                currents[k] = [abs(state.setpoints[role].at(t)) for t in at]
+                currents[k] = [state.setpoints[role].at(t) for t in at]
         for k, role in enumerate(self._roles):
-            if state.modes.get(role) in (Mode.VELOCITY, Mode.ANGLE):
-                currents[k] = np.minimum(
-                    self._held_current(plan, role, k, currents, speeds, accelerations), self._settings.most_current
-                )
-        turned = np.array([self._motors[role].pole_pairs for role in self._roles]) * planned * STEP_S
-        aligned = 1.0 / np.maximum(turned, 1.0)  # |sin x / x|
-        return np.mean(currents**2, axis=1), aligned, speeds
+            if (mode := state.modes.get(role)) in (Mode.VELOCITY, Mode.ANGLE):
+                told = [state.setpoints[role].at(t) if mode is Mode.VELOCITY else 0.0 for t in at]
+                held = self._held_current(plan, k, currents, np.array(told), speeds, accelerations)
+                currents[k] = np.minimum(held, self._settings.most_current)
+        turned = np.array([self._motors[role].pole_pairs for role in self._roles]) * planned
+        return np.mean(currents**2, axis=1), turned, speeds
 
     def _held_current(
-        self, plan: Plan, role: str, place: int, currents: Array, speeds: Array, accelerations: Array
+        self, plan: Plan, place: int, currents: Array, velocities: Array, speeds: Array, accelerations: Array
     ) -> Array:
-        """What a drive that follows a speed needs at the most: the other's torque, friction and inertia of both."""
-        motor = self._motors[role]
-        resisting = 0.0
-        for k, other in enumerate(self._roles):
+        """What a drive that follows a speed needs at the most: the other's torque, friction and inertia of both.
+
+        Friction helps to hold what drives a rotor onward and adds to what drives it back; one that hardly turns may
+        stick either way.
+        """
+        most, inertia = 0.0, 0.0
+        least, driving = np.zeros(currents.shape[1]), np.zeros(currents.shape[1])
+        for k, role in enumerate(self._roles):
             if k == place or plan.setup == "coupled":
-                box = Box.of(self._motors[other])
-                resisting += box.coulomb_friction.high + box.viscous_damping.high * speeds[k]
-                resisting += self._motors[other].rotor_inertia * accelerations[place]
-        against = np.zeros(currents.shape[1])
-        if plan.setup == "coupled":
-            for k, other in enumerate(self._roles):
+                motor, box = self._motors[role], Box.of(self._motors[role])
+                least += box.coulomb_friction.low + box.viscous_damping.low * np.abs(velocities)
+                most += box.coulomb_friction.high + box.viscous_damping.high * speeds[k]
+                inertia += motor.rotor_inertia * accelerations[place]
                 if k != place:
-                    against += self._motors[other].torque_constant * currents[k]
-        return np.asarray((against + resisting) / motor.torque_constant, np.float64)
+                    driving += motor.torque_constant * currents[k]
+        onward = driving * np.sign(velocities)
+        known = np.maximum(np.abs(onward - least), np.abs(onward - most))
+        torque = np.where(np.abs(velocities) >= TURNING_RAD_S, known, np.abs(driving) + most)
+        return np.asarray((torque + inertia) / self._motors[self._roles[place]].torque_constant, np.float64)
 
     def _speeds(self, plan: Plan, state: "_State", at: Sequence[float]) -> tuple[Array, Array]:
         """Of each role: the speed at the most, and the speed that it keeps at the least."""
@@ -204,6 +220,21 @@ class Foresight:
                 told = [profile.at(t) for t in np.arange(at[0], at[-1] + (order + 0.5) * spacing, spacing)]
                 found[k] = float(np.max(np.abs(np.diff(told, order)))) / spacing**order
         return found
+
+
+class _Piece(NamedTuple):
+    """Part of an action, and the heat in it: arguments of `ThermalBound.step`."""
+
+    duration: float
+    squares: Array
+    aligned: Array
+    speeds: Array
+    late: Array
+
+
+def _aligned(turned: Array) -> Array:
+    """|sin x / x| at the most, of currents that turn evenly by 2 x rad of twice the electrical angle."""
+    return np.asarray(1.0 / np.maximum(turned, 1.0), np.float64)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.model.motor import Motor
-from leactl.safety.thermal.bound import HOTTEST, MEAN, ThermalBound
+from leactl.safety.thermal.bound import HOTTEST, MEAN, ThermalBound, lateness
 from leactl.safety.thermal.box import PHASE_SHARE, Array, Box
 
 LOOK_S = 0.01
@@ -68,16 +68,19 @@ class Budgets:
 
 
 class _Turn:
-    """Where the heat of one actuator went since the last step: integral of i^2 at its electrical angle, and speed."""
+    """Where the heat of one actuator went since the last step: integral of i^2 at its electrical angle, and speed.
 
-    __slots__ = ("angle", "cos", "poles", "sin", "speed", "taken", "velocity")
+    Beside them the largest mean square current from one look to the next, `most`.
+    """
+
+    __slots__ = ("angle", "cos", "most", "poles", "sin", "speed", "taken", "velocity")
 
     def __init__(self, poles: int) -> None:
         self.poles, self.angle, self.velocity = 2.0 * poles, 0.0, 0.0
         self.clear()
 
     def clear(self) -> None:
-        self.taken = self.cos = self.sin = self.speed = 0.0
+        self.taken = self.cos = self.sin = self.speed = self.most = 0.0
 
 
 class ThermalGuard:
@@ -103,7 +106,7 @@ class ThermalGuard:
         self.due = -math.inf  # when `check` is to be called again
         self._turns = [_Turn(motor.pole_pairs) for motor in motors.values()]
         self._budgets_of = Budgets(boxes, settings)
-        self._advanced = self._looked = 0.0
+        self._advanced = self._looked = self._unseen = 0.0
         self._step = STEP_S
         self._motion: Motion = lambda index: (math.nan, math.nan)
         self._forgotten: Callable[[], str] = str
@@ -152,7 +155,7 @@ class ThermalGuard:
             squares = [(square + flowing * on) / since for square, flowing in heat]
             self._bound.step(since, *self._twice(squares, standing, speeds), self._settings.ambient)
             nodes = self._bound.nodes()
-        self._bound.step(reserve, *self._twice(self.flowing, standing, speeds), self._settings.ambient)
+        self._bound.step(reserve, *self._twice(self.flowing, standing, speeds), self._settings.ambient, late=0.0)
         self._advanced = self._looked = now
         self.squares, self.flowing = [0.0] * len(self.squares), [0.0] * len(self.squares)
         self._keep(np.maximum(nodes, self._bound.nodes()))
@@ -166,8 +169,10 @@ class ThermalGuard:
         Turning evenly over 2 x rad leaves |sin x / x| of an alignment. A rotor that stood at either look may have stood
         in between: it has turned evenly no further than the slower look tells.
         """
+        since = now - self._looked
+        self._unseen = max(self._unseen, since)
         for index, square in self.leads.items():
-            self.squares[index] += square * (now - self._looked)
+            self.squares[index] += square * since
             self.flowing[index] = max(self.flowing[index], square)
         for index, turn in enumerate(self._turns):
             angle, velocity = self._motion(index)
@@ -177,10 +182,12 @@ class ThermalGuard:
             if speed > turn.speed:
                 turn.speed = speed
             before = turn.angle
-            turn.angle = angle = angle if angle == angle else before + velocity * (now - self._looked)
+            turn.angle = angle = angle if angle == angle else before + velocity * since
             square = self.squares[index]
             fresh, turn.taken = square - turn.taken, square
-            evenly = min(abs(velocity), turn.velocity) * (now - self._looked)
+            if fresh > turn.most * since:
+                turn.most = fresh / since
+            evenly = min(abs(velocity), turn.velocity) * since
             turn.velocity = abs(velocity)
             passed = 0.5 * turn.poles * min(abs(angle - before), evenly)
             if passed > 1.0:
@@ -197,9 +204,15 @@ class ThermalGuard:
         aligned = [
             min(1.0, math.hypot(turn.cos, turn.sin) / turn.taken) if turn.taken > 0.0 else 0.0 for turn in self._turns
         ]
+        late = [
+            lateness(duration, square / turn.most if turn.most > 0.0 else 1.0, share, self._unseen)
+            for square, share, turn in zip(squares, aligned, self._turns, strict=True)
+        ]
         speeds = [turn.speed for turn in self._turns]
-        self._bound.step(duration, *self._twice(squares, aligned, speeds), self._settings.ambient)
-        self._advanced = now
+        self._bound.step(
+            duration, *self._twice(squares, aligned, speeds), self._settings.ambient, np.array(late + late)
+        )
+        self._advanced, self._unseen = now, 0.0
         for index, turn in enumerate(self._turns):
             self.squares[index] = 0.0
             turn.clear()
@@ -247,7 +260,7 @@ class ThermalGuard:
         """Hottest phases after some time at these currents, held at one electrical angle."""
         kept = self._bound.state
         standing = [1.0] * len(squares)
-        self._bound.step(duration, *self._twice(squares, standing, speeds), self._settings.ambient)
+        self._bound.step(duration, *self._twice(squares, standing, speeds), self._settings.ambient, late=0.0)
         found = self._bound.hottest()
         self._bound.state = kept
         return found
@@ -266,7 +279,7 @@ class ThermalGuard:
         heat = self._twice(list(self.flowing), [1.0] * len(self.roles), speeds)
         left, time, step = dict.fromkeys(self.roles, math.inf), 0.0, STEP_S
         while time < LONGEST_LEFT_S and math.inf in left.values():
-            bound.step(step, *heat, self._settings.ambient, even=True)
+            bound.step(step, *heat, self._settings.ambient, late=0.0)
             time, step = time + step, step * GROWTH
             for role, hottest in zip(self.roles, bound.hottest(), strict=False):
                 if math.isinf(left[role]) and not hottest < self._settings.limit - MARGIN_K:
