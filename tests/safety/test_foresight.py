@@ -209,14 +209,15 @@ def test_no_current_is_taken_to_be_more_than_the_bench_lets_pass():
     assert squares(plan)["load"] == pytest.approx(SETTINGS.most_current**2)
 
 
-def test_a_locked_rotor_stands_and_a_turning_one_is_cooler():
+def test_a_locked_rotor_stands_and_one_that_crawls_or_turns_is_cooler():
     hold = [held(0.0, test=12.0), held(20.0, test=12.0)]
     locked = warmed(made(CURRENT, *hold))
     modes = Engage({"test": Mode.CURRENT, "load": Mode.VELOCITY})
     turning = warmed(made(modes, held(0.0, load=5.0), *hold, setup="coupled"))
-    crawling = warmed(made(modes, held(0.0, load=0.02), *hold, setup="coupled"))
-    assert turning < locked - 10.0
-    assert crawling == pytest.approx(locked, abs=1.0)
+    crawling = warmed(made(modes, held(0.0, load=0.2), *hold, setup="coupled"))
+    creeping = warmed(made(modes, held(0.0, load=0.002), *hold, setup="coupled"))
+    assert turning < crawling < locked - 10.0
+    assert creeping == pytest.approx(locked, abs=1.0)
 
 
 def test_setpoints_that_alternate_faster_than_parts_of_a_step_are_all_counted():

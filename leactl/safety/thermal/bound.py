@@ -66,7 +66,8 @@ class ThermalBound:
         self._rise = low("resistance_coefficient"), high("resistance_coefficient")
         self._friction = high("coulomb_friction"), high("viscous_damping")
         self._gain_squared, self._ambient_rise = plain("current_gain") ** 2, plain("ambient_rise")
-        self._slowest = self._capacitance[0][MEAN] / (self._to_housing[1] + self._to_air[1][MEAN])
+        self._decay = self._capacitance[0][MEAN] / (self._to_housing[1] + self._to_air[1][MEAN])
+        self.decay_s = float(np.min(self._decay))  # the shortest time constant of any winding
         self.state = np.full((3, len(self._of)), float(start))  # degC
 
     def step(
@@ -98,7 +99,7 @@ class ThermalBound:
         pieces = max(1, int(np.ceil(duration / LONGEST_STEP_S)))
         square, share, friction, air = self._heat(squares, aligned, speeds, ambient)
         behind = np.broadcast_to(duration / pieces if late is None else late, self.count)[self._of]
-        square = square * (1.0 + behind / self._slowest)  # less of what comes late has left again
+        square = square * (1.0 + behind / self._decay)  # less of what comes late has left again
         for _ in range(pieces):
             self._advance(duration / pieces, square, share, friction, air)
 

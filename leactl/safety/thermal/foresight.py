@@ -14,7 +14,7 @@ import numpy as np
 from leactl.driver.contract import Mode
 from leactl.model.motor import Motor
 from leactl.protocol.plan import Action, Constant, Engage, Plan, Profile, Samples, Segment, Tare
-from leactl.safety.thermal.bound import ThermalBound, lateness
+from leactl.safety.thermal.bound import LONGEST_STEP_S, ThermalBound, lateness
 from leactl.safety.thermal.box import Array, Box
 from leactl.safety.thermal.guard import MARGIN_K, STEP_S, TURN_S, Budgets, GuardSettings
 
@@ -24,6 +24,7 @@ LONGEST_S = 2.0
 LEAST_S = 1e-6  # rounding of a sum of steps, which is no step of its own
 MOST_WAIT_S = 4 * 3600.0
 WAIT_ROUNDING_S = 5.0
+FAST = 3.0  # rad of electrical angle in a step, from which on it shares its heat among the phases by itself
 TURNING_RAD_S = 0.1  # from which on a rotor that is to turn does so one way
 CURRENT_MODES = (Mode.CURRENT, Mode.TORQUE_PROFILE)
 
@@ -129,12 +130,11 @@ class Foresight:
             own = self._budgets.step(self._budgets.left(self._bound.hottest().tolist()))
             if state.constant:
                 squares, turned, speeds = self._heats(plan, state, [0.0])
-                aligned = _aligned(turned * own)
+                aligned, late = self._shared(turned, own, np.ones((len(turned), round(LONGEST_STEP_S / own))))
                 rate = self._bound.fastest(squares, aligned, speeds, self._settings.ambient)
                 step = min(left, LONGEST_S, max(COARSE_K / rate if rate > 0.0 else LONGEST_S, 0.01))
-                late = np.array([lateness(own, 1.0, one, TURN_S) for one in aligned])
                 if time < own - LEAST_S or left <= own + LEAST_S:
-                    step, late = min(step, own), np.full(len(aligned), own)
+                    step, aligned, late = min(step, own), _aligned(turned * own), np.full(len(aligned), own)
                 else:
                     step = min(step, left - own)
             else:
@@ -144,11 +144,37 @@ class Foresight:
                 at = [time + step * (k + 0.5) / parts for k in range(parts)]
                 squares, turned, speeds = self._heats(plan, state, at)
                 aligned, late = _aligned(turned * STEP_S), np.full(len(squares), own)
+                if left > own and np.any((turned * own < FAST) & (turned * LONGEST_STEP_S > 1.0)):
+                    aligned, late = self._shared(turned, own, self._evenness(plan, state, time, own))
             yield _Piece(step, squares, aligned, speeds, late)
             time += step
 
+    def _evenness(self, plan: Plan, state: "_State", time: float, own: float) -> Array:
+        """Mean over largest square current of spans of 1, 2, .. guard's steps from a moment on, within the action."""
+        count = int(min(LONGEST_STEP_S, state.duration - time) / own + LEAST_S)
+        at = [time + 0.5 * own * k for k in range(2 * count + 1)]
+        squares = self._currents(plan, state, at)[0] ** 2
+        ends = range(3, 2 * count + 2, 2)
+        most = np.stack([squares[:, :end].max(axis=1) for end in ends], axis=1)
+        mean = np.stack([squares[:, :end].mean(axis=1) for end in ends], axis=1)
+        return np.asarray(np.divide(mean, most, out=np.ones_like(mean), where=most > 0.0), np.float64)
+
+    def _shared(self, turned: Array, own: float, evenness: Array) -> tuple[Array, Array]:
+        """Alignments and latenesses over the span that serves best to bound each, of 1, 2, .. guard's steps."""
+        best: list[tuple[float, float, float]] = []
+        for speed, evens in zip(turned.tolist(), evenness.tolist(), strict=True):
+            shares = [(own * (k + 1), 1.0 / max(speed * own * (k + 1), 1.0), even) for k, even in enumerate(evens)]
+            found = [(share, lateness(span, even, share, TURN_S)) for span, share, even in shares]
+            best.append(min(((1.0 + a) * (1.0 + late / self._bound.decay_s), a, late) for a, late in found))
+        return np.array([one[1] for one in best]), np.array([one[2] for one in best])
+
     def _heats(self, plan: Plan, state: "_State", at: Sequence[float]) -> tuple[Array, Array, Array]:
         """Mean square currents, electrical speeds at the least [rad/s], and speeds at the most, of all roles."""
+        currents, turned, speeds = self._currents(plan, state, at)
+        return np.mean(currents**2, axis=1), turned, speeds
+
+    def _currents(self, plan: Plan, state: "_State", at: Sequence[float]) -> tuple[Array, Array, Array]:
+        """Currents at these moments, and both speeds as of `_heats`."""
         currents = np.zeros((len(self._roles), len(at)))
         speeds, planned = self._speeds(plan, state, at)
         accelerations = self._accelerations(plan, state, at)
@@ -161,7 +187,7 @@ class Foresight:
                 held = self._held_current(plan, k, currents, np.array(told), speeds, accelerations)
                 currents[k] = np.minimum(held, self._settings.most_current)
         turned = np.array([self._motors[role].pole_pairs for role in self._roles]) * planned
-        return np.mean(currents**2, axis=1), turned, speeds
+        return currents, turned, speeds
 
     def _held_current(
         self, plan: Plan, place: int, currents: Array, velocities: Array, speeds: Array, accelerations: Array

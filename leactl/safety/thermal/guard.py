@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.model.motor import Motor
-from leactl.safety.thermal.bound import HOTTEST, MEAN, ThermalBound, lateness
+from leactl.safety.thermal.bound import HOTTEST, LONGEST_STEP_S, MEAN, ThermalBound
 from leactl.safety.thermal.box import PHASE_SHARE, Array, Box
+from leactl.safety.thermal.turning import Rotor, Span
 
 LOOK_S = 0.01
 TURN_S = 0.05  # between two looks at the rotors
@@ -67,22 +68,6 @@ class Budgets:
         return COLD_STEP_S if all(self._most < budget for budget in budgets) else STEP_S
 
 
-class _Turn:
-    """Where the heat of one actuator went since the last step: integral of i^2 at its electrical angle, and speed.
-
-    Beside them the largest mean square current from one look to the next, `most`.
-    """
-
-    __slots__ = ("angle", "cos", "most", "poles", "sin", "speed", "taken", "velocity")
-
-    def __init__(self, poles: int) -> None:
-        self.poles, self.angle, self.velocity = 2.0 * poles, 0.0, 0.0
-        self.clear()
-
-    def clear(self) -> None:
-        self.taken = self.cos = self.sin = self.speed = self.most = 0.0
-
-
 class ThermalGuard:
     """Bounds of all actuators of a bench, beside estimates for display: the same network in a box without width."""
 
@@ -104,10 +89,12 @@ class ThermalGuard:
         self.flowing = [0.0] * len(boxes)  # A^2 of the latest cycle
         self.leads: dict[int, float] = {}  # A^2 that heats like what flows through two leads, where that is measured
         self.due = -math.inf  # when `check` is to be called again
-        self._turns = [_Turn(motor.pole_pairs) for motor in motors.values()]
+        self._rotors = [Rotor(motor.pole_pairs, settings.most_speed) for motor in motors.values()]
         self._budgets_of = Budgets(boxes, settings)
-        self._advanced = self._looked = self._unseen = 0.0
+        self._advanced = self._looked = 0.0
         self._step = STEP_S
+        # the bound as it stood when the span began that is looked at as one step, and what that span leaves of a phase
+        self._anchor, self._spans, self._spanned = self._bound.state, [Span() for _ in boxes], 0.0
         self._motion: Motion = lambda index: (math.nan, math.nan)
         self._forgotten: Callable[[], str] = str
         self._budgets = [-math.inf] * len(boxes)
@@ -147,7 +134,7 @@ class ThermalGuard:
     def end(self, now: float) -> None:
         """No cycle comes any more: bring `kept` to now, and to what may flow until drives stop by themselves."""
         reserve = self._settings.reserve_s
-        speeds, standing = [turn.speed for turn in self._turns], [1.0] * len(self.squares)
+        speeds, standing = [rotor.span.speed for rotor in self._rotors], [1.0] * len(self.squares)
         since, on = max(now - self._advanced, 0.0), max(now - self._looked, 0.0)
         nodes = self._bound.nodes()
         if since > 0.0:
@@ -164,59 +151,52 @@ class ThermalGuard:
         self.kept = {role: nodes[:, k] for k, role in enumerate(self.roles)}
 
     def _look(self, now: float) -> None:
-        """Put the heat since the last look at the electrical angles that the rotor has passed since.
-
-        Turning evenly over 2 x rad leaves |sin x / x| of an alignment. A rotor that stood at either look may have stood
-        in between: it has turned evenly no further than the slower look tells.
-        """
+        """Give every rotor the heat since the last look."""
         since = now - self._looked
-        self._unseen = max(self._unseen, since)
         for index, square in self.leads.items():
             self.squares[index] += square * since
             self.flowing[index] = max(self.flowing[index], square)
-        for index, turn in enumerate(self._turns):
-            angle, velocity = self._motion(index)
-            speed = abs(velocity)
-            if speed != speed:
-                speed, velocity = self._settings.most_speed, 0.0
-            if speed > turn.speed:
-                turn.speed = speed
-            before = turn.angle
-            turn.angle = angle = angle if angle == angle else before + velocity * since
-            square = self.squares[index]
-            fresh, turn.taken = square - turn.taken, square
-            if fresh > turn.most * since:
-                turn.most = fresh / since
-            evenly = min(abs(velocity), turn.velocity) * since
-            turn.velocity = abs(velocity)
-            passed = 0.5 * turn.poles * min(abs(angle - before), evenly)
-            if passed > 1.0:
-                fresh /= passed
-            turned = turn.poles * angle
-            turn.cos += fresh * math.cos(turned)
-            turn.sin += fresh * math.sin(turned)
+        for index, rotor in enumerate(self._rotors):
+            rotor.look(*self._motion(index), self.squares[index], since)
         self._looked = now
 
     def _advance(self, now: float, duration: float) -> str:
         if now > self._looked:
             self._look(now)
-        squares = [square / duration for square in self.squares]
-        aligned = [
-            min(1.0, math.hypot(turn.cos, turn.sin) / turn.taken) if turn.taken > 0.0 else 0.0 for turn in self._turns
-        ]
-        late = [
-            lateness(duration, square / turn.most if turn.most > 0.0 else 1.0, share, self._unseen)
-            for square, share, turn in zip(squares, aligned, self._turns, strict=True)
-        ]
-        speeds = [turn.speed for turn in self._turns]
-        self._bound.step(
-            duration, *self._twice(squares, aligned, speeds), self._settings.ambient, np.array(late + late)
-        )
-        self._advanced, self._unseen = now, 0.0
-        for index, turn in enumerate(self._turns):
-            self.squares[index] = 0.0
-            turn.clear()
+        fresh = [rotor.take() for rotor in self._rotors]
+        speeds = [span.speed for span in fresh]
+        self._follow(fresh, duration)
+        self._advanced = now
+        self.squares[:] = [0.0] * len(self.squares)
         return self._judge(speeds) or self._forgotten()
+
+    def _follow(self, fresh: list[Span], duration: float) -> None:
+        """One step of the bound: from where the last one ended, or over again from where the span began.
+
+        Either is a bound. The longer one is taken where it leaves less of the same heat in a phase: where rotors crawl.
+        """
+        bound, whole = self._bound, self._spanned + duration
+        joined = [before.joined(after) for before, after in zip(self._spans, fresh, strict=True)]
+        longer = self._spanned > 0.0 and whole <= LONGEST_STEP_S
+        if longer and self._left(joined, whole, joined) < self._left(self._spans, self._spanned, joined):
+            self._spans, self._spanned = joined, whole
+            bound.state = self._anchor
+        else:
+            self._anchor, self._spans, self._spanned = bound.state, fresh, duration
+        spans, whole = self._spans, self._spanned
+        heat = self._twice(
+            [span.square / whole for span in spans], [s.aligned for s in spans], [s.speed for s in spans]
+        )
+        late = [span.late(whole) for span in spans]
+        bound.step(whole, *heat, self._settings.ambient, np.array(late + late))
+
+    def _left(self, spans: list[Span], duration: float, heat: list[Span]) -> float:
+        """Of some heat, what the hottest phases keep if it is shared as in these spans."""
+        decay = self._bound.decay_s
+        return sum(
+            one.square * (1.0 + span.aligned) * (1.0 + span.late(duration) / decay)
+            for one, span in zip(heat, spans, strict=True)
+        )
 
     def _judge(self, speeds: list[float]) -> str:
         """Look ahead from where the bound stands: trip, scale, and how much heat may pass before the next look."""
@@ -275,7 +255,7 @@ class ThermalGuard:
 
         From another thread at any time: it works on a copy.
         """
-        bound, speeds = copy(self._bound), [turn.speed for turn in self._turns]
+        bound, speeds = copy(self._bound), [rotor.span.speed for rotor in self._rotors]
         heat = self._twice(list(self.flowing), [1.0] * len(self.roles), speeds)
         left, time, step = dict.fromkeys(self.roles, math.inf), 0.0, STEP_S
         while time < LONGEST_LEFT_S and math.inf in left.values():
