@@ -14,7 +14,8 @@ from leactl.runner.request import prepare
 from leactl.runner.session import execute
 from leactl.runner.windings import Windings
 from leactl.safety.thermal.box import Box
-from leactl.safety.thermal.foresight import Foresight, _states
+from leactl.safety.thermal.demand import states
+from leactl.safety.thermal.foresight import Foresight
 from tests.safety.guards import LEA, SETTINGS
 
 BOTH = {"test": LEA, "load": LEA}
@@ -150,7 +151,7 @@ def warmed(plan, role="test", motors=BOTH):
 def squares(plan, motors=BOTH):
     """Mean square currents of both roles in the last action, as foresight takes them to be."""
     sight = foresight(motors=motors)
-    *_before, state = _states(plan)
+    *_before, state = states(plan)
     found = next(sight._pieces(plan, state)).squares
     return dict(zip(motors, found.tolist(), strict=True))
 
