@@ -31,6 +31,7 @@ RUNAWAY = 20.0  # time constants of a growing temperature within a step
 BURNT = 1e4  # degC, above which a bound is not worked out any further
 
 HOTTEST, MEAN, HOUSING = range(3)
+ACROSS = [HOUSING, HOUSING, MEAN]  # the node that each of them gives to and takes from
 
 
 class ThermalBound:
@@ -98,7 +99,9 @@ class ThermalBound:
             return
         pieces = max(1, int(np.ceil(duration / LONGEST_STEP_S)))
         square, share, friction, air = self._heat(squares, aligned, speeds, ambient)
-        behind = np.broadcast_to(duration / pieces if late is None else late, self.count)[self._of]
+        behind = duration / pieces if late is None else late
+        if isinstance(behind, np.ndarray):
+            behind = behind[self._of]
         square = square * (1.0 + behind / self._decay)  # less of what comes late has left again
         for _ in range(pieces):
             self._advance(duration / pieces, square, share, friction, air)
@@ -174,7 +177,7 @@ class ThermalBound:
         base = self._resistance * square * (1.0 - rise_high * self._tref + cold)
         warmer = self._resistance * square * rise_high
         constant, slope = inflow(air, ceiling, floor, *self._to_air)
-        across = np.stack([ceiling[HOUSING], ceiling[HOUSING], ceiling[MEAN]])
+        across = ceiling[ACROSS]
         more, steeper = inflow(across, ceiling, floor, *self._to_housing)
         constant += more
         slope += steeper

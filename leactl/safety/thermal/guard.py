@@ -1,8 +1,8 @@
 """The thermal guard of a bench: heat in, every cycle; a bound, a trip and the current that may still flow, out.
 
-Heat is the larger of what a drive reports and what it is asked for, by the measured time between cycles. Budgets are
-looked at every `LOOK_S`, rotors every `TURN_S`. The bound is advanced every `STEP_S` where anything that may flow could
-take a winding to its limit before the next step, else every `COLD_STEP_S`. It must hold for longer than now: a drive
+Heat is the larger of what a drive reports and what it is asked for, by the measured time between cycles. The bound is
+advanced every `STEP_S` where anything that may flow could take a winding to its limit before the next step, else every
+`COLD_STEP_S`; rotors and budgets are looked at every `LOOK_S`, or `TURN_S`. It must hold for longer than now: a drive
 that loses its host goes on with its last current until its own watchdog stops it, so that the bound is looked at
 `reserve_s` ahead, at the current that flows and standing at one electrical angle.
 """
@@ -19,10 +19,8 @@ from leactl.safety.thermal.bound import HOTTEST, LONGEST_STEP_S, MEAN, ThermalBo
 from leactl.safety.thermal.box import PHASE_SHARE, Array, Box
 from leactl.safety.thermal.turning import Rotor, Span
 
-LOOK_S = 0.01
-TURN_S = 0.05  # between two looks at the rotors
-STEP_S = 0.1
-COLD_STEP_S = 0.5
+LOOK_S, TURN_S = 0.01, 0.05
+STEP_S, COLD_STEP_S = 0.1, 0.5
 LONGEST_LEFT_S, GROWTH = 3600.0, 1.15  # that a time left is told up to, and of the steps to it
 HORIZON_S = 1.0  # over which a current is scaled down as the limit comes near
 MARGIN_K = 0.5  # below the limit, where a bench is stopped: what the largest current heats in LOOK_S
@@ -119,8 +117,9 @@ class ThermalGuard:
         """Look at heat and rotors; gives why the bench must stop, and nothing where it may go on."""
         if now < self._looked:
             return "the clock of the bench has gone backwards: no bound of a winding's temperature holds"
-        self.due = now + LOOK_S
-        if now - self._looked >= (TURN_S if self._step > STEP_S else LOOK_S):
+        every = LOOK_S if self._step == STEP_S else TURN_S
+        self.due = now + every
+        if now - self._looked >= every:
             self._look(now)
         since = now - self._advanced
         if since < self._step:
