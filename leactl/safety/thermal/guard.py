@@ -79,7 +79,8 @@ class ThermalGuard:
         InputError : a motor without tolerances.
         """
         self.roles, self._settings = tuple(motors), settings
-        boxes = [Box.of(motor) for motor in motors.values()]
+        self.boxes = {role: Box.of(motor) for role, motor in motors.items()}
+        boxes = list(self.boxes.values())
         self._bound = ThermalBound([*boxes, *(Box.exact(motor) for motor in motors.values())], settings.ambient)
         nodes = np.stack([start[role] for role in self.roles], axis=1)
         self._bound.set(np.concatenate([nodes, nodes], axis=1))

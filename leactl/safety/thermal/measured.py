@@ -1,14 +1,15 @@
-"""What measured temperatures and currents tell the guard: a reading that no actuator of the box can have, heat by DC.
+"""What measured temperatures, resistances and currents tell the guard: what no actuator of its box can have.
 
 A reading never makes a bound cooler: a camera may have slipped, a thermistor come off. One that is hotter than the
 bound shows that the actuator lies outside its tolerances, or that its air is blocked.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 
 from leactl.driver.contract import Row, StreamSpec
 from leactl.safety.thermal.bound import HOUSING
 from leactl.safety.thermal.guard import ThermalGuard
+from leactl.safety.thermal.resistance import LeadResistance
 
 SENSOR_K = 5.0  # that a camera or a thermistor may read too much
 LEADS = 2.0  # mean square current of the q axis that heats like a direct current through two leads, over its square
@@ -17,8 +18,17 @@ LEADS = 2.0  # mean square current of the q axis that heats like a direct curren
 class Measured:
     """Streams that measure windings, housings and the current through the leads."""
 
-    def __init__(self, guard: ThermalGuard, streams: Iterable[StreamSpec], trip: Callable[[str], object]) -> None:
+    def __init__(self, guard: ThermalGuard, streams: Sequence[StreamSpec], trip: Callable[[str], object]) -> None:
         self._guard, self._trip = guard, trip
+        self._pairs = {
+            stream.name: [
+                (place[role, "line_voltage"], place[role, "line_current"], role, LeadResistance(guard.boxes[role]))
+                for role in guard.roles
+                if {(role, "line_voltage"), (role, "line_current")} <= place.keys()
+            ]
+            for stream in streams
+            for place in [{(channel.role, channel.quantity): k for k, channel in enumerate(stream.channels)}]
+        }
         self._looks = {
             stream.name: [
                 (place, look, channel.role)
@@ -32,6 +42,9 @@ class Measured:
         """Hold a row against the guard; a value that is no number is a matter of its age."""
         for place, look, role in self._looks.get(row.stream, ()):
             look(role, row.values[place])
+        for voltage, current, role, resistance in self._pairs.get(row.stream, ()):
+            least = resistance.least(row.values[voltage], row.values[current], row.time)
+            self._compare(role, "winding is by its resistance", least, self._guard.hottest[role])
 
     def _look_of(self, quantity: str) -> Callable[[str, float], None] | None:
         return {
@@ -41,15 +54,15 @@ class Measured:
         }.get(quantity)
 
     def _winding(self, role: str, reading: float) -> None:
-        self._compare(role, "winding", reading, self._guard.hottest[role])
+        self._compare(role, "winding is measured", reading, self._guard.hottest[role])
 
     def _housing(self, role: str, reading: float) -> None:
-        self._compare(role, "housing", reading, float(self._guard.kept[role][HOUSING]))
+        self._compare(role, "housing is measured", reading, float(self._guard.kept[role][HOUSING]))
 
     def _compare(self, role: str, part: str, reading: float, bound: float) -> None:
         if reading > bound + SENSOR_K:
             self._trip(
-                f"{role} {part} is measured at {reading:.1f} degC, and no actuator inside its motor file's tolerances"
+                f"{role} {part} at {reading:.1f} degC, and no actuator inside its motor file's tolerances"
                 f" can be above {bound:.1f} degC: cooling, tolerances or sensor are not what they are taken to be"
             )
 
