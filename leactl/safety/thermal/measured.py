@@ -4,7 +4,8 @@ A reading never makes a bound cooler: a camera may have slipped, a thermistor co
 bound shows that the actuator lies outside its tolerances, or that its air is blocked.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 
 from leactl.driver.contract import Row, StreamSpec
 from leactl.safety.thermal.bound import HOUSING
@@ -16,48 +17,41 @@ LEADS = 2.0  # mean square current of the q axis that heats like a direct curren
 
 
 class Measured:
-    """Streams that measure windings, housings and the current through the leads."""
+    """Streams that measure windings, housings, and the current through the leads and the voltage at them."""
 
-    def __init__(self, guard: ThermalGuard, streams: Sequence[StreamSpec], trip: Callable[[str], object]) -> None:
+    def __init__(self, guard: ThermalGuard, streams: Iterable[StreamSpec], trip: Callable[[str], object]) -> None:
         self._guard, self._trip = guard, trip
-        self._pairs = {
-            stream.name: [
-                (place[role, "line_voltage"], place[role, "line_current"], role, LeadResistance(guard.boxes[role]))
-                for role in guard.roles
-                if {(role, "line_voltage"), (role, "line_current")} <= place.keys()
-            ]
-            for stream in streams
-            for place in [{(channel.role, channel.quantity): k for k, channel in enumerate(stream.channels)}]
-        }
-        self._looks = {
-            stream.name: [
-                (place, look, channel.role)
-                for place, channel in enumerate(stream.channels)
-                if channel.role in guard.roles and (look := self._look_of(channel.quantity)) is not None
-            ]
-            for stream in streams
-        }
+        self._looks = {stream.name: looks for stream in streams if (looks := list(self._looks_at(stream)))}
 
     def look(self, row: Row) -> None:
         """Hold a row against the guard; a value that is no number is a matter of its age."""
-        for place, look, role in self._looks.get(row.stream, ()):
-            look(role, row.values[place])
-        for voltage, current, role, resistance in self._pairs.get(row.stream, ()):
-            least = resistance.least(row.values[voltage], row.values[current], row.time)
-            self._compare(role, "winding is by its resistance", least, self._guard.hottest[role])
+        for look in self._looks.get(row.stream, ()):
+            look(row)
 
-    def _look_of(self, quantity: str) -> Callable[[str, float], None] | None:
-        return {
+    def _looks_at(self, stream: StreamSpec) -> Iterator[Callable[[Row], None]]:
+        known = {
             "winding_temperature": self._winding,
             "housing_temperature": self._housing,
             "line_current": self._leads,
-        }.get(quantity)
+        }
+        place = {(channel.role, channel.quantity): k for k, channel in enumerate(stream.channels)}
+        for (role, quantity), index in place.items():
+            if role in self._guard.roles and quantity in known:
+                yield partial(known[quantity], role, index)
+        for role in self._guard.roles:
+            voltage, current = place.get((role, "line_voltage")), place.get((role, "line_current"))
+            if voltage is not None and current is not None:
+                yield partial(self._resistance, role, voltage, current, LeadResistance(self._guard.boxes[role]))
 
-    def _winding(self, role: str, reading: float) -> None:
-        self._compare(role, "winding is measured", reading, self._guard.hottest[role])
+    def _winding(self, role: str, index: int, row: Row) -> None:
+        self._compare(role, "winding is measured", row.values[index], self._guard.hottest[role])
 
-    def _housing(self, role: str, reading: float) -> None:
-        self._compare(role, "housing is measured", reading, float(self._guard.kept[role][HOUSING]))
+    def _housing(self, role: str, index: int, row: Row) -> None:
+        self._compare(role, "housing is measured", row.values[index], float(self._guard.kept[role][HOUSING]))
+
+    def _resistance(self, role: str, voltage: int, current: int, leads: LeadResistance, row: Row) -> None:
+        least = leads.least(row.values[voltage], row.values[current], row.time)
+        self._compare(role, "winding is by its resistance", least, self._guard.hottest[role])
 
     def _compare(self, role: str, part: str, reading: float, bound: float) -> None:
         if reading > bound + SENSOR_K:
@@ -66,6 +60,7 @@ class Measured:
                 f" can be above {bound:.1f} degC: cooling, tolerances or sensor are not what they are taken to be"
             )
 
-    def _leads(self, role: str, reading: float) -> None:
+    def _leads(self, role: str, index: int, row: Row) -> None:
+        reading = row.values[index]
         if reading == reading:
             self._guard.leads[self._guard.roles.index(role)] = LEADS * reading * reading
