@@ -1,8 +1,6 @@
 """The whole diagnosis on benches of the emulated plant, whose effects the library shares no equation with."""
 
 import json
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -19,16 +17,15 @@ from leactl.gap.ringing import ringing
 from leactl.runfile.reader import Channel
 from leactl.vocabulary.effect import effect_names
 
+EVERY = effect_names()
 PRACTICE = Path(__file__).parents[3] / "shared" / "gap-cases" / "practice"
 
 
 @pytest.fixture(scope="session")
 def benches(tmp_path_factory):
     folder = tmp_path_factory.mktemp("benches")
-    for kind, seed, count in (("none", 11, 1), ("unknown", 16, len(unlisted_effects()))):
+    for kind, seed, count in (("none", 11, 1), ("unknown", 16, len(unlisted_effects())), ("single", 13, len(EVERY))):
         make(count, folder / kind, folder / f"{kind}-key", seed=seed, kinds=(kind,), strengths=("plain",), prefix=kind)
-    every = {"kinds": ("single",), "effects": effect_names(), "strengths": ("plain",)}
-    make(len(effect_names()), folder / "one", folder / "one-key", seed=13, **every)
     return folder
 
 
@@ -65,22 +62,12 @@ def keyed(benches, kind, field):
 
 @pytest.fixture(scope="session")
 def with_effect(benches):
-    return keyed(benches, "one", "effects")
+    return keyed(benches, "single", "effects")
 
 
-@pytest.fixture(scope="session")
-def answers(benches, with_effect, request):
-    """What the diagnosis makes of each bench that a test asks for by name, on two processes."""
-    folders = with_effect | keyed(benches, "unknown", "unlisted")
-    asked = [item.callspec.params["name"] for item in request.session.items if "answers" in item.fixturenames]
-    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-        yield {name: pool.submit(answer, folders[name]) for name in asked}
-        pool.shutdown(cancel_futures=True)
-
-
-@pytest.mark.parametrize("name", effect_names())
-def test_each_effect_of_the_emulated_bench_is_named_first_and_its_gap_closed(answers, name):
-    found = answers[name].result()
+@pytest.mark.parametrize("name", EVERY)
+def test_each_effect_of_the_emulated_bench_is_named_first_and_its_gap_closed(with_effect, name):
+    found = answer(with_effect[name])
     first = found.causes[0]
     assert found.verdict == "effect"
     assert name in (first.effect, *first.indistinguishable_from)
@@ -90,8 +77,8 @@ def test_each_effect_of_the_emulated_bench_is_named_first_and_its_gap_closed(ans
 
 
 @pytest.mark.parametrize("name", unlisted_effects())
-def test_what_no_effect_explains_is_owned_up_to(answers, name):
-    found = answers[name].result()
+def test_what_no_effect_explains_is_owned_up_to(benches, name):
+    found = answer(keyed(benches, "unknown", "unlisted")[name])
     assert found.verdict == "unknown"
     assert all(cause.probability < 0.5 for cause in found.causes)
     assert any(note.startswith("unexplained: ") for note in found.notes)
