@@ -27,7 +27,7 @@ WALL_CLOCK = ("bench", "cli", "driver", "emulation", "kills", "runfile", "runner
 
 
 def pytest_collection_modifyitems(items):
-    """Groups for `pytest -n 2 --dist loadgroup`: what goes by the wall's clock, and what shares a fixture that is dear."""
+    """Groups for `pytest -n 2 --dist loadgroup`: what goes by the wall's clock, and what shares a dear fixture."""
     for item in items:
         place = item.path.relative_to(item.config.rootpath).parts
         group = "wall clock" if place[1] in WALL_CLOCK else str(item.path) if place[1] == "gap" else None
