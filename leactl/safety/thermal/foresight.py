@@ -161,7 +161,8 @@ class Foresight:
         """Alignments and latenesses over the span that serves best to bound each, of 1, 2, .. guard's steps."""
         best: list[tuple[float, float, float]] = []
         for speed, evens in zip(turned.tolist(), evenness.tolist(), strict=True):
-            shares = [(own * (k + 1), 1.0 / max(speed * own * (k + 1), 1.0), even) for k, even in enumerate(evens)]
+            spans = [own * (k + 1) for k in range(len(evens))]
+            shares = [(span, _envelope(speed * span), even) for span, even in zip(spans, evens, strict=True)]
             found = [(share, lateness(span, even, share, TURN_S)) for span, share, even in shares]
             best.append(min(((1.0 + a) * (1.0 + late / self._bound.decay_s), a, late) for a, late in found))
         return np.array([one[1] for one in best]), np.array([one[2] for one in best])
@@ -175,6 +176,11 @@ class _Piece(NamedTuple):
     aligned: Array
     speeds: Array
     late: Array
+
+
+def _envelope(turned: float) -> float:
+    """|sin x / x| at the most, where a speed is kept to 5 %."""
+    return max(abs(math.sin(x) / x) if x > 0.0 else 1.0 for x in (0.95 * turned, turned, 1.05 * turned))
 
 
 def _aligned(turned: Array) -> Array:
