@@ -26,6 +26,7 @@ WALL_CLOCK = ("bench", "cli", "driver", "emulation", "kills", "runfile", "runner
 """Directories of tests whose processes, threads or buses go by the wall's clock: never two of these at once."""
 
 
+@pytest.hookimpl(tryfirst=True)  # xdist reads the marks in a hook of its own
 def pytest_collection_modifyitems(items):
     """Groups for `pytest -n 2 --dist loadgroup`: what goes by the wall's clock, and what shares a dear fixture."""
     for item in items:
