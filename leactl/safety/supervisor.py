@@ -44,7 +44,7 @@ class Axis(NamedTuple):
     motion: MotionDevice
 
 
-@dataclass
+@dataclass(slots=True)
 class _Guarded:
     axis: Axis
     panel: Panel
@@ -109,11 +109,11 @@ class Supervisor:
         self._stuck = Stuck(panels, interlocks)
         self._pace = Pace(interlocks.loop_overruns, interlocks.clock, self.trip, now)
         self._disk = Disk(interlocks.disk_space, self.trip, self.warnings.append)
-        self._torques = self._torque_estimates(panels, torque_model)
+        self._torques = self._torque_estimates(torque_model)
         self._due = self._ages_due = -math.inf
         # by names of their own: `check` runs in every cycle
         self._judged = [
-            (guard.roles.index(role), guarded, guarded.axis.motion, guarded.panel.look)
+            (guard.roles.index(role), guarded, guarded.axis.motion, guarded.current, guarded.panel.look)
             for role, guarded in self._axes.items()
         ]
         guard.watch(self._motion_of)
@@ -121,7 +121,6 @@ class Supervisor:
         self._heated, self._heating = now, (guard, guard.squares, guard.flowing, math.inf)
         self.windings = guard.estimate, guard.hottest  # degC by role, kept up to date
         self.time_left = guard.time_left
-        self._keep_pace = self._pace.look
 
     def _panel(self, channels: Sequence[ChannelSpec], age: float, now: float) -> Panel:
         panel = Panel(channels, self._limits, self._interlocks, self.trip, self.warnings.append)
@@ -134,11 +133,11 @@ class Supervisor:
         panel = self._panel(channels, self._limits.cyclic_age(0.0), now)
         return _Guarded(axis, panel, place["q_axis_current"], place.get("velocity"), place.get("angle"))
 
-    def _torque_estimates(self, panels: Sequence[Panel], model: TorqueModel | None) -> TorqueEstimates | None:
+    def _torque_estimates(self, model: TorqueModel | None) -> TorqueEstimates | None:
         settings, test = self._interlocks.torque_disagreement, self._axes.get("test")
         if model is None or settings is None or test is None:
             return None
-        for panel in panels:
+        for panel in self._own.values():
             for watch in panel.watches:
                 if (watch.channel.quantity, watch.channel.role) == ("torque", "test"):
                     panel.values = panel.values or [math.nan] * len(panel.watches)  # until the first reading
@@ -251,16 +250,21 @@ class Supervisor:
         """
         if self.tripped:
             raise SafetyTrip(self.tripped)
-        self._keep_pace(now)
+        pace = self._pace
+        if pace.last <= now <= pace.latest:
+            pace.last = now
+            pace.latest += pace.period
+        else:
+            pace.look(now)
         elapsed = now - self._heated
         self._heated = now
         guard, squares, flowing, stall = self._heating
-        for place, guarded, motion, look in self._judged:
+        for place, guarded, motion, where, look in self._judged:
             values = motion.values
             look(values, now)
             if guarded.path is not None:
                 guarded.path.exchanged(guarded.measured_angle, motion.engaged, now)
-            current = values[guarded.current]
+            current = values[where]
             square, asked = current * current, guarded.asked
             if not square >= guarded.held:  # a reading that is no number is the worst that may flow
                 square = guarded.held if square == square else self._worst

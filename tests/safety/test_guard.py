@@ -142,7 +142,7 @@ def test_bounds_that_cannot_be_kept_stop_the_bench():
 
 def test_each_role_is_told_by_itself():
     guard = ready(roles=("test", "load"))
-    fed(guard, 3.0, current=12.0, role=1)
+    fed(guard, 4.0, current=12.0, role=1)
     assert guard.hottest["test"] == pytest.approx(28.0, abs=0.1)
     assert guard.estimate["test"] < 28.0
     assert guard.hottest["load"] > 37.0

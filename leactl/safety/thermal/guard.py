@@ -19,8 +19,8 @@ from leactl.safety.thermal.bound import HOTTEST, LONGEST_STEP_S, MEAN, ThermalBo
 from leactl.safety.thermal.box import PHASE_SHARE, Array, Box
 from leactl.safety.thermal.turning import Rotor, Span
 
-LOOK_S, TURN_S = 0.01, 0.05
-STEP_S, COLD_STEP_S = 0.1, 0.5
+LOOK_S, TURN_S = 0.01, 0.1
+STEP_S, COLD_STEP_S = 0.1, 1.0
 LONGEST_LEFT_S, GROWTH = 3600.0, 1.15  # that a time left is told up to, and of the steps to it
 HORIZON_S = 1.0  # over which a current is scaled down as the limit comes near
 MARGIN_K = 0.5  # below the limit, where a bench is stopped: what the largest current heats in LOOK_S
