@@ -117,7 +117,12 @@ class Bench:
         sign = np.array([{"rising": 1, "falling": -1}.get(side, 0) for _, side in holds])
         cells = {hold: self.rng.normal(0.0, curve) for hold in dict.fromkeys(holds)}
         each = len(holds) // trials
-        torque = np.repeat(np.broadcast_to(kt, trials), each) * current + sticking * sign + offset + self.rng.normal(0.0, scatter, len(holds))
+        torque = (
+            np.repeat(np.broadcast_to(kt, trials), each) * current
+            + sticking * sign
+            + offset
+            + self.rng.normal(0.0, scatter, len(holds))
+        )
         torque += np.array([cells[hold] for hold in holds])
         measured = current + self.rng.normal(0.0, current_error, len(holds))
         how = {"repeats": 1 + np.arange(len(holds)) // each} | how

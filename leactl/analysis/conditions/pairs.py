@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -23,19 +24,24 @@ class Pair:
     dof: float
     low: float
     high: float
-    p: float
+    compared: int  # conditions
     smallest_seen: float  # size of a difference that would have been shown in `SEEN` of such experiments
 
     @property
     def shown(self) -> bool:
         """Whether the difference is more than chance."""
-        return self.p < SHOWN
+        return self.low > 0.0 or self.high < 0.0
+
+    @property
+    def p(self) -> float:
+        """Probability of so large a difference anywhere among the conditions if there were none."""
+        from scipy.stats import studentized_range
+
+        return float(studentized_range.sf(math.sqrt(2.0) * abs(self.difference) / self.std, self.compared, self.dof))
 
 
 def pairs(values: Values, found: Anova) -> list[Pair]:
     """Every pair of conditions."""
-    from scipy.stats import studentized_range
-
     design = found.design
     columns, count = design.additive, len(design.conditions)
     solve = np.linalg.pinv(columns)
@@ -48,7 +54,7 @@ def pairs(values: Values, found: Anova) -> list[Pair]:
             spread = float(np.sum((weights @ design.cell) ** 2)) if found.error.interaction else 0.0
             variance, dof = combined(found.error, float(weights @ weights), spread)
             std, difference = math.sqrt(variance), float(weights @ values.value)
-            critical = float(studentized_range.ppf(1.0 - SHOWN, count, dof)) / math.sqrt(2.0)
+            critical = _critical(count, dof)
             compared.append(
                 Pair(
                     design.conditions[first],
@@ -58,13 +64,22 @@ def pairs(values: Values, found: Anova) -> list[Pair]:
                     dof,
                     difference - critical * std,
                     difference + critical * std,
-                    float(studentized_range.sf(math.sqrt(2.0) * abs(difference) / std, count, dof)),
+                    count,
                     std * _seen(critical, dof),
                 )
             )
     return compared
 
 
+@cache
+def _critical(conditions: int, dof: float) -> float:
+    """Difference in its standard errors beyond which any pair is shown."""
+    from scipy.stats import studentized_range
+
+    return float(studentized_range.ppf(1.0 - SHOWN, conditions, dof)) / math.sqrt(2.0)
+
+
+@cache
 def _seen(critical: float, dof: float) -> float:
     """A difference, in its standard errors, that passes the critical one in `SEEN` of experiments.
 
