@@ -54,7 +54,7 @@ def pairs(values: Values, found: Anova) -> list[Pair]:
             spread = float(np.sum((weights @ design.cell) ** 2)) if found.error.interaction else 0.0
             variance, dof = combined(found.error, float(weights @ weights), spread)
             std, difference = math.sqrt(variance), float(weights @ values.value)
-            critical = _critical(count, dof)
+            critical = _critical(count, round(dof, 6))
             compared.append(
                 Pair(
                     design.conditions[first],
@@ -65,7 +65,7 @@ def pairs(values: Values, found: Anova) -> list[Pair]:
                     difference - critical * std,
                     difference + critical * std,
                     count,
-                    std * _seen(critical, dof),
+                    std * _seen(critical, round(dof, 6)),
                 )
             )
     return compared
