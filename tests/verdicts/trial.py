@@ -66,6 +66,6 @@ def by_runs(seed: int, effect: bool) -> list[Verdict]:
 
 
 def _verdict(printed: Printed, found: Comparison) -> Verdict:
-    shown = found.anova.test.shown
+    shown = found.anova.shown
     pairs = tuple(shown and pair.shown for pair in found.pairs)
     return Verdict(printed.name, shown == any(printed.differ) and pairs == printed.differ, shown)

@@ -46,7 +46,9 @@ class Comparison:
             f"{in_words(test)}, omega squared {self.effect.value:.2f} [{self.effect.low:.2f}, {self.effect.high:.2f}]"
         )
         shown = [pair for pair in self.pairs if pair.shown]
-        if not test.shown:
+        if test.shown != self.anova.shown and self.anova.unequal is not None:
+            told += f"; with unequal scatter allowed for, by Welch's test, {in_words(self.anova.unequal)}"
+        if not self.anova.shown:
             most = max(max(abs(pair.low), abs(pair.high)) for pair in self.pairs)
             return (
                 f"No effect of the condition on {self.name} is shown ({told}). That does not show that there is none:"
@@ -77,6 +79,7 @@ class Comparison:
             ],
             "actuators": list(found.design.actuators),
             "anova": _test_json(found.test),
+            "welch": _test_json(found.unequal),
             "actuator": _test_json(found.actuator),
             "actuator_std": found.actuator_std,
             "interaction": _test_json(found.interaction),
@@ -91,7 +94,7 @@ class Comparison:
                     "low": pair.low,
                     "high": pair.high,
                     "p": pair.p,
-                    "shown": found.test.shown and pair.shown,
+                    "shown": found.shown and pair.shown,
                     "smallest_seen": pair.smallest_seen,
                 }
                 for pair in self.pairs
@@ -99,7 +102,7 @@ class Comparison:
             "assumptions": [
                 {"name": one.name, "p": one.p, "doubtful": one.doubtful, "note": one.note} for one in self.checks
             ],
-            "shown": found.test.shown,
+            "shown": found.shown,
             "sentence": self.sentence,
             "notes": list(self.notes),
         }
