@@ -23,6 +23,7 @@ from leactl.cli import (
     run,
     runs,
     safety,
+    stats,
     thermal,
 )
 from leactl.errors import InputError, LeactlError, Stopped
@@ -49,6 +50,7 @@ app.add_typer(runs.app, name="runs")
 app.add_typer(safety.app, name="safety")
 app.add_typer(thermal.app, name="thermal")
 app.command("run")(run.run)
+app.command("stats")(stats.stats)
 app.command("demo")(demo.demo)
 app.command("doctor")(doctor.doctor)
 

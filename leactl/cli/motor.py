@@ -1,11 +1,14 @@
-"""`leactl motor`: parameter sets of actuators."""
+"""`leactl motor`: parameter sets of actuators, and what follows from them."""
 
 import json
+from pathlib import Path
 
 import typer
 
-app = typer.Typer(help="List and show motor parameter sets.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(help="Motor parameter sets and motor design.", no_args_is_help=True, rich_markup_mode=None)
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
+AMBIENT = typer.Option(25.0, "--ambient", min=-40.0, max=60.0, help="Of the air around the actuator [degC].")
+BUS = typer.Option(29.6, "--bus-voltage", min=0.1, max=1000.0, help="Of the drive's bus [V].")
 
 
 @app.command("list")
@@ -18,13 +21,121 @@ def list_motors(as_json: bool = AS_JSON) -> None:
 
 
 @app.command()
-def show(motor: str, as_json: bool = AS_JSON) -> None:
-    """Show one motor by name, or from a YAML file after checking it."""
-    from leactl.model.motor import load_motor
+def show(motor: str, ambient: float = AMBIENT, bus_voltage: float = BUS, as_json: bool = AS_JSON) -> None:
+    """Show one motor by name, or from a YAML file after checking it, with what follows from it."""
+    from leactl.model.motor import load_sheet
+    from leactl.report.motors import Setting, comparison, comparison_text, known
 
-    found, document = load_motor(motor)
+    found, document = load_sheet(motor)
+    one = known(motor, Setting(ambient, bus_voltage))
     if as_json:
-        typer.echo(json.dumps(found.model_dump() | {"motor_constant": found.motor_constant}))
+        figures = {row["name"]: row["values"][0] for row in comparison([one])["rows"]}
+        told = found.model_dump(exclude_defaults=True) | {"name": found.name}
+        typer.echo(json.dumps(told | {"motor_constant": figures["motor_constant"], "figures": figures}))
         return
-    typer.echo(document.text.rstrip())
-    typer.echo(f"# motor constant {found.motor_constant:.3f} N*m/sqrt(W)")
+    typer.echo(document.text.rstrip() + "\n\n" + comparison_text([one]))
+
+
+@app.command()
+def compare(
+    motors: list[str] = typer.Argument(None, metavar="[MOTOR]...", help="Names or paths; all that ship by default."),
+    ambient: float = AMBIENT,
+    bus_voltage: float = BUS,
+    as_json: bool = AS_JSON,
+) -> None:
+    """Show motors side by side; in N*m and between the leads where their windings differ."""
+    from leactl.model.motor import motor_names
+    from leactl.report.motors import Setting, comparison, comparison_text, known
+
+    found = [known(name, Setting(ambient, bus_voltage)) for name in motors or motor_names()]
+    typer.echo(json.dumps(comparison(found)) if as_json else comparison_text(found))
+
+
+@app.command()
+def scale(
+    radius: float = typer.Option(..., "--radius", metavar="MM", help="Air-gap radius of the motor to be."),
+    motor: str = typer.Option("u8-kv100", help="The motor that is known, by name or path."),
+    known_radius: float | None = typer.Option(None, "--known-radius", metavar="MM", help="Its air-gap radius."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Scale a known motor by its air-gap radius, thickness and length kept, as the LEA was sized."""
+    from leactl.model.motor import load_sheet
+    from leactl.model.scaling import scaled
+    from leactl.report.motor_design import scaled_text
+
+    sheet = load_sheet(motor)[0]
+    found = scaled(sheet, radius / 1e3, None if known_radius is None else known_radius / 1e3)
+    if as_json:
+        rows = [
+            {"name": one.name, "units": one.units, "power": one.power, "known": one.known, "scaled": one.scaled}
+            for one in found
+        ]
+        typer.echo(json.dumps({"motor": sheet.name, "winding": sheet.winding, "radius_mm": radius, "figures": rows}))
+        return
+    typer.echo(scaled_text(sheet, found, radius / 1e3))
+
+
+@app.command()
+def energy(
+    cycles: list[Path] = typer.Argument(metavar="CYCLE.csv...", help="Angle and torque of a joint over one cycle."),
+    motors: list[str] = typer.Option([], "--motor", help="Names or paths; all that ship by default."),
+    stride_time: float | None = typer.Option(None, metavar="S", help="How long a cycle takes."),
+    body_mass: float | None = typer.Option(None, metavar="KG", help="For torque_Nm_per_kg."),
+    ratio: float | None = typer.Option(None, help="Turns of the motor for one of the joint; by default the best."),
+    efficiency: float = typer.Option(1.0, help="Of the transmission, either way."),
+    bus_voltage: float = BUS,
+    line_current: float | None = typer.Option(None, metavar="A", help="Largest amplitude in a lead of the drive."),
+    winding_temperature: float | None = typer.Option(
+        None, min=-50.0, max=250.0, metavar="DEGC", help="By default where many cycles lead to."
+    ),
+    ambient: float = AMBIENT,
+    harmonics: int = typer.Option(10, min=1, max=100, help="Of the angle that are kept."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Work out where the energy of a cycle goes, at the ratio of least electrical energy or at a given one."""
+    from leactl.model.cycle import read_cycle
+    from leactl.model.energy import Supply, best_ratio, remarks, stride
+    from leactl.model.motor import load_sheet, motor_names
+    from leactl.report.motor_design import energy_text, stride_json
+
+    supply = Supply(bus_voltage, line_current, ambient, winding_temperature)
+    sheets = [load_sheet(name)[0] for name in motors or motor_names()]
+    body = []
+    for path in cycles:
+        cycle = read_cycle(path, stride_time, body_mass, harmonics)
+        found = [
+            best_ratio(sheet, cycle, efficiency, supply)
+            if ratio is None
+            else stride(sheet, cycle, ratio, efficiency, supply)
+            for sheet in sheets
+        ]
+        notes = [remarks(sheet, one) for sheet, one in zip(sheets, found, strict=True)]
+        if as_json:
+            rows = [stride_json(*each) for each in zip(sheets, found, notes, strict=True)]
+            body.append(
+                {"cycle": str(path), "stride_time_s": cycle.period, "angle_left_out": cycle.left_out, "motors": rows}
+            )
+            continue
+        said = [f"{sheet.name}: {note}" for sheet, each in zip(sheets, notes, strict=True) for note in each]
+        typer.echo(energy_text(cycle, sheets, found, said))
+    if as_json:
+        typer.echo(json.dumps({"cycles": body}, allow_nan=False))
+
+
+@app.command("preload")
+def preload_of(
+    motor: str = typer.Option("lea", help="Name or path; its file has a `bearings:` block."),
+    gap: list[float] = typer.Option([0.0, 0.5, 0.75], "--gap", metavar="MM", help="Between flexure and stator."),
+    rest_gap: float = typer.Option(0.5, "--rest-gap", metavar="MM", help="At which a flexure is at rest."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Work out the preload of bearings on flexures from their deflection, and whether the bearings take it."""
+    from leactl.model.flexures import bearings_of, disagreement, most_gap, preload, readings
+    from leactl.model.motor import load_sheet
+    from leactl.report.motor_design import preload_json, preload_text
+
+    bearings = bearings_of(load_sheet(motor)[0])
+    found = readings(bearings, rest_gap / 1e3)
+    table = [(one, [preload(bearings, one, mm / 1e3) for mm in gap], most_gap(bearings, one)) for one in found]
+    misses = disagreement(bearings, found)
+    typer.echo(json.dumps(preload_json(bearings, table, misses)) if as_json else preload_text(bearings, table, misses))

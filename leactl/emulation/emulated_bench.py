@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 import can
@@ -201,6 +202,6 @@ def _parameters(file: BenchFile, role: str, changes: Mapping[str, Any]) -> Actua
     """The motor's parameters with the bench file's own over them."""
     name = file.motors.get("test" if role == "test" else "load", file.motors["test"])
     motor, _document = load_motor(name)
-    whole = motor.model_dump(exclude={"name", "winding", "limits", "tolerances"})
+    whole = motor.model_dump(include={item.name for item in fields(ActuatorParameters)})
     thermal = whole["thermal"] | dict(changes.get("thermal", {}))
     return ActuatorParameters.from_mapping(whole | dict(changes) | {"thermal": thermal})

@@ -15,8 +15,8 @@ from leactl.effects.contract import Signals
 from leactl.effects.shapes import play
 from leactl.gap.record import Clocked, Record
 from leactl.gap.smoothing import middle, slope, smooth
-from leactl.model.motor import Thermal
 from leactl.model.nominal import Model
+from leactl.model.sheet import Thermal
 from leactl.model.thermal_network import ThermalNetwork
 
 Array = npt.NDArray[np.float64]

@@ -3,68 +3,20 @@
 import math
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from leactl import yamlfile
 from leactl.errors import InputError
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-STRICT = ConfigDict(frozen=True, extra="forbid")
+from leactl.model.sheet import MotorLimits, MotorSheet, NotNegative, Positive, Thermal
 
 
-class Thermal(BaseModel):
-    """The paper's two-node network: winding and housing against ambient."""
+class Motor(MotorSheet):
+    """One actuator with everything that moving it asks for."""
 
-    model_config = STRICT
-    winding_ambient_resistance: Positive  # K/W
-    winding_housing_resistance: Positive  # K/W
-    housing_ambient_resistance: Positive  # K/W
-    winding_capacitance: Positive  # J/K
-    housing_capacitance: Positive  # J/K
-
-
-Tolerance = Annotated[float, Field(ge=0, le=0.5)]
-
-
-class Tolerances(BaseModel):
-    """How far the bench's actuator may be from this file: fractions of each value, unless a unit is in the name.
-
-    `current` is that of the drive's current reading, ripple and d axis included; `ambient_K` that of the ambient that a
-    bench file tells.
-    """
-
-    model_config = STRICT
-    phase_resistance: Tolerance
-    resistance_coefficient: Tolerance
-    winding_ambient_resistance: Tolerance
-    winding_housing_resistance: Tolerance
-    housing_ambient_resistance: Tolerance
-    winding_capacitance: Tolerance
-    housing_capacitance: Tolerance
-    viscous_damping: Tolerance
-    coulomb_friction: Tolerance
-    current: Tolerance
-    ambient_K: Annotated[float, Field(ge=0, le=30)]  # noqa: N815 (a unit keeps its letter)
-
-
-class MotorLimits(BaseModel):
-    """What the maker allows."""
-
-    model_config = STRICT
-    winding_temperature: Annotated[float, Field(gt=25, le=250)]  # degC
-
-
-class Motor(BaseModel):
-    """One actuator: q axis, power-invariant transform; temperatures in degC."""
-
-    model_config = STRICT
-    name: str
-    winding: Literal["wye", "delta"]
     pole_pairs: Annotated[int, Field(ge=1, le=500)]
-    phase_resistance: Positive  # ohm, half the line-to-line resistance of a wye winding, at reference_temperature
+    phase_resistance: Positive  # ohm
     resistance_coefficient: Annotated[float, Field(ge=0, le=0.02)]  # 1/K
     reference_temperature: Annotated[float, Field(ge=-50, le=150)]  # degC
     phase_inductance: Positive  # H
@@ -75,7 +27,6 @@ class Motor(BaseModel):
     coulomb_friction: NotNegative  # N*m
     thermal: Thermal
     limits: MotorLimits
-    tolerances: Tolerances | None = None  # a motor without them is not moved
 
     @property
     def motor_constant(self) -> float:
@@ -98,15 +49,27 @@ def load_motor(name_or_path: str) -> tuple[Motor, yamlfile.Document]:
 
     Raises
     ------
+    InputError : no such motor or file, a fault in it, or figures that it lacks, one line each.
+    """
+    document = _document(name_or_path)
+    return document.validate(Motor), document
+
+
+def load_sheet(name_or_path: str) -> tuple[MotorSheet, yamlfile.Document]:
+    """Read what a motor file knows, however little; for what moves nothing.
+
+    Raises
+    ------
     InputError : no such motor or file, or a fault in it, one line each.
     """
+    document = _document(name_or_path)
+    return document.validate(MotorSheet), document
+
+
+def _document(name_or_path: str) -> yamlfile.Document:
     if name_or_path in motor_names():
         text = (resources.files("leactl.model") / "motors" / f"{name_or_path}.yaml").read_text(encoding="utf-8")
-        document = yamlfile.parse(text, f"{name_or_path}.yaml")
-    elif Path(name_or_path).suffix in (".yaml", ".yml"):
-        document = yamlfile.load(Path(name_or_path))
-    else:
-        raise InputError(
-            f"motor '{name_or_path}' is not known; known: {', '.join(motor_names())}, or a path to a .yaml"
-        )
-    return document.validate(Motor), document
+        return yamlfile.parse(text, f"{name_or_path}.yaml")
+    if Path(name_or_path).suffix in (".yaml", ".yml"):
+        return yamlfile.load(Path(name_or_path))
+    raise InputError(f"motor '{name_or_path}' is not known; known: {', '.join(motor_names())}, or a path to a .yaml")

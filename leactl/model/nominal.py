@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field, model_validator
 
 from leactl import yamlfile
-from leactl.model.motor import STRICT, NotNegative, Positive, Thermal, Tolerances
+from leactl.model.sheet import STRICT, MotorSheet, NotNegative, Positive, Thermal
 from leactl.vocabulary.effect import effect_definition, effect_names
 
 
@@ -66,37 +66,18 @@ class EffectEntry(BaseModel):
         return self
 
 
-class ModelLimits(BaseModel):
-    """What the maker allows."""
-
-    model_config = STRICT
-    winding_temperature: float | None = None  # degC
-
-
-class Model(BaseModel):
+class Model(MotorSheet):
     """A nominal model; what it leaves out is None and cannot be judged."""
 
-    model_config = STRICT
-    name: str
     winding: Literal["wye", "delta"] = "wye"
-    pole_pairs: Annotated[int, Field(ge=1, le=500)] | None = None
-    phase_resistance: Positive | None = None  # ohm, at reference_temperature
     resistance_coefficient: Annotated[float, Field(ge=0, le=0.02)] = 0.0  # 1/K
     reference_temperature: Annotated[float, Field(ge=-50, le=150)] = 25.0  # degC
-    phase_inductance: Positive | None = None  # H
-    torque_constant: Positive | None = None  # N*m/A
-    back_emf_constant: Positive | None = None  # V*s/rad
-    rotor_inertia: Positive | None = None  # kg*m^2
-    viscous_damping: NotNegative | None = None  # N*m*s/rad
-    coulomb_friction: NotNegative | None = None  # N*m
     thermal: Thermal | None = None
     ambient_offset: Annotated[float, Field(ge=-20, le=20)] = 0.0  # K, true ambient minus the logged one
     bench: BenchModel = BenchModel()
     load: LoadModel = LoadModel()
     drive: DriveModel | None = None
     units: dict[str, str] = {}
-    limits: ModelLimits = ModelLimits()
-    tolerances: Tolerances | None = None  # for the safety guard, which takes a model file as a motor's
     effects: list[EffectEntry] = []
 
 

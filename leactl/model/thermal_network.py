@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from leactl.model.motor import Thermal
+from leactl.model.sheet import Thermal
 
 Array = npt.NDArray[np.float64]
 

@@ -42,6 +42,7 @@ class Bench:
         units=None,
         protocol="",
         role="test",
+        repeats=None,
     ):
         """Write a run and return its path.
 
@@ -83,6 +84,7 @@ class Bench:
         writer.append("loop", time, np.column_stack(list(columns.values())))
         for index, (setpoint, direction) in enumerate(holds):
             told = {"current_A": setpoint, "role": role} | ({"direction": direction} if direction else {})
+            told |= {} if repeats is None else {"repeat": int(repeats[index])}
             writer.step("hold", index * HOLD_S, (index + 1) * HOLD_S, SETTLE_S, told)
         writer.close(status, "" if status == "complete" else "as the test says")
         return writer.path
@@ -101,7 +103,10 @@ class Bench:
         current_error=0.0,
         **how,
     ):
-        """A torque constant run: `scatter` moves single holds, `curve` what a level has in all its repeats [N*m]."""
+        """A torque constant run: `scatter` moves single holds, `curve` what a level has in all its repeats [N*m].
+
+        `kt` is one value, or one a trial.
+        """
         holds = [
             (level, side)
             for _ in range(trials)
@@ -111,9 +116,16 @@ class Bench:
         current = np.array([level for level, _ in holds])
         sign = np.array([{"rising": 1, "falling": -1}.get(side, 0) for _, side in holds])
         cells = {hold: self.rng.normal(0.0, curve) for hold in dict.fromkeys(holds)}
-        torque = kt * current + sticking * sign + offset + self.rng.normal(0.0, scatter, len(holds))
+        each = len(holds) // trials
+        torque = (
+            np.repeat(np.broadcast_to(kt, trials), each) * current
+            + sticking * sign
+            + offset
+            + self.rng.normal(0.0, scatter, len(holds))
+        )
         torque += np.array([cells[hold] for hold in holds])
         measured = current + self.rng.normal(0.0, current_error, len(holds))
+        how = {"repeats": 1 + np.arange(len(holds)) // each} | how
         return self.run("torque-constant", holds, {"q_axis_current": measured, "torque": torque}, **how)
 
     def friction(
@@ -129,12 +141,17 @@ class Bench:
         scatter=0.0,
         **how,
     ):
-        """A friction run: `scatter` moves the friction of single holds [N*m], `zero_A` the reading of current."""
+        """A friction run: `scatter` moves the friction of single holds [N*m], `zero_A` the reading of current.
+
+        `b` and `f` are one value each, or one a trial.
+        """
         holds = [(sign * level, "") for _ in range(trials) for sign in signs for level in levels]
         current = np.array([setpoint for setpoint, _ in holds])
+        each = len(holds) // trials
+        b, f = (np.repeat(np.broadcast_to(value, trials), each) for value in (b, f))
         drag = f + self.rng.normal(0.0, scatter, len(holds))
         velocity = np.sign(current) * np.maximum(kt * np.abs(current) - drag, 0.0) / b
-        how = {"mechanical": "free"} | how
+        how = {"mechanical": "free", "repeats": 1 + np.arange(len(holds)) // each} | how
         return self.run("friction", holds, {"q_axis_current": current + zero_A, "velocity": velocity}, **how)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.signals import following
-from leactl.model.motor import Thermal
+from leactl.model.sheet import Thermal
 from leactl.model.thermal_network import ThermalNetwork
 
 from .synthetic import THERMAL

@@ -42,6 +42,16 @@ class Held:
 
 
 @dataclass(frozen=True)
+class Nominal:
+    """Currents [A] that take the hottest phase to its limit, of the motor file's own values."""
+
+    slowly: float  # for ever, turning
+    standing: float  # for ever, at one angle
+    peaks: tuple[float, ...]  # once, turning slowly, for each duration
+    standing_peaks: tuple[float, ...]  # the same at one angle
+
+
+@dataclass(frozen=True)
 class Peak:
     """What may be carried once, from ambient, for a duration."""
 
@@ -63,12 +73,8 @@ def continuous_current(motor: Motor, ambient: float, aligned: float, speed: floa
     ------
     InputError : the motor file has no tolerances.
     """
-
-    def hottest(bound: ThermalBound, current: float) -> float:
-        bound.settle(np.array([current**2]), np.array([aligned]), np.array([speed]), ambient)
-        return float(bound.hottest()[0])
-
-    return _each(motor, ambient, hottest)
+    hottest, limit = _settled(ambient, aligned, speed), motor.limits.winding_temperature
+    return Carried(*(_at_limit(box, limit, ambient, hottest) for box in _boxes(motor)))
 
 
 def continuous(motor: Motor, ambient: float, speeds: Sequence[float]) -> list[Held]:
@@ -96,12 +102,22 @@ def peaks(motor: Motor, ambient: float, durations: Sequence[float]) -> list[Peak
     return [Peak(duration, one, torque(motor, one)) for duration, one in zip(durations, currents, strict=True)]
 
 
-def _held_for(box: Box, limit: float, ambient: float, durations: Sequence[float]) -> list[float]:
+def nominal(motor: Motor, ambient: float, durations: Sequence[float]) -> Nominal:
+    """What a motor file's own values promise, for one without tolerances too; ambient in degC, durations in s."""
+    box, limit = Box.exact(motor), motor.limits.winding_temperature
+    held = [_at_limit(box, limit, ambient, _settled(ambient, aligned, 0.0)) for aligned in (TURNING, STANDING)]
+    short = [tuple(_held_for(box, limit, ambient, durations, aligned)) for aligned in (TURNING, STANDING)]
+    return Nominal(held[0], held[1], short[0], short[1])
+
+
+def _held_for(
+    box: Box, limit: float, ambient: float, durations: Sequence[float], aligned: float = STANDING
+) -> list[float]:
     """Many currents side by side until each has reached the limit; then the one that would do so after a duration."""
     currents = np.geomspace(HARDEST_A, LEAST_A, CURRENTS)
     bound = ThermalBound([box] * CURRENTS, ambient + box.ambient_rise)
     last, reached = 0.0, np.full(CURRENTS, np.inf)
-    still, standing, before = np.zeros(CURRENTS), np.full(CURRENTS, STANDING), bound.hottest()
+    still, standing, before = np.zeros(CURRENTS), np.full(CURRENTS, aligned), bound.hottest()
     for time in np.geomspace(SOONEST_S, 1.1 * max(durations), STEPS):
         going = np.isinf(reached)
         bound.step(time - last, np.where(going, currents, 0.0) ** 2, standing, still, ambient, late=0.0)
@@ -120,20 +136,27 @@ def torque(motor: Motor, current: Carried) -> Carried:
     return Carried(*(motor.torque_constant * value for value in values))
 
 
-def _each(motor: Motor, ambient: float, hottest: Callable[[ThermalBound, float], float]) -> Carried:
-    limit = motor.limits.winding_temperature
-    found = []
-    for box in _boxes(motor):
-        bound = ThermalBound([box], ambient)
+def _settled(ambient: float, aligned: float, speed: float) -> Callable[[ThermalBound, float], float]:
+    """Where the hottest phase ends [degC] under a constant current [A]."""
 
-        def over(current: float, bound: ThermalBound = bound) -> float:
-            return min(hottest(bound, current), 1e6) - limit
+    def hottest(bound: ThermalBound, current: float) -> float:
+        bound.settle(np.array([current**2]), np.array([aligned]), np.array([speed]), ambient)
+        return float(bound.hottest()[0])
 
-        most = LEAST_A
-        while over(most) < 0.0:
-            most *= 2.0
-        found.append(brentq(over, 0.5 * most, most, xtol=1e-4) if most > LEAST_A else 0.0)
-    return Carried(*found)
+    return hottest
+
+
+def _at_limit(box: Box, limit: float, ambient: float, hottest: Callable[[ThermalBound, float], float]) -> float:
+    """The current that takes the hottest phase to its limit [A]."""
+    bound = ThermalBound([box], ambient)
+
+    def over(current: float) -> float:
+        return min(hottest(bound, current), 1e6) - limit
+
+    most = LEAST_A
+    while over(most) < 0.0:
+        most *= 2.0
+    return float(brentq(over, 0.5 * most, most, xtol=1e-4)) if most > LEAST_A else 0.0
 
 
 def _boxes(motor: Motor) -> tuple[Box, Box, Box]:

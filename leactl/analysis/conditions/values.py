@@ -1,0 +1,184 @@
+"""The values that are compared: one result of an analysis, once a trial, with its actuator and condition."""
+
+import json
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.analysis.estimate import Estimate, listed
+from leactl.analysis.experiments import (
+    Analysis,
+    analysis_of,
+    experiment_of,
+    refuse_altered,
+    refuse_repeated,
+    refuse_unknown,
+    remarks_on,
+)
+from leactl.errors import InputError, NotIdentifiable
+from leactl.runfile.reader import Run, Step
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """Values of one result; element k of each array is one trial."""
+
+    name: str
+    units: str
+    value: Array
+    actuator: npt.NDArray[np.str_]
+    condition: npt.NDArray[np.str_]
+    run: npt.NDArray[np.int64]  # trials of one run have one setting of the condition in common
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What one trial gave."""
+
+    actuator: str
+    condition: str
+    run: int
+    results: tuple[Estimate, ...]
+
+
+class _OneTrial(Run):
+    """A run of which only the steps of one repeat are seen."""
+
+    def __init__(self, run: Run, repeat: int) -> None:
+        self.__dict__.update(run.__dict__)
+        self._repeat = repeat
+
+    @property
+    def steps(self) -> list[Step]:
+        """The steps of that repeat."""
+        return [step for step in super().steps if step.parameters.get("repeat", self._repeat) == self._repeat]
+
+
+def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> tuple[str, list[Values]]:
+    """Experiment, and the values of each of its results, from runs and from answers of `leactl analyze --json`.
+
+    A run gives one value for each pass of its repeats, a run without repeats and an answer one.
+
+    Parameters
+    ----------
+    by_run : take each run as one value, all its repeats together.
+    options : of the analysis.
+
+    Raises
+    ------
+    InputError : files that are neither, of different experiments, given twice or altered, or without a condition.
+    NotIdentifiable : no trial could be analysed.
+    """
+    answers = [path for path in paths if path.suffix == ".json"]
+    files = [path for path in paths if path.suffix != ".json"]
+    if not paths:
+        raise InputError("nothing to compare; give run files, or answers of `leactl analyze --json`")
+    trials: list[Trial] = []
+    notes: list[str] = []
+    kinds: dict[str, Path] = {}
+    for path in answers:
+        kind, found = _of_answer(path, len(trials))
+        kinds.setdefault(kind, path)
+        trials += found
+    with ExitStack() as opened:
+        runs = [opened.enter_context(Run.open(path)) for path in files]
+        refuse_repeated(runs)
+        refuse_altered(runs)
+        for run in runs:
+            kinds.setdefault(experiment_of(run), run.path)
+        if len(kinds) > 1:
+            told = ", ".join(f"{path} is '{kind}'" for kind, path in kinds.items())
+            raise InputError(f"different experiments: {told}; give runs of one experiment")
+        for number, run in enumerate(runs, start=len(trials)):
+            trials += _of_run(run, number, by_run, notes, options)
+    experiment = next(iter(kinds))
+    if not trials:
+        raise NotIdentifiable(f"{experiment}: no trial could be analysed: {listed(notes, 2)}")
+    return experiment, _columns(trials, notes)
+
+
+def _of_run(run: Run, number: int, by_run: bool, notes: list[str], options: dict[str, Any]) -> list[Trial]:
+    experiment = experiment_of(run)
+    analyze = analysis_of(experiment, str(run.path))
+    given = {name: value for name, value in options.items() if value is not None}
+    refuse_unknown(experiment, analyze, given)
+    actuator, condition = (str(run.attributes.get(name, "")) for name in ("actuator", "condition"))
+    if not condition:
+        raise InputError(f"{run.path}: the run has no condition; `leactl run --condition` names it")
+    notes += remarks_on(run)
+    repeats = sorted({int(step.parameters["repeat"]) for step in run.steps if "repeat" in step.parameters})
+    parts = [run] if by_run or len(repeats) < 2 else [_OneTrial(run, repeat) for repeat in repeats]
+    found, lost = [], []
+    for repeat, part in zip(repeats or [1], parts, strict=False):
+        try:
+            found.append(Trial(actuator, condition, number, _analysed(analyze, part, given)))
+        except NotIdentifiable as fault:
+            lost.append((repeat, str(fault).removeprefix(f"{run.path}: ")))
+    if lost:
+        which = listed(repeat for repeat, _ in lost)
+        notes.append(f"{run.path}: {len(lost)} of {len(parts)} trials gave nothing ({which}): {lost[0][1]}")
+    return found
+
+
+def _analysed(analyze: Analysis, part: Run, options: dict[str, Any]) -> tuple[Estimate, ...]:
+    return analyze([part], **options).results
+
+
+def _of_answer(path: Path, first: int) -> tuple[str, list[Trial]]:
+    """Trials of an answer, one for each actuator and condition in it."""
+    try:
+        body = json.loads(path.read_text(encoding="utf-8"))
+        kind, rows = str(body["experiment"]), list(body["results"])
+        groups: dict[tuple[str, str], list[Estimate]] = {}
+        for row in rows:
+            numbers = [float("nan") if row[key] is None else float(row[key]) for key in ("value", "std", "low", "high")]
+            value, std, low, high = numbers
+            estimate = Estimate(str(row["name"]), value, std, low, high, str(row["units"]))
+            groups.setdefault((str(row.get("actuator", "")), str(row.get("condition", ""))), []).append(estimate)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(f"{path}: an answer of `leactl analyze --json` was expected") from None
+    if any(not condition for _, condition in groups):
+        raise InputError(f"{path}: its rows name no condition, as where one group was analysed; give the runs")
+    pairs = enumerate(groups.items(), start=first)
+    return kind, [Trial(*group, number, tuple(estimates)) for number, (group, estimates) in pairs]
+
+
+def _columns(trials: Sequence[Trial], notes: Sequence[str]) -> list[Values]:
+    """One result each: those with an uncertainty that are no part of another, such as one direction alone."""
+    named: dict[str, str] = {}
+    for trial in trials:
+        for item in trial.results:
+            part = any(item.name.startswith(f"{other}_") for other in named)
+            if np.isfinite(item.std) and not part and named.setdefault(item.name, item.units) != item.units:
+                raise InputError(f"{item.name} is in {named[item.name]} and in {item.units}; one unit was expected")
+    found = []
+    for name, units in named.items():
+        by_trial = [next((item.value for item in one.results if item.name == name), np.nan) for one in trials]
+        values = np.array(by_trial, np.float64)
+        good = np.isfinite(values)
+        said = list(notes)
+        if not good.all():
+            said.append(f"{name}: {int((~good).sum())} of {len(values)} values are missing and left out")
+        kept = [trial for trial, one in zip(trials, good, strict=True) if one]
+        found.append(
+            Values(
+                name,
+                units,
+                values[good],
+                np.array([trial.actuator for trial in kept], np.str_),
+                np.array([trial.condition for trial in kept], np.str_),
+                np.array([trial.run for trial in kept], np.int64),
+                tuple(said),
+            )
+        )
+    return found

@@ -1,0 +1,191 @@
+"""One cycle of an activity from a CSV: angle and torque of a joint, whose columns name their units.
+
+    cycle_percent, angle_deg, torque_Nm_per_kg        (with the stride time and the mass of the body)
+    time_s, angle_rad, torque_Nm                      (with the stride time, or closed by its first row once more)
+
+Torque acts onto the joint; positive torque turns it towards positive angles. Other columns are ignored. The angle
+becomes a Fourier series, whose derivatives are exact: the second derivative of samples would be noise.
+"""
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+
+Array = npt.NDArray[np.float64]
+POINTS = 720  # of a cycle, evenly spaced
+HARMONICS = 10  # of the angle: 10 Hz at a stride a second
+FEWEST_ROWS, MOST_ROWS = 12, 100_000
+CLOSED_WITHIN = 0.05  # of its range, that a quantity may end from where it began
+STRIDE_S = (0.05, 60.0)
+NAMES = {
+    "phase": ("cycle_percent", "time_s"),
+    "angle": ("angle_rad", "angle_deg"),
+    "torque": ("torque_Nm", "torque_Nm_per_kg"),
+}
+MOST = {"angle_rad": 2.0 * math.pi, "angle_deg": 360.0, "torque_Nm": 2000.0, "torque_Nm_per_kg": 10.0}
+"""Range of an angle and size of a torque beyond which a joint has none: the unit is another."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cycle:
+    """One cycle of a joint, `POINTS` samples evenly spaced over its period."""
+
+    name: str
+    period: float  # s
+    angle: Array  # rad
+    velocity: Array  # rad/s
+    acceleration: Array  # rad/s^2
+    torque: Array  # N*m, onto the joint
+    left_out: float  # root mean square of what the series leaves of the angle, of its range
+
+
+def read_cycle(
+    path: Path, stride_time: float | None = None, body_mass: float | None = None, harmonics: int = HARMONICS
+) -> Cycle:
+    """Read one cycle.
+
+    Parameters
+    ----------
+    stride_time : how long it takes [s]; with `time_s` it may be left out where the last row is the first once more.
+    body_mass : [kg], for torque per mass.
+    harmonics : of the angle that are kept.
+
+    Raises
+    ------
+    InputError : no such file, columns without the units above, rows that are no numbers, values that no joint has, or
+        no whole cycle.
+    """
+    columns, table = _table(path)
+    phase, angle, torque = table.T
+    for name, values, size in ((columns[1], angle, np.ptp(angle)), (columns[2], torque, np.abs(torque).max())):
+        if size > MOST[name]:
+            what = "ranges over" if name.startswith("angle") else "reaches"
+            other = next(one for one in (*NAMES["angle"], *NAMES["torque"]) if one[0] == name[0] and one != name)
+            raise InputError(
+                f"{path}: {name} {what} {size:g}, at most {MOST[name]:g} was expected of a joint; is it {other} or"
+                " another unit?"
+            )
+        if len(np.unique(values)) == 1 and name.startswith("torque") and values[0] == 0.0:
+            raise InputError(f"{path}: {name} is 0 throughout")
+    if columns[2] == "torque_Nm_per_kg":
+        if body_mass is None or not 1.0 <= body_mass <= 500.0:
+            raise InputError(f"{path}: torque_Nm_per_kg needs --body-mass, from 1 to 500 kg")
+        torque = torque * body_mass
+    if columns[1] == "angle_deg":
+        angle = np.radians(angle)
+    part, period = _parts(path, columns[0], phase, stride_time)
+    closing = part[-1] >= 1.0 - 1e-9
+    for name, values in (("angle", angle), ("torque", torque)):
+        _expect_closed(path, name, values, closing)
+    if closing:
+        part, angle, torque = part[:-1], angle[:-1], torque[:-1]
+    kept = min(harmonics, (len(part) - 1) // 2)
+    even = np.arange(POINTS) / POINTS
+    series, slope, bend, fitted = _series(part, angle, kept, even)
+    spread = float(np.ptp(angle))
+    left_out = float(np.sqrt(np.mean((fitted - angle) ** 2))) / spread if spread > 0.0 else 0.0
+    return Cycle(
+        name=path.stem,
+        period=period,
+        angle=series,
+        velocity=slope / period,
+        acceleration=bend / period**2,
+        torque=np.interp(even, part, torque, period=1.0),
+        left_out=left_out,
+    )
+
+
+def _series(part: Array, values: Array, harmonics: int, at: Array) -> tuple[Array, Array, Array, Array]:
+    """A Fourier series by least squares: value and derivatives to the part of the cycle, and value at the samples."""
+    orders = 2.0 * np.pi * np.arange(1, harmonics + 1)
+
+    def waves(x: Array, order: int) -> Array:
+        turned = np.outer(x, orders) + 0.5 * np.pi * order
+        constant = np.full((len(x), 1), float(order == 0))
+        return np.hstack([constant, orders**order * np.cos(turned), orders**order * np.sin(turned)])
+
+    coefficients = np.linalg.lstsq(waves(part, 0), values, rcond=None)[0]
+    first, second, third = (waves(at, order) @ coefficients for order in (0, 1, 2))
+    return first, second, third, waves(part, 0) @ coefficients
+
+
+def _parts(path: Path, name: str, phase: Array, stride_time: float | None) -> tuple[Array, float]:
+    """Where in the cycle each row is, from 0, and the period [s]."""
+    if stride_time is not None and not STRIDE_S[0] <= stride_time <= STRIDE_S[1]:
+        raise InputError(f"stride time {stride_time:g} s: from {STRIDE_S[0]:g} to {STRIDE_S[1]:g} s was expected")
+    if name == "cycle_percent":
+        if stride_time is None:
+            raise InputError(f"{path}: cycle_percent needs --stride-time, in s")
+        whole, period = 100.0, stride_time
+    else:
+        whole = period = stride_time if stride_time is not None else float(phase[-1] - phase[0])
+    part = (phase - phase[0]) / whole
+    step = float(np.median(np.diff(part)))
+    if abs(part[-1] - 1.0) < 1e-6 * len(part):
+        part[-1] = 1.0
+    elif not 0.0 < 1.0 - part[-1] <= 2.0 * step:
+        unit = "%" if name == "cycle_percent" else "s"
+        raise InputError(
+            f"{path}: {name} goes from {phase[0]:g} to {phase[-1]:g} {unit}: one whole cycle of {whole:g} {unit} was"
+            " expected"
+        )
+    return part, period
+
+
+def _expect_closed(path: Path, name: str, values: Array, closing: bool) -> None:
+    """Refuse what does not come back to where it began; without a closing row it may be one step short of it."""
+    steps = np.abs(np.diff(values))
+    allowed = max(CLOSED_WITHIN * float(np.ptp(values)), 0.0 if closing else 2.0 * float(steps.max()))
+    apart = abs(float(values[-1] - values[0]))
+    if apart > allowed:
+        unit = "rad" if name == "angle" else "N*m"
+        raise InputError(
+            f"{path}: {name} ends {apart:.3g} {unit} from where it began, at most {allowed:.3g} {unit} was expected of"
+            " a cycle that repeats"
+        )
+
+
+def _table(path: Path) -> tuple[tuple[str, str, str], Array]:
+    """Names of the columns used, and their values, one row a line."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            lines = [(number, row) for number, row in enumerate(csv.reader(stream), start=1) if any(row)]
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: no text of comma-separated values: {error}") from None
+    header = [cell.strip() for cell in lines[0][1]] if lines else []
+    names: list[str] = []
+    for what, known in NAMES.items():
+        found = [name for name in header if name in known]
+        if len(found) != 1:
+            expected = " or ".join(known)
+            there = ", ".join(header)[:200]
+            raise InputError(f"{path}:1: one column {expected} was expected for {what}; found {there}")
+        names += found
+    rows = lines[1:]
+    if not FEWEST_ROWS <= len(rows) <= MOST_ROWS:
+        raise InputError(f"{path}: {len(rows)} rows below the header; from {FEWEST_ROWS} to {MOST_ROWS} were expected")
+    values = np.array([[_number(path, line, row, header.index(name), name) for name in names] for line, row in rows])
+    after = np.flatnonzero(np.diff(values[:, 0]) <= 0.0)
+    if len(after):
+        line = rows[int(after[0]) + 1][0]
+        raise InputError(f"{path}:{line}: {names[0]} {values[after[0] + 1, 0]:g} is not after {values[after[0], 0]:g}")
+    return (names[0], names[1], names[2]), values
+
+
+def _number(path: Path, line: int, row: list[str], column: int, name: str) -> float:
+    cell = row[column].strip() if column < len(row) else ""
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{path}:{line}: {name} {cell[:40]!r}: a finite number was expected")
+    return value

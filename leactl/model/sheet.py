@@ -1,0 +1,168 @@
+"""What is known of an actuator: every figure of a data sheet may be missing, and none is made up for one that is.
+
+SI throughout, temperatures in degC; q axis, power-invariant transform, in the winding's own frame (winding.py).
+`Motor` asks for what moving one needs, `Model` adds the bench around it.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Percent = Annotated[float, Field(ge=0, le=1000)]
+Tolerance = Annotated[float, Field(ge=0, le=0.5)]
+STRICT = ConfigDict(frozen=True, extra="forbid")
+
+
+class ThermalSheet(BaseModel):
+    """The paper's two-node network, winding and housing against ambient, as far as it is known."""
+
+    model_config = STRICT
+    winding_ambient_resistance: Positive | None = None  # K/W
+    winding_housing_resistance: Positive | None = None  # K/W
+    housing_ambient_resistance: Positive | None = None  # K/W
+    winding_capacitance: Positive | None = None  # J/K
+    housing_capacitance: Positive | None = None  # J/K
+
+    @property
+    def to_ambient(self) -> float | None:
+        """Resistance from winding to ambient in the end [K/W].
+
+        A path from the winding straight to the air that is not known is left out, which makes the winding no cooler.
+        """
+        if self.winding_housing_resistance is None or self.housing_ambient_resistance is None:
+            return None
+        through = self.winding_housing_resistance + self.housing_ambient_resistance
+        if self.winding_ambient_resistance is None:
+            return through
+        return 1.0 / (1.0 / through + 1.0 / self.winding_ambient_resistance)
+
+
+class Thermal(ThermalSheet):
+    """The whole network."""
+
+    winding_ambient_resistance: Positive  # K/W
+    winding_housing_resistance: Positive  # K/W
+    housing_ambient_resistance: Positive  # K/W
+    winding_capacitance: Positive  # J/K
+    housing_capacitance: Positive  # J/K
+
+
+class Tolerances(BaseModel):
+    """How far the bench's actuator may be from this file: fractions of each value, unless a unit is in the name.
+
+    `current` is that of the drive's current reading, ripple and d axis included; `ambient_K` that of the ambient that a
+    bench file tells.
+    """
+
+    model_config = STRICT
+    phase_resistance: Tolerance
+    resistance_coefficient: Tolerance
+    winding_ambient_resistance: Tolerance
+    winding_housing_resistance: Tolerance
+    housing_ambient_resistance: Tolerance
+    winding_capacitance: Tolerance
+    housing_capacitance: Tolerance
+    viscous_damping: Tolerance
+    coulomb_friction: Tolerance
+    current: Tolerance
+    ambient_K: Annotated[float, Field(ge=0, le=30)]  # noqa: N815 (a unit keeps its letter)
+
+
+class LimitsSheet(BaseModel):
+    """What the maker allows."""
+
+    model_config = STRICT
+    winding_temperature: Annotated[float, Field(gt=25, le=250)] | None = None  # degC
+
+
+class MotorLimits(LimitsSheet):
+    """What must not be passed."""
+
+    winding_temperature: Annotated[float, Field(gt=25, le=250)]  # degC
+
+
+class Body(BaseModel):
+    """Mass and size."""
+
+    model_config = STRICT
+    mass: Positive | None = None  # kg
+    outer_diameter: Positive | None = None  # m
+    inner_diameter: Positive | None = None  # m
+    length: Positive | None = None  # m
+
+
+class LoopFigures(BaseModel):
+    """How a control loop answers, in the terms of data sheets."""
+
+    model_config = STRICT
+    rise_time: Positive | None = None  # s
+    overshoot_percent: Percent | None = None
+    settling_time: Positive | None = None  # s
+    error_percent: Percent | None = None
+    bandwidth: Positive | None = None  # Hz
+    bandwidth_at_least: Positive | None = None  # Hz, where no end was seen
+
+
+class Control(BaseModel):
+    """Both loops with the drive they were measured on."""
+
+    model_config = STRICT
+    current: LoopFigures = LoopFigures()
+    position: LoopFigures = LoopFigures()
+
+
+class Bearings(BaseModel):
+    """Bearings on flexures around a large rotor, each pushed against its race by the bending of its own."""
+
+    model_config = STRICT
+    each_side: Annotated[int, Field(ge=1, le=1000)]
+    static_radial_load: Positive  # N, that one bearing takes
+    deflection_at_static_load: Positive  # m, of the flexure's free end
+    told_gap: Positive  # m, between flexure and stator, for which a preload is told
+    told_preload: Positive  # N, of one bearing
+
+
+class Printed(BaseModel):
+    """What the source prints beside its own values, or against them; nothing is worked out from these."""
+
+    model_config = STRICT
+    motor_constant: Positive | None = None  # N*m/sqrt(W)
+    rotor_inertia: Positive | None = None  # kg*m^2
+    resistance_coefficient: Positive | None = None  # 1/K
+    nominal_torque: Positive | None = None  # N*m
+    peak_torque_20_s: Positive | None = None  # N*m
+
+
+class MotorSheet(BaseModel):
+    """One actuator as far as it is known."""
+
+    model_config = STRICT
+    name: str
+    winding: Literal["wye", "delta"]
+    pole_pairs: Annotated[int, Field(ge=1, le=500)] | None = None
+    phase_resistance: Positive | None = None  # ohm, at reference_temperature: R_ll / 2 (wye), 3/2 R_ll (delta)
+    resistance_coefficient: Annotated[float, Field(ge=0, le=0.02)] | None = None  # 1/K
+    reference_temperature: Annotated[float, Field(ge=-50, le=150)] | None = None  # degC
+    phase_inductance: Positive | None = None  # H, the same parts of the line-to-line value
+    torque_constant: Positive | None = None  # N*m/A
+    back_emf_constant: Positive | None = None  # V*s/rad
+    rotor_inertia: Positive | None = None  # kg*m^2
+    viscous_damping: NotNegative | None = None  # N*m*s/rad
+    coulomb_friction: NotNegative | None = None  # N*m
+    thermal: ThermalSheet | None = None
+    limits: LimitsSheet = LimitsSheet()
+    tolerances: Tolerances | None = None  # a motor without them is not moved
+    continuous_current: Positive | None = None  # A, as the source states it
+    air_gap_radius: Positive | None = None  # m
+    body: Body = Body()  # the whole actuator
+    frameless: Body = Body()  # rotor and stator alone
+    encoder_lines: Annotated[int, Field(ge=1)] | None = None  # a turn; four counts each
+    control: Control = Control()
+    bearings: Bearings | None = None
+    printed: Printed = Printed()
+
+    def missing(self, *names: str) -> list[str]:
+        """Those of these figures that the file does not have."""
+        return [name for name in names if getattr(self, name) is None]

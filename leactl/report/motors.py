@@ -1,0 +1,239 @@
+"""Motors side by side: figures that mean the same whatever the winding, what each can carry, what its file lacks."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from leactl import yamlfile
+from leactl.errors import InputError
+from leactl.model.figures import continuous_torques, electrical, motor_constant, network_current, no_load_speed
+from leactl.model.motor import Motor, load_sheet
+from leactl.model.sheet import LoopFigures, MotorSheet
+from leactl.report.terminal import aligned, wrapped
+from leactl.safety.thermal.capability import Nominal, nominal
+
+PEAK_S = 20.0  # as the paper tells it
+WIDTH = 80
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What figures of motors depend on beside the motors."""
+
+    ambient: float = 25.0  # degC
+    bus_voltage: float = 29.6  # V
+
+
+@dataclass(frozen=True)
+class Known:
+    """One motor with what follows from it; `carried` is None where its file lacks what that takes."""
+
+    sheet: MotorSheet
+    carried: Nominal | None
+    lacks: tuple[str, ...]  # of what moving it takes
+    setting: Setting
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure of several motors; None where it is not known."""
+
+    name: str
+    units: str
+    values: tuple[float | str | None, ...]
+    of_frame: bool  # whether it depends on the winding's own frame
+
+
+Figure = tuple[str, str, Callable[[Known], float | str | None]]
+IN_ITS_FRAME = {"torque_constant", "phase_resistance", "phase_inductance", "continuous_current", "network_current"}
+
+
+def known(name_or_path: str, setting: Setting) -> Known:
+    """Read a motor, and work out what it carries where its file tells enough.
+
+    Raises
+    ------
+    InputError : no such motor or file, or a fault in it.
+    """
+    sheet, document = load_sheet(name_or_path)
+    motor, lacks = _movable(document)
+    carried = nominal(motor, setting.ambient, [PEAK_S]) if motor is not None else None
+    return Known(sheet, carried, lacks, setting)
+
+
+def _movable(document: yamlfile.Document) -> tuple[Motor | None, tuple[str, ...]]:
+    try:
+        motor = document.validate(Motor)
+    except InputError as error:
+        return None, tuple(fault.split("  ", 1)[-1].split(":")[0] for fault in error.faults)
+    return motor, () if motor.tolerances is not None else ("tolerances",)
+
+
+def rows(motors: Sequence[Known]) -> list[Row]:
+    """Every figure of these motors."""
+    return [Row(name, units, tuple(of(one) for one in motors), name in IN_ITS_FRAME) for name, units, of in FIGURES]
+
+
+def comparison(motors: Sequence[Known]) -> dict[str, Any]:
+    """All of it as JSON takes it."""
+    return {
+        "motors": [one.sheet.name for one in motors],
+        "ambient_degC": motors[0].setting.ambient,
+        "bus_voltage_V": motors[0].setting.bus_voltage,
+        "rows": [
+            {"name": row.name, "units": row.units, "values": list(row.values), "depends_on_frame": row.of_frame}
+            for row in rows(motors)
+        ],
+        "notes": remarks(motors),
+    }
+
+
+def comparison_text(motors: Sequence[Known]) -> str:
+    """A table with a column a motor; what depends on a frame is left out where frames differ."""
+    differ = len({one.sheet.winding for one in motors}) > 1
+    shown = [
+        (f"{row.name} [{row.units}]" if row.units else row.name, *(cell(value) for value in row.values))
+        for row in rows(motors)
+        if any(value is not None for value in row.values) and not (differ and row.of_frame)
+    ]
+    parts = [aligned(("", *(one.sheet.name for one in motors)), shown)]
+    return "\n".join([*parts, *(wrapped("note:", [note], WIDTH) for note in remarks(motors))])
+
+
+def remarks(motors: Sequence[Known]) -> list[str]:
+    """What a reader of the table must know."""
+    found = []
+    if len({one.sheet.winding for one in motors}) > 1:
+        found.append(
+            "windings differ: ampere, ohm and N*m/A of a q axis are not alike; compare torque, motor constant and"
+            " figures between the leads"
+        )
+    found += [
+        f"{one.sheet.name} is not to be moved by its file, which lacks {', '.join(one.lacks)}"
+        for one in motors
+        if one.lacks
+    ]
+    for one in motors:
+        found += [f"{one.sheet.name}: {note}" for note in against_print(one)]
+    return found
+
+
+def against_print(one: Known) -> list[str]:
+    """Where the source's own print does not follow from its values."""
+    sheet, printed = one.sheet, one.sheet.printed
+    torques = continuous_torques(sheet, one.setting.ambient)
+    pairs = [
+        ("motor constant", "N*m/sqrt(W)", printed.motor_constant, motor_constant(sheet), 0.05),
+        ("rotor inertia", "kg*m^2", printed.rotor_inertia, sheet.rotor_inertia, 0.05),
+        ("resistance coefficient", "1/K", printed.resistance_coefficient, sheet.resistance_coefficient, 0.05),
+        ("continuous current", "A", sheet.continuous_current, network_current(sheet, one.setting.ambient), 0.02),
+        ("nominal torque", "N*m", printed.nominal_torque, torques.stated, 0.02),
+        ("peak torque of 20 s", "N*m", printed.peak_torque_20_s, _carried(lambda held: held.peaks[0])(one), 0.02),
+    ]
+    return [
+        f"{what} printed as {told:.3g} {units}, {found:.3g} {units} here"
+        for what, units, told, found, within in pairs
+        if told is not None and found is not None and abs(found / told - 1.0) > within
+    ]
+
+
+def cell(value: float | str | None) -> str:
+    """One value; `-` where it is missing."""
+    if value is None:
+        return "-"
+    return value if isinstance(value, str) else f"{value:.4g}"
+
+
+def _scaled(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor
+
+
+def _carried(current: Callable[[Nominal], float]) -> Callable[[Known], float | None]:
+    """Torque of a current that the winding carries [N*m]."""
+
+    def torque(one: Known) -> float | None:
+        held = None if one.carried is None else current(one.carried)
+        return None if held is None or not math.isfinite(held) else _scaled(one.sheet.torque_constant, held)
+
+    return torque
+
+
+def _torque(name: str) -> Callable[[Known], float | None]:
+    return lambda one: getattr(continuous_torques(one.sheet, one.setting.ambient), name)
+
+
+def _loop(loop: Callable[[MotorSheet], LoopFigures], name: str, factor: float) -> Callable[[Known], float | None]:
+    return lambda one: _scaled(getattr(loop(one.sheet), name), factor)
+
+
+def _bandwidth(loop: Callable[[MotorSheet], LoopFigures]) -> Callable[[Known], float | str | None]:
+    def shown(one: Known) -> float | str | None:
+        found = loop(one.sheet)
+        return found.bandwidth if found.bandwidth_at_least is None else f"> {found.bandwidth_at_least:g}"
+
+    return shown
+
+
+def _loop_rows(prefix: str, loop: Callable[[MotorSheet], LoopFigures]) -> list[Figure]:
+    return [
+        (f"{prefix}_rise_time", "ms", _loop(loop, "rise_time", 1e3)),
+        (f"{prefix}_overshoot", "%", _loop(loop, "overshoot_percent", 1.0)),
+        (f"{prefix}_settling_time", "ms", _loop(loop, "settling_time", 1e3)),
+        (f"{prefix}_error", "%", _loop(loop, "error_percent", 1.0)),
+        (f"{prefix}_bandwidth", "Hz", _bandwidth(loop)),
+    ]
+
+
+def _own(name: str, factor: float = 1.0) -> Callable[[Known], float | None]:
+    return lambda one: _scaled(getattr(one.sheet, name), factor)
+
+
+def _body(name: str, factor: float) -> Callable[[Known], float | None]:
+    return lambda one: _scaled(getattr(one.sheet.body, name), factor)
+
+
+def _thermal(name: str) -> Callable[[Known], float | None]:
+    return lambda one: None if one.sheet.thermal is None else getattr(one.sheet.thermal, name)
+
+
+FIGURES: list[Figure] = [
+    ("winding", "", lambda one: one.sheet.winding),
+    ("pole_pairs", "", _own("pole_pairs")),
+    ("mass", "g", _body("mass", 1e3)),
+    ("outer_diameter", "mm", _body("outer_diameter", 1e3)),
+    ("inner_diameter", "mm", _body("inner_diameter", 1e3)),
+    ("length", "mm", _body("length", 1e3)),
+    ("encoder_lines", "", _own("encoder_lines")),
+    ("rotor_inertia", "g*m^2", _own("rotor_inertia", 1e3)),
+    ("viscous_damping", "mN*m*s/rad", _own("viscous_damping", 1e3)),
+    ("coulomb_friction", "mN*m", _own("coulomb_friction", 1e3)),
+    ("torque_constant", "N*m/A", _own("torque_constant")),
+    ("phase_resistance", "mohm", _own("phase_resistance", 1e3)),
+    ("phase_inductance", "uH", _own("phase_inductance", 1e6)),
+    ("line_to_line_resistance", "mohm", lambda one: _scaled(electrical(one.sheet).line_to_line().resistance, 1e3)),
+    ("line_to_line_inductance", "uH", lambda one: _scaled(electrical(one.sheet).line_to_line().inductance, 1e6)),
+    ("torque_per_line_ampere", "N*m/A", lambda one: electrical(one.sheet).per_line_amplitude()),
+    ("motor_constant", "N*m/sqrt(W)", lambda one: motor_constant(one.sheet)),
+    ("no_load_speed", "rad/s", lambda one: no_load_speed(one.sheet, one.setting.bus_voltage)),
+    ("winding_ambient_resistance", "K/W", _thermal("winding_ambient_resistance")),
+    ("winding_housing_resistance", "K/W", _thermal("winding_housing_resistance")),
+    ("housing_ambient_resistance", "K/W", _thermal("housing_ambient_resistance")),
+    ("winding_capacitance", "J/K", _thermal("winding_capacitance")),
+    ("housing_capacitance", "J/K", _thermal("housing_capacitance")),
+    ("continuous_current", "A", _own("continuous_current")),
+    ("network_current", "A", lambda one: network_current(one.sheet, one.setting.ambient)),
+    ("continuous_torque", "N*m", lambda one: continuous_torques(one.sheet, one.setting.ambient).stated),
+    ("torque_density", "N*m/kg", lambda one: continuous_torques(one.sheet, one.setting.ambient).stated_density),
+    ("network_torque", "N*m", lambda one: continuous_torques(one.sheet, one.setting.ambient).network),
+    (
+        "network_torque_density",
+        "N*m/kg",
+        lambda one: continuous_torques(one.sheet, one.setting.ambient).network_density,
+    ),
+    ("standing_torque", "N*m", _carried(lambda held: held.standing)),
+    ("peak_torque_20_s", "N*m", _carried(lambda held: held.peaks[0])),
+    ("standing_peak_torque_20_s", "N*m", _carried(lambda held: held.standing_peaks[0])),
+    *_loop_rows("current", lambda sheet: sheet.control.current),
+    *_loop_rows("position", lambda sheet: sheet.control.position),
+]

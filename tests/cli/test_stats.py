@@ -1,0 +1,136 @@
+"""`leactl stats` on run files and answers, as a shell sees it."""
+
+import json
+
+import h5py
+import numpy as np
+import pytest
+
+from leactl.analysis.conditions.comparison import compare_all
+from leactl.analysis.experiments import analyze_runs
+from leactl.errors import InputError, NotIdentifiable
+from tests.analysis.synthetic import Bench
+from tests.cli.terminal import leactl
+
+FRICTION = {"unloaded": 0.24, "design": 0.21, "loaded": 0.26}
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return Bench(tmp_path)
+
+
+def runs(bench, actuators=("a1",), trials=5, conditions=FRICTION, spread=0.005, **how):
+    return [
+        bench.friction(
+            f=FRICTION[label] + bench.rng.normal(0.0, spread, trials),
+            b=0.02 + 0.001 * np.linspace(-1.0, 1.0, trials),  # no effect of the condition at all
+            trials=trials,
+            condition=label,
+            actuator=actuator,
+            **how,
+        )
+        for label in conditions
+        for actuator in actuators
+    ]
+
+
+def test_a_shell_gets_the_sentence_the_tables_and_json(bench):
+    names = [path.name for path in runs(bench)]
+    done = leactl("stats", *names, COLUMNS="80")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    assert "coulomb_friction differs between conditions (F(2, 12) = " in " ".join(done.stdout.split())
+    assert "one actuator ('a1'): no random factor" in " ".join(done.stdout.split())
+    body = json.loads(leactl("stats", *names, "--json").stdout, parse_constant=lambda name: pytest.fail(name))
+    found = {one["name"]: one for one in body["results"]}
+    assert [row["count"] for row in found["coulomb_friction"]["conditions"]] == [5, 5, 5]
+    assert found["coulomb_friction"]["conditions"][0]["mean"] == pytest.approx(0.24, abs=0.01)
+    assert not found["viscous_damping"]["shown"]
+    assert found["viscous_damping"]["sentence"].startswith("No effect of the condition")
+
+
+def test_two_actuators_are_a_random_factor(bench):
+    found = {one.name: one for one in compare_all(runs(bench, ("a1", "a2")))[1]}["coulomb_friction"]
+    assert (found.anova.test.between, found.anova.test.within) == (2, 26)
+    assert any("holds for these 2 actuators" in note for note in found.notes)
+
+
+def test_missing_repeats_and_cells_are_said_and_the_rest_is_compared(bench):
+    paths = runs(bench, ("a1", "a2"))[:-1] + runs(bench, ("a1",), trials=2, conditions=("loaded",))
+    found = {one.name: one for one in compare_all(paths)[1]}["coulomb_friction"]
+    assert any(note.startswith("numbers are unequal: unloaded 10, design 10, loaded 7") for note in found.notes)
+    assert "not measured: a2 loaded" in found.notes
+    assert found.anova.test.shown
+
+
+def test_a_trial_whose_samples_are_missing_is_left_out_and_said(bench):
+    def lost(time, columns):
+        columns["velocity"][time < 25.0] = np.nan  # the first of five trials, ten holds of 2.5 s
+
+    paths = [*runs(bench, conditions=("unloaded", "design")), *runs(bench, conditions=("loaded",), edit=lost)]
+    found = {one.name: one for one in compare_all(paths)[1]}["coulomb_friction"]
+    assert [group.count for group in found.groups] == [5, 5, 4]
+    assert any("1 of 5 trials gave nothing (1)" in note for note in found.notes)
+
+
+def test_by_run_takes_each_run_once(bench):
+    paths = runs(bench) + runs(bench)
+    found = {one.name: one for one in compare_all(paths, by_run=True)[1]}["coulomb_friction"]
+    assert [group.count for group in found.groups] == [2, 2, 2]
+
+
+def test_answers_of_analyze_are_repeats(bench, tmp_path):
+    paths = []
+    for number in range(3):
+        path = tmp_path / f"answer{number}.json"
+        path.write_text(json.dumps(analyze_runs(runs(bench)).as_json()))
+        paths.append(path)
+    found = {one.name: one for one in compare_all(paths)[1]}["coulomb_friction"]
+    assert [group.count for group in found.groups] == [3, 3, 3]
+    assert found.anova.test.shown
+
+
+def test_what_cannot_be_compared_is_refused_in_a_line(bench, tmp_path):
+    with pytest.raises(NotIdentifiable, match="found one condition, 'design'"):
+        compare_all(runs(bench, conditions=("design",)))
+    with pytest.raises(InputError, match=r"different experiments: .* is 'friction', .* is 'torque-constant'"):
+        compare_all([*runs(bench), bench.torque()])
+    with pytest.raises(NotIdentifiable, match="3 values of 3 conditions give no scatter"):
+        compare_all(runs(bench, trials=1))
+    with pytest.raises(InputError, match="friction has no result 'damping' to compare; it has viscous_damping"):
+        compare_all(runs(bench), ["damping"])
+    with pytest.raises(InputError, match="nothing to compare"):
+        compare_all([])
+    path = runs(bench)[0]
+    with pytest.raises(InputError, match="the same run as"):
+        compare_all([path, path])
+    with h5py.File(path, "r+") as file:
+        file.attrs["condition"] = ""
+    with pytest.raises(InputError, match="the run has no condition"):
+        compare_all([path])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "an answer of `leactl analyze --json` was expected"),
+        ('{"experiment": "friction", "results": [{"name": 1}]}', "an answer of `leactl analyze --json` was expected"),
+        (
+            '{"experiment": "x", "results": [{"name": "f", "value": 1, "std": 1, "low": 0, "high": 2, "units": "N"}]}',
+            "its rows name no condition",
+        ),
+    ],
+)
+def test_a_file_that_is_no_answer_is_refused(tmp_path, text, message):
+    path = tmp_path / "answer.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        compare_all([path])
+
+
+def test_unusable_input_is_status_2(tmp_path):
+    done = leactl("stats", tmp_path / "absent.h5")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "absent.h5: cannot be read" in done.stderr

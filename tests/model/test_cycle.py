@@ -1,0 +1,114 @@
+"""Cycles from CSV: units by column name, one whole cycle, and everything else refused in one line."""
+
+import numpy as np
+import pytest
+
+from leactl.errors import InputError
+from leactl.model.cycle import POINTS, read_cycle
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(header="cycle_percent,angle_deg,torque_Nm", end=100.0, rows=101, edit=None, closed=True):
+        phase = np.linspace(0.0, end, rows, endpoint=closed)
+        part = 2.0 * np.pi * phase / end
+        table = np.column_stack([phase, 20.0 * np.sin(part) + 5.0 * np.cos(2.0 * part), 40.0 * np.cos(part) - 10.0])
+        if edit is not None:
+            table = edit(table)
+        path = tmp_path / "walk.csv"
+        path.write_text(header + "\n" + "\n".join(",".join(f"{x:.9g}" for x in row) for row in table) + "\n")
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_derivatives_are_those_of_the_motion(written, closed):
+    cycle = read_cycle(written(closed=closed), stride_time=1.25)
+    part, rate = 2.0 * np.pi * np.arange(POINTS) / POINTS, 2.0 * np.pi / 1.25
+    np.testing.assert_allclose(cycle.angle, np.radians(20.0 * np.sin(part) + 5.0 * np.cos(2 * part)), atol=1e-7)
+    velocity = np.radians(20.0 * np.cos(part) - 10.0 * np.sin(2 * part)) * rate
+    acceleration = np.radians(-20.0 * np.sin(part) - 20.0 * np.cos(2 * part)) * rate**2
+    np.testing.assert_allclose(cycle.velocity, velocity, atol=1e-6)
+    np.testing.assert_allclose(cycle.acceleration, acceleration, atol=1e-5)
+    np.testing.assert_allclose(cycle.torque, 40.0 * np.cos(part) - 10.0, atol=0.05)
+    assert cycle.left_out < 1e-6
+
+
+def test_other_units_say_the_same(written):
+    first = read_cycle(written(), stride_time=1.25)
+
+    def other(table):
+        return table * [1.25 / 100.0, np.pi / 180.0, 1.0 / 80.0]
+
+    path = written("time_s,angle_rad,torque_Nm_per_kg", edit=other)
+    second = read_cycle(path, body_mass=80.0)  # closed, so that it tells its own period
+    assert second.period == pytest.approx(1.25)
+    np.testing.assert_allclose(second.velocity, first.velocity, atol=1e-6)
+    np.testing.assert_allclose(second.torque, first.torque, atol=1e-6)
+
+
+def test_noise_of_an_angle_does_not_become_acceleration(written):
+    rng = np.random.default_rng(1)
+
+    def shaken(table):
+        table[:-1, 1] += rng.normal(0.0, 0.1, len(table) - 1)
+        return table
+
+    clean = read_cycle(written(), stride_time=1.0)
+    noisy = read_cycle(written(edit=shaken), stride_time=1.0)
+    assert np.std(noisy.acceleration - clean.acceleration) < 0.2 * np.std(clean.acceleration)
+    assert 0.001 < noisy.left_out < 0.01
+
+
+def cut(table):
+    return table[:60]
+
+
+def jump(table):
+    table[50:, 1] += 15.0
+    return table
+
+
+@pytest.mark.parametrize(
+    ("how", "options", "message"),
+    [
+        ({"header": "cycle_percent,angle,torque_Nm"}, {}, ":1: one column angle_rad or angle_deg was expected"),
+        ({"header": "cycle_percent,angle_deg,torque"}, {}, "torque_Nm or torque_Nm_per_kg was expected for torque"),
+        ({"header": "t,angle_deg,torque_Nm"}, {}, "cycle_percent or time_s was expected for phase"),
+        ({"header": "cycle_percent,angle_rad,torque_Nm"}, {}, "angle_rad ranges over 40"),
+        ({"header": "cycle_percent,angle_deg,torque_Nm_per_kg"}, {"body_mass": 70.0}, "is it torque_Nm or another"),
+        ({"edit": lambda table: table * [1, 1, 1000]}, {}, "torque_Nm reaches 50000, at most 2000"),
+        ({}, {"stride_time": None}, "cycle_percent needs --stride-time"),
+        ({}, {"stride_time": 0.0}, "stride time 0 s: from 0.05 to 60 s"),
+        ({"edit": cut}, {}, "cycle_percent goes from 0 to 59 %: one whole cycle of 100 % was expected"),
+        ({"edit": jump}, {}, "angle ends 0.262 rad from where it began"),
+        ({"edit": lambda table: table[::-1]}, {}, "walk.csv:3: cycle_percent 99 is not after 100"),
+        ({"edit": lambda table: table * [1, np.nan, 1]}, {}, "walk.csv:2: angle_deg 'nan': a finite number"),
+        ({"rows": 5}, {}, "5 rows below the header"),
+        ({"edit": lambda table: table * [1, 1, 0]}, {}, "torque_Nm is 0 throughout"),
+    ],
+    ids=lambda value: "" if callable(value) else None,
+)
+def test_what_is_no_cycle_is_refused(written, how, options, message):
+    with pytest.raises(InputError) as caught:
+        read_cycle(written(**how), **({"stride_time": 1.0} | options))
+    assert message in str(caught.value)
+    assert len(caught.value.faults) == 1
+
+
+def test_torque_per_mass_needs_a_mass(written):
+    path = written("cycle_percent,angle_deg,torque_Nm_per_kg", edit=lambda table: table / [1, 1, 80])
+    with pytest.raises(InputError, match="needs --body-mass"):
+        read_cycle(path, stride_time=1.0)
+
+
+def test_a_file_that_is_not_there_or_no_text(tmp_path):
+    with pytest.raises(InputError, match="No such file"):
+        read_cycle(tmp_path / "walk.csv", 1.0)
+    (tmp_path / "walk.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="no text"):
+        read_cycle(tmp_path / "walk.csv", 1.0)
+    (tmp_path / "walk.csv").write_text("")
+    with pytest.raises(InputError, match="one column cycle_percent or time_s was expected for phase"):
+        read_cycle(tmp_path / "walk.csv", 1.0)

@@ -1,0 +1,84 @@
+"""Motor files that leave things out: what they are good for, and what refuses them."""
+
+import pytest
+
+from leactl import yamlfile
+from leactl.bench import benchfile
+from leactl.errors import InputError
+from leactl.model.figures import continuous_torques, motor_constant, network_current
+from leactl.model.motor import load_motor, load_sheet, motor_names
+from leactl.model.nominal import Model
+from leactl.model.sheet import MotorSheet
+from leactl.runner.windings import Windings
+
+SPARSE = "name: mine\nwinding: delta\ntorque_constant: 0.1\n"
+
+
+def test_what_the_print_leaves_out_is_missing():
+    maxon = load_sheet("ec-4pole-30")[0]
+    assert maxon.missing("coulomb_friction", "resistance_coefficient", "torque_constant") == [
+        "coulomb_friction",
+        "resistance_coefficient",
+    ]
+    assert maxon.thermal.winding_ambient_resistance is None
+    assert maxon.limits.winding_temperature is None
+    assert network_current(maxon, 25.0) is None
+    assert load_sheet("u8-kv100")[0].tolerances is None
+
+
+def test_a_motor_that_lacks_figures_is_not_moved_and_every_one_is_named():
+    with pytest.raises(InputError) as caught:
+        load_motor("ec-4pole-30")
+    lacking = " ".join(caught.value.faults)
+    for name in ("coulomb_friction", "resistance_coefficient", "thermal.winding_ambient_resistance", "limits"):
+        assert name in lacking
+    assert all("is required and missing" in fault for fault in caught.value.faults)
+
+
+@pytest.mark.parametrize(
+    ("motor", "message"), [("ec-4pole-30", "is required and missing"), ("u8-kv100", "no `tolerances:`")]
+)
+def test_the_guard_refuses_a_bench_with_such_a_motor(motor, message):
+    file, devices, _ = benchfile.load("emulated")
+    with pytest.raises(InputError, match=message):
+        Windings(file.model_copy(update={"motors": {"test": motor}}), devices)
+
+
+@pytest.mark.parametrize("name", motor_names())
+def test_a_shipped_motor_can_be_read_as_a_sheet(name):
+    sheet, document = load_sheet(name)
+    assert sheet.name == name
+    assert yamlfile.parse(document.text).validate(MotorSheet) == sheet
+
+
+def test_the_bench_file_still_tells_a_nominal_model():
+    file, _, _ = benchfile.load("emulated")
+    model = yamlfile.parse(benchfile.nominal_model(file)).validate(Model)
+    assert (model.body.mass, model.bench.bus_voltage) == (0.894, 29.6)
+
+
+def test_little_is_enough_for_a_sheet(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(SPARSE)
+    sheet = load_sheet(str(path))[0]
+    assert motor_constant(sheet) is None
+    assert continuous_torques(sheet, 25.0).stated is None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (SPARSE + "body: {mass: -1}\n", "body.mass: -1: "),
+        (SPARSE + "body: {weight: 1}\n", "body.weight: unknown key"),
+        (SPARSE + "thermal: {winding_capacitance: 0}\n", "thermal.winding_capacitance: 0: "),
+        (SPARSE + "encoder_lines: 0.5\n", "encoder_lines: 0.5: "),
+        (SPARSE + "bearings: {each_side: 12}\n", "bearings.static_radial_load: is required and missing"),
+        ("name: mine\n", "winding: is required and missing"),
+    ],
+)
+def test_faults_of_a_sheet_name_their_place(tmp_path, text, message):
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_sheet(str(path))
+    assert any(message in fault and fault.startswith(str(path)) for fault in caught.value.faults), caught.value.faults
