@@ -14,7 +14,7 @@ from typing import Any
 
 import leactl.analysis
 from leactl import yamlfile
-from leactl.analysis.estimate import Estimate, Plot, Result
+from leactl.analysis.estimate import Covariance, Estimate, Plot, Result
 from leactl.errors import InputError
 from leactl.runfile.integrity import altered
 from leactl.runfile.reader import Run
@@ -94,6 +94,7 @@ def combined(experiment: str, runs: Sequence[Run], answers: dict[tuple[str, str]
     """One answer from that of each group; notes say whose they are where there is more than one."""
     results: list[Estimate] = []
     plots: list[Plot] = []
+    covariances: list[Covariance] = []
     notes = [note for run in runs for note in remarks_on(run)]
     shared = set.intersection(*(set(answer.notes) for answer in answers.values()))
     notes += [note for note in next(iter(answers.values())).notes if note in shared]
@@ -101,8 +102,10 @@ def combined(experiment: str, runs: Sequence[Run], answers: dict[tuple[str, str]
         whose = f"{' '.join(filter(None, (actuator, condition))) or 'unnamed'}: " if len(answers) > 1 else ""
         results += [replace(item, actuator=actuator, condition=condition) for item in answer.results]
         plots += [replace(item, actuator=actuator, condition=condition) for item in answer.plots]
+        covariances += [replace(item, actuator=actuator, condition=condition) for item in answer.covariances]
         notes += [whose + note for note in answer.notes if note not in shared]
-    return Result(experiment, tuple(str(run.path) for run in runs), tuple(results), tuple(notes), tuple(plots))
+    paths = tuple(str(run.path) for run in runs)
+    return Result(experiment, paths, tuple(results), tuple(notes), tuple(plots), tuple(covariances))
 
 
 def remarks_on(run: Run) -> list[str]:
