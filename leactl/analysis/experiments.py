@@ -5,6 +5,7 @@ A module of this package with a function `analyze(runs, **options) -> Result` is
 
 import importlib
 import inspect
+import math
 import pkgutil
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -88,6 +89,31 @@ def analyze_runs(paths: Sequence[Path | str], **options: Any) -> Result:
             groups.setdefault(key, []).append(run)
         answers = {key: analyze(members, **given) for key, members in groups.items()}
         return combined(first, runs, answers)
+
+
+def numbers(settings: Sequence[str]) -> dict[str, float]:
+    """What an analysis is told, from `name=number` each.
+
+    Raises
+    ------
+    InputError : one line for each that is not so, or is there twice.
+    """
+    faults, found = [], {}
+    for setting in settings:
+        name, _, text = (part.strip() for part in setting.partition("="))
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (name.isidentifier() and math.isfinite(value)):
+            faults.append(f"--set {setting}: name=number was expected")
+        elif name in found:
+            faults.append(f"--set {name}: given twice")
+        else:
+            found[name] = value
+    if faults:
+        raise InputError(faults)
+    return found
 
 
 def combined(experiment: str, runs: Sequence[Run], answers: dict[tuple[str, str], Result]) -> Result:

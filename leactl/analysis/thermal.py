@@ -72,7 +72,9 @@ def analyze(
     """
     place = f"{place_of(runs)}: thermal"
     instruments = Instruments(camera_offset_std, camera_gain_std, voltage_gain_std, current_gain_std)
-    refuse_options({**asdict(instruments), "camera_lag": camera_lag, "ambient": ambient, "winding_limit": winding_limit})
+    refuse_options(
+        {**asdict(instruments), "camera_lag": camera_lag, "ambient": ambient, "winding_limit": winding_limit}
+    )
     model = model_of(runs[0])
     limit = winding_limit if winding_limit is not None else limit_of(model)
     if limit <= ambient:
@@ -82,7 +84,7 @@ def analyze(
     records = [part for run in runs for part in stretches(run, notes)]
     fit = fit_network(records, Unknowns(camera_offset_std, camera_lag), place)
     spread = uncertainty(fit, camera_offset_std)
-    line = resistance_line(fit.stretches, fit.lags, place)
+    line = resistance_line(fit, place)
     air = [float(np.mean(one.ambient)) for one in fit.stretches if one.ambient is not None]
     known = known_of(fit, spread, line, instruments, float(np.mean(air)) if air else REFERENCE)
 

@@ -116,7 +116,7 @@ def driven_at(network: Conductances, drive: Drive, stamps: Array) -> tuple[Array
 def left_of_start(network: Conductances, after: Array) -> Array:
     """What is left of a kelvin of either node after times [s]: shape (node, node it began in, times)."""
     rates, shapes, inverse = network.modes()
-    return np.einsum("nm,mt,ms->nst", shapes, np.exp(np.outer(rates, after)), inverse)
+    return np.asarray(np.einsum("nm,mt,ms->nst", shapes, np.exp(np.outer(rates, after)), inverse), np.float64)
 
 
 def first_order(rate: float, time: Array, begin: Array, end: Array) -> Array:

@@ -48,16 +48,11 @@ class Plant:
 
 
 def temperatures(plant, current, ambient, interval, start=None):
-    """Phases a and b, which carry the current, phase c, and housing [degC], and voltage [V] at every sample.
+    """Phases a and b, which carry the current, phase c, and housing [degC] at every sample.
 
     Current [A] and ambient [degC] are held over the interval that begins at each sample.
     """
-    capacities = np.array([plant.Cw / 3] * 3 + [plant.Ch])
-    flows = np.zeros((4, 4))
-    for k in range(3):
-        flows[k, k] = 1 / (3 * plant.Rwa) + 1 / (3 * plant.Rwh)
-        flows[k, 3] = flows[3, k] = -1 / (3 * plant.Rwh)
-    flows[3, 3] = 1 / plant.Rwh + 1 / plant.Rha
+    capacities, flows = conduction(plant)
     to_air = np.array([1 / (3 * plant.Rwa)] * 3 + [1 / plant.Rha])
     slope, cold = 0.5 * plant.line_resistance * plant.alpha, 0.5 * plant.line_resistance * (1 - 25.0 * plant.alpha)
     state = np.full(4, ambient[0]) if start is None else np.asarray(start, float)
@@ -70,7 +65,17 @@ def temperatures(plant, current, ambient, interval, start=None):
             whole[:4, 4], whole[:4, 5] = heats * cold * amperes**2 / capacities, to_air / capacities
             steps[amperes] = expm(whole * interval)[:4]
         state = steps[amperes] @ np.array([*state, 1.0, air])
-    return out, current * (2 * cold + slope * (out[:, 0] + out[:, 1]))
+    return out
+
+
+def conduction(plant):
+    """Capacitances [J/K] of three phases and the housing, and what flows off each for a kelvin of each [W/K]."""
+    flows = np.zeros((4, 4))
+    for k in range(3):
+        flows[k, k] = 1 / (3 * plant.Rwa) + 1 / (3 * plant.Rwh)
+        flows[k, 3] = flows[3, k] = -1 / (3 * plant.Rwh)
+    flows[3, 3] = 1 / plant.Rwh + 1 / plant.Rha
+    return np.array([plant.Cw / 3] * 3 + [plant.Ch]), flows
 
 
 @dataclass
@@ -88,6 +93,7 @@ class HeatedBench:
         rate_Hz=5.0,  # noqa: N803
         heat_s=4500.0,
         cool_s=4500.0,
+        lead_s=60.0,
         current=9.0,
         ambient=25.0,
         places=3,
@@ -97,6 +103,7 @@ class HeatedBench:
         offset=0.0,
         gain=1.0,
         lag=0.0,
+        moment=0.5,
         volts=0.003,
         amperes=0.01,
         start=None,
@@ -110,21 +117,26 @@ class HeatedBench:
     ):
         """Write a run and return its path.
 
-        `current` is held for `heat_s`, or a function of the time; `ambient` likewise. `noise` is that of a place from
-        frame to frame, `drift` that all places share; `edit` may change the columns before they are written.
+        `current` is held for `heat_s` after `lead_s` without, or is a function of the time; `ambient` likewise. `noise`
+        is that of a place from frame to frame, `drift` what all places share; the supply is read a `moment` after the
+        current was set, a part of the pace; `edit` may change the columns before they are written.
         """
         self.count += 1
-        time = np.arange(round((heat_s + cool_s) * rate_Hz)) / rate_Hz
-        flowing = current(time) if callable(current) else np.where(time < heat_s, float(current), 0.0)
+        time = np.arange(round((lead_s + heat_s + cool_s) * rate_Hz)) / rate_Hz
+        heated = (time >= lead_s) & (time < lead_s + heat_s)
+        flowing = current(time) if callable(current) else np.where(heated, float(current), 0.0)
         air = ambient(time) if callable(ambient) else np.full(len(time), float(ambient))
-        phases, volts_true = temperatures(self.plant, flowing, air, 1 / rate_Hz, start)
+        phases = temperatures(self.plant, flowing, air, 1 / rate_Hz, start)
+        heated = 0.5 * (phases[:, 0] + phases[:, 1])
+        then = np.append(heated[:-1] + moment * np.diff(heated), heated[-1])
+        resistance = self.plant.line_resistance * (1.0 + self.plant.alpha * (then - 25.0))
         camera = self.camera(phases, air, time, places, noise, drift, drift_s, offset, gain)
         camera |= {"ambient": air + self.rng.normal(0.0, 0.02, len(time))}
         supply = {
             "line_current": flowing + self.rng.normal(0.0, amperes, len(time)),
-            "line_voltage": volts_true + self.rng.normal(0.0, volts, len(time)),
+            "line_voltage": flowing * resistance + self.rng.normal(0.0, volts, len(time)),
         }
-        clocks = {"camera": time + lag, "supply": time}
+        clocks = {"camera": time + lag, "supply": time + moment / rate_Hz}
         if edit is not None:
             edit(time, camera, supply)
         for name in leave_out:

@@ -65,12 +65,12 @@ def plot_of_currents(currents: Sequence[Estimate]) -> Plot:
     """Peak current over the logarithm of the duration, with both ends of the intervals as lines."""
     points, lines = [], []
     for label, motion in (("all phases alike", "s"), ("standing", "s_standing")):
-        peaks = [one for one in currents if one.name.startswith("peak") and one.name.rpartition("_peak")[2]]
+        peaks = [one for one in currents if one.name.startswith("peak")]
         chosen = [one for one in peaks if one.name.removeprefix("peak_current_").lstrip("0123456789.") == motion]
         time = tuple(float(np.log10(duration_of(one))) for one in chosen)
         points.append(Series(label, time, tuple(one.value for one in chosen)))
-        for end in ("low", "high"):
-            lines.append(Series(f"{label}, {end}", time, tuple(getattr(one, end) for one in chosen)))
+        lines.append(Series(f"{label}, low", time, tuple(one.low for one in chosen)))
+        lines.append(Series(f"{label}, high", time, tuple(one.high for one in chosen)))
     return Plot("log10 of the duration [s]", "current [A]", tuple(points), tuple(lines))
 
 

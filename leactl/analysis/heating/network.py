@@ -47,6 +47,7 @@ class NetworkFit:
     columns: tuple[Array, ...]  # derivatives of these, shape (2, frames, unknowns)
     prior: Array  # weight of each unknown's prior, one over K^2 of noise
     lags: tuple[float, ...]  # s, of the camera's clock in each stretch
+    rates: tuple[Array, ...]  # K/s, how fast the fitted temperatures change, shape (2, frames)
 
     @property
     def network(self) -> Conductances:
@@ -96,15 +97,16 @@ def fit_network(stretches: Sequence[Stretch], unknowns: Unknowns, place: str) ->
     fitted = tuple(_fitted(one, unknowns, *own) for one, own in _each(records, unknowns, point))
     columns = tuple(_columns(records, unknowns, point))
     names = tuple(unknowns.of(one) for one in records)
-    late = tuple(own.get("lag", unknowns.lag or 0.0) for _, (_, own) in _each(records, unknowns, point))
-    return NetworkFit(point, names, tuple(records), fitted, columns, priors(records, unknowns, noise), late)
+    each = _each(records, unknowns, point)
+    late = tuple(own.get("lag", unknowns.lag or 0.0) for _, (_, own) in each)
+    rates = tuple(_rate(one, unknowns, *own) for one, own in each)
+    weight = priors(records, unknowns, noise)
+    return NetworkFit(point, names, tuple(records), fitted, columns, weight, late, rates)
 
 
 def residual(records: Sequence[Stretch], unknowns: Unknowns, point: Array, noise: float) -> Array:
     """What least squares makes small [K]: every frame that was seen, then the offsets' priors."""
-    parts = [
-        _seen(measured(one) - _fitted(one, unknowns, *own), one) for one, own in _each(records, unknowns, point)
-    ]
+    parts = [_seen(measured(one) - _fitted(one, unknowns, *own), one) for one, own in _each(records, unknowns, point)]
     weight = priors(records, unknowns, noise)
     return np.concatenate([*parts, -(np.sqrt(weight) * point)[weight > 0.0]])
 
@@ -116,9 +118,7 @@ def priors(records: Sequence[Stretch], unknowns: Unknowns, noise: float) -> Arra
     return np.array([0.0] * NETWORK + [weight if name.startswith("offset") else 0.0 for name in names])
 
 
-def _solved(
-    records: Sequence[Stretch], unknowns: Unknowns, begin: Array, noise: float
-) -> tuple[Array, float] | None:
+def _solved(records: Sequence[Stretch], unknowns: Unknowns, begin: Array, noise: float) -> tuple[Array, float] | None:
     """The optimum from a start and its sum of squares; None where nothing comes of it."""
     from scipy.optimize import least_squares
 
@@ -173,9 +173,7 @@ def _offset(own: dict[str, float]) -> Array:
     return np.array([[own.get("offset_winding", 0.0) + air], [own.get("offset_housing", 0.0) + air]])
 
 
-def _forced(
-    stretch: Stretch, unknowns: Unknowns, network: Conductances, own: dict[str, float]
-) -> tuple[Array, Array]:
+def _forced(stretch: Stretch, unknowns: Unknowns, network: Conductances, own: dict[str, float]) -> tuple[Array, Array]:
     return driven_at(network, drive_of(stretch), _stamps(stretch, unknowns, own))
 
 
@@ -191,11 +189,18 @@ def _stamps(stretch: Stretch, unknowns: Unknowns, own: dict[str, float]) -> Arra
 
 
 def drive_of(stretch: Stretch) -> Drive:
-    """What drives the network: readings that are means hold over their interval, others are joined by straight lines."""
-    heat, supply = stretch.supply.heat, stretch.supply
-    begin = heat[1:] if supply.means else heat[:-1]
+    """What drives the network: readings that are means hold over their interval, others are joined by straight lines.
+
+    A current that is switched between two readings steps halfway; the lag of the clock takes up where it really does.
+    """
+    supply, heat = stretch.supply, stretch.supply.heat
     air = np.zeros(len(heat)) if stretch.ambient is None else stretch.ambient
-    return Drive(supply.time, begin, heat[1:], air)
+    if supply.means:
+        return Drive(supply.time, heat[1:], heat[1:], air)
+    at = np.flatnonzero(np.diff(supply.on))
+    time, ambient = (np.insert(values, at + 1, 0.5 * (values[at] + values[at + 1])) for values in (supply.time, air))
+    before, after = np.insert(heat, at + 1, heat[at]), np.insert(heat, at + 1, heat[at + 1])
+    return Drive(time, after[:-1], before[1:], ambient)
 
 
 def _columns(records: Sequence[Stretch], unknowns: Unknowns, point: Array) -> list[Array]:

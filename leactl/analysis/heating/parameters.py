@@ -1,8 +1,8 @@
 """Network and resistance with their joint covariance, and what follows from them with 95 % intervals.
 
-Four things make the covariance: noise, drift of the residuals, calibration of camera and supply, and the resolution of
-the supply. A gain of the camera scales all thermal resistances, and the capacitances by its inverse; so does an error of
-the heat. Nothing in the record shows either, so they come from what is told of the instruments.
+Four things make the covariance: noise, drift of the residuals, calibration of camera and supply, and the resolution
+of the supply. A gain of the camera scales all thermal resistances, and the capacitances by its inverse; so does an
+error of the heat. Nothing in the record shows either, so they come from what is told of the instruments.
 """
 
 import math
@@ -144,9 +144,7 @@ def uncertainty(fit: NetworkFit, offset_std: float) -> Uncertainty:
     return Uncertainty(inverse @ noise @ inverse, inverse @ drift @ inverse, scatter)
 
 
-def known_of(
-    fit: NetworkFit, found: Uncertainty, line: ResistanceLine, instruments: Instruments, air: float
-) -> Known:
+def known_of(fit: NetworkFit, found: Uncertainty, line: ResistanceLine, instruments: Instruments, air: float) -> Known:
     """Network and resistance together; `air` is that around the actuator [degC]."""
     network = np.concatenate([fit.point[:1], np.exp(fit.point[1:NETWORK])])
     turn = np.diag([1.0, *network[1:]])
@@ -162,6 +160,7 @@ def known_of(
         Source(whole(turn @ found.drift[:NETWORK, :NETWORK] @ turn, 0), found.scatter.dof),
         Source(whole(line.noise, NETWORK), math.inf),
         Source(whole(line.drift, NETWORK), line.dof),
+        Source(whole(line.timing, NETWORK), math.inf),
     ]
     wa, wh, ha, cw, ch, level, coefficient = point
     apart = coefficient * (REFERENCE - air)
@@ -172,10 +171,17 @@ def known_of(
     amperes = -scaled + np.array([0.0] * 5 + [-level, 0.0])
     volts_std = math.hypot(instruments.voltage_gain, resolution_of(fit.stretches, "voltage"))
     amperes_std = math.hypot(instruments.current_gain, resolution_of(fit.stretches, "current"))
-    stds = instruments.camera_gain, instruments.camera_offset, volts_std, amperes_std
-    for std, slopes in zip(stds, (camera, offset, volts, amperes), strict=True):
+    stds = instruments.camera_gain, instruments.camera_offset, volts_std, amperes_std, noise_of_heat(fit.stretches)
+    for std, slopes in zip(stds, (camera, offset, volts, amperes, scaled), strict=True):
         sources.append(Source(std**2 * np.outer(slopes, slopes), math.inf))
     return Known(point, tuple(sources))
+
+
+def noise_of_heat(stretches: Sequence[Stretch]) -> float:
+    """What the noise of the supply's readings leaves open of the mean heat, relative."""
+    heat = np.concatenate([one.supply.heat[one.supply.on] for one in stretches])
+    noise = math.sqrt(float(np.mean((heat[2:] - 2.0 * heat[1:-1] + heat[:-2]) ** 2)) / 6.0)
+    return noise / math.sqrt(len(heat)) / float(np.mean(heat))
 
 
 def resolution_of(stretches: Sequence[Stretch], name: str) -> float:

@@ -5,6 +5,7 @@ ones, carries none. With a third of the capacitance and three times the resistan
 phases, 2/3 active and 1/3 inactive, is the winding of the two-node network (paper, section "Thermal Dynamics").
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -95,8 +96,8 @@ def stretches(run: Run, notes: list[str]) -> list[Stretch]:
                 notes.append(f"{run.path}: left out {heat.time[0]:.0f} to {heat.time[-1]:.0f} s: {seen} frames of use")
             continue
         ambient = None if air is None else np.interp(heat.time, *air)
-        columns = (camera.time, winding, housing, active)
-        found.append(Stretch(str(run.path), *(column[frames] for column in columns), heat, ambient))
+        of_camera = (camera.time[frames], winding[frames], housing[frames], active[frames])
+        found.append(Stretch(str(run.path), *of_camera, heat, ambient))
     if not found:
         raise NotIdentifiable(
             f"{run.path}: camera and supply never record together for {SHORTEST_S:g} s; both are needed"
@@ -132,9 +133,10 @@ def supply_of(run: Run, notes: list[str]) -> Supply:
         raise NotIdentifiable(f"{run.path}: {CURRENT} of test never exceeds {most:.3g} A: nothing was heated")
     on = found.on
     if float(np.mean(found.voltage[on] * found.current[on])) <= 0.0:
+        ohm = float(np.median(found.voltage[on] / found.current[on]))
         raise InputError(
-            f"{run.path}: {VOLTAGE} over {CURRENT} of test is {np.median(found.voltage[on] / found.current[on]):.3g} ohm;"
-            " a resistance above zero was expected: one of the two has its leads swapped"
+            f"{run.path}: {VOLTAGE} over {CURRENT} of test is {ohm:.3g} ohm; a resistance above zero was expected:"
+            " one of the two has its leads swapped"
         )
     return found
 
@@ -197,7 +199,7 @@ def ambient_of(run: Run, notes: list[str]) -> tuple[Array, Array] | None:
     read = [one for one in channels if np.isfinite(one.values).sum() > 1]
     if not read:
         notes.append(
-            f"{run.path}: no {AMBIENT}: the air is taken as one temperature throughout, which is fitted with the network"
+            f"{run.path}: no {AMBIENT}: the air is taken as one temperature throughout, fitted with the network"
         )
         return None
     time = read[0].time[np.isfinite(read[0].values)]
@@ -233,7 +235,7 @@ def unbroken(time: Array) -> list[slice]:
     steps = np.diff(time)
     longest = max(BRIDGED_S, 3.0 * float(np.median(steps)))
     cuts = [0, *(np.flatnonzero(steps > longest) + 1).tolist(), len(time)]
-    return [slice(a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+    return [slice(a, b) for a, b in itertools.pairwise(cuts)]
 
 
 def least_step(values: Array) -> float:

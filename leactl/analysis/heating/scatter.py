@@ -18,7 +18,7 @@ from leactl.analysis.heating.record import Array
 PACE_S = 1.0  # residuals are looked at as means over this long, or over 1/4000 of a stretch
 MOST = 4000
 SOONEST, LATEST = 2.0, 0.1  # paces, part of a stretch: how long a drift may last
-TRIES = (5.0, 60.0, 600.0)  # s
+TRIES = (10.0, 200.0)  # s
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +45,7 @@ class Scatter:
         return max(self.span / (2.0 * self.lasts) - 1.0, 1.0)
 
 
-def parts_of(
-    times: Sequence[Array], residuals: Sequence[Array], columns: Sequence[Array]
-) -> list[Part]:
+def parts_of(times: Sequence[Array], residuals: Sequence[Array], columns: Sequence[Array]) -> list[Part]:
     """Stretches in bins; residuals of shape (nodes, frames), NaN where missing, columns (nodes, frames, unknowns)."""
     found = []
     for time, left, column in zip(times, residuals, columns, strict=True):
@@ -71,8 +69,9 @@ def scatter_of(parts: Sequence[Part]) -> Scatter:
 
     nodes = len(parts[0].residuals)
     span = sum(part.pace * part.residuals.shape[1] for part in parts)
-    spread = np.array([max(math.sqrt(np.mean(np.concatenate([p.residuals[n] for p in parts]) ** 2)), 1e-9)
-                       for n in range(nodes)])
+    spread = np.array(
+        [max(math.sqrt(np.mean(np.concatenate([p.residuals[n] for p in parts]) ** 2)), 1e-9) for n in range(nodes)]
+    )
     spectra = _spectra(parts, spread)
     low, high = math.log(SOONEST * parts[0].pace), math.log(max(LATEST * span, 4.0 * parts[0].pace))
     lower = [(n, k) for n in range(nodes) for k in range(n + 1)]
@@ -85,7 +84,7 @@ def scatter_of(parts: Sequence[Part]) -> Scatter:
         return Scatter(np.exp(point[:nodes]), root @ root.T, math.exp(point[-1]), span)
 
     def cost(point: Array) -> float:
-        return _unlikelihood(unpacked(point), spectra, parts)
+        return _unlikelihood(unpacked(point), spectra)
 
     best = None
     for lasts in TRIES:
@@ -99,8 +98,8 @@ def scatter_of(parts: Sequence[Part]) -> Scatter:
 
 
 def spread_of_sums(part: Part, scatter: Scatter) -> tuple[Array, Array]:
-    """Covariance of sums of residuals weighted by the columns, by noise and by drift: shape (unknowns, unknowns) each."""
-    nodes, bins, unknowns = part.columns.shape
+    """Covariance of sums of residuals weighted by the columns, by noise and by drift: (unknowns, unknowns) each."""
+    bins = part.columns.shape[1]
     padded = np.fft.rfft(part.columns, 2 * bins, axis=1)
     weight = _halves(2 * bins) / (2 * bins)
     shape = drift_spectrum(scatter.lasts, part.pace, 2 * bins) * weight
@@ -126,32 +125,49 @@ def _halves(size: int) -> Array:
     return weight
 
 
-def _spectra(parts: Sequence[Part], spread: Array) -> list[tuple[Array, Array]]:
-    """Transforms of residuals over their spread, and of columns over theirs."""
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Transforms of one stretch, real and imaginary parts one after the other, each weighted by how often it counts."""
+
+    residuals: Array  # (nodes, parts), over their spread
+    columns: Array  # (nodes, parts, unknowns), over theirs
+    size: int  # bins
+    pace: float  # s
+
+
+def _spectra(parts: Sequence[Part], spread: Array) -> list[Spectrum]:
     columns = [part.columns / spread[:, None, None] for part in parts]
     length = np.sqrt(sum(np.sum(one**2, axis=(0, 1)) for one in columns))
     length[length == 0.0] = 1.0
     found = []
     for part, column in zip(parts, columns, strict=True):
-        root = math.sqrt(part.residuals.shape[1])
-        left = np.fft.rfft(part.residuals / spread[:, None], axis=1)
-        found.append((left / root, np.fft.rfft(column / length, axis=1) / root))
+        size = part.residuals.shape[1]
+        weight = np.sqrt(_halves(size) / size)
+        left = np.fft.rfft(part.residuals / spread[:, None], axis=1) * weight
+        turned = np.fft.rfft(column / length, axis=1) * weight[:, None]
+        both = (np.concatenate([one.real, one.imag], axis=1) for one in (left, turned))
+        found.append(Spectrum(*both, size, part.pace))
     return found
 
 
-def _unlikelihood(told: Scatter, spectra: Sequence[tuple[Array, Array]], parts: Sequence[Part]) -> float:
-    """Minus twice the logarithm of the restricted likelihood."""
-    total, crossed, informed = 0.0, 0.0, 0.0
-    for (left, columns), part in zip(spectra, parts, strict=True):
-        size = part.residuals.shape[1]
-        weight = _halves(size)
-        shape = drift_spectrum(told.lasts, part.pace, size)
-        density = np.diag(told.noise)[:, :, None] + told.drift[:, :, None] * shape
-        inverse = np.linalg.inv(density.transpose(2, 0, 1))
-        whitened = np.einsum("fnm,mf->nf", inverse, left * weight)
-        total += float(np.sum((left.conj() * whitened).real)) - float(weight @ np.linalg.slogdet(inverse)[1])
-        turned = np.einsum("fnm,mfk->nfk", inverse, columns * weight[:, None])
-        crossed = crossed + np.einsum("nfk,nf->k", columns.conj(), whitened).real
-        informed = informed + np.einsum("nfk,nfl->kl", columns.conj(), turned, optimize=True).real
-    informed = informed + 1e-12 * np.trace(informed) * np.eye(len(informed))
-    return total + float(np.linalg.slogdet(informed)[1]) - float(crossed @ np.linalg.solve(informed, crossed))
+def _unlikelihood(told: Scatter, spectra: Sequence[Spectrum]) -> float:
+    """Minus twice the logarithm of the restricted likelihood.
+
+    Noise and drift are made independent at each frequency by one turn for all, in which noise has variance one.
+    """
+    root = 1.0 / np.sqrt(told.noise)
+    drifts, vectors = np.linalg.eigh(told.drift * np.outer(root, root))
+    turn = vectors.T * root
+    total, rows, columns = 0.0, [], []
+    for one in spectra:
+        shape = drift_spectrum(told.lasts, one.pace, one.size)
+        density = 1.0 + np.maximum(drifts, 0.0)[:, None] * shape
+        total += float(_halves(one.size) @ np.log(density).sum(axis=0)) + one.size * float(np.log(told.noise).sum())
+        scale = 1.0 / np.sqrt(np.tile(density, 2))
+        rows.append(((turn @ one.residuals) * scale).ravel())
+        columns.append((np.tensordot(turn, one.columns, 1) * scale[:, :, None]).reshape(-1, one.columns.shape[2]))
+    row, column = np.concatenate(rows), np.concatenate(columns)
+    informed, crossed = column.T @ column, column.T @ row
+    informed += 1e-12 * np.trace(informed) * np.eye(len(informed))
+    taken = float(crossed @ np.linalg.solve(informed, crossed))
+    return total + float(row @ row) + float(np.linalg.slogdet(informed)[1]) - taken

@@ -1,4 +1,4 @@
-"""Where the fit of a thermal network begins: a thinned record, first guesses, and how late the camera's clock may be."""
+"""Where the fit of a thermal network begins: a thinned record, first guesses, how late the camera's clock may be."""
 
 import math
 from collections.abc import Sequence
@@ -47,9 +47,7 @@ def thinned(stretch: Stretch) -> Stretch:
     means = Supply(edges, heat, np.ones(len(edges)), True, 0.0, 0.0)
     ambient = None if stretch.ambient is None else np.interp(edges, supply.time, stretch.ambient)
     bins = ((stretch.time - stretch.time[0]) / THIN_S).astype(np.int64)
-    columns = {
-        name: _binned(bins, getattr(stretch, name)) for name in ("time", "winding", "housing", "active")
-    }
+    columns = {name: _binned(bins, getattr(stretch, name)) for name in ("time", "winding", "housing", "active")}
     there = np.isfinite(columns["time"]) & (columns["time"] < edges[-1])
     kept = {name: column[there] for name, column in columns.items()}
     return replace(stretch, **kept, supply=means, ambient=ambient)
@@ -83,7 +81,7 @@ def guesses(thin: Sequence[Stretch]) -> list[Array]:
 
 
 def starting_lag(stretch: Stretch) -> float:
-    """How late the camera's clock seems to be [s]: where its slopes change as the heat does; zero where none stands out."""
+    """How late the camera's clock seems to be [s]: where its slopes change as the heat does; zero where none does."""
     supply = stretch.supply
     edges = np.arange(supply.time[0], supply.time[-1], LAG_PACE_S)
     heat = np.diff(np.interp(edges, supply.time, energy(supply))) / LAG_PACE_S
