@@ -15,12 +15,16 @@ import numpy as np
 from leactl.analysis.carried_model import model_of
 from leactl.analysis.estimate import Covariance, Result
 from leactl.analysis.heating.answers import (
+    LEAST_SEEN,
+    STEADY,
     camera_results,
     network_results,
     remarks,
     residual_results,
     resistance_results,
+    slow_constants_seen,
     steadiness,
+    untold,
 )
 from leactl.analysis.heating.capability import carried
 from leactl.analysis.heating.figures import plots_of
@@ -88,12 +92,15 @@ def analyze(
     air = [float(np.mean(one.ambient)) for one in fit.stretches if one.ambient is not None]
     known = known_of(fit, spread, line, instruments, float(np.mean(air)) if air else REFERENCE)
 
-    results = network_results(known, notes)
+    seen = slow_constants_seen(fit)
+    results = network_results(known, seen, notes)
     results += resistance_results(known, line, phase_of_line, notes)
     results += residual_results(fit, spread, notes)
     results += steadiness(fit.stretches, notes)
     results += camera_results(fit, spread, camera_offset_std, notes)
     currents = carried(known, phase_of_line, limit, ambient)
+    if seen < LEAST_SEEN:
+        currents = [untold(one) if one.name in STEADY else one for one in currents]
     notes += remarks(known, fit.stretches, instruments)
     notes.append(
         f"currents take the hottest phase from {ambient:g} to {limit:g} degC; friction and iron loss are not in them"

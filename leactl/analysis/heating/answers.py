@@ -1,7 +1,9 @@
 """Estimates of a thermal fit, and what a reader must know of them."""
 
+import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,21 +29,61 @@ TELLING = 0.7  # correlations worth a note
 PLAIN = 1.05  # times the noise, up to which residuals are noise
 LATE = 3.0  # standard deviations from which on a lag or an offset is told
 NODES = ("winding", "housing")
+LEAST_SEEN = 1.0  # slow time constants
+STEADY = (
+    "winding_ambient_resistance",
+    "housing_ambient_resistance",
+    "parallel_thermal_resistance",
+    "continuous_current",
+    "continuous_current_standing",
+)
 
 
-def network_results(known: Known, notes: list[str]) -> list[Estimate]:
-    """The five parameters and the combination that is known best."""
+def network_results(known: Known, seen: float, notes: list[str]) -> list[Estimate]:
+    """The five parameters and the combination that is known best.
+
+    `seen` is how many slow time constants the record shows at a stretch; by less than one, what hangs on the steady
+    state is told by none: its figure would be the model's, not the record's.
+    """
     found = [
         known.estimate(name, units, lambda one, k=k: float(natural(one)[k]))  # type: ignore[misc]
         for k, (name, units) in enumerate(zip(NAMES[:5], UNITS[:5], strict=True))
     ]
     found.append(known.estimate("parallel_thermal_resistance", "K/W", parallel))
+    if seen < LEAST_SEEN:
+        found = [untold(one) if one.name in STEADY else one for one in found]
+        notes.append(
+            f"heating and cooling were followed for {seen:.2g} time constants of the housing at the longest,"
+            f" {LEAST_SEEN:g} is the least that tells a steady state"
+        )
     notes += [f"{one.name} is not identifiable from this record" for one in found if not math.isfinite(one.value)]
     if not math.isfinite(found[0].value):
         wa, spread = known.point[0], math.sqrt(known.covariance[0, 0])
         if (most := wa + t_quantile(math.inf) * spread) > 0.0:
             notes.append(f"winding_ambient_resistance is above {1.0 / most:.3g} K/W (97.5 %)")
     return found
+
+
+def untold(estimate: Estimate) -> Estimate:
+    """The same without a figure."""
+    return replace(estimate, value=NAN, std=NAN, low=NAN, high=NAN)
+
+
+def slow_constants_seen(fit: NetworkFit) -> float:
+    """Longest heating or cooling at a stretch, in slow time constants of the network.
+
+    What comes before the first heating is no cooling, unless the winding was still warm.
+    """
+    longest = 0.0
+    for one in fit.stretches:
+        on, time = one.supply.on, one.supply.time
+        edges = [0, *(np.flatnonzero(np.diff(on)) + 1).tolist(), len(on) - 1]
+        warm = np.nanmax(one.winding) - np.nanmin(one.winding)
+        begun_warm = one.winding[np.isfinite(one.winding)][0] - np.nanmin(one.winding) > 0.5 * warm
+        for first, last in itertools.pairwise(edges):
+            if first or on[0] or begun_warm:
+                longest = max(longest, float(time[last] - time[first]))
+    return longest * -float(np.max(fit.network.modes()[0]))
 
 
 def resistance_results(known: Known, line: ResistanceLine, phase_of_line: float, notes: list[str]) -> list[Estimate]:
