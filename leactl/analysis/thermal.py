@@ -3,6 +3,7 @@
 Paper, section "Thermal Dynamics". Cw dTw/dt = Q - (Tw - Ta)/Rwa - (Tw - Th)/Rwh, Ch dTh/dt = (Tw - Th)/Rwh -
 (Th - Ta)/Rha with Q the voltage between the leads times the current. Readings of the supply are joined by straight
 lines, or hold over the interval where a channel says that they are means, and the network is solved exactly between.
+The joint covariance has calibration in common to network and resistance; noise and drift count in each by itself.
 """
 
 import math
