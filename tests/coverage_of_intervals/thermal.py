@@ -65,9 +65,7 @@ def main() -> int:
                 faults.append(f"{name}, {case}: the worst seed is off by {found.worst_error:.2%}")
         joint = np.mean([distance(result, plant) < JOINT for result in results])
         over = max(result.find("rmse_over_noise").value for result in results)
-        print(
-            f"{"the network's five together":30}{case:12}{asked.seeds:6}{joint:10.1%}   residuals {over:.4f} of the noise"
-        )
+        print(f"{'all five together':30}{case:12}{asked.seeds:6}{joint:10.1%}   residuals {over:.4f} of the noise")
         if case == "noise" and over > MOST_RMSE:
             faults.append(f"residuals reach {over:.3f} times the noise")
     for fault in faults:
