@@ -86,13 +86,12 @@ def scatter_of(parts: Sequence[Part]) -> Scatter:
     def cost(point: Array) -> float:
         return _unlikelihood(unpacked(point), spectra)
 
-    best = None
+    found = []
     for lasts in TRIES:
         start = [math.log(0.7)] * nodes + [0.3 if n == k else 0.0 for n, k in lower]
         begin = np.array([*start, min(max(math.log(lasts), low), high)])
-        found = minimize(cost, begin, method="L-BFGS-B", bounds=bounds)
-        best = found if best is None or found.fun < best.fun else best
-    told = unpacked(best.x)
+        found.append(minimize(cost, begin, method="L-BFGS-B", bounds=bounds))
+    told = unpacked(min(found, key=lambda one: float(one.fun)).x)
     scale = np.outer(spread, spread)
     return Scatter(told.noise * spread**2, told.drift * scale, told.lasts, span)
 
@@ -145,8 +144,8 @@ def _spectra(parts: Sequence[Part], spread: Array) -> list[Spectrum]:
         weight = np.sqrt(_halves(size) / size)
         left = np.fft.rfft(part.residuals / spread[:, None], axis=1) * weight
         turned = np.fft.rfft(column / length, axis=1) * weight[:, None]
-        both = (np.concatenate([one.real, one.imag], axis=1) for one in (left, turned))
-        found.append(Spectrum(*both, size, part.pace))
+        rows, stacked = (np.concatenate([one.real, one.imag], axis=1) for one in (left, turned))
+        found.append(Spectrum(rows, stacked, size, part.pace))
     return found
 
 
