@@ -28,7 +28,6 @@ STEADY_K, STEADY_S, ENDS_S = 1.0, 1800.0, 60.0  # so much change in so long, bet
 TELLING = 0.7  # correlations worth a note
 PLAIN = 1.05  # times the noise, up to which residuals are noise
 LATE = 3.0  # standard deviations from which on a lag or an offset is told
-NODES = ("winding", "housing")
 LEAST_SEEN = 1.0  # slow time constants
 STEADY = (
     "winding_ambient_resistance",
