@@ -54,6 +54,21 @@ class Plot:
 
 
 @dataclass(frozen=True)
+class Covariance:
+    """Joint covariance of estimates, in their units; NaN where one has none."""
+
+    names: tuple[str, ...]
+    values: tuple[tuple[float, ...], ...]
+    actuator: str = ""
+    condition: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """Names and rows as JSON takes them."""
+        rows = [[value if math.isfinite(value) else None for value in row] for row in self.values]
+        return {"names": list(self.names), "rows": rows, "actuator": self.actuator, "condition": self.condition}
+
+
+@dataclass(frozen=True)
 class Result:
     """Answer of one experiment, from one run or several."""
 
@@ -62,6 +77,7 @@ class Result:
     results: tuple[Estimate, ...]
     notes: tuple[str, ...] = ()
     plots: tuple[Plot, ...] = ()
+    covariances: tuple[Covariance, ...] = ()
 
     @property
     def groups(self) -> list[tuple[str, str]]:
@@ -90,12 +106,13 @@ class Result:
     def as_json(self) -> dict[str, Any]:
         """The answer as `--json` prints it; rows carry actuator and condition where there is more than one group."""
         several = len(self.groups) > 1
-        return {
+        told: dict[str, Any] = {
             "experiment": self.experiment,
             "runs": list(self.runs),
             "results": [item.as_json(several) for item in self.results],
             "notes": list(self.notes),
         }
+        return told | ({"covariances": [one.as_json() for one in self.covariances]} if self.covariances else {})
 
     def _asked(self, actuator: str | None, condition: str | None) -> str:
         asked = " of ".join(repr(part) for part in (condition, actuator) if part is not None)

@@ -5,6 +5,7 @@ A module of this package with a function `analyze(runs, **options) -> Result` is
 
 import importlib
 import inspect
+import math
 import pkgutil
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -14,7 +15,7 @@ from typing import Any
 
 import leactl.analysis
 from leactl import yamlfile
-from leactl.analysis.estimate import Estimate, Plot, Result
+from leactl.analysis.estimate import Covariance, Estimate, Plot, Result
 from leactl.errors import InputError
 from leactl.runfile.integrity import altered
 from leactl.runfile.reader import Run
@@ -90,10 +91,36 @@ def analyze_runs(paths: Sequence[Path | str], **options: Any) -> Result:
         return combined(first, runs, answers)
 
 
+def numbers(settings: Sequence[str]) -> dict[str, float]:
+    """What an analysis is told, from `name=number` each.
+
+    Raises
+    ------
+    InputError : one line for each that is not so, or is there twice.
+    """
+    faults, found = [], {}
+    for setting in settings:
+        name, _, text = (part.strip() for part in setting.partition("="))
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (name.isidentifier() and math.isfinite(value)):
+            faults.append(f"--set {setting}: name=number was expected")
+        elif name in found:
+            faults.append(f"--set {name}: given twice")
+        else:
+            found[name] = value
+    if faults:
+        raise InputError(faults)
+    return found
+
+
 def combined(experiment: str, runs: Sequence[Run], answers: dict[tuple[str, str], Result]) -> Result:
     """One answer from that of each group; notes say whose they are where there is more than one."""
     results: list[Estimate] = []
     plots: list[Plot] = []
+    covariances: list[Covariance] = []
     notes = [note for run in runs for note in remarks_on(run)]
     shared = set.intersection(*(set(answer.notes) for answer in answers.values()))
     notes += [note for note in next(iter(answers.values())).notes if note in shared]
@@ -101,8 +128,10 @@ def combined(experiment: str, runs: Sequence[Run], answers: dict[tuple[str, str]
         whose = f"{' '.join(filter(None, (actuator, condition))) or 'unnamed'}: " if len(answers) > 1 else ""
         results += [replace(item, actuator=actuator, condition=condition) for item in answer.results]
         plots += [replace(item, actuator=actuator, condition=condition) for item in answer.plots]
+        covariances += [replace(item, actuator=actuator, condition=condition) for item in answer.covariances]
         notes += [whose + note for note in answer.notes if note not in shared]
-    return Result(experiment, tuple(str(run.path) for run in runs), tuple(results), tuple(notes), tuple(plots))
+    paths = tuple(str(run.path) for run in runs)
+    return Result(experiment, paths, tuple(results), tuple(notes), tuple(plots), tuple(covariances))
 
 
 def remarks_on(run: Run) -> list[str]:

@@ -15,11 +15,15 @@ def analyze(
     torque_constant_std: float | None = typer.Option(
         None, metavar="N*m/A", help="Its standard uncertainty, to be part of those of the results."
     ),
+    settings: list[str] = typer.Option(
+        [], "--set", metavar="NAME=NUMBER", help="What an analysis may be told, such as camera_gain_std=0.01."
+    ),
 ) -> None:
     """Fit the parameters that runs were made for, with 95 % intervals, by actuator and condition."""
-    from leactl.analysis.experiments import analyze_runs
+    from leactl.analysis.experiments import analyze_runs, numbers
 
-    result = analyze_runs(runs, torque_constant=torque_constant, torque_constant_std=torque_constant_std)
+    told = {"torque_constant": torque_constant, "torque_constant_std": torque_constant_std} | numbers(settings)
+    result = analyze_runs(runs, **told)
     if as_json:
         typer.echo(json.dumps(result.as_json(), allow_nan=False))
         return
