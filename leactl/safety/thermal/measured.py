@@ -6,7 +6,7 @@ bound shows that the actuator lies outside its tolerances, or that its air is bl
 
 from collections.abc import Callable, Iterable
 
-from leactl.driver.contract import Row, StreamSpec
+from leactl.driver.contract import Block, Row, StreamSpec
 from leactl.safety.thermal.bound import HOUSING
 from leactl.safety.thermal.guard import ThermalGuard
 
@@ -32,6 +32,12 @@ class Measured:
         """Hold a row against the guard; a value that is no number is a matter of its age."""
         for place, look, role in self._looks.get(row.stream, ()):
             look(role, row.values[place])
+
+    def look_through(self, block: Block) -> None:
+        """Hold many rows against the guard, where their stream measures anything for it."""
+        if self._looks.get(block.stream):
+            for row in block.rows():
+                self.look(row)
 
     def _look_of(self, quantity: str) -> Callable[[str, float], None] | None:
         return {
