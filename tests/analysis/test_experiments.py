@@ -24,7 +24,9 @@ def test_the_run_says_what_it_is_for_by_its_protocol_and_else_by_its_name(bench)
     assert analyze_runs([bench.torque(protocol="name: mine\n")]).experiment == "torque-constant"
     assert analyze_runs([bench.torque(protocol="{unreadable")]).experiment == "torque-constant"
     path = bench.torque(protocol="name: mine\nanalysis: juggling\n")
-    with pytest.raises(InputError, match="analysis 'juggling' is not known; known: friction, torque-constant"):
+    with pytest.raises(
+        InputError, match="analysis 'juggling' is not known; known: back-emf, friction, torque-constant"
+    ):
         analyze_runs([path])
 
 
