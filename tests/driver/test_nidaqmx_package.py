@@ -57,12 +57,13 @@ def run(cases, folder):
         check=True,
     )
     assert done.stderr == ""
-    found = json.loads(done.stdout)
+    answer = json.loads(done.stdout)
+    found = answer["acquired"]
     for told in found:
         blocks = told.pop("blocks")
         told["time"] = np.array([moment for times, _ in blocks for moment in times])
         told["values"] = np.array([row for _, values in blocks for row in values], float)
-    return found
+    return found, answer["doctor"]
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +73,8 @@ def told(tmp_path_factory):
     flags = ["-shared", "-fPIC", "-Wall", "-Werror", "-Wl,-soname,libnidaqmx.so"]
     subprocess.run([COMPILER, *flags, "-o", folder / "libnidaqmx.so", HERE / "libnidaqmx.c", "-lm"], check=True)
     cases = CASES | REFUSALS
-    return dict(zip(cases, run(cases.values(), folder), strict=True))
+    found, doctor = run(cases.values(), folder)
+    return dict(zip(cases, found, strict=True)) | {"doctor": doctor}
 
 
 def test_samples_come_in_order_scaled_and_stamped_by_the_coerced_clock(told):
@@ -110,6 +112,10 @@ def test_errors_are_named_with_what_to_do(told, said):
     assert said in told[said]["error"]
 
 
+def test_doctor_tells_the_driver_and_its_devices(told):
+    assert told["doctor"] == ["24.8: Dev1 (USB-6218)"]
+
+
 def test_codes_have_the_names_of_the_package():
     from nidaqmx.error_codes import DAQmxErrors
 
@@ -118,6 +124,7 @@ def test_codes_have_the_names_of_the_package():
 
 
 def test_without_the_driver_it_is_said_and_nothing_takes_its_place(tmp_path):
-    (told,) = run([{}], tmp_path)
+    (told,), doctor = run([{}], tmp_path)
+    assert doctor == ["NI's driver is not installed"]
     assert told["error"].startswith("5: daq: NI-DAQmx is not installed on this machine")
     assert len(told["values"]) == 0

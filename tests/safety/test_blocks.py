@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.driver.contract import Block, Row, StreamSpec
@@ -46,6 +46,7 @@ def judged(interlocks, feed):
     return due, warnings, str(list(panel.values))
 
 
+@settings(deadline=None)
 @given(
     st.sampled_from(list(INTERLOCKS)),
     st.lists(st.tuples(numbers, numbers, numbers), min_size=1, max_size=12),

@@ -10,6 +10,7 @@ import sys
 from leactl_plugins.ni_daq.driver import NiDaq
 from leactl_plugins.ni_daq.settings import NiDaqSettings
 
+from leactl.bench.machine import ni_daqmx
 from leactl.emulation.clock import EmulatedClock
 from leactl.errors import LeactlError
 
@@ -33,4 +34,5 @@ def acquired(settings, reads, fail, samples):
 
 
 if __name__ == "__main__":
-    print(json.dumps([acquired(**case) for case in json.load(sys.stdin)]))
+    told = [acquired(**case) for case in json.load(sys.stdin)]
+    print(json.dumps({"acquired": told, "doctor": [finding.found for finding in ni_daqmx()]}))
