@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from leactl.driver.contract import Block, Row, StreamSpec
@@ -26,7 +26,11 @@ INTERLOCKS = {
     "warning": {"velocity": {"warn_rad_s": 10, "trip_rad_s": 20, "for_s": 0.02}},
     "rate": {"torque": {"rate_Nm_per_s": 2000.0}},
 }
-numbers = st.one_of(st.floats(-9, 9), st.floats(-45, 45), st.just(float("nan")))
+quiet = st.sampled_from([-9.0, -1.0, 0.0, 2.0, 9.0])  # a jump of 18 is too fast where the rate is watched
+wild = st.one_of(quiet, st.floats(-45, 45), st.just(float("nan")))
+rows_of = st.lists(
+    st.one_of(st.tuples(*[quiet] * 3), st.tuples(*[quiet] * 3), st.tuples(*[wild] * 3)), min_size=1, max_size=12
+)
 
 
 def judged(interlocks, feed):
@@ -47,15 +51,12 @@ def judged(interlocks, feed):
 
 
 @settings(deadline=None)
-@given(
-    st.sampled_from(list(INTERLOCKS)),
-    st.lists(st.tuples(numbers, numbers, numbers), min_size=1, max_size=12),
-    st.data(),
-)
-def test_blocks_and_rows_are_judged_alike(name, rows, data):
+@given(st.sampled_from(list(INTERLOCKS)), rows_of, st.sets(st.integers(1, 12), max_size=5))
+@example("rate", [(0.0, 0.0, 0.0), (-9.0, 0.0, 0.0), (9.0, 0.0, 0.0)], {1})
+def test_blocks_and_rows_are_judged_alike(name, rows, cut):
     times = 0.005 * np.arange(1, len(rows) + 1)
     values = np.array(rows)
-    cuts = sorted({0, len(rows), *data.draw(st.lists(st.integers(1, len(rows)), max_size=3))})
+    cuts = sorted({0, len(rows), *(place for place in cut if place < len(rows))})
 
     def by_row(panel):
         for time, row in zip(times.tolist(), rows, strict=True):
