@@ -60,6 +60,8 @@ class ChannelSpec(NamedTuple):
     sampling: str = "instant"  # or "mean": over the interval that ends at the stamp
     units: str = ""  # empty: the vocabulary's own
     dtype: str = "f4"  # storage; angles take "f8", float32 loses counts after a few hundred turns
+    skew_s: float = 0.0  # from the row's stamp to this channel's own sample, behind a multiplexer
+    scale_std: float = 0.0  # relative standard uncertainty of the calibration, shared by the device's channels
 
     @property
     def unit(self) -> str:

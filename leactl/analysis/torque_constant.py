@@ -6,13 +6,13 @@ falling ones, so that torque = Kt i + c + s d with d = 1 rising and d = -1 falli
 s for torque constant, 2 to 3 % of it on the LEA.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from leactl.analysis.carried_model import torque_constant_of_model
+from leactl.analysis.current_convention import named
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
 from leactl.analysis.levels import Levels, gather, held_levels, require_levels, span
 from leactl.analysis.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
@@ -24,14 +24,6 @@ from leactl.runfile.reader import Channel, Run
 
 CURRENT, TORQUE = "q_axis_current", "torque"
 SIDES = {"rising": 1, "falling": -1}
-# q-axis current, power-invariant, is sqrt(3/2) times the amplitude of a phase and sqrt(3) times its rms value
-CONVENTIONS = {
-    math.sqrt(3 / 2): "the current may be a phase amplitude taken for q-axis current",
-    math.sqrt(2 / 3): "the current may be q-axis current taken for a phase amplitude",
-    math.sqrt(3): "the current may be a phase rms taken for q-axis current",
-    math.sqrt(1 / 3): "the current may be q-axis current taken for a phase rms",
-}
-CONVENTION_WITHIN = 0.02
 
 
 def analyze(runs: Sequence[Run]) -> Result:
@@ -115,11 +107,8 @@ def convention(run: Run, found: float) -> list[str]:
         ratio = found / torque_constant_of_model(run)
     except InputError:  # a foreign run may carry none, or none that can be read
         return []
-    return [
-        f"the torque constant is {ratio:.3f} times that of the model in the run: {why}; check current_convention"
-        for factor, why in CONVENTIONS.items()
-        if abs(ratio / factor - 1.0) < CONVENTION_WITHIN
-    ]
+    why = named(ratio)
+    return [f"the torque constant is {ratio:.3f} times that of the model in the run: {why}"] if why else []
 
 
 def of_one_kind(levels: Levels, notes: list[str]) -> Levels:

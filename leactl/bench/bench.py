@@ -8,7 +8,7 @@ from leactl.bench.benchfile import BenchFile, Bus, CanBus, CheckedDevice, Serial
 from leactl.bench.wiring import Wiring
 from leactl.driver import registry
 from leactl.driver.can_port import CanPort
-from leactl.driver.contract import Driver, MotionDevice, Row
+from leactl.driver.contract import Block, Driver, MotionDevice, Row
 from leactl.driver.i2c_port import I2cPort
 from leactl.driver.serial_port import SerialPort
 from leactl.driver.stopping import doubt, make_safe
@@ -28,7 +28,7 @@ class Bench:
         synchronised: dict[str, CanPort] = {}
         for device in devices:
             entry = device.entry
-            port = ports[entry.bus] if entry.bus else None
+            port = ports[entry.bus] if entry.bus else wiring.library(device.name)
             driver = registry.load(entry.driver)(device.name, entry.role, device.settings, port, self.clock)
             self.drivers[device.name] = driver
             if isinstance(driver, MotionDevice):
@@ -63,6 +63,12 @@ class Bench:
         """Every stream of the bench and its channels."""
         own = {spec.name: spec.channels for driver in self._asynchronous for spec in driver.streams}
         return {"loop": self.loop_channels, **own} if self.loop_channels else own
+
+    @property
+    def fast_streams(self) -> dict[str, float]:
+        """Rows a second of each stream that says how many there are."""
+        every = [spec for driver in self._asynchronous for spec in driver.streams]
+        return {spec.name: spec.rate_Hz for spec in every if spec.rate_Hz}
 
     def open(self) -> None:
         """Open every device in the file's order; where one fails, all are made safe and closed again.
@@ -113,14 +119,14 @@ class Bench:
             row += drive.values
         return row
 
-    def take(self) -> list[Row]:
+    def take(self) -> list[Row | Block]:
         """Rows of all streams with clocks of their own.
 
         Raises
         ------
         DeviceError : a device or its bus failed.
         """
-        rows: list[Row] = []
+        rows: list[Row | Block] = []
         for driver in self._asynchronous:
             rows += driver.take()
         return rows

@@ -1,6 +1,6 @@
 """Bench files: devices on buses in roles, their limits, and what an emulated bench is made of."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -70,6 +70,16 @@ class Device(BaseModel):
     bus: Name | None = None
     role: Literal["test", "load", "bench"]
     settings: dict[str, Any] = {}
+    on_demand: bool = False  # left alone by protocols that need nothing it measures
+
+
+class Harmonic(BaseModel):
+    """A harmonic of the emulated back-EMF, of a phase; a wye's line-to-line voltages lack every third."""
+
+    model_config = STRICT
+    order: Annotated[int, Field(ge=2, le=100)]
+    share: Annotated[float, Field(ge=0, le=1)]  # of the fundamental
+    phase_rad: Annotated[float, Field(ge=-10, le=10)] = 0.0
 
 
 class Emulated(BaseModel):
@@ -86,6 +96,8 @@ class Emulated(BaseModel):
     current_noise_A: Fraction = 0.015  # noqa: N815 (a unit keeps its letter)
     torque_noise_Nm: Fraction = 0.004  # noqa: N815
     velocity_noise_rad_s: Fraction = 0.002
+    terminal_noise_V: Fraction = 0.005  # noqa: N815 (between two leads, as a converter there picks it up)
+    back_emf_harmonics: tuple[Harmonic, ...] = ()  # of either actuator
 
 
 class BenchFile(BaseModel):
@@ -148,6 +160,15 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
     if faults:
         raise InputError(faults)
     return bench, usable, document
+
+
+def asked_for(devices: Sequence[CheckedDevice], needs: Collection[str]) -> list[CheckedDevice]:
+    """The devices of a run: those that are `on_demand` only where they tell a quantity that it needs."""
+    return [
+        device
+        for device in devices
+        if not device.entry.on_demand or any(shown.quantity in needs for shown in device.settings.shown())
+    ]
 
 
 def check_devices(bench: BenchFile) -> list[CheckedDevice]:

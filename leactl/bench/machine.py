@@ -29,7 +29,8 @@ class Finding:
 
 def examine(root: Path = Path("/")) -> list[Finding]:
     """Look at everything; buses and devices are looked for under `root`."""
-    return [*_python(), *_packages(), *_plugins(), *_can(root), *_i2c(root), *_serial(root), *_disk()]
+    found = [_python(), _packages(), _plugins(), _can(root), _i2c(root), _serial(root), ni_daqmx(), _disk()]
+    return [finding for findings in found for finding in findings]
 
 
 def _python() -> Iterator[Finding]:
@@ -40,14 +41,14 @@ def _python() -> Iterator[Finding]:
 
 def _packages() -> Iterator[Finding]:
     for requirement in requires("leactl") or ():
-        extra = "extra ==" in requirement
-        if extra and "parquet" not in requirement:
+        extra = requirement.partition("extra ==")[2].strip(" \"'")
+        if extra == "test":
             continue
         name = requirement.partition(";")[0].rstrip().partition(">")[0].strip()
         try:
             yield Finding(f"package {name}", True, not extra, version(name))
         except PackageNotFoundError:
-            mend = "pip install 'leactl[parquet]'" if extra else f"pip install {name}"
+            mend = f"pip install 'leactl[{extra}]'" if extra else f"pip install {name}"
             yield Finding(f"package {name}", False, not extra, "not installed", mend)
 
 
@@ -83,6 +84,24 @@ def _i2c(root: Path) -> Iterator[Finding]:
 def _serial(root: Path) -> Iterator[Finding]:
     for pattern in ("ttyUSB*", "ttyACM*"):
         yield from (_usable(f"serial {path.name}", path, "dialout") for path in sorted((root / "dev").glob(pattern)))
+
+
+def ni_daqmx() -> Iterator[Finding]:
+    """NI's driver and its devices, where the package that calls it is installed."""
+    try:
+        from nidaqmx.errors import Error
+        from nidaqmx.system import System
+    except ImportError:
+        return
+    try:
+        system = System.local()
+        number = system.driver_version
+        devices = ", ".join(f"{device.name} ({device.product_type})" for device in system.devices) or "no device"
+    except Error:
+        yield Finding("NI-DAQmx", False, False, "NI's driver is not installed", "see ni.com/downloads, NI-DAQmx")
+        return
+    told = f"{number.major_version}.{number.minor_version}: {devices}"
+    yield Finding("NI-DAQmx", devices != "no device", False, told, "connect the device" * (devices == "no device"))
 
 
 def _usable(subject: str, path: Path, group: str) -> Finding:

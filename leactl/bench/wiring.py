@@ -30,6 +30,9 @@ class Wiring(Protocol):
     def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
         """How to connect to an I2C bus."""
 
+    def library(self, device: str) -> Any:
+        """What stands in for the maker's library of a device without a bus; None where it is the library itself."""
+
     def wait_for_disk(self) -> None:
         """What every write of the run file waits for; a disk that is none of the emulation's takes its own time."""
 
@@ -66,6 +69,10 @@ class MachineWiring:
             return connected
 
         return connect
+
+    def library(self, device: str) -> Any:
+        """Nothing: the driver calls the library that is installed here."""
+        return None
 
     def wait_for_disk(self) -> None:
         """Nothing: the disk is this machine's own."""

@@ -10,7 +10,7 @@ def analyze(
     runs: list[Path] = typer.Argument(metavar="RUN...", help="Run files of one experiment; repeats are combined."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
     torque_constant: float | None = typer.Option(
-        None, metavar="N*m/A", help="Torque constant for friction, in place of the one in the run's model."
+        None, metavar="N*m/A", help="Torque constant for friction and back-emf, in place of the one in the run's model."
     ),
     torque_constant_std: float | None = typer.Option(
         None, metavar="N*m/A", help="Its standard uncertainty, to be part of those of the results."

@@ -111,7 +111,7 @@ def read(
     from leactl.report.readings import readings, table
     from leactl.runfile.reader import Run
 
-    outcome = _perform("read", reading(hold_s), bench, setup, out, realtime, served, bus)
+    outcome = _perform("read", reading(hold_s), bench, setup, out, realtime, served, bus, everything=True)
     found = []
     if outcome.error is None:
         with Run.open(outcome.path) as run:
@@ -197,8 +197,9 @@ def _perform(
     realtime: bool,
     served: bool,
     bus: list[str],
+    everything: bool = False,
 ) -> "Outcome":
     from leactl.cli.run import perform
     from leactl.runner.request import prepare_by_hand
 
-    return perform(prepare_by_hand(name, steps, bench, setup, out, realtime, served, bus))
+    return perform(prepare_by_hand(name, steps, bench, setup, out, realtime, served, bus, everything))

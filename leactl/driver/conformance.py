@@ -21,6 +21,7 @@ UNIT_SUFFIXES = (
     "_ohm",
     "_sps",
     "_per_V",
+    "_ppm",
 )
 DIMENSIONLESS = ("sign", "node", "host_node", "counts_per_turn", "address", "abort_option", "vendor_id", "type")
 

@@ -5,16 +5,20 @@ work from any state, as often as it is called.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
-from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 from pydantic import BaseModel, ConfigDict
 
 from leactl.driver.clock import Clock
-from leactl.driver.far_end import CanEmulator, I2cEmulator, Physics, SerialEmulator
+from leactl.driver.far_end import CanEmulator, I2cEmulator, LibraryEmulator, Physics, SerialEmulator
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 SAFE_STATE_S = 1.0  # what a device has to confirm its safe state; no answer and no watchdog may take longer
 
@@ -65,6 +69,8 @@ class StreamSpec(NamedTuple):
 
     name: str
     channels: tuple[ChannelSpec, ...]
+    rate_Hz: float = 0.0  # noqa: N815 (a unit keeps its letter)  rows a second where they come faster than the loop
+    ends: bool = False  # by itself, before the run does: its driver raises where it ends too soon
 
 
 class Row(NamedTuple):
@@ -74,6 +80,27 @@ class Row(NamedTuple):
     time: float
     values: Sequence[float]
     fault: str = ""  # why a value is NaN, where the device knows
+
+
+class Block(NamedTuple):
+    """Many samples of a device's own stream at once: a row each would cost a fast converter the loop its cycle.
+
+    A value is NaN where a channel has none at its time; what a reader should know of it is a notice.
+    """
+
+    stream: str
+    times: "NDArray[np.float64]"  # (n,), s on the bench's clock, increasing; n is at least 1
+    values: "NDArray[np.float64]"  # (n, channels)
+
+    @property
+    def last(self) -> Row:
+        """The newest sample."""
+        return Row(self.stream, float(self.times[-1]), self.values[-1].tolist())
+
+    def rows(self) -> Iterator[Row]:
+        """The samples one by one."""
+        for time, values in zip(self.times.tolist(), self.values.tolist(), strict=True):
+            yield Row(self.stream, time, values)
 
 
 class Mode(StrEnum):
@@ -86,14 +113,14 @@ class Mode(StrEnum):
     ANGLE = "angle"  # rad
 
 
-FarEnd = CanEmulator | SerialEmulator | tuple[int, I2cEmulator]
+FarEnd = CanEmulator | SerialEmulator | LibraryEmulator | tuple[int, I2cEmulator]
 
 
 class Driver(ABC):
     """One device: made from settings and a transport, opened, used, made safe, closed."""
 
     Settings: ClassVar[type[DriverSettings]]
-    transport: ClassVar[str]  # the kind of bus it needs: "can", "i2c", "serial" or "none"
+    transport: ClassVar[str]  # the kind of bus it needs: "can", "i2c", "serial", or "none": the maker's own library
     summary: ClassVar[str]  # one line for `leactl driver list`
 
     @abstractmethod
@@ -123,6 +150,9 @@ class Driver(ABC):
     def far_end(cls, settings: Any, role: str, physics: Physics) -> FarEnd:
         """The device's emulator on an emulated bench; with its address where the bus is I2C.
 
+        Where there is no bus, the driver's `port` is this emulator, in place of the maker's library; it is None on a
+        real bench.
+
         Raises
         ------
         InputError : this device has no emulator.
@@ -134,8 +164,8 @@ class Driver(ABC):
         """Streams of the device's own clocks."""
         return ()
 
-    def take(self) -> Sequence[Row]:
-        """Rows of the own streams that have come in since the last call."""
+    def take(self) -> Sequence[Row | Block]:
+        """Rows of the own streams that have come in since the last call, blocks where they are many."""
         return ()
 
     def notices(self) -> Sequence[str]:

@@ -5,7 +5,14 @@ plain readings, so that the same emulator turns the emulated bench or a stand-in
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+PAIRS = ("phase_voltage_ab", "phase_voltage_bc", "phase_voltage_ca")
 
 
 class Frame(NamedTuple):
@@ -110,6 +117,28 @@ class I2cEmulator(Protocol):
         """Time at which `tick` next has something to do; emulated time stops there."""
 
 
+class LibraryEmulator(Protocol):
+    """What stands in for the maker's library of a device without a bus; its driver calls it as it calls that one."""
+
+    def tick(self, now: float) -> None:
+        """What the device does by itself up to now; called whenever emulated time has passed."""
+
+    @property
+    def due(self) -> float:
+        """Time at which `tick` next has something to do; emulated time stops there."""
+
+
+class Terminals(Protocol):
+    """The three line-to-line voltages of a motor, for a converter that is faster than emulated time's steps."""
+
+    @property
+    def chance(self) -> "np.random.Generator":
+        """The bench's own, for errors that the device adds."""
+
+    def voltages(self, times: "NDArray[np.float64]", pair: int) -> "NDArray[np.float64]":
+        """Voltages [V] of a pair, by its place among `PAIRS`, at these times of the last milliseconds."""
+
+
 class RegisterStore(Protocol):
     """Plain 16-bit registers that the host and a far end both read and write; the kernel's i2c-stub is one."""
 
@@ -140,6 +169,14 @@ class Physics(Protocol):
         Raises
         ------
         InputError : the bench has no such quantity.
+        """
+
+    def terminals(self, role: str) -> Terminals:
+        """The three leads of this role's motor.
+
+        Raises
+        ------
+        InputError : the bench has no such motor.
         """
 
     def at_supply(self, feeds: str, role: str) -> SupplyLoad:

@@ -6,10 +6,11 @@ from dataclasses import fields
 from typing import Any
 
 import can
+import numpy as np
 
 from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus, SerialBus
 from leactl.driver import registry
-from leactl.driver.far_end import Physics, SupplyLoad
+from leactl.driver.far_end import LibraryEmulator, Physics, SupplyLoad
 from leactl.driver.i2c_port import SmBus
 from leactl.driver.serial_port import SerialLine
 from leactl.emulation import witness
@@ -26,6 +27,7 @@ from leactl.emulation.serial_wire import EmulatedSerialLine, SerialWire
 from leactl.emulation.signals import Signals
 from leactl.emulation.stepped_rig import SteppedActuator, SteppedRig
 from leactl.emulation.supply_loads import DcLink, HeatedLeads
+from leactl.emulation.terminals import MotorTerminals
 from leactl.emulation.wires import CanWire, EmulatedCanBus, EmulatedI2cBus
 from leactl.errors import InputError
 from leactl.model.motor import load_motor
@@ -81,7 +83,9 @@ class EmulatedBench:
         if condition not in emulated.conditions and emulated.conditions and condition:
             known = ", ".join(emulated.conditions)
             raise InputError(f"condition '{condition}' is not one of the emulated bench's: {known}")
-        faults = [make_fault(entry) for entry in emulated.faults]
+        made = [make_fault(entry) for entry in emulated.faults]
+        placed = [device.name for device in devices]  # what this run leaves alone cannot fail
+        faults = [fault for fault in made if getattr(fault, "device", None) in (None, *placed)]
         self.time = EmulatedClock(realtime)
         self.host_clock = HostClock(self.time)
         self.clock = self.host_clock if faults else self.time
@@ -126,6 +130,10 @@ class EmulatedBench:
         """How to connect to an emulated I2C bus."""
         return lambda: self.i2c_buses[name]
 
+    def library(self, device: str) -> Any:
+        """The far end of a device without a bus, in place of its maker's library."""
+        return self.far_ends[device]
+
     def wait_for_disk(self) -> None:
         """Wait for as long as a slow disk takes, by the wall clock."""
         if self.disk_delay_s:
@@ -142,6 +150,18 @@ class EmulatedBench:
         if role != "test":
             raise InputError(f"an emulated supply feeds leads of 'test', not of '{role}'")
         return HeatedLeads(self.rig)
+
+    def terminals(self, role: str) -> MotorTerminals:
+        """The three leads of this role's motor."""
+        if role not in self.rig.actuators:
+            raise InputError(f"the emulated bench has motors 'test' and 'load', not '{role}'")
+        settings, self._streams_of_noise = self._settings, self._streams_of_noise + 1
+        chance = np.random.default_rng([self._number, self._streams_of_noise])
+        harmonics, noise = settings.back_emf_harmonics, settings.terminal_noise_V
+        found = MotorTerminals(self.rig.actuators[role], harmonics, noise, chance)
+        found.look(self.time.now())
+        self.time.follow(found.look)
+        return found
 
     def machine(self, role: str) -> EmulatedMachine:
         """What the drive of this role turns."""
@@ -188,7 +208,13 @@ class EmulatedBench:
             self.i2c_buses[entry.bus].devices[address] = far_end
         elif entry.bus in self.serial_wires:
             self.serial_wires[entry.bus].device = far_end
+        else:
+            self._keep_time(far_end)
         self.far_ends[device.name] = far_end
+
+    def _keep_time(self, far_end: LibraryEmulator) -> None:
+        self.time.follow(far_end.tick)
+        self.time.stop_at(lambda: far_end.due)
 
 
 def _effect(entry: Mapping[str, Any]) -> Effect:

@@ -3,7 +3,10 @@
 from collections.abc import Callable
 from typing import Any
 
-from leactl.driver.far_end import Machine, Physics, SupplyLoad
+import numpy as np
+from numpy.typing import NDArray
+
+from leactl.driver.far_end import PAIRS, Machine, Physics, SupplyLoad, Terminals
 
 Change = Callable[[float], float]
 
@@ -31,6 +34,10 @@ class Signals:
     def at_supply(self, feeds: str, role: str) -> SupplyLoad:
         """What a power supply feeds; its own meters read what it feeds, faults and all."""
         return self._physics.at_supply(feeds, role)
+
+    def terminals(self, role: str) -> Terminals:
+        """The three leads of this role's motor as the device reads them."""
+        return _ReadTerminals(self._physics.terminals(role), self)
 
     def changed(self, quantity: str, read: Callable[[], float]) -> Callable[[], float]:
         """A reading with its faults."""
@@ -76,6 +83,21 @@ class _ReadMachine:
         return self._bus_voltage()
 
 
+class _ReadTerminals:
+    """Leads as the device at them tells their voltages."""
+
+    def __init__(self, terminals: Terminals, signals: Signals) -> None:
+        self._terminals, self.chance = terminals, terminals.chance
+        self._changes = [signals.changes.setdefault(quantity, []) for quantity in PAIRS]
+
+    def voltages(self, times: NDArray[np.float64], pair: int) -> NDArray[np.float64]:
+        """Voltages [V] of a pair."""
+        found = self._terminals.voltages(times, pair)
+        for change in self._changes[pair]:
+            found = np.array([change(value) for value in found.tolist()])
+        return found
+
+
 class _Still:
     """A bench on which nothing moves and every reading is zero, to see what a device asks of one."""
 
@@ -92,6 +114,16 @@ class _Still:
 
     def reading(self, quantity: str, role: str) -> Callable[[], Any]:
         return float
+
+    def terminals(self, role: str) -> "_Still":
+        return self
+
+    def voltages(self, times: NDArray[np.float64], pair: int) -> NDArray[np.float64]:
+        return np.zeros_like(times)
+
+    @property
+    def chance(self) -> np.random.Generator:
+        return np.random.default_rng(0)
 
     def at_supply(self, feeds: str, role: str) -> "_Still":
         return self

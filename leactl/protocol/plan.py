@@ -217,6 +217,7 @@ class Plan:
     acceptance: tuple[Acceptance, ...]
     text: str  # the protocol file, byte for byte
     separates: tuple[str, ...] = ()  # effects of the gap's vocabulary that its runs tell apart
+    needs: tuple[str, ...] = ()  # quantities without which its runs would be of no use
 
     @property
     def duration_s(self) -> float:

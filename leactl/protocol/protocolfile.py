@@ -12,6 +12,7 @@ steps: [...]                    # see steps.py
 acceptance:
   - {result: torque_constant, low: 0.4, high: 0.6, unit: N*m/A}
 separates: [time_skew, torque_sensor_lag]     # effects that `leactl gap diagnose` can tell apart by its runs
+needs: [phase_voltage_ab]                     # refused on a bench without; opens devices that are `on_demand` there
 """
 
 import math
@@ -128,6 +129,7 @@ def expanded(document: yamlfile.Document, folder: Path, overrides: Mapping[str, 
         acceptance=tuple(_bounds(limit) for limit in head.acceptance),
         text=document.text,
         separates=head.separates,
+        needs=head.needs,
     )
 
 

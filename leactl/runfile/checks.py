@@ -1,5 +1,6 @@
 """What every stream of a run must keep to before anybody computes with it."""
 
+import math
 from typing import Any
 
 import h5py
@@ -40,7 +41,9 @@ def faults_of_columns(place: str, group: Any, unfinished: bool) -> list[str]:
     faults = []
     for name, column in group.items():
         if name != "time":
-            faults += faults_of_units(f"{place}/{name}", layout.attributes(column))
+            attributes = layout.attributes(column)
+            faults += faults_of_units(f"{place}/{name}", attributes)
+            faults += faults_of_numbers(f"{place}/{name}", attributes)
             if len(column) != len(group["time"]) and not unfinished:
                 faults.append(f"{place}/{name}: {len(column)} values for {len(group['time'])} stamps")
     if not unfinished:
@@ -54,6 +57,17 @@ def faults_of_units(place: str, found: dict[str, Any]) -> list[str]:
     if not expected or found.get("units") in expected:
         return []
     return [f"{place}: {found['quantity']} has units {found.get('units')!r}, expected {' or '.join(expected)}"]
+
+
+def faults_of_numbers(place: str, found: dict[str, Any]) -> list[str]:
+    """Attributes that are to be numbers and are none: a skew [s], or a standard uncertainty below zero."""
+    faults = []
+    for name, least in (("skew", -math.inf), ("scale_std", 0.0)):
+        value = found.get(name, 0.0)
+        if not (isinstance(value, int | float) and math.isfinite(value) and value >= least):
+            expected = "a finite number" + (" of zero or more" if least == 0.0 else "")
+            faults.append(f"{place}: {name} is {value!r}; {expected} was expected")
+    return faults
 
 
 def faults_of_time(place: str, time: Any) -> list[str]:

@@ -79,7 +79,8 @@ def parquet_writers(run: Run) -> dict[str, Writer]:
     def write(stream: str, target: Path) -> None:
         fields = [arrow.field("time", arrow.float64(), metadata={"units": "s"})]
         for spec in run.streams[stream]:
-            metadata = {key: value for key, value in spec._asdict().items() if value and key not in ("name", "dtype")}
+            told = {key: value for key, value in spec._asdict().items() if value and key not in ("name", "dtype")}
+            metadata = {key: str(value) for key, value in told.items()}
             fields.append(arrow.field(spec.name, arrow.from_numpy_dtype(spec.dtype), metadata=metadata))
         schema = arrow.schema(fields, metadata={key: str(value) for key, value in run.attributes.items()})
         with parquet.ParquetWriter(target, schema) as table:

@@ -94,9 +94,9 @@ def create_stream(streams: Any, name: str, specs: list[ChannelSpec], **storage: 
     return group
 
 
-def channel_attributes(spec: ChannelSpec) -> dict[str, str]:
-    """The attributes that a channel is found and read by."""
-    found = {
+def channel_attributes(spec: ChannelSpec) -> dict[str, str | float]:
+    """The attributes that a channel is found and read by; those that say nothing are left out."""
+    found: dict[str, str | float] = {
         "units": spec.unit,
         "quantity": spec.quantity,
         "role": spec.role,
@@ -104,7 +104,8 @@ def channel_attributes(spec: ChannelSpec) -> dict[str, str]:
         "long_name": spec.long_name or f"{spec.role} {spec.quantity.replace('_', ' ')}",
         "sampling": spec.sampling,
     }
-    return {**found, "location": spec.location} if spec.location else found
+    told: dict[str, str | float] = {"location": spec.location, "skew": spec.skew_s, "scale_std": spec.scale_std}
+    return found | {key: value for key, value in told.items() if value}
 
 
 def datasets(node: Any, place: str = "") -> Iterator[tuple[str, Any]]:

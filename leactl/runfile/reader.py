@@ -27,7 +27,7 @@ Array = npt.NDArray[np.float64]
 class Channel:
     """One measured quantity over time."""
 
-    time: Array  # s since the run's start
+    time: Array  # s since the run's start, of this channel's own samples: the stream's stamps and its skew
     values: Array
     quantity: str
     role: str
@@ -37,6 +37,7 @@ class Channel:
     location: str
     sampling: str  # "instant", or "mean" over the interval that ends at the stamp
     stream: str
+    scale_std: float = 0.0  # relative standard uncertainty of the calibration, shared by the device's channels
 
 
 @dataclass(frozen=True)
@@ -197,7 +198,7 @@ class Run:
 
     def _read(self, stream: str, spec: ChannelSpec) -> Channel:
         return Channel(
-            time=self.time(stream),
+            time=self.time(stream) + spec.skew_s,
             values=np.asarray(self._column(stream, spec.name, 0, self.rows[stream]), np.float64),
             quantity=spec.quantity,
             role=spec.role,
@@ -207,6 +208,7 @@ class Run:
             location=spec.location,
             sampling=spec.sampling,
             stream=stream,
+            scale_std=spec.scale_std,
         )
 
     def _column(self, stream: str, name: str, start: int, stop: int) -> npt.NDArray[Any]:
@@ -240,9 +242,12 @@ def channel_specs(group: Any) -> list[ChannelSpec]:
     specs = []
     for name in group:
         if name != "time":
-            found = {key: str(value) for key, value in layout.attributes(group[name]).items()}
+            attributes = layout.attributes(group[name])
+            found = {key: str(value) for key, value in attributes.items()}
             keys = ("quantity", "role", "device", "long_name", "location", "units")
             fields = {key: found.get(key, "") for key in keys}
             sampling = found.get("sampling") or "instant"
-            specs.append(ChannelSpec(name=name, **fields, sampling=sampling, dtype=group[name].dtype.str[1:]))
+            skew, scale_std = (float(attributes.get(key, 0.0)) for key in ("skew", "scale_std"))
+            dtype = group[name].dtype.str[1:]
+            specs.append(ChannelSpec(name, **fields, sampling=sampling, dtype=dtype, skew_s=skew, scale_std=scale_std))
     return specs

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 from leactl.bench.bench import Bench
-from leactl.driver.contract import AnalogInput, Mode
+from leactl.driver.contract import AnalogInput, Block, Mode
 from leactl.errors import DeviceError, InputError
 from leactl.protocol.plan import Action, Engage, Plan, Profile, Prompt, Record, Segment, Tare, WaitUntil
 from leactl.runfile.writer import RunWriter
@@ -110,8 +110,12 @@ class Loop:
             writer.append_row("loop", began - start, row)
         self._phase += 1
         for reading in bench.take():
-            writer.append_row(reading.stream, reading.time - start, reading.values)
-            self._newest[reading.stream] = reading.values
+            if isinstance(reading, Block):
+                writer.append(reading.stream, reading.times - start, reading.values)
+                self._newest[reading.stream] = reading.last.values
+            else:
+                writer.append_row(reading.stream, reading.time - start, reading.values)
+                self._newest[reading.stream] = reading.values
             supervisor.receive(reading)
         supervisor.check(self._clock.now())
         bench.feed()

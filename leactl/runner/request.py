@@ -52,8 +52,11 @@ def prepare_by_hand(
     realtime: bool,
     served: bool = False,
     buses: Sequence[str] = (),
+    everything: bool = False,
 ) -> Request:
     """Resolve and check steps that are given by hand, for the bench's own set-up, or `coupled`, where none is named.
+
+    `everything` opens devices that are `on_demand` too.
 
     Raises
     ------
@@ -61,7 +64,7 @@ def prepare_by_hand(
     """
     placed = _placed(bench, buses)
     plan = by_hand.written(name, setup or placed[0].setup or "coupled", steps)
-    return _request(plan, placed, directory, realtime, served)
+    return _request(plan, placed, directory, realtime, served, everything)
 
 
 Placed = tuple[BenchFile, list[CheckedDevice], Document]
@@ -73,8 +76,11 @@ def _placed(bench: str, buses: Sequence[str]) -> Placed:
     return file.model_copy(update={"buses": file.buses | benchfile.put_elsewhere(file, buses)}), devices, document
 
 
-def _request(plan: Plan, placed: Placed, directory: Path, realtime: bool, served: bool) -> Request:
-    file, devices, document = placed
+def _request(
+    plan: Plan, placed: Placed, directory: Path, realtime: bool, served: bool, everything: bool = False
+) -> Request:
+    file, every, document = placed
+    devices = every if everything else benchfile.asked_for(every, plan.needs)
     check_rate(plan.rate_Hz, benchfile.host_silences(devices))
     return Request(
         plan=plan,

@@ -102,6 +102,7 @@ def execute(request: Request, operator: Operator, watch: Watch, stops: Sequence[
         ):
             bench = Bench(request.bench, request.devices, _wiring(request))
             _check_roles(request, bench)
+            _check_needs(request, bench)
             refuse_blind(bench, request.bench_document)
             _check_disk(request, bench)
             windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
@@ -232,10 +233,20 @@ def _check_roles(request: Request, bench: Bench) -> None:
         )
 
 
+def _check_needs(request: Request, bench: Bench) -> None:
+    measured = {channel.quantity for channels in bench.streams().values() for channel in channels}
+    missing = [quantity for quantity in request.plan.needs if quantity not in measured]
+    if missing:
+        raise InputError(
+            f"protocol '{request.plan.name}' needs {', '.join(missing)};"
+            f" no device of bench '{request.bench.name}' measures that"
+        )
+
+
 def _check_disk(request: Request, bench: Bench) -> None:
     plan = request.plan
     rates = [plan.record_Hz, *(action.rate_Hz for action in plan.actions if isinstance(action, Record))]
-    planned = planned_bytes(bench.streams(), max(rates), plan.rate_Hz, plan.duration_s)
+    planned = planned_bytes(bench.streams(), max(rates), plan.rate_Hz, plan.duration_s, bench.fast_streams)
     check_room(request.bench.interlocks.disk_space, free_bytes(request.directory), planned)
 
 

@@ -44,12 +44,15 @@ def free_bytes(path: Path) -> float:
 
 
 def planned_bytes(
-    streams: Mapping[str, Sequence[ChannelSpec]], record_hz: float, rate_hz: float, duration_s: float
+    streams: Mapping[str, Sequence[ChannelSpec]],
+    record_hz: float,
+    rate_hz: float,
+    duration_s: float,
+    fast_hz: Mapping[str, float],
 ) -> float:
-    """What a run takes at the most: the loop's stream as recorded, of any other a row a cycle."""
-    rows = duration_s * sum(
-        (1 + len(channels)) * (record_hz if name == "loop" else rate_hz) for name, channels in streams.items()
-    )
+    """What a run takes at the most: the loop's stream as recorded, of any other a row a cycle, or at its own rate."""
+    rates = {name: max(rate_hz, fast_hz.get(name, 0.0)) for name in streams} | {"loop": record_hz}
+    rows = duration_s * sum((1 + len(channels)) * rates[name] for name, channels in streams.items())
     return COPIES * BYTES_A_VALUE * rows
 
 

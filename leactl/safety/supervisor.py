@@ -12,7 +12,7 @@ from typing import NamedTuple, NoReturn
 
 from leactl.driver import stopping
 from leactl.driver.clock import Clock
-from leactl.driver.contract import Confirmation, Driver, Mode, MotionDevice, Row
+from leactl.driver.contract import Block, Confirmation, Driver, Mode, MotionDevice, Row
 from leactl.errors import SafetyTrip
 from leactl.quantities import ChannelSpec
 from leactl.safety.angle_path import AnglePath
@@ -104,6 +104,7 @@ class Supervisor:
             stream for device in (*[axis.driver for axis in axes.values()], *others) for stream in device.streams
         ]
         self._own = {stream.name: self._panel(stream.channels, limits.age_s, now) for stream in streams}
+        self._lasting = [self._own[stream.name] for stream in streams if not stream.ends]
         self._measured = Measured(guard, streams, self.trip)
         panels = [*[guarded.panel for guarded in self._axes.values()], *self._own.values()]
         self._stuck = Stuck(panels, interlocks)
@@ -284,13 +285,13 @@ class Supervisor:
     def _look_at_all(self, now: float) -> None:
         """What need not be looked at in every cycle: ages of the devices' own streams, and what stands still."""
         if now >= self._ages_due:
-            self._ages_due = min((panel.check_age(now) for panel in self._own.values()), default=math.inf)
+            self._ages_due = min((panel.check_age(now) for panel in self._lasting), default=math.inf)
         if now >= self._stuck.due:
             self._stuck.look(now)
         self._due = min(self._ages_due, self._stuck.due)
 
-    def receive(self, row: Row) -> None:
-        """Judge a sample of a device's own stream.
+    def receive(self, row: Row | Block) -> None:
+        """Judge a sample of a device's own stream, or many.
 
         Raises
         ------
@@ -298,6 +299,10 @@ class Supervisor:
         """
         if self.tripped:
             raise SafetyTrip(self.tripped)
+        if isinstance(row, Block):
+            self._own[row.stream].look_through(row)
+            self._measured.look_through(row)
+            return
         if row.fault:
             self.trip(row.fault)
         self._own[row.stream].look(row.values, row.time)

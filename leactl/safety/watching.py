@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
+from leactl.driver.contract import Block
 from leactl.quantities import ChannelSpec
 from leactl.safety.interlocks import Entry, Interlocks
 from leactl.safety.limits import Limits
@@ -176,6 +177,23 @@ class Panel:
         for index, _rate, last in self._rates:
             last[0] = values[index]
         self._quiet, self.looked = quiet, now
+
+    def look_through(self, block: Block) -> None:
+        """Judge many samples that came one after the other.
+
+        All at once where they are quiet and none has a rate to keep; one by one where they are not.
+
+        Raises
+        ------
+        SafetyTrip : by way of `trip`.
+        """
+        if self._quiet and not self._rates:
+            lowest, highest = block.values.min(axis=0).tolist(), block.values.max(axis=0).tolist()
+            if all(low <= lowest[index] and highest[index] <= high for index, low, high in self._windows):
+                self.values, self.looked = block.last.values, block.last.time
+                return
+        for row in block.rows():
+            self.look(row.values, row.time)
 
     def _remember(self) -> None:
         """Up to the last look all was quiet, and nothing was kept of each channel."""

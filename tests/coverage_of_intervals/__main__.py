@@ -1,6 +1,7 @@
 """`python -m tests.coverage_of_intervals DIRECTORY`: runs, analyses and figures; status 1 where a limit is not met."""
 
 import argparse
+import math
 import os
 import sys
 from pathlib import Path
@@ -9,11 +10,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes share the co
 
 from leactl.analysis.estimate import Estimate
 from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.leads import PAIRS
 from leactl.bench import benchfile
 from leactl.model.motor import load_motor
 
 from .judgement import Judgement, judge
-from .rehearsal import CONDITIONS, Rehearsal, rehearse, wanted
+from .rehearsal import CONDITIONS, EXPERIMENTS, Rehearsal, rehearse, wanted
 
 HEAD = f"{'result':28}{'condition':10}{'seeds':>6}" + "".join(
     f"{word:>10}" for word in ("covered", "mean", "worst", "bias", "scatter", "printed")
@@ -26,9 +28,10 @@ def main() -> int:
     parser.add_argument("directory", type=Path, help="where the runs are kept; those that are there are not run again")
     parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--only", choices=EXPERIMENTS, action="append", help="an experiment; without it, all of them")
     asked = parser.parse_args()
     asked.directory.mkdir(parents=True, exist_ok=True)
-    rehearsals = wanted(asked.directory, asked.seeds)
+    rehearsals = wanted(asked.directory, asked.seeds, asked.only or EXPERIMENTS)
     for count, made in enumerate(rehearse(rehearsals, asked.processes), start=1):
         print(f"{count}: {made.path.name}", file=sys.stderr)
     judgements = judged(rehearsals)
@@ -50,7 +53,8 @@ def judged(rehearsals: list[Rehearsal]) -> list[Judgement]:
         for item in analyze_runs([rehearsal.path]).results:
             estimates.setdefault((item.name, rehearsal.condition), []).append(item)
     true = {(name, label): value for label in CONDITIONS for name, value in true_values(label).items()}
-    return [judge(name, label, true[name, label], estimates[name, label]) for name, label in sorted(true)]
+    known = [key for key in sorted(true) if key in estimates]
+    return [judge(*key, true[key], estimates[key]) for key in known]
 
 
 def true_values(condition: str) -> dict[str, float]:
@@ -65,7 +69,10 @@ def true_values(condition: str) -> dict[str, float]:
     each = {
         f"{name}_{side}": value for name, value in named.items() for side in sides.get(name, ("forward", "backward"))
     }
-    return named | each | {"sticking_torque": plant["coulomb_friction"]}
+    line = math.sqrt(2.0) * motor.back_emf_constant
+    voltages = {"back_emf_constant": motor.back_emf_constant, "line_to_line_constant": line}
+    voltages |= {f"line_to_line_constant_{pair}": line for pair in PAIRS} | {"pole_pairs": float(motor.pole_pairs)}
+    return named | each | voltages | {"sticking_torque": plant["coulomb_friction"]}
 
 
 if __name__ == "__main__":

@@ -8,7 +8,13 @@ from dataclasses import dataclass
 from leactl.analysis.estimate import Estimate
 
 LEAST_COVERED, MOST_COVERED = 0.92, 0.98
-WORST_ERROR = {"torque_constant": 0.005, "viscous_damping": 0.03, "coulomb_friction": 0.03}  # relative, any seed
+WORST_ERROR = {  # relative, any seed
+    "torque_constant": 0.005,
+    "viscous_damping": 0.03,
+    "coulomb_friction": 0.03,
+    "back_emf_constant": 0.005,
+    "line_to_line_constant": 0.005,
+}
 
 
 @dataclass(frozen=True)

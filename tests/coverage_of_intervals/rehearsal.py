@@ -16,7 +16,7 @@ from leactl.runner.operators import granted
 from leactl.runner.request import prepare
 from leactl.runner.session import execute
 
-EXPERIMENTS = ("torque-constant", "friction")
+EXPERIMENTS = ("torque-constant", "friction", "back-emf")
 CONDITIONS = ("unloaded", "design", "loaded")
 
 
@@ -34,10 +34,10 @@ class Rehearsal(NamedTuple):
         return self.directory / f"{self.experiment}_{self.condition}_{self.seed:04}.h5"
 
 
-def wanted(directory: Path, seeds: int) -> list[Rehearsal]:
+def wanted(directory: Path, seeds: int, experiments: Sequence[str] = EXPERIMENTS) -> list[Rehearsal]:
     """All runs, seed by seed, so that those of an interrupted rehearsal are evenly spread."""
     numbers = range(1, seeds + 1)
-    return [Rehearsal(directory, name, label, seed) for seed in numbers for label in CONDITIONS for name in EXPERIMENTS]
+    return [Rehearsal(directory, name, label, seed) for seed in numbers for label in CONDITIONS for name in experiments]
 
 
 def rehearse(rehearsals: Sequence[Rehearsal], processes: int) -> Iterator[Rehearsal]:

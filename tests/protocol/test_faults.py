@@ -283,7 +283,9 @@ def test_a_long_value_is_cut():
 def test_a_file_that_is_absent_or_not_known(tmp_path):
     with pytest.raises(InputError, match=r"nowhere\.yaml: No such file"):
         protocolfile.load(str(tmp_path / "nowhere.yaml"))
-    with pytest.raises(InputError, match=r"protocol 'torque' is not known; known: friction, .*torque-constant, or"):
+    with pytest.raises(
+        InputError, match=r"protocol 'torque' is not known; known: back-emf, friction, .*torque-constant, or"
+    ):
         protocolfile.load("torque")
 
 

@@ -37,6 +37,27 @@ def test_a_run_comes_back(complete: Path):
         assert [spec.name for spec in run.streams["loop"]] == ["iq", "theta", "a_torque"]
 
 
+def test_a_channel_behind_a_multiplexer_has_stamps_of_its_own(tmp_path):
+    first = ChannelSpec("ab", "phase_voltage_ab", "test", "daq", scale_std=2e-4)
+    with RunWriter(
+        tmp_path, info(), {"daq": [first, first._replace(name="bc", quantity="phase_voltage_bc", skew_s=14e-6)]}
+    ) as writer:
+        writer.append("daq", np.array([0.0, 0.1]), np.ones((2, 2)))
+    with Run.open(writer.path) as run:
+        assert run.channel("phase_voltage_ab").time.tolist() == [0.0, 0.1]
+        assert run.channel("phase_voltage_bc").time.tolist() == [14e-6, 0.1 + 14e-6]
+        assert [spec.scale_std for spec in run.streams["daq"]] == [2e-4, 2e-4]
+        assert run.time("daq").tolist() == [0.0, 0.1]
+
+
+@pytest.mark.parametrize(("name", "value"), [("skew", "late"), ("skew", np.nan), ("scale_std", -0.1)])
+def test_a_skew_or_an_uncertainty_that_is_no_number_is_refused(complete: Path, name, value):
+    with h5py.File(complete, "r+") as file:
+        file["streams/loop/iq"].attrs[name] = value
+    with pytest.raises(InputError, match=rf"/streams/loop/iq: {name} is .*; a finite number"):
+        Run.open(complete)
+
+
 def test_several_places_must_be_told_apart(complete: Path):
     with Run.open(complete) as run:
         with pytest.raises(InputError, match=r"active_1, inactive_2"):

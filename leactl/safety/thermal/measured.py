@@ -7,7 +7,7 @@ bound shows that the actuator lies outside its tolerances, or that its air is bl
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 
-from leactl.driver.contract import Row, StreamSpec
+from leactl.driver.contract import Block, Row, StreamSpec
 from leactl.safety.thermal.bound import HOUSING
 from leactl.safety.thermal.guard import ThermalGuard
 from leactl.safety.thermal.resistance import LeadResistance
@@ -27,6 +27,12 @@ class Measured:
         """Hold a row against the guard; a value that is no number is a matter of its age."""
         for look in self._looks.get(row.stream, ()):
             look(row)
+
+    def look_through(self, block: Block) -> None:
+        """Hold many rows against the guard, where their stream measures anything for it."""
+        if block.stream in self._looks:
+            for row in block.rows():
+                self.look(row)
 
     def _looks_at(self, stream: StreamSpec) -> Iterator[Callable[[Row], None]]:
         known = {

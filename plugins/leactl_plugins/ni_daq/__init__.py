@@ -1,0 +1,1 @@
+"""NI multifunction converters through NI-DAQmx."""

@@ -1,0 +1,66 @@
+"""What the driver asks of an acquisition, whoever carries it out, and the errors of NI-DAQmx by name."""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leactl.driver.contract import Confirmation
+from leactl.errors import DeviceError
+from leactl_plugins.ni_daq.settings import NiDaqSettings
+
+OVERRUNS = (-200279, -200222, -200361, -200019)  # samples were lost, and the acquisition has stopped
+SAFE = Confirmation(True, "measures only")
+ERRORS = {  # code: NI's name for it, and what to do
+    -200220: ("INVALID_DEVICE_ID", "no such device: `leactl doctor` lists those that there are; mend settings.device"),
+    -200170: ("PHYSICAL_CHAN_DOES_NOT_EXIST", "the device has no such input: mend settings.inputs"),
+    -200279: ("SAMPLES_NO_LONGER_AVAILABLE", "the buffer was overwritten before it was read: lower rate_Hz"),
+    -200278: ("SAMPLES_WILL_NEVER_BE_AVAILABLE", "the acquisition ended sooner"),
+    -200284: ("SAMPLES_NOT_YET_AVAILABLE", "the sample clock stands still"),
+    -200222: ("ACQ_STOPPED_TO_PREVENT_INPUT_BUFFER_OVERWRITE", "the buffer was full: lower rate_Hz"),
+    -200361: ("INPUT_FIFO_OVERFLOW_2", "the bus took the samples too late: plug it into a port of its own"),
+    -200019: ("ADC_OVERRUN", "the converter is asked too often: lower rate_Hz, or leave inputs out"),
+    -50103: ("PAL_RESOURCE_RESERVED", "another program holds the device: end it"),
+    -200088: ("INVALID_TASK", "the task is gone: the device was reset"),
+    -200077: ("INVALID_ATTRIBUTE_VALUE", "the device does not take one of the settings: see its data sheet"),
+    -200081: ("SAMPLE_RATE_NUM_CHANS_CONVERT_PERIOD_COMBO", "too fast for so many inputs: lower rate_Hz"),
+    -200332: ("SAMP_RATE_TOO_HIGH", "faster than the device: lower rate_Hz"),
+    -201003: ("DEV_CANNOT_BE_ACCESSED", "the device is gone: check cable and power"),
+    -88710: ("RUNTIME_ABORTING_ROUTING", "the device was taken away in mid-run: check cable and power"),
+    -88708: ("RESOURCE_NOT_IN_POOL_ROUTING", "the device is not in a state to be used: unplug it and plug it in again"),
+}
+
+
+class DaqmxError(DeviceError):
+    """An error of NI-DAQmx: its code, its name where it is known, and what to do."""
+
+    def __init__(self, code: int, text: str = "") -> None:
+        self.code = code
+        name, hint = ERRORS.get(code, ("", ""))
+        said = hint or next((line.strip() for line in text.splitlines() if line.strip()), "no description")
+        super().__init__(f"NI-DAQmx {code}{f' ({name})' if name else ''}: {said}")
+
+
+class Acquisition(Protocol):
+    """One configured task of a device; every method raises `DaqmxError` where NI-DAQmx would answer an error."""
+
+    product: str
+    rate_Hz: float  # noqa: N815 (as the device coerced it)
+    convert_Hz: float  # noqa: N815 (from one input to the next)
+    warnings: list[str]  # what the device said beside
+
+    def start(self) -> None:
+        """Begin to sample."""
+
+    def read(self) -> NDArray[np.float64]:
+        """What has come since the last call, (inputs, samples) in V; never waits."""
+
+    def close(self) -> None:
+        """Stop, and let the device go; never raises."""
+
+
+class Library(Protocol):
+    """Where acquisitions come from."""
+
+    def acquire(self, settings: NiDaqSettings, samples: int | None) -> Acquisition:
+        """Reserve the device and configure it for so many samples of each input, or for as many as there will be."""

@@ -1,0 +1,242 @@
+"""NI converter at a motor's leads: samples by the device's own clock, taken in blocks beside the loop.
+
+The stamps are those of the sample clock as the device coerced it; each input's own sample comes later by its turn at
+the multiplexer, which the channel says. What the device lost is there as NaN, one for each sample, and told.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from leactl.driver.clock import Clock
+from leactl.driver.contract import Block, Confirmation, Driver, StreamSpec
+from leactl.driver.far_end import LibraryEmulator, Physics
+from leactl.errors import DeviceError, InputError, NoAnswer
+from leactl.quantities import ChannelSpec
+from leactl_plugins.ni_daq.acquisition import OVERRUNS, SAFE, Acquisition, DaqmxError, Library
+from leactl_plugins.ni_daq.settings import NiDaqSettings
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+READ_EVERY_S = 0.02  # a read costs some 0.1 ms whatever it brings
+SILENT_S = 1.0  # without a sample the device has stopped by itself
+RATE_WITHIN = 0.01  # of the rate asked for; further off it is another experiment
+MOST_RESTARTS = 3  # after overruns, in one run
+TOLD_SLIP_S = 1e-3
+
+
+class NiDaq(Driver):
+    """One converter and the line-to-line voltages at its inputs."""
+
+    Settings = NiDaqSettings
+    transport = "none"
+    summary = "NI multifunction converter through NI-DAQmx (line-to-line voltages; USB-6218 and its kin)"
+
+    def __init__(self, name: str, role: str, settings: NiDaqSettings, port: Library | None, clock: Clock) -> None:
+        self.name, self.role, self.settings = name, role, settings
+        self._port, self._clock = port, clock
+        self._task: Acquisition | None = None
+        self._running = self._ended = False
+        self._start = self._due = self._heard = math.nan
+        self._count = self._left = 0  # samples since the start, and still to come of a finite acquisition
+        self._last = -math.inf  # stamp of the last row
+        self._restarts, self._slip = 0, 0.0
+        self._beyond = [0] * len(settings.inputs)  # readings outside the range that no notice has told yet
+        self._notices: list[str] = []
+
+    def safe_state(self, deadline_s: float) -> Confirmation:
+        """Nothing to do: it only measures."""
+        return SAFE
+
+    def open(self) -> None:
+        """Reserve the device, configure clock and inputs, and see what it made of them.
+
+        Raises
+        ------
+        InputError : the bench file chooses another library than its bench has; neither takes the other's place.
+        DeviceError : NI's driver or package is not there, the device is absent, another one, in use, or refuses.
+        """
+        settings = self.settings
+        expected, where = (
+            ("nidaqmx", "not emulated in this process") if self._port is None else ("emulated", "emulated")
+        )
+        if settings.library != expected:
+            raise InputError(
+                f"{self.name}: library '{settings.library}' on a bench that is {where}; {expected} was expected"
+            )
+        self._left = settings.samples or 0
+        task = self._acquire()
+        if settings.product and task.product != settings.product:
+            self.close()
+            raise DeviceError(f"{self.name}: '{settings.device}' is a {task.product}; {settings.product} was expected")
+        if abs(task.rate_Hz / settings.rate_Hz - 1.0) > RATE_WITHIN:
+            self.close()
+            raise DeviceError(f"{self.name}: samples at {task.rate_Hz:g} Hz; {settings.rate_Hz:g} Hz were asked for")
+        turns = f", each input {1e6 / task.convert_Hz:.3g} us after the one before" if len(settings.inputs) > 1 else ""
+        self._notices.append(
+            f"{task.product} samples at {task.rate_Hz:.9g} Hz, {settings.rate_Hz:g} Hz were asked for{turns}"
+        )
+        self._notices += task.warnings
+
+    def _acquire(self) -> Acquisition:
+        from leactl_plugins.ni_daq.nidaqmx_library import NidaqmxLibrary
+
+        try:
+            self._task = (self._port or NidaqmxLibrary()).acquire(self.settings, self._left or None)
+        except DeviceError as error:
+            raise self._named(error) from None
+        return self._task
+
+    def close(self) -> None:
+        """Let the device go."""
+        task, self._task, self._running = self._task, None, False
+        if task is not None:
+            task.close()
+
+    @classmethod
+    def far_end(cls, settings: NiDaqSettings, role: str, physics: Physics) -> LibraryEmulator:
+        """A converter at the leads of the emulated motors, in place of NI-DAQmx."""
+        from leactl_plugins.ni_daq.emulator import EmulatedDaq
+
+        return EmulatedDaq(settings, physics)
+
+    @property
+    def streams(self) -> tuple[StreamSpec, ...]:
+        """One stream of all inputs; once the device is open, each with its turn at the multiplexer."""
+        settings, task = self.settings, self._task
+        turn = 1.0 / task.convert_Hz if task is not None and len(settings.inputs) > 1 else 0.0
+        channels = tuple(
+            ChannelSpec(
+                item.name,
+                item.quantity,
+                item.role,
+                self.name,
+                f"{item.role} {item.quantity.replace('_', ' ')}",
+                skew_s=place * turn,
+                scale_std=1e-6 * settings.scale_std_ppm,
+            )
+            for place, item in enumerate(settings.inputs)
+        )
+        return (StreamSpec(self.name, channels, settings.rate_Hz, ends=settings.samples is not None),)
+
+    def take(self) -> Sequence[Block]:
+        """The samples of the last 20 ms; starts the clock at the first call; never waits.
+
+        Raises
+        ------
+        DeviceError : the device is gone or refuses, or has lost samples too often; `NoAnswer` where it has stopped.
+        """
+        task, now = self._task, self._clock.now()
+        if task is None or self._ended or now < self._due:
+            return ()
+        blocks: list[Block] = []
+        try:
+            if not self._running:
+                self._begin(task)
+                return ()
+            blocks += self._stamped(task)
+        except DaqmxError as error:
+            if error.code not in OVERRUNS or self._restarts == MOST_RESTARTS:
+                raise self._named(error) from None
+            blocks += self._resume(error)
+        if not self._ended and now - self._heard > SILENT_S:
+            raise NoAnswer(f"{self.name}: no sample for {now - self._heard:.3g} s; the sample clock stands still")
+        return blocks
+
+    def notices(self) -> Sequence[str]:
+        """Clock as coerced, warnings of NI-DAQmx, samples that were lost or outside their range, drift of the clock."""
+        for place, count in enumerate(self._beyond):
+            if count:
+                item = self.settings.inputs[place]
+                self._notices.append(f"input {item.name}: {count} samples beyond +-{item.range_V:g} V are NaN")
+                self._beyond[place] = 0
+        found, self._notices = self._notices, []
+        return found
+
+    def _begin(self, task: Acquisition) -> None:
+        self._start = self._clock.now()  # from before: a stamp may be late by the call, and never ahead of its sample
+        task.start()
+        self._running, self._count = True, 0
+        self._heard = self._clock.now()
+        self._due = self._heard + READ_EVERY_S
+
+    def _stamped(self, task: Acquisition) -> list[Block]:
+        import numpy as np
+
+        volts = task.read()
+        now = self._clock.now()
+        self._due = now + READ_EVERY_S
+        samples = volts.shape[1]
+        if not samples:
+            return []
+        self._heard = now
+        self._keep_behind(now, samples, task)
+        times = self._start + np.arange(self._count, self._count + samples) / task.rate_Hz
+        self._count += samples
+        if self._left:
+            self._left -= samples
+            if self._left <= 0:
+                self._end(f"the acquisition of {self.settings.samples} samples is complete")
+        return [self._block(times, self._scaled(volts))]
+
+    def _keep_behind(self, now: float, samples: int, task: Acquisition) -> None:
+        """Shift the stamps where the device's clock has run ahead of the bench's: no sample is from the future."""
+        inputs = len(self.settings.inputs)
+        newest = self._start + (self._count + samples - 1) / task.rate_Hz + (inputs - 1) / task.convert_Hz
+        first = self._start + self._count / task.rate_Hz
+        ahead = min(newest - now, 0.5 * (first - self._last))
+        if ahead > 0.0:
+            self._start -= ahead
+            before, self._slip = self._slip, self._slip + ahead
+            if self._slip // TOLD_SLIP_S > before // TOLD_SLIP_S:
+                self._notices.append(f"the sample clock has gained {1e3 * self._slip:.3g} ms on the bench's so far")
+
+    def _scaled(self, volts: "NDArray[np.float64]") -> "NDArray[np.float64]":
+        """Rows of values; NaN for what lies beyond the range that the input was configured for."""
+        import numpy as np
+
+        values = np.empty(volts.T.shape)
+        for place, item in enumerate(self.settings.inputs):
+            beyond = ~(np.abs(volts[place]) < item.range_V * (1.0 - 2.0**-15))
+            if beyond.any():
+                self._beyond[place] += int(beyond.sum())
+                volts[place, beyond] = np.nan
+            values[:, place] = item.sign * item.scale_per_V * volts[place]
+        return values
+
+    def _block(self, times: "NDArray[np.float64]", values: "NDArray[np.float64]") -> Block:
+        self._last = float(times[-1])
+        return Block(self.name, times, values)
+
+    def _resume(self, error: DaqmxError) -> list[Block]:
+        """Start again after an overrun; the samples between are lost, and each is there as NaN."""
+        import numpy as np
+
+        assert self._task is not None
+        rate = self._task.rate_Hz
+        self._task.close()
+        begun, now = self._start + self._count / rate, self._clock.now()
+        lost = max(0, math.floor((now - begun) * rate))
+        if self._left:
+            lost = min(lost, self._left)
+            self._left -= lost
+        self._restarts += 1
+        self._notices.append(f"{lost} samples are lost, and NaN, after {error}")
+        if self.settings.samples is not None and not self._left:
+            self._end("the acquisition is complete, its end lost")
+        else:
+            self._begin(self._acquire())
+        times = begun + np.arange(lost) / rate
+        return [self._block(times, np.full((lost, len(self.settings.inputs)), np.nan))] if lost else []
+
+    def _end(self, text: str) -> None:
+        self._ended = True
+        self._notices.append(text)
+
+    def _named(self, error: DeviceError) -> DeviceError:
+        """The error with this device's name, once."""
+        if str(error).startswith(f"{self.name}:"):
+            return error
+        return DeviceError(f"{self.name}: {error}")

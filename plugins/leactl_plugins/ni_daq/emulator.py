@@ -1,0 +1,132 @@
+"""An emulated USB-6218 at a motor's leads: one converter behind a multiplexer, 16 bit, four ranges.
+
+It stands in for NI-DAQmx below the driver, coerces the clock as that does, and answers with its error codes. What it
+adds to the voltages at the leads is an error of its scale, drawn once from the stated uncertainty, and its steps.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leactl.driver.far_end import Physics
+from leactl_plugins.ni_daq.acquisition import DaqmxError
+from leactl_plugins.ni_daq.settings import NiDaqSettings
+
+PRODUCT = "USB-6218"
+TIMEBASE_HZ = 20e6
+AGGREGATE_HZ = 250e3
+CONVERT_S = 14e-6  # the fastest clock's 4 us, and 10 us for the multiplexer to settle where the sample clock has them
+RANGES_V = (0.2, 1.0, 5.0, 10.0)
+INPUTS = 32
+CODES = 32768
+LOOK_S = 1e-3  # how often the leads are looked at; more seldom, and their voltage would go straight for too long
+BUFFER_S = 10.0
+NO_DEVICE, NO_CHANNEL, BAD_VALUE, TOO_FAST = -200220, -200170, -200077, -200332
+IN_USE, OVERWRITTEN, GONE = -50103, -200279, -201003
+
+
+class EmulatedDaq:
+    """The device and the library in front of it."""
+
+    def __init__(self, settings: NiDaqSettings, physics: Physics) -> None:
+        self._device = settings.device
+        self.terminals = {role: physics.terminals(role) for role in sorted({item.role for item in settings.inputs})}
+        chance = next(iter(self.terminals.values())).chance
+        self.scale = 1.0 + 1e-6 * settings.scale_std_ppm * float(chance.standard_normal())
+        self.gone = False
+        self.task: EmulatedTask | None = None
+        self.now = 0.0
+
+    def acquire(self, settings: NiDaqSettings, samples: int | None) -> "EmulatedTask":
+        """Reserve the device and configure it."""
+        if settings.device != self._device:
+            raise DaqmxError(NO_DEVICE)
+        if self.gone:
+            raise DaqmxError(GONE)
+        if self.task is not None:
+            raise DaqmxError(IN_USE)
+        if any(int(item.channel[2:]) >= INPUTS for item in settings.inputs):
+            raise DaqmxError(NO_CHANNEL)
+        if any(item.range_V > RANGES_V[-1] for item in settings.inputs):
+            raise DaqmxError(BAD_VALUE)
+        if settings.rate_Hz * len(settings.inputs) > AGGREGATE_HZ:
+            raise DaqmxError(TOO_FAST)
+        self.task = EmulatedTask(self, settings, samples)
+        return self.task
+
+    def unplug(self) -> None:
+        """Be gone from now on."""
+        self.gone = True
+
+    @property
+    def due(self) -> float:
+        """When the leads are to be looked at again."""
+        return self.task.due if self.task is not None and not self.gone else math.inf
+
+    def tick(self, now: float) -> None:
+        """Sample up to now."""
+        self.now = now
+        if self.task is not None and now >= self.due:
+            self.task.sample(now)
+
+
+class EmulatedTask:
+    """One acquisition of it."""
+
+    def __init__(self, daq: EmulatedDaq, settings: NiDaqSettings, samples: int | None) -> None:
+        self.product, self.warnings = PRODUCT, list[str]()
+        count = len(settings.inputs)
+        self.rate_Hz = TIMEBASE_HZ / math.floor(TIMEBASE_HZ / settings.rate_Hz)
+        self.convert_Hz = 1.0 / min(CONVERT_S, 1.0 / (count * self.rate_Hz))
+        self._daq, self._inputs, self._samples = daq, settings.inputs, samples
+        self._room = round(BUFFER_S * settings.rate_Hz)
+        self._began, self._taken, self._unread = math.nan, 0, 0
+        self._blocks: list[NDArray[np.float64]] = []
+        self.due = math.inf
+
+    def start(self) -> None:
+        """Begin to sample."""
+        self._check()
+        self._began = self._daq.now
+        self.due = self._began + LOOK_S
+
+    def sample(self, now: float) -> None:
+        """Convert what has come due by now, the last input of a sample included."""
+        last = (len(self._inputs) - 1) / self.convert_Hz
+        until = math.floor((now - last - self._began) * self.rate_Hz + 1e-6) + 1
+        if self._samples is not None:
+            until = min(until, self._samples)
+        if until > self._taken:
+            self._convert(until)
+        done = self._taken >= self._samples if self._samples is not None else self._unread > self._room
+        self.due = math.inf if done else now + LOOK_S
+
+    def _convert(self, until: int) -> None:
+        times = self._began + np.arange(self._taken, until) / self.rate_Hz
+        block = np.empty((len(self._inputs), len(times)))
+        for place, item in enumerate(self._inputs):
+            leads = self._daq.terminals[item.role].voltages(times + place / self.convert_Hz, item.pair)
+            step = min(end for end in RANGES_V if end >= item.range_V) / CODES
+            volts = self._daq.scale * item.sign * leads / item.scale_per_V
+            block[place] = step * np.clip(np.round(volts / step), -CODES, CODES - 1)
+        self._taken = until
+        self._unread += len(times)
+        self._blocks.append(block)
+
+    def read(self) -> NDArray[np.float64]:
+        """What has come since the last call."""
+        self._check()
+        if self._samples is None and self._unread > self._room:
+            raise DaqmxError(OVERWRITTEN)
+        blocks, self._blocks, self._unread = self._blocks, [], 0
+        return np.hstack(blocks) if blocks else np.empty((len(self._inputs), 0))
+
+    def close(self) -> None:
+        """Let the device go."""
+        if self._daq.task is self:
+            self._daq.task = None
+
+    def _check(self) -> None:
+        if self._daq.gone:
+            raise DaqmxError(GONE)

@@ -1,0 +1,111 @@
+"""NI-DAQmx through NI's own package `nidaqmx`; nothing of it is imported before a device is asked for."""
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leactl.errors import DeviceError
+from leactl_plugins.ni_daq.acquisition import DaqmxError
+from leactl_plugins.ni_daq.settings import NiDaqSettings
+
+BUFFER_S = 10.0  # that a stalled host may take before samples are lost
+TERMINALS = {"differential": "DIFF", "rse": "RSE", "nrse": "NRSE"}
+
+
+class NidaqmxLibrary:
+    """The package and the driver below it."""
+
+    def __init__(self) -> None:
+        try:
+            import nidaqmx
+        except ImportError:
+            raise DeviceError("the package nidaqmx is not installed: pip install 'leactl[nidaqmx]'") from None
+        self._nidaqmx = nidaqmx
+
+    def acquire(self, settings: NiDaqSettings, samples: int | None) -> "NidaqmxTask":
+        """Reserve the device and configure it.
+
+        Raises
+        ------
+        DaqmxError : the device is absent, in use, or refuses a setting.
+        DeviceError : NI's driver is not installed here.
+        """
+        return NidaqmxTask(self._nidaqmx, settings, samples)
+
+
+class NidaqmxTask:
+    """One task of NI-DAQmx."""
+
+    def __init__(self, nidaqmx: Any, settings: NiDaqSettings, samples: int | None) -> None:
+        from nidaqmx.stream_readers import AnalogMultiChannelReader
+
+        self.warnings: list[str] = []
+        self._inputs = len(settings.inputs)
+        with told(), warnings.catch_warnings(record=True) as heard:
+            warnings.simplefilter("always")
+            self.product: str = nidaqmx.system.Device(settings.device).product_type
+            self._task = nidaqmx.Task()
+            try:
+                self._configure(nidaqmx, settings, samples)
+                self.rate_Hz: float = self._task.timing.samp_clk_rate
+                self.convert_Hz: float = self._task.timing.ai_conv_rate if self._inputs > 1 else self.rate_Hz
+            except BaseException:
+                self.close()
+                raise
+        self.warnings = [" ".join(str(item.message).split()) for item in heard]
+        self._stream = self._task.in_stream
+        self._reader = AnalogMultiChannelReader(self._stream)
+
+    def _configure(self, nidaqmx: Any, settings: NiDaqSettings, samples: int | None) -> None:
+        constants = nidaqmx.constants
+        for item in settings.inputs:
+            self._task.ai_channels.add_ai_voltage_chan(
+                f"{settings.device}/{item.channel}",
+                terminal_config=constants.TerminalConfiguration[TERMINALS[item.terminals]],
+                min_val=-item.range_V,
+                max_val=item.range_V,
+            )
+        mode = constants.AcquisitionType.CONTINUOUS if samples is None else constants.AcquisitionType.FINITE
+        self._task.timing.cfg_samp_clk_timing(
+            settings.rate_Hz,
+            sample_mode=mode,
+            samps_per_chan=round(BUFFER_S * settings.rate_Hz) if samples is None else samples,
+        )
+
+    def start(self) -> None:
+        """Begin to sample."""
+        with told():
+            self._task.start()
+
+    def read(self) -> NDArray[np.float64]:
+        """What has come since the last call, (inputs, samples) in V."""
+        with told():
+            there = self._stream.avail_samp_per_chan
+            values = np.empty((self._inputs, there))
+            if there:
+                self._reader.read_many_sample(values, there, timeout=0.0)
+        return values
+
+    def close(self) -> None:
+        """Stop, and let the device go."""
+        with suppress(DeviceError), told():
+            self._task.close()
+
+
+@contextmanager
+def told() -> Iterator[None]:
+    """Raise what NI-DAQmx says as an error of a device."""
+    from nidaqmx.errors import DaqError, DaqFunctionNotSupportedError, DaqNotFoundError, DaqNotSupportedError
+
+    try:
+        yield
+    except DaqError as error:
+        raise DaqmxError(error.error_code, str(error)) from None
+    except DaqNotFoundError:
+        raise DeviceError("NI-DAQmx is not installed on this machine: install NI's driver (ni.com/downloads)") from None
+    except (DaqNotSupportedError, DaqFunctionNotSupportedError) as error:
+        raise DeviceError(" ".join(str(error).split())) from None
