@@ -44,7 +44,12 @@ class SupplyBench:
         self.said, self.heard = bytearray(), bytearray()
         self.connections = self.dead_connections = 0
         self.port = SerialPort(lambda: Tap(self), self.clock, "supply0")
-        self.supply = ScpiSupply("supply", "test", self.settings, self.port, self.clock)
+        self.expect()
+
+    def expect(self, **other):
+        """Have the driver expect something else than the instrument is."""
+        settings = self.settings.model_copy(update=other)
+        self.supply = ScpiSupply("supply", "test", settings, self.port, self.clock)
 
     def lines(self):
         """What was sent since the last call, a line each."""
