@@ -75,7 +75,7 @@ class Talk(Generic[Result]):
                 if self._question.last in (None, line):
                     whole, self._lines = b"\n".join(self._lines), []
                     self._hear(self._question, whole, now)
-            elif now - self._asked >= self._answer_s:
+            elif now >= self._asked + self._answer_s:  # as `finish` waits, to the last bit
                 missed, self._question = self._question, None
                 self._say(self._script.throw, NoAnswer(f"no answer to {missed.text} within {self._answer_s:g} s"))
             else:

@@ -182,17 +182,19 @@ class SupplyLine:
 
     # -- demands -----------------------------------------------------------------------------------------------------
 
-    def supply(self, voltage: float, current: float, most: tuple[float, float]) -> None:
+    def supply(
+        self, voltage: float, current: float, most: tuple[float, float], least: tuple[float, float] = (0.0, 0.0)
+    ) -> None:
         """Have these levels set [V, A], in one of the next calls of `take`.
 
         Raises
         ------
-        InputError : a value is not finite, negative, or above the most; nothing is passed on.
+        InputError : a value is not finite, below the least or above the most; nothing is passed on.
         """
-        for value, top, unit in zip((voltage, current), most, "VA", strict=True):
-            if not 0.0 <= value <= top:
+        for value, low, top, unit in zip((voltage, current), least, most, "VA", strict=True):
+            if not low <= value <= top:
                 raise InputError(
-                    f"{self._name}: {value:g} {unit} asked of a supply that is good for 0 to {top:g} {unit}"
+                    f"{self._name}: {value:g} {unit} asked of a supply that is good for {low:g} to {top:g} {unit}"
                 )
         self._levels = voltage, current
 
