@@ -17,6 +17,7 @@ from pydantic import (
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from leactl.protocol.setpointkeys import Spelling
+from leactl.quantities import UNITS
 from leactl.vocabulary.effect import effect_names
 
 MAX_DURATION_S = 7 * 24 * 3600.0
@@ -125,6 +126,12 @@ def _known_effect(name: str) -> str:
     return name
 
 
+def _known_quantity(name: str) -> str:
+    if name not in UNITS:
+        raise ValueError(f"'{name}' is no quantity; one of {', '.join(UNITS)} was expected")
+    return name
+
+
 EffectName = Annotated[str, AfterValidator(_known_effect)]
 
 
@@ -142,6 +149,7 @@ class Head(Block):
     steps: Annotated[list[Any], Field(min_length=1)]
     acceptance: tuple[Limit, ...] = ()
     separates: tuple[EffectName, ...] = ()
+    wants: tuple[Annotated[str, AfterValidator(_known_quantity)], ...] = ()
 
 
 def divides(part_hz: float, whole_hz: float) -> bool:

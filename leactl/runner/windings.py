@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 from leactl.bench.benchfile import BenchFile, CheckedDevice, host_silences
+from leactl.driver import registry
 from leactl.driver.contract import SAFE_STATE_S
 from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
@@ -133,10 +134,12 @@ def guard_settings(bench: BenchFile, devices: Sequence[CheckedDevice], motors: M
     """What a bench file tells the guard; the lowest limit of bench and motors counts."""
     limits = bench.limits
     silences = [s for s in host_silences(devices).values() if s is not None]
+    # a supply waits for no sign of life: the run's watchdog sees that the loop stands still, and switches it off
+    supplied = any(hasattr(registry.load(device.entry.driver), "switch_on") for device in devices)
     return GuardSettings(
         limit=min(limits.winding_temperature_degC, *(motor.limits.winding_temperature for motor in motors.values())),
         ambient=limits.ambient_temperature_degC,
         most_current=limits.current_A,
         most_speed=limits.velocity_rad_s,
-        reserve_s=max(silences, default=SAFE_STATE_S) + STOPS_WITHIN_S,
+        reserve_s=max(silences, default=SAFE_STATE_S) + (SAFE_STATE_S if supplied else 0.0) + STOPS_WITHIN_S,
     )

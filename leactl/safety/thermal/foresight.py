@@ -12,10 +12,11 @@ import numpy as np
 
 from leactl.driver.contract import Mode
 from leactl.model.motor import Motor
-from leactl.protocol.plan import Action, Constant, Engage, Plan, Profile, Samples, Segment, Tare
+from leactl.protocol.plan import Action, Constant, Engage, Plan, Profile, Samples, Segment, Supply, Tare
+from leactl.safety.limits import LEADS
 from leactl.safety.thermal.bound import ThermalBound
 from leactl.safety.thermal.box import Array, Box
-from leactl.safety.thermal.guard import MARGIN_K, STEP_S, Budgets, GuardSettings
+from leactl.safety.thermal.guard import LED_ALIGNED, MARGIN_K, STEP_S, Budgets, GuardSettings
 
 PARTS = 10  # samples of a step, where setpoints vary along a line
 COARSE_K = 2.0  # that a node may rise by in one step, where they do not
@@ -150,7 +151,11 @@ class Foresight:
                 )
         turned = np.array([self._motors[role].pole_pairs for role in self._roles]) * planned * STEP_S
         aligned = 1.0 / np.maximum(turned, 1.0)  # |sin x / x|
-        return np.mean(currents**2, axis=1), aligned, speeds
+        squares = np.mean(currents**2, axis=1)
+        for k, role in enumerate(self._roles):
+            if role in state.leads:  # where no drive stands beside the supply, which a heated set-up has none of
+                squares[k], aligned[k] = LEADS * state.leads[role] ** 2, LED_ALIGNED
+        return squares, aligned, speeds
 
     def _held_current(
         self, plan: Plan, role: str, place: int, currents: Array, speeds: Array, accelerations: Array
@@ -214,6 +219,7 @@ class _State:
     duration: float
     modes: Mapping[str, Mode]
     setpoints: Mapping[str, Profile]
+    leads: Mapping[str, float]  # A, through two leads of a role
 
     @property
     def constant(self) -> bool:
@@ -230,6 +236,7 @@ def _states(plan: Plan) -> Iterator[_State]:
     """Every action of a plan; waits for a person or a reading take no time here, the guard watches them."""
     modes: dict[str, Mode] = {}
     setpoints: dict[str, Profile] = {}
+    leads: dict[str, float] = {}
     for action in plan.actions:
         name, duration = _name_and_duration(plan, action)
         if isinstance(action, Engage):
@@ -237,7 +244,9 @@ def _states(plan: Plan) -> Iterator[_State]:
             setpoints |= dict.fromkeys(action.modes, Constant(0.0))
         if isinstance(action, Segment):
             setpoints |= action.setpoints
-        yield _State(name, duration, dict(modes), dict(setpoints))
+        if isinstance(action, Supply):
+            leads |= {role: output[1] if output else 0.0 for role, output in action.outputs.items()}
+        yield _State(name, duration, dict(modes), dict(setpoints), {k: v for k, v in leads.items() if v})
         if isinstance(action, Segment):
             ended = {role: Constant(profile.at(action.duration_s)) for role, profile in action.setpoints.items()}
             setpoints |= ended
@@ -250,7 +259,7 @@ def _name_and_duration(plan: Plan, action: Action) -> tuple[str, float]:
 
 
 def _at_rest(plan: Plan, place: int) -> bool:
-    """Whether no current is asked for, and no speed, as an action begins."""
+    """Whether no current is asked for, from drive or supply, and no speed, as an action begins."""
     last = None
     for index, state in enumerate(_states(plan)):
         if index == place:
@@ -258,7 +267,7 @@ def _at_rest(plan: Plan, place: int) -> bool:
         last = state
     if last is None:
         return True
-    return all(
+    return not last.leads and all(
         last.modes.get(role, Mode.OFF) in (Mode.OFF, Mode.ANGLE) or profile.at(math.inf) == 0.0
         for role, profile in last.setpoints.items()
     )

@@ -25,6 +25,7 @@ COLD_STEP_S = 0.5
 LONGEST_LEFT_S, GROWTH = 3600.0, 1.15  # that a time left is told up to, and of the steps to it
 HORIZON_S = 1.0  # over which a current is scaled down as the limit comes near
 MARGIN_K = 0.5  # below the limit, where a bench is stopped: what the largest current heats in LOOK_S
+LED_ALIGNED = 0.5  # of heat that two phases take in halves, which leaves (1 + 0.5) / 3 to each
 SCALED_K = 1.0  # below the limit, where scaling ends, so that a hold that is scaled is not stopped
 
 
@@ -70,14 +71,19 @@ class Budgets:
 class _Turn:
     """Where the heat of one actuator went since the last step: integral of i^2 at its electrical angle, and speed."""
 
-    __slots__ = ("angle", "cos", "poles", "sin", "speed", "taken", "velocity")
+    __slots__ = ("angle", "cos", "led", "poles", "sin", "speed", "taken", "velocity")
 
     def __init__(self, poles: int) -> None:
         self.poles, self.angle, self.velocity = 2.0 * poles, 0.0, 0.0
         self.clear()
 
     def clear(self) -> None:
-        self.taken = self.cos = self.sin = self.speed = 0.0
+        self.taken = self.cos = self.sin = self.speed = self.led = 0.0
+
+    def aligned(self) -> float:
+        """How far the heat stood at one electrical angle."""
+        stood = math.hypot(self.cos, self.sin) + LED_ALIGNED * self.led
+        return min(1.0, stood / self.taken) if self.taken > 0.0 else 0.0
 
 
 class ThermalGuard:
@@ -99,7 +105,8 @@ class ThermalGuard:
         self._bound.set(np.concatenate([nodes, nodes], axis=1))
         self.squares = [0.0] * len(boxes)  # A^2 s of each role since the last step; the supervisor adds to it
         self.flowing = [0.0] * len(boxes)  # A^2 of the latest cycle
-        self.leads: dict[int, float] = {}  # A^2 that heats like what flows through two leads, where that is measured
+        self.leads: dict[int, float] = {}  # A^2 that heats like what flows through two leads, where any may
+        self.undriven: frozenset[int] = frozenset()  # roles without a drive, by their places: nothing else heats them
         self.due = -math.inf  # when `check` is to be called again
         self._turns = [_Turn(motor.pole_pairs) for motor in motors.values()]
         self._budgets_of = Budgets(boxes, settings)
@@ -108,6 +115,7 @@ class ThermalGuard:
         self._motion: Motion = lambda index: (math.nan, math.nan)
         self._forgotten: Callable[[], str] = str
         self._budgets = [-math.inf] * len(boxes)
+        self._standing = [1.0] * len(boxes)  # how far what flows stands at one electrical angle where no rotor turns
         self.hottest = {role: float(nodes[HOTTEST, k]) for k, role in enumerate(self.roles)}  # degC, at the most
         self.estimate = {role: float(nodes[MEAN, k]) for k, role in enumerate(self.roles)}  # degC, for display alone
         self.allowed = dict.fromkeys(self.roles, math.inf)
@@ -167,8 +175,13 @@ class ThermalGuard:
         in between: it has turned evenly no further than the slower look tells.
         """
         for index, square in self.leads.items():
-            self.squares[index] += square * (now - self._looked)
-            self.flowing[index] = max(self.flowing[index], square)
+            heat = square * (now - self._looked)
+            self.squares[index] += heat
+            self._turns[index].taken += heat
+            self._turns[index].led += heat
+            alone = index in self.undriven
+            self.flowing[index] = square if alone else max(self.flowing[index], square)
+            self._standing[index] = LED_ALIGNED if alone else 1.0
         for index, turn in enumerate(self._turns):
             angle, velocity = self._motion(index)
             speed = abs(velocity)
@@ -194,9 +207,7 @@ class ThermalGuard:
         if now > self._looked:
             self._look(now)
         squares = [square / duration for square in self.squares]
-        aligned = [
-            min(1.0, math.hypot(turn.cos, turn.sin) / turn.taken) if turn.taken > 0.0 else 0.0 for turn in self._turns
-        ]
+        aligned = [turn.aligned() for turn in self._turns]
         speeds = [turn.speed for turn in self._turns]
         self._bound.step(duration, *self._twice(squares, aligned, speeds), self._settings.ambient)
         self._advanced = now
@@ -219,8 +230,9 @@ class ThermalGuard:
         if self._step > STEP_S:
             self.allowed = dict.fromkeys(self.roles, math.inf)
             return ""
-        held = self._ahead(self.flowing, speeds, settings.reserve_s)
-        most = self._ahead([settings.most_current**2] * len(self.roles), speeds, HORIZON_S)
+        still = [1.0] * len(self.roles)
+        held = self._ahead(self.flowing, self._standing, speeds, settings.reserve_s)
+        most = self._ahead([settings.most_current**2] * len(self.roles), still, speeds, HORIZON_S)
         cause = ""
         for k, role in enumerate(self.roles):
             # what starts above the limit may cool there: no stop would cool it any faster
@@ -232,7 +244,7 @@ class ThermalGuard:
                 )
             self.allowed[role] = math.inf
             if not most[k] < settings.limit - SCALED_K:
-                least = self._ahead([0.0] * len(self.roles), speeds, HORIZON_S)[k]
+                least = self._ahead([0.0] * len(self.roles), still, speeds, HORIZON_S)[k]
                 self.allowed[role] = self._between(least, most[k])
         return cause
 
@@ -243,11 +255,10 @@ class ThermalGuard:
             return 0.0
         return self._settings.most_current * math.sqrt(min(1.0, room / (most - least)))
 
-    def _ahead(self, squares: list[float], speeds: list[float], duration: float) -> Array:
-        """Hottest phases after some time at these currents, held at one electrical angle."""
+    def _ahead(self, squares: list[float], aligned: list[float], speeds: list[float], duration: float) -> Array:
+        """Hottest phases after some time at these currents."""
         kept = self._bound.state
-        standing = [1.0] * len(squares)
-        self._bound.step(duration, *self._twice(squares, standing, speeds), self._settings.ambient)
+        self._bound.step(duration, *self._twice(squares, aligned, speeds), self._settings.ambient)
         found = self._bound.hottest()
         self._bound.state = kept
         return found
@@ -263,7 +274,7 @@ class ThermalGuard:
         From another thread at any time: it works on a copy.
         """
         bound, speeds = copy(self._bound), [turn.speed for turn in self._turns]
-        heat = self._twice(list(self.flowing), [1.0] * len(self.roles), speeds)
+        heat = self._twice(list(self.flowing), list(self._standing), speeds)
         left, time, step = dict.fromkeys(self.roles, math.inf), 0.0, STEP_S
         while time < LONGEST_LEFT_S and math.inf in left.values():
             bound.step(step, *heat, self._settings.ambient, even=True)

@@ -5,25 +5,47 @@ bound shows that the actuator lies outside its tolerances, or that its air is bl
 """
 
 from collections.abc import Callable, Iterable
+from functools import partial
 
 from leactl.driver.contract import Row, StreamSpec
+from leactl.safety.limits import LEADS
 from leactl.safety.thermal.bound import HOUSING
 from leactl.safety.thermal.guard import ThermalGuard
 
 SENSOR_K = 5.0  # that a camera or a thermistor may read too much
-LEADS = 2.0  # mean square current of the q axis that heats like a direct current through two leads, over its square
+
+
+class Leads:
+    """Direct currents through leads, by whatever tells one; of several for one role the largest heats."""
+
+    def __init__(self, guard: ThermalGuard) -> None:
+        self._guard = guard
+        self._told: dict[int, dict[str, float]] = {}  # A^2 by place of the role, and by source
+
+    def tell(self, role: str, source: str, amperes: float) -> None:
+        """Have this current [A] flow from now on, as far as this source goes."""
+        place = self._guard.roles.index(role)
+        told = self._told.setdefault(place, {})
+        told[source] = LEADS * amperes * amperes
+        self._guard.leads[place] = max(told.values())
 
 
 class Measured:
     """Streams that measure windings, housings and the current through the leads."""
 
-    def __init__(self, guard: ThermalGuard, streams: Iterable[StreamSpec], trip: Callable[[str], object]) -> None:
-        self._guard, self._trip = guard, trip
+    def __init__(
+        self,
+        guard: ThermalGuard,
+        streams: Iterable[StreamSpec],
+        trip: Callable[[str], object],
+        leads: Leads | None = None,
+    ) -> None:
+        self._guard, self._trip, self._currents = guard, trip, leads or Leads(guard)
         self._looks = {
             stream.name: [
                 (place, look, channel.role)
                 for place, channel in enumerate(stream.channels)
-                if channel.role in guard.roles and (look := self._look_of(channel.quantity)) is not None
+                if channel.role in guard.roles and (look := self._look_of(channel.quantity, stream.name)) is not None
             ]
             for stream in streams
         }
@@ -33,12 +55,13 @@ class Measured:
         for place, look, role in self._looks.get(row.stream, ()):
             look(role, row.values[place])
 
-    def _look_of(self, quantity: str) -> Callable[[str, float], None] | None:
-        return {
+    def _look_of(self, quantity: str, stream: str) -> Callable[[str, float], None] | None:
+        looks: dict[str, Callable[[str, float], None]] = {
             "winding_temperature": self._winding,
             "housing_temperature": self._housing,
-            "line_current": self._leads,
-        }.get(quantity)
+            "line_current": partial(self._leads, stream),
+        }
+        return looks.get(quantity)
 
     def _winding(self, role: str, reading: float) -> None:
         self._compare(role, "winding", reading, self._guard.hottest[role])
@@ -53,6 +76,6 @@ class Measured:
                 f" can be above {bound:.1f} degC: cooling, tolerances or sensor are not what they are taken to be"
             )
 
-    def _leads(self, role: str, reading: float) -> None:
+    def _leads(self, stream: str, role: str, reading: float) -> None:
         if reading == reading:
-            self._guard.leads[self._guard.roles.index(role)] = LEADS * reading * reading
+            self._currents.tell(role, stream, reading)
