@@ -29,7 +29,7 @@ def test_the_wheel_runs_the_demo_in_an_empty_environment(tmp_path):
         ).stdout
 
     drivers = json.loads(leactl("driver", "list", "--json"))
-    assert {"elmo_can", "ads1115", "scpi_supply"} <= {item["name"] for item in drivers["drivers"]}
+    assert {"elmo_can", "ads1115", "scpi_supply", "bk1688b"} <= {item["name"] for item in drivers["drivers"]}
     assert "torque-constant" in leactl("protocol", "list")
     answer = json.loads(leactl("demo", "--json"))
     assert len(answer["files"]) == 6

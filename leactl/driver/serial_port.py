@@ -39,12 +39,13 @@ class SerialLine(Protocol):
 
 
 class SerialPort:
-    """Lines of one device, each ended by a line feed; a carriage return before it is no part of the line."""
+    """Lines of one device, each ended by `line_end`; a carriage return before that is no part of the line."""
 
     def __init__(self, connect: Callable[[], SerialLine], clock: Clock, name: str = "serial") -> None:
         self._connect = connect
         self.clock = clock
         self.name = name
+        self.line_end = b"\n"  # of both directions; the driver of a device with another one sets it
         self._line: SerialLine | None = None
         self._users = 0
         self._begun = b""
@@ -136,7 +137,7 @@ class SerialPort:
             read = self._line.read(timeout)
         except OSError as error:
             raise self._gone(error) from None
-        *lines, begun = (self._begun + read).split(b"\n")
+        *lines, begun = (self._begun + read).split(self.line_end)
         self._lines.extend(line[-LONGEST_LINE:].rstrip(b"\r") for line in lines)
         self._begun = begun[-LONGEST_LINE:]
 

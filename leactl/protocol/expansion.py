@@ -3,15 +3,18 @@
 import math
 from collections.abc import Callable
 
+from leactl.driver.contract import Mode
 from leactl.errors import InputError
 from leactl.protocol import sweeps, trajectory
-from leactl.protocol.plan import Prompt, Record, Samples, Tare, WaitUntil
+from leactl.protocol.plan import Prompt, Record, Samples, Supply, Tare, WaitUntil
 from leactl.protocol.schema import divides
 from leactl.protocol.setpointkeys import Spelling
 from leactl.protocol.signals import Csv, Signal
 from leactl.protocol.steps import HoldStep, RampStep, SetStep, Step, WaitStep
 from leactl.protocol.timeline import Timeline
 from leactl.quantities import UNITS
+
+HEATED = "heated"
 
 
 def expand(timeline: Timeline, steps: tuple[Step, ...], pass_number: int = 1) -> None:
@@ -42,6 +45,9 @@ def _mode(timeline: Timeline, step: Step, _pass_number: int) -> None:
     modes = {role: mode for role in ("test", "load") if (mode := getattr(step.content, role)) is not None}
     if not modes:
         timeline.complain(step, (), "a mode for test, load or both was expected")
+    for role, mode in modes.items():
+        if timeline.setup == HEATED and mode is not Mode.OFF:
+            timeline.complain(step, role, f"'{mode}': in set-up {HEATED} a supply feeds the leads; off was expected")
     timeline.engage(step, modes)
 
 
@@ -180,6 +186,15 @@ def _tare(timeline: Timeline, step: Step, _pass_number: int) -> None:
     timeline.charge(step, steps=0, duration_s=step.content.samples / timeline.rate_hz)
 
 
+def _supply(timeline: Timeline, step: Step, _pass_number: int) -> None:
+    outputs = step.content.outputs
+    if not outputs:
+        timeline.complain(step, (), "an output for test, load or both was expected")
+    if timeline.setup not in ("", HEATED):
+        timeline.complain(step, (), f"a supply feeds leads in set-up {HEATED} alone; setup is {timeline.setup}")
+    timeline.add(step, Supply(outputs))
+
+
 def _prompt(timeline: Timeline, step: Step, _pass_number: int) -> None:
     if not step.content.isprintable():
         timeline.complain(step, (), "a text of one printable line was expected")
@@ -197,5 +212,6 @@ _WRITERS: dict[str, Callable[[Timeline, Step, int], None]] = {
     "wait_until": _wait_until,
     "record": _record,
     "tare": _tare,
+    "supply": _supply,
     "prompt": _prompt,
 }

@@ -178,7 +178,14 @@ class Record:
     rate_Hz: float  # noqa: N815 (a unit keeps its letter)
 
 
-Action = Segment | Engage | WaitUntil | Tare | Prompt | Record
+@dataclass(frozen=True)
+class Supply:
+    """Have the supply at a role's leads put out no more than this voltage [V] and current [A]; None switches it off."""
+
+    outputs: Mapping[str, tuple[float, float] | None]
+
+
+Action = Segment | Engage | WaitUntil | Tare | Prompt | Record | Supply
 
 
 @dataclass(frozen=True)
@@ -218,6 +225,7 @@ class Plan:
     text: str  # the protocol file, byte for byte
     separates: tuple[str, ...] = ()  # effects of the gap's vocabulary that its runs tell apart
     needs: tuple[str, ...] = ()  # quantities without which its runs would be of no use
+    wants: tuple[str, ...] = ()  # quantities that its analysis takes; what no device measures comes by another record
 
     @property
     def duration_s(self) -> float:
@@ -225,9 +233,13 @@ class Plan:
         return math.fsum(map(self._lasts, self.actions))
 
     def peaks(self) -> dict[tuple[str, str], float]:
-        """Largest magnitude of each setpoint, by role and quantity."""
+        """Largest magnitude of each setpoint, by role and quantity; of supplies the current."""
         peaks: dict[tuple[str, str], float] = {}
         for action, modes in self._with_modes():
+            if isinstance(action, Supply):
+                for role, output in action.outputs.items():
+                    if output is not None:
+                        peaks[role, "line_current"] = max(peaks.get((role, "line_current"), 0.0), output[1])
             if not isinstance(action, Segment):
                 continue
             for role, profile in action.setpoints.items():
@@ -263,7 +275,14 @@ class Plan:
             yield action, modes
 
 
-_NAMES: dict[type, str] = {Engage: "mode", WaitUntil: "wait_until", Tare: "tare", Prompt: "prompt", Record: "record"}
+_NAMES: dict[type, str] = {
+    Engage: "mode",
+    WaitUntil: "wait_until",
+    Tare: "tare",
+    Prompt: "prompt",
+    Record: "record",
+    Supply: "supply",
+}
 
 
 def _shown(profile: Profile, mode: Mode) -> str:
@@ -281,6 +300,9 @@ def _told(action: Action) -> str:
             return ", ".join(f"{role} {mode.value}" for role, mode in modes.items())
         case WaitUntil(quantity, role, low, high, timeout_s):
             return f"{role} {quantity} in {low:g} .. {high:g} {UNITS[quantity]}, at most {timeout_s:g} s"
+        case Supply(outputs):
+            shown = {role: f"{one[0]:g} V, {one[1]:g} A" if one else "off" for role, one in outputs.items()}
+            return ", ".join(f"{role} {text}" for role, text in shown.items())
         case Tare(samples):
             return f"{samples} samples"
         case Prompt(text):

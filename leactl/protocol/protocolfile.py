@@ -11,6 +11,7 @@ conditions: {loaded: {hold_s: 8}}
 steps: [...]                    # see steps.py
 acceptance:
   - {result: torque_constant, low: 0.4, high: 0.6, unit: N*m/A}
+wants: [winding_temperature]    # that the analysis takes; a run says which of them no device of its bench measures
 separates: [time_skew, torque_sensor_lag]     # effects that `leactl gap diagnose` can tell apart by its runs
 needs: [phase_voltage_ab]                     # refused on a bench without; opens devices that are `on_demand` there
 """
@@ -105,7 +106,7 @@ def expanded(document: yamlfile.Document, folder: Path, overrides: Mapping[str, 
     head = _head(filled, faults)
     rate_hz = head.rate_Hz if head is not None else _number(filled.data.get("rate_Hz"))
     raw = filled.data.get("steps")
-    timeline = Timeline(filled, rate_hz, folder)
+    timeline = Timeline(filled, rate_hz, folder, head.setup if head is not None else "")
     if isinstance(raw, list):
         checked = steps.read(filled, raw, ("steps",), faults)
         timeline.faults.update(dict.fromkeys(faults))
@@ -130,6 +131,7 @@ def expanded(document: yamlfile.Document, folder: Path, overrides: Mapping[str, 
         text=document.text,
         separates=head.separates,
         needs=head.needs,
+        wants=head.wants,
     )
 
 

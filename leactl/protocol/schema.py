@@ -151,6 +151,7 @@ class Head(Block):
     acceptance: tuple[Limit, ...] = ()
     separates: tuple[EffectName, ...] = ()
     needs: tuple[Quantity, ...] = ()
+    wants: tuple[Quantity, ...] = ()
 
 
 def divides(part_hz: float, whole_hz: float) -> bool:

@@ -9,6 +9,7 @@
     signal: {role: test, kind: sine, amplitude_A: 1, frequency_Hz: 2, duration_s: 10}      see signals.py
     wait_until: {quantity: velocity, role: test, below: 0.1, unit: rad/s, timeout_s: 5}
     tare: {samples: 500}
+    supply: {test: {voltage_V: 8, current_A: 9}}      direct current through two leads; off ends it
     prompt: Lock the shaft
     record: {rate_Hz: 1000}                0 pauses
     repeat: {times: 3, steps: [...]}
@@ -23,13 +24,19 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
 
 from leactl.driver.contract import Mode
 from leactl.protocol.parameters import Substituted
 from leactl.protocol.schema import Amount, Block, Count, Driven, Duration, Levels, Rate, Rest, Role, Setpoint, Sign
 from leactl.protocol.signals import SIGNALS
 from leactl.yamlfile import Location
+
+Level = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1e4)]
+
+
+def _none_where_off(given: Any) -> Any:
+    return None if given == Mode.OFF.value else given
 
 
 class ModeStep(Block):
@@ -157,6 +164,26 @@ class WaitStep(Block):
     timeout_s: Duration
 
 
+class Output(Block):
+    """What a supply puts out at the most: the current, as long as the voltage drives it."""
+
+    voltage_V: Level
+    current_A: Level
+
+
+class SupplyStep(Block):
+    """Switch on the supply at a role's leads, at these levels or at others than before; None switches it off."""
+
+    test: Annotated[Output | None, BeforeValidator(_none_where_off)] = None
+    load: Annotated[Output | None, BeforeValidator(_none_where_off)] = None
+
+    @property
+    def outputs(self) -> dict[str, tuple[float, float] | None]:
+        """Voltage [V] and current [A] by role; None for off."""
+        given = {role: getattr(self, role) for role in ("test", "load") if role in self.model_fields_set}
+        return {role: None if one is None else (one.voltage_V, one.current_A) for role, one in given.items()}
+
+
 class RecordStep(Block):
     """Record at another rate from here on."""
 
@@ -180,6 +207,7 @@ KINDS: dict[str, TypeAdapter[Any]] = {
     "grid": TypeAdapter(GridStep),
     "wait_until": TypeAdapter(WaitStep),
     "tare": TypeAdapter(TareStep),
+    "supply": TypeAdapter(SupplyStep),
     "prompt": TypeAdapter(Text),
     "record": TypeAdapter(RecordStep),
     "repeat": TypeAdapter(RepeatStep),

@@ -41,6 +41,7 @@ class Timeline:
     document: Substituted
     rate_hz: float
     folder: Path  # of the protocol file
+    setup: str = ""  # empty where the head says it otherwise
     actions: list[Action] = field(default_factory=list)
     roles: dict[str, Followed] = field(default_factory=lambda: {"test": Followed(), "load": Followed()})
     faults: dict[str, None] = field(default_factory=dict)  # in order, each once

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from leactl.bench.bench import Bench
 from leactl.driver.contract import AnalogInput, Block, Mode
 from leactl.errors import DeviceError, InputError
-from leactl.protocol.plan import Action, Engage, Plan, Profile, Prompt, Record, Segment, Tare, WaitUntil
+from leactl.protocol.plan import Action, Engage, Plan, Profile, Prompt, Record, Segment, Supply, Tare, WaitUntil
 from leactl.runfile.writer import RunWriter
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import Flush
@@ -20,6 +20,7 @@ from leactl.safety.supervisor import Supervisor
 
 ANSWER_SHARE = 0.6  # of a period that the drives' answers may take
 LEAST_ANSWER_S = 0.002
+SWITCHED_S = 10.0  # a supply has to be on or off after; its driver gives up before where it is told that it is not
 NOTICES_EVERY = 16  # cycles: nothing is done about them, so they need not cost every cycle
 
 Operator = Callable[[str], Callable[[], bool]]
@@ -88,6 +89,8 @@ class Loop:
                 self._move(action)
             case Engage():
                 self._engage(action.modes)
+            case Supply():
+                self._supply(action.outputs)
             case WaitUntil():
                 self._wait_until(action)
             case Tare():
@@ -201,6 +204,24 @@ class Loop:
         while not all(self._supervisor.engaged(role) for role in engaged):  # the driver itself gives up in time
             self._cycle()
         self._cycle()
+
+    def _supply(self, outputs: Mapping[str, tuple[float, float] | None]) -> None:
+        """Have supplies put out, or no more, and wait until each reports that it does."""
+        supplies = self._supervisor.supplies
+        told = [f"{role} {f'{one[0]:g} V, {one[1]:g} A' if one else 'off'}" for role, one in outputs.items()]
+        self._progress.step = "supply " + ", ".join(told)
+        self._note("info", "runner", self._progress.step)
+        for role, output in outputs.items():
+            if output is None:
+                supplies.switch_off(role)
+            else:
+                supplies.put_out(role, *output)
+        end = self.time + SWITCHED_S
+        self._cycle()
+        while waiting := [role for role, one in outputs.items() if supplies.supplying(role) is not (one is not None)]:
+            if self.time >= end:
+                raise DeviceError(f"the supply of {waiting[0]} does not report what was commanded: {', '.join(told)}")
+            self._cycle()
 
     def _wait_until(self, action: WaitUntil) -> None:
         self._progress.step = f"wait for {action.role} {action.quantity}"

@@ -19,7 +19,8 @@ from leactl.driver.contract import Confirmation, MotionDevice
 from leactl.driver.stopping import doubt
 from leactl.errors import DeviceError, InputError, SafetyTrip, Stopped
 from leactl.model.motor import load_motor
-from leactl.protocol.plan import Engage, Plan, Record
+from leactl.protocol.plan import Engage, Plan, Record, Supply
+from leactl.quantities import ChannelSpec
 from leactl.runfile.writer import RunInfo, RunWriter, new_run_id
 from leactl.runner import exclusive, latch, underway
 from leactl.runner.loop import Loop, Operator
@@ -35,6 +36,7 @@ from leactl.safety.refusals import check_setpoints
 from leactl.safety.supervisor import Axis, Supervisor
 
 SENSED_SETUPS = ("coupled", "locked")  # where the torque sensor sees what the test actuator gives
+Streams = Mapping[str, Sequence[ChannelSpec]]
 Watch = Callable[[Progress], AbstractContextManager[object]]
 
 
@@ -108,6 +110,7 @@ def execute(request: Request, operator: Operator, watch: Watch, stops: Sequence[
             windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
             request = replace(request, plan=windings.approved(request.plan, request.insert_cooldown))
             supervisor = _supervisor(request, bench, windings)
+            _check_supplies(request, supervisor)
             for source in (announcement.asked, *stops):
                 stop.heed(source)
             with windings.remembered():
@@ -153,7 +156,7 @@ def _run(
     with _shown(watch, progress):
         error: BaseException | None = None
         try:
-            _introduce(request, windings, writer)
+            _introduce(request, windings, writer, bench.streams())
             if announcement.fault:
                 writer.event(0.0, "warning", "runner", announcement.fault)
             loop.run()
@@ -243,6 +246,22 @@ def _check_needs(request: Request, bench: Bench) -> None:
         )
 
 
+def _check_supplies(request: Request, supervisor: Supervisor) -> None:
+    name, most = request.bench.name, supervisor.supplies.most
+    for action in request.plan.actions:
+        for role, output in action.outputs.items() if isinstance(action, Supply) else ():
+            if role not in most:
+                raise InputError(
+                    f"protocol '{request.plan.name}' supplies the leads of {role}; bench '{name}' has no supply there"
+                )
+            for asked, top, unit in zip(output or (), most[role], "VA", strict=False):
+                if asked > top:
+                    raise InputError(
+                        f"protocol '{request.plan.name}' asks {asked:g} {unit} of the supply of {role}; it is good for"
+                        f" {top:g} {unit} on bench '{name}'"
+                    )
+
+
 def _check_disk(request: Request, bench: Bench) -> None:
     plan = request.plan
     rates = [plan.record_Hz, *(action.rate_Hz for action in plan.actions if isinstance(action, Record))]
@@ -298,10 +317,15 @@ def _info(request: Request) -> RunInfo:
     )
 
 
-def _introduce(request: Request, windings: Windings, writer: RunWriter) -> None:
+def _introduce(request: Request, windings: Windings, writer: RunWriter, streams: Streams) -> None:
     """Note what the stored YAML texts do not tell: parameters as resolved, the seed, how warm windings may be."""
     for name, value in request.plan.parameters.items():
         writer.event(0.0, "info", "protocol", f"{name} = {value}")
+    measured = {channel.quantity for stream in streams.values() for channel in stream}
+    for quantity in request.plan.wants:
+        if quantity not in measured:
+            text = f"no device measures {quantity}: its record has to come from elsewhere"
+            writer.event(0.0, "warning", "protocol", text)
     if request.in_process and request.bench.emulated is not None:
         seed = request.bench.emulated.seed if request.seed is None else request.seed
         writer.event(0.0, "info", "emulation", f"seed = {seed}")

@@ -8,11 +8,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 from leactl.bench.benchfile import BenchFile, CheckedDevice, host_silences
+from leactl.driver import registry
 from leactl.driver.contract import SAFE_STATE_S
 from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
 from leactl.protocol.plan import Plan
 from leactl.runner.thermal_memory import Keeper, Memory, Recalled
+from leactl.runner.watchdog import time_to_end_s
 from leactl.safety.thermal.foresight import Forecast, Foresight
 from leactl.safety.thermal.guard import GuardSettings, ThermalGuard
 
@@ -133,10 +135,14 @@ def guard_settings(bench: BenchFile, devices: Sequence[CheckedDevice], motors: M
     """What a bench file tells the guard; the lowest limit of bench and motors counts."""
     limits = bench.limits
     silences = [s for s in host_silences(devices).values() if s is not None]
+    # a supply waits for no sign of life: the run's watchdog sees that the loop stands still, and switches it off; where
+    # the run holds its line, once the run has been ended
+    supplied = any(hasattr(registry.load(device.entry.driver), "switch_on") for device in devices)
+    to_end = SAFE_STATE_S + time_to_end_s(len(devices)) if supplied else 0.0
     return GuardSettings(
         limit=min(limits.winding_temperature_degC, *(motor.limits.winding_temperature for motor in motors.values())),
         ambient=limits.ambient_temperature_degC,
         most_current=limits.current_A,
         most_speed=limits.velocity_rad_s,
-        reserve_s=max(silences, default=SAFE_STATE_S) + STOPS_WITHIN_S,
+        reserve_s=max(silences, default=SAFE_STATE_S) + to_end + STOPS_WITHIN_S,
     )

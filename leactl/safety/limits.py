@@ -5,6 +5,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 CYCLES_OF_SILENCE = 3
+LEADS = 2.0  # mean square current of the q axis that heats like a direct current through two leads, over its square
 LEAST_CYCLIC_AGE_S = 0.05
 UNKNOWN_AMBIENT_DEGC = 40.0  # what is not told is taken as hot
 COLDEST_DEGC, HOTTEST_DEGC = -40.0, 200.0  # of anything on a bench; above, 25 degC in kelvin would pass for one
@@ -47,6 +48,7 @@ class Limits(BaseModel):
             "velocity": self.velocity_rad_s,
             "velocity_reference": self.velocity_rad_s,
             "torque": self.torque_Nm,
+            "line_current": self.current_A / LEADS**0.5,
         }.get(quantity)
         if symmetric is not None:
             return -symmetric, symmetric

@@ -1,7 +1,7 @@
 """The one supervisor: every setpoint passes through it to a device, every sample on its way to the file.
 
-It holds the only references to the drives that the runner may command. A trip latches; every end brings all devices to
-their safe state in a fixed order, and says what could not be confirmed.
+It holds the only references to the drives and supplies that the runner may command. A trip latches; every end brings
+all devices to their safe state in a fixed order, and says what could not be confirmed.
 """
 
 import math
@@ -21,8 +21,9 @@ from leactl.safety.disk import Disk
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.limits import CYCLES_OF_SILENCE, Limits
 from leactl.safety.pace import Pace
+from leactl.safety.supplies import Supplies
 from leactl.safety.thermal.guard import ThermalGuard
-from leactl.safety.thermal.measured import Measured
+from leactl.safety.thermal.measured import Leads, Measured
 from leactl.safety.watching import UNLIMITED, Panel
 
 CURRENT_REFERENCE = "q_axis_current_reference"
@@ -105,7 +106,10 @@ class Supervisor:
         ]
         self._own = {stream.name: self._panel(stream.channels, limits.age_s, now) for stream in streams}
         self._lasting = [self._own[stream.name] for stream in streams if not stream.ends]
-        self._measured = Measured(guard, streams, self.trip)
+        leads = Leads(guard)
+        self._measured = Measured(guard, streams, self.trip, leads)
+        self.supplies = Supplies(others, limits, guard, leads, self.refuse_latched, self.trip)
+        guard.undriven = frozenset(place for place, role in enumerate(guard.roles) if role not in self._axes)
         panels = [*[guarded.panel for guarded in self._axes.values()], *self._own.values()]
         self._stuck = Stuck(panels, interlocks)
         self._pace = Pace(interlocks.loop_overruns, interlocks.clock, self.trip, now)
@@ -160,6 +164,16 @@ class Supervisor:
 
     # -- commands ----------------------------------------------------------------------------------------------------
 
+    def refuse_latched(self) -> None:
+        """Let nothing begin after a trip.
+
+        Raises
+        ------
+        SafetyTrip : one is latched.
+        """
+        if self.tripped:
+            raise SafetyTrip(self.tripped)
+
     def engage(self, role: str, mode: Mode) -> None:
         """Let a drive enter operation with zero demand.
 
@@ -167,8 +181,7 @@ class Supervisor:
         ------
         SafetyTrip : a trip is latched.
         """
-        if self.tripped:
-            raise SafetyTrip(self.tripped)
+        self.refuse_latched()
         guarded = self._axes[role]
         guarded.axis.motion.engage(mode)  # what the drive refuses leaves the limits as they are
         guarded.turn_to(mode, self._limits, self._clock.now())
@@ -307,6 +320,7 @@ class Supervisor:
             self.trip(row.fault)
         self._own[row.stream].look(row.values, row.time)
         self._measured.look(row)
+        self.supplies.look(row)
 
     def free_space(self, free_bytes: float) -> None:
         """Judge what is left on the disk that takes the recording.
@@ -334,11 +348,12 @@ class Supervisor:
         raise SafetyTrip(self.tripped)
 
     def latch(self, cause: str) -> None:
-        """Let nothing pass from here on, and take the setpoint from every drive: a further cycle switches it off."""
+        """Let nothing pass from here on, take the setpoint from every drive, and cut every supply at the leads."""
         self.tripped = self.tripped or cause or "the run has ended"
         for guarded in self._axes.values():
             with suppress(Exception):  # a driver that breaks here is switched off by `make_safe`, and hides no trip
                 guarded.axis.motion.release()
+        self.supplies.cut()
 
     # -- the end -----------------------------------------------------------------------------------------------------
 

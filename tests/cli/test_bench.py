@@ -55,7 +55,10 @@ def test_reset_of_a_damaged_latch_says_so_and_asks_too(tmp_path):
 def test_reset_of_an_unknown_bench_is_status_2():
     done = leactl("bench", "reset", "no-such")
     assert done.returncode == 2
-    assert done.stderr == "leactl: bench 'no-such' is not known; known: emulated, testbed, or a path to a .yaml\n"
+    assert (
+        done.stderr
+        == "leactl: bench 'no-such' is not known; known: emulated, emulated-heated, testbed, or a path to a .yaml\n"
+    )
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -143,7 +143,10 @@ def test_nothing_runs():
 def test_an_unknown_bench_is_status_2():
     done = leactl("bench", "stop", "no-such")
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "leactl: bench 'no-such' is not known; known: emulated, testbed, or a path to a .yaml\n"
+    assert (
+        done.stderr
+        == "leactl: bench 'no-such' is not known; known: emulated, emulated-heated, testbed, or a path to a .yaml\n"
+    )
 
 
 @pytest.mark.parametrize(

@@ -89,7 +89,7 @@ def test_runs_and_their_bench_files_are_kept_where_they_are_asked_for_and_run_ag
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["no-such"], "bench 'no-such' is not known; known: emulated, testbed"),
+        (["no-such"], "bench 'no-such' is not known; known: emulated, emulated-heated, testbed"),
         (["--only", "gremlins"], "fault 'gremlins' is not known; known: bus_off, "),
         (
             ["testbed", "--only", "bus_off", "--yes"],

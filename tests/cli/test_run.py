@@ -58,7 +58,10 @@ def test_a_trip_is_status_3_and_the_reset_states_its_cause(here):
     ("arguments", "words"),
     [
         (["no-such"], "no-such"),
-        (["spin.yaml", "--bench", "no-such"], "bench 'no-such' is not known; known: emulated, testbed"),
+        (
+            ["spin.yaml", "--bench", "no-such"],
+            "bench 'no-such' is not known; known: emulated, emulated-heated, testbed",
+        ),
         (["spin.yaml", "--set", "speed=1"], "speed"),
         (["spin.yaml", "--set", "hold_s"], "--set hold_s: name=value was expected"),
         (["spin.yaml", "--condition", "icy"], "condition 'icy'"),

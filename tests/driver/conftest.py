@@ -1,5 +1,7 @@
 """Benches on every transport there is; a test that needs emulated time or a broken bus makes its own in-process one."""
 
+from functools import partial
+
 import pytest
 
 from leactl.bench.benchfile import CanBus
@@ -7,7 +9,7 @@ from leactl.bench.wiring import MachineWiring
 
 from .adc_bench import AdcBench
 from .elmo_bench import ElmoBench
-from .supply_bench import SupplyBench
+from .supply_bench import Bk1688bBench, SupplyBench
 from .transports import (
     CAN,
     I2C,
@@ -81,16 +83,28 @@ def make_adc(request, far_end_process):
 
 
 @pytest.fixture(params=SERIAL)
-def make_supply(request, far_end_process):
-    """Make a supply's bench with these settings; it is let go at the end."""
+def make_serial(request, far_end_process):
+    """Make a bench of this kind with these settings at a serial line; it is let go at the end."""
     made = []
 
-    def make(**settings):
+    def make(kind, **settings):
         name = request.param
         wire = SerialInProcess() if name == "in_process" else SerialElsewhere(*far_end_process("serial", name))
-        made.append(SupplyBench(wire=wire, **settings))
+        made.append(kind(wire=wire, **settings))
         return made[-1]
 
     yield make
     for bench in made:
         bench.supply.close()
+
+
+@pytest.fixture
+def make_supply(make_serial):
+    """Make a supply that speaks SCPI, with these settings."""
+    return partial(make_serial, SupplyBench)
+
+
+@pytest.fixture
+def make_bk1688b(make_serial):
+    """Make a supply of the 168xB family, with these settings."""
+    return partial(make_serial, Bk1688bBench)

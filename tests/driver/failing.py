@@ -3,6 +3,7 @@
 import math
 
 from leactl_plugins.ads1115.emulator import Ads1115Emulator
+from leactl_plugins.bk1688b.emulator import Bk1688bEmulator
 from leactl_plugins.elmo_can.emulator import PRE_OPERATIONAL, STOPPED, ElmoEmulator
 from leactl_plugins.scpi_supply.emulator import ScpiSupplyEmulator
 
@@ -137,11 +138,11 @@ class Resistor:
         return 0.6 * flowing, flowing
 
 
-class FailingSupplyEnd(ScpiSupplyEmulator):
-    """A supply into a resistor."""
+class FailingLine:
+    """What may go wrong between a host and any supply's far end."""
 
-    def __init__(self, dialect: str = "e36xx", model: str = "E3633A", serial_number: str = "0") -> None:
-        super().__init__(dialect, model, Resistor(), serial_number)
+    def __init__(self, *arguments) -> None:
+        super().__init__(*arguments)
         self._spoilt: list[bytes | None] = []
         self._deaf: list[str] = []
         self._frozen = False
@@ -156,15 +157,6 @@ class FailingSupplyEnd(ScpiSupplyEmulator):
         """Be switched off at the front panel."""
         self.on = False
         self._regulate()
-
-    def trip(self) -> None:
-        """Have the over-voltage protection trip."""
-        self.over_voltage.tripped = True
-        self._regulate()
-
-    def note_error(self, number: int, text: str) -> None:
-        """Have an entry in the error queue."""
-        self._fail((number, text))
 
     def ignore(self, header: str) -> None:
         """Do nothing about commands that begin so."""
@@ -190,10 +182,6 @@ class FailingSupplyEnd(ScpiSupplyEmulator):
         """Whether it is on, and what is at the terminals."""
         return [self.on, self.volts, self.amperes]
 
-    def levels(self) -> list:
-        """Both settings and both protections' levels."""
-        return [self.set_volts, self.set_amperes, self.over_voltage.level, self.over_current.level]
-
     def receive(self, data: bytes, now: float) -> None:
         lost = min(self._unheard, len(data))
         self._unheard -= lost
@@ -206,6 +194,41 @@ class FailingSupplyEnd(ScpiSupplyEmulator):
             return self._spoilt.pop(0) or b""
         return answer
 
-    def _obey(self, command: str, now: float) -> None:
-        if not any(command.startswith(header) for header in self._deaf):
-            super()._obey(command, now)
+    def _obey(self, command: str, *now: float):
+        if any(command.startswith(header) for header in self._deaf):
+            return None
+        return super()._obey(command, *now)
+
+
+class FailingSupplyEnd(FailingLine, ScpiSupplyEmulator):
+    """A supply that speaks SCPI, into a resistor."""
+
+    def __init__(self, dialect: str = "e36xx", model: str = "E3633A", serial_number: str = "0") -> None:
+        super().__init__(dialect, model, Resistor(), serial_number)
+
+    def trip(self) -> None:
+        """Have the over-voltage protection trip."""
+        self.over_voltage.tripped = True
+        self._regulate()
+
+    def note_error(self, number: int, text: str) -> None:
+        """Have an entry in the error queue."""
+        self._fail((number, text))
+
+    def levels(self) -> list:
+        """Both settings and both protections' levels."""
+        return [self.set_volts, self.set_amperes, self.over_voltage.level, self.over_current.level]
+
+
+class FailingBk1688bEnd(FailingLine, Bk1688bEmulator):
+    """A supply of the 168xB family, into a resistor."""
+
+    def __init__(self, model: str = "1688B") -> None:
+        super().__init__(model, Resistor())
+
+    def levels(self) -> list:
+        """Both settings."""
+        return [self.set_volts, self.set_amperes]
+
+
+SUPPLY_ENDS = {"scpi_supply": FailingSupplyEnd, "bk1688b": FailingBk1688bEnd}

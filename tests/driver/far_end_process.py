@@ -16,7 +16,7 @@ from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.serial_wire import SerialWire
 from leactl.emulation.serving import CanBridge, SerialBridge, StubChip, serve, stub_bus
 from leactl.emulation.wires import CanWire
-from tests.driver.failing import FailingConverter, FailingDrive, FailingSupplyEnd
+from tests.driver.failing import SUPPLY_ENDS, FailingConverter, FailingDrive
 
 CHIP = 0x48
 
@@ -88,8 +88,8 @@ def serve_supply(place):
     bridge = SerialBridge(wire)
     Path(place["link"]).symlink_to(bridge.place.split()[-1])
 
-    def make(*arguments):
-        wire.device = FailingSupplyEnd(*arguments)
+    def make(kind, *arguments):
+        wire.device = SUPPLY_ENDS[kind](*arguments)
         return wire.device
 
     print(json.dumps("ready"), flush=True)

@@ -1,13 +1,14 @@
 """A supply's driver, its far end and the line between them, with every byte of either side kept."""
 
+from leactl_plugins.bk1688b.driver import Bk1688b
 from leactl_plugins.scpi_supply.driver import ScpiSupply
-from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 
 from leactl.driver.serial_port import SerialPort
 
 from .transports import SerialInProcess
 
 HEATED = {"dialect": "e36xx", "model": "E3633A", "feeds": "leads", "voltage_limit_V": 8.0, "current_limit_A": 10.0}
+BK = {"model": "1688B", "feeds": "leads", "voltage_limit_V": 8.0, "current_limit_A": 10.0}
 
 
 class Tap:
@@ -36,19 +37,30 @@ class Tap:
 class SupplyBench:
     """One supply at the host's line."""
 
+    driver, settings_given, line_end = ScpiSupply, HEATED, b"\n"
+
     def __init__(self, wire=None, **settings) -> None:
         self.wire = wire or SerialInProcess()
         self.exact, self.clock = self.wire.exact, self.wire.clock
-        self.settings = ScpiSupplySettings(**(HEATED | self.wire.settings | settings))
-        self.far = self.wire.supply(self.settings.dialect, self.settings.model, self.settings.serial_number or "0")
+        self.settings = self.driver.Settings(**(self.settings_given | self.wire.settings | settings))
+        self.far = self.wire.supply(*self.far_end())
         self.said, self.heard = bytearray(), bytearray()
         self.connections = self.dead_connections = 0
         self.port = SerialPort(lambda: Tap(self), self.clock, "supply0")
-        self.supply = ScpiSupply("supply", "test", self.settings, self.port, self.clock)
+        self.expect()
+
+    def far_end(self):
+        """Which instrument is there."""
+        return "scpi_supply", self.settings.dialect, self.settings.model, self.settings.serial_number or "0"
+
+    def expect(self, **other):
+        """Have the driver expect something else than the instrument is."""
+        settings = self.settings.model_copy(update=other)
+        self.supply = self.driver("supply", "test", settings, self.port, self.clock)
 
     def lines(self):
         """What was sent since the last call, a line each."""
-        sent = bytes(self.said).split(b"\n")
+        sent = bytes(self.said).split(self.line_end)
         self.said.clear()
         assert sent.pop() == b""
         return sent
@@ -83,3 +95,12 @@ class SupplyBench:
         took = self.clock.now() - began
         assert took <= allowed + (0.0 if self.exact else 0.5) + 1e-9
         return confirmed
+
+
+class Bk1688bBench(SupplyBench):
+    """A BK Precision supply at the host's line."""
+
+    driver, settings_given, line_end = Bk1688b, BK, b"\r"
+
+    def far_end(self):
+        return "bk1688b", self.settings.model

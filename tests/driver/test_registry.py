@@ -47,7 +47,7 @@ def test_a_supply_that_cannot_be_cut_at_once_breaks_the_contract():
 
 
 def test_an_unknown_driver_lists_the_known():
-    with pytest.raises(InputError, match="known: ads1115, elmo_can"):
+    with pytest.raises(InputError, match=r"known: .*ads1115, .*elmo_can"):
         registry.load("elmo")
 
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from leactl_plugins.scpi_supply import answers
-from leactl_plugins.scpi_supply.answers import Unreadable
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 from pydantic import ValidationError
 
 from leactl.driver.contract import PowerSupply
+from leactl.driver.conversation import Unreadable
 from leactl.driver.serial_port import LONGEST_LINE, SerialPort
 from leactl.emulation.clock import EmulatedClock
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
@@ -109,7 +109,7 @@ def test_an_output_that_was_left_on_is_off_after_opening(bench):
     ],
 )
 def test_another_instrument_is_refused(here, other, complaint):
-    here.supply.settings = here.settings.model_copy(update=other)
+    here.expect(**other)
     with pytest.raises(DeviceError) as refused:
         here.supply.open()
     assert str(refused.value) == complaint
@@ -135,7 +135,7 @@ def test_a_supply_that_is_not_as_it_was_told_to_be_is_refused(here, fault, kind,
 
 
 def test_a_level_beyond_the_instrument_s_range_is_refused_by_its_error(here):
-    here.supply.settings = here.settings.model_copy(update={"output_range": "high", "voltage_limit_V": 21.0})
+    here.expect(output_range="high", voltage_limit_V=21.0)
     here.far.ignore("VOLT:RANG")
     here.far.ignore("VOLT:PROT 21")
     with pytest.raises(DeviceError, match="VOLT:PROT holds 22 after 21"):
@@ -143,10 +143,9 @@ def test_a_level_beyond_the_instrument_s_range_is_refused_by_its_error(here):
 
 
 def test_output_range_is_chosen_where_there_are_two(here):
-    here.supply.settings = here.settings.model_copy(update={"output_range": "high"})
+    here.expect(output_range="high", current_limit_A=15.0)
     here.supply.open()
     assert b"VOLT:RANG HIGH" in here.lines()
-    here.supply.settings = here.settings.model_copy(update={"current_limit_A": 15.0})
     here.supply.supply(5.0, 12.0)  # 20 V range: 10 A
     with pytest.raises(DeviceError, match="supply: CURR holds 0 after 12 was written"):
         here.until(lambda _: False)

@@ -19,7 +19,7 @@ from leactl.driver.clock import MonotonicClock
 from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.serial_wire import EmulatedSerialLine, SerialWire
 from leactl.emulation.wires import CanWire, EmulatedCanBus, EmulatedI2cBus
-from tests.driver.failing import FailingConverter, FailingDrive, FailingSupplyEnd
+from tests.driver.failing import SUPPLY_ENDS, FailingConverter, FailingDrive
 
 ROOT = Path(__file__).parents[2]
 CAN = ["in_process", "udp_multicast", *(["kernel"] if "LEACTL_TEST_CAN" in os.environ else [])]
@@ -109,8 +109,8 @@ class SerialInProcess:
     def connect(self):
         return EmulatedSerialLine(self.wire)
 
-    def supply(self, *arguments):
-        self.wire.device = FailingSupplyEnd(*arguments)
+    def supply(self, kind, *arguments):
+        self.wire.device = SUPPLY_ENDS[kind](*arguments)
         return self.wire.device
 
 
@@ -125,8 +125,8 @@ class SerialElsewhere:
         self.connect = MachineWiring().serial("supply0", SerialBus(kind="serial", port=place["link"]))
         self._process = process
 
-    def supply(self, *arguments):
-        self._process.ask("new", *arguments)
+    def supply(self, kind, *arguments):
+        self._process.ask("new", kind, *arguments)
         return FarEnd(self._process)
 
 

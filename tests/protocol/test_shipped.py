@@ -6,7 +6,7 @@ import pytest
 
 from leactl.driver.contract import Mode
 from leactl.protocol import protocolfile
-from leactl.protocol.plan import Engage, Ramp, Tare
+from leactl.protocol.plan import Engage, Ramp, Supply, Tare
 from tests.protocol.writing import levels, segments
 
 KT = 0.49  # N*m/A
@@ -19,11 +19,15 @@ def test_every_shipped_protocol_is_in_order(name):
     assert found.name == name
     assert found.title
     assert found.analysis or found.separates  # the latter's runs go to `leactl gap diagnose`
-    modes = {}
+    modes, outputs = {}, {}
     for action in found.actions:
         if isinstance(action, Engage):
             modes |= action.modes
-    assert set(modes.values()) == {Mode.OFF}
+        if isinstance(action, Supply):
+            outputs |= action.outputs
+    assert modes or outputs
+    assert set(modes.values()) <= {Mode.OFF}
+    assert set(outputs.values()) <= {None}
 
 
 def test_torque_constant():
@@ -95,6 +99,20 @@ def test_friction_breaks_loose_turns_at_every_level_and_keeps_below_the_limit(pr
     assert min(speeds) > 2
     assert max(speeds) < 40
     assert all(KT * abs(level) > 1.5 * friction for level in levels(found, "start"))
+
+
+def test_thermal():
+    found = protocolfile.load("thermal", {"current_A": "9"})
+    assert found.setup == "heated"
+    assert [action.outputs for action in found.actions if isinstance(action, Supply)] == [
+        {"test": (8.0, 9.0)},
+        {"test": None},
+    ]
+    lasting = {segment.name: segment.duration_s for segment in segments(found)}
+    assert (lasting["heating"], lasting["cooling"]) == (75 * 60, 75 * 60)
+    assert found.rate_Hz == 30
+    # the voltage lets 9 A flow through 0.528 ohm at the winding's limit, 105 K warmer
+    assert 9 * 0.528 * (1 + 0.004 * 105) < 8.0
 
 
 def test_the_text_is_kept_byte_for_byte(tmp_path):

@@ -175,7 +175,7 @@ class OfDrive(OfDevice):
 class OfPowerSupply(OfDevice, LastingFault):
     """A fault of a device that is a power supply."""
 
-    not_drilled = "no protocol switches a power supply on, and one that is off can fail in neither way"
+    not_drilled = "no run of the drill switches a power supply on, and one that is off can fail in neither way"
 
     def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:
         """A device whose emulator has no faults of a supply."""

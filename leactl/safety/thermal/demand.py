@@ -11,7 +11,8 @@ import numpy as np
 
 from leactl.driver.contract import Mode
 from leactl.model.motor import Motor
-from leactl.protocol.plan import Action, Constant, Engage, Plan, Profile, Samples, Segment, Tare
+from leactl.protocol.plan import Action, Constant, Engage, Plan, Profile, Samples, Segment, Supply, Tare
+from leactl.safety.limits import LEADS
 from leactl.safety.thermal.box import Array, Box
 from leactl.safety.thermal.guard import GuardSettings
 
@@ -27,6 +28,7 @@ class State:
     duration: float
     modes: Mapping[str, Mode]
     setpoints: Mapping[str, Profile]
+    leads: Mapping[str, float]  # A, through two leads of a role
 
     @property
     def constant(self) -> bool:
@@ -43,6 +45,7 @@ def states(plan: Plan) -> Iterator[State]:
     """Every action of a plan; waits for a person or a reading take no time here, the guard watches them."""
     modes: dict[str, Mode] = {}
     setpoints: dict[str, Profile] = {}
+    leads: dict[str, float] = {}
     for action in plan.actions:
         name, duration = _name_and_duration(plan, action)
         if isinstance(action, Engage):
@@ -50,7 +53,9 @@ def states(plan: Plan) -> Iterator[State]:
             setpoints |= dict.fromkeys(action.modes, Constant(0.0))
         if isinstance(action, Segment):
             setpoints |= action.setpoints
-        yield State(name, duration, dict(modes), dict(setpoints))
+        if isinstance(action, Supply):
+            leads |= {role: output[1] if output else 0.0 for role, output in action.outputs.items()}
+        yield State(name, duration, dict(modes), dict(setpoints), {k: v for k, v in leads.items() if v})
         if isinstance(action, Segment):
             ended = {role: Constant(profile.at(action.duration_s)) for role, profile in action.setpoints.items()}
             setpoints |= ended
@@ -70,11 +75,11 @@ class Demand:
 
     def heats(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array]:
         """Mean square currents, electrical speeds at the least [rad/s], and speeds at the most, of all roles."""
-        currents, turned, speeds = self.currents(plan, state, at)
-        return np.mean(currents**2, axis=1), turned, speeds
+        squares, turned, speeds = self.squares(plan, state, at)
+        return np.mean(squares, axis=1), turned, speeds
 
-    def currents(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array]:
-        """Currents at these moments, and both speeds as of `heats`."""
+    def squares(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array]:
+        """Square currents at these moments, and both speeds as of `heats`."""
         currents = np.zeros((len(self._roles), len(at)))
         speeds, planned = self._speeds(plan, state, at)
         accelerations = self._accelerations(plan, state, at)
@@ -86,8 +91,12 @@ class Demand:
                 told = [state.setpoints[role].at(t) if mode is Mode.VELOCITY else 0.0 for t in at]
                 held = self._held_current(plan, k, currents, np.array(told), speeds, accelerations)
                 currents[k] = np.minimum(held, self._settings.most_current)
+        squares = currents**2
+        for k, role in enumerate(self._roles):
+            if role in state.leads:  # where no drive stands beside the supply, which a heated set-up has none of
+                squares[k] = LEADS * state.leads[role] ** 2
         turned = np.array([self._motors[role].pole_pairs for role in self._roles]) * planned
-        return currents, turned, speeds
+        return squares, turned, speeds
 
     def _held_current(
         self, plan: Plan, place: int, currents: Array, velocities: Array, speeds: Array, accelerations: Array

@@ -17,6 +17,7 @@ from leactl.safety.thermal.bound import LONGEST_STEP_S, ThermalBound, lateness
 from leactl.safety.thermal.box import Array, Box
 from leactl.safety.thermal.demand import Demand, State, states
 from leactl.safety.thermal.guard import MARGIN_K, STEP_S, TURN_S, Budgets, GuardSettings
+from leactl.safety.thermal.turning import LED_ALIGNED
 
 PARTS = 10  # samples of a step, where setpoints vary along a line
 COARSE_K = 2.0  # that a node may rise by in one step, where they do not
@@ -144,6 +145,7 @@ class Foresight:
                 aligned, late = _aligned(turned * STEP_S), np.full(len(squares), own)
                 if left > own and np.any((turned * own < FAST) & (turned * LONGEST_STEP_S > 1.0)):
                     aligned, late = self._shared(turned, own, self._evenness(plan, state, time, own))
+            aligned[[role in state.leads for role in self._roles]] = LED_ALIGNED
             yield _Piece(step, squares, aligned, speeds, late)
             time += step
 
@@ -151,7 +153,7 @@ class Foresight:
         """Mean over largest square current of spans of 1, 2, .. guard's steps from a moment on, within the action."""
         count = int(min(LONGEST_STEP_S, state.duration - time) / own + LEAST_S)
         at = [time + 0.5 * own * k for k in range(2 * count + 1)]
-        squares = self._demand.currents(plan, state, at)[0] ** 2
+        squares = self._demand.squares(plan, state, at)[0]
         ends = range(3, 2 * count + 2, 2)
         most = np.stack([squares[:, :end].max(axis=1) for end in ends], axis=1)
         mean = np.stack([squares[:, :end].mean(axis=1) for end in ends], axis=1)
@@ -189,7 +191,7 @@ def _aligned(turned: Array) -> Array:
 
 
 def _at_rest(plan: Plan, place: int) -> bool:
-    """Whether no current is asked for, and no speed, as an action begins."""
+    """Whether no current is asked for, from drive or supply, and no speed, as an action begins."""
     last = None
     for index, state in enumerate(states(plan)):
         if index == place:
@@ -197,7 +199,7 @@ def _at_rest(plan: Plan, place: int) -> bool:
         last = state
     if last is None:
         return True
-    return all(
+    return not last.leads and all(
         last.modes.get(role, Mode.OFF) in (Mode.OFF, Mode.ANGLE) or profile.at(math.inf) == 0.0
         for role, profile in last.setpoints.items()
     )

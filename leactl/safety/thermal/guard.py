@@ -17,7 +17,7 @@ import numpy as np
 from leactl.model.motor import Motor
 from leactl.safety.thermal.bound import HOTTEST, LONGEST_STEP_S, MEAN, ThermalBound
 from leactl.safety.thermal.box import PHASE_SHARE, Array, Box
-from leactl.safety.thermal.turning import Rotor, Span
+from leactl.safety.thermal.turning import LED_ALIGNED, Rotor, Span
 
 LOOK_S, TURN_S = 0.01, 0.1
 STEP_S, COLD_STEP_S = 0.1, 1.0
@@ -86,7 +86,8 @@ class ThermalGuard:
         self._bound.set(np.concatenate([nodes, nodes], axis=1))
         self.squares = [0.0] * len(boxes)  # A^2 s of each role since the last step; the supervisor adds to it
         self.flowing = [0.0] * len(boxes)  # A^2 of the latest cycle
-        self.leads: dict[int, float] = {}  # A^2 that heats like what flows through two leads, where that is measured
+        self.leads: dict[int, float] = {}  # A^2 that heats like what flows through two leads, where any may
+        self.undriven: frozenset[int] = frozenset()  # roles without a drive, by their places: nothing else heats them
         self.due = -math.inf  # when `check` is to be called again
         self._rotors = [Rotor(motor.pole_pairs, settings.most_speed) for motor in motors.values()]
         self._budgets_of = Budgets(boxes, settings)
@@ -97,6 +98,7 @@ class ThermalGuard:
         self._motion: Motion = lambda index: (math.nan, math.nan)
         self._forgotten: Callable[[], str] = str
         self._budgets = [-math.inf] * len(boxes)
+        self._standing = [1.0] * len(boxes)  # how far what flows stands at one electrical angle where no rotor turns
         self.hottest = {role: float(nodes[HOTTEST, k]) for k, role in enumerate(self.roles)}  # degC, at the most
         self.estimate = {role: float(nodes[MEAN, k]) for k, role in enumerate(self.roles)}  # degC, for display alone
         self.allowed = dict.fromkeys(self.roles, math.inf)
@@ -152,12 +154,16 @@ class ThermalGuard:
 
     def _look(self, now: float) -> None:
         """Give every rotor the heat since the last look."""
-        since = now - self._looked
+        since, led = now - self._looked, dict[int, float]()
         for index, square in self.leads.items():
-            self.squares[index] += square * since
-            self.flowing[index] = max(self.flowing[index], square)
+            heat = square * since
+            self.squares[index] += heat
+            led[index] = heat
+            alone = index in self.undriven
+            self.flowing[index] = square if alone else max(self.flowing[index], square)
+            self._standing[index] = LED_ALIGNED if alone else 1.0
         for index, rotor in enumerate(self._rotors):
-            rotor.look(*self._motion(index), self.squares[index], since)
+            rotor.look(*self._motion(index), self.squares[index], since, led.get(index, 0.0))
         self._looked = now
 
     def _advance(self, now: float, duration: float) -> str:
@@ -212,8 +218,9 @@ class ThermalGuard:
         if self._step > STEP_S:
             self.allowed = dict.fromkeys(self.roles, math.inf)
             return ""
-        held = self._ahead(self.flowing, speeds, settings.reserve_s)
-        most = self._ahead([settings.most_current**2] * len(self.roles), speeds, HORIZON_S)
+        still = [1.0] * len(self.roles)
+        held = self._ahead(self.flowing, self._standing, speeds, settings.reserve_s)
+        most = self._ahead([settings.most_current**2] * len(self.roles), still, speeds, HORIZON_S)
         cause = ""
         for k, role in enumerate(self.roles):
             # what starts above the limit may cool there: no stop would cool it any faster
@@ -225,7 +232,7 @@ class ThermalGuard:
                 )
             self.allowed[role] = math.inf
             if not most[k] < settings.limit - SCALED_K:
-                least = self._ahead([0.0] * len(self.roles), speeds, HORIZON_S)[k]
+                least = self._ahead([0.0] * len(self.roles), still, speeds, HORIZON_S)[k]
                 self.allowed[role] = self._between(least, most[k])
         return cause
 
@@ -236,11 +243,10 @@ class ThermalGuard:
             return 0.0
         return self._settings.most_current * math.sqrt(min(1.0, room / (most - least)))
 
-    def _ahead(self, squares: list[float], speeds: list[float], duration: float) -> Array:
-        """Hottest phases after some time at these currents, held at one electrical angle."""
+    def _ahead(self, squares: list[float], aligned: list[float], speeds: list[float], duration: float) -> Array:
+        """Hottest phases after some time at these currents."""
         kept = self._bound.state
-        standing = [1.0] * len(squares)
-        self._bound.step(duration, *self._twice(squares, standing, speeds), self._settings.ambient, late=0.0)
+        self._bound.step(duration, *self._twice(squares, aligned, speeds), self._settings.ambient, late=0.0)
         found = self._bound.hottest()
         self._bound.state = kept
         return found
@@ -256,7 +262,7 @@ class ThermalGuard:
         From another thread at any time: it works on a copy.
         """
         bound, speeds = copy(self._bound), [rotor.span.speed for rotor in self._rotors]
-        heat = self._twice(list(self.flowing), [1.0] * len(self.roles), speeds)
+        heat = self._twice(list(self.flowing), list(self._standing), speeds)
         left, time, step = dict.fromkeys(self.roles, math.inf), 0.0, STEP_S
         while time < LONGEST_LEFT_S and math.inf in left.values():
             bound.step(step, *heat, self._settings.ambient, late=0.0)

@@ -8,19 +8,40 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 
 from leactl.driver.contract import Block, Row, StreamSpec
+from leactl.safety.limits import LEADS
 from leactl.safety.thermal.bound import HOUSING
 from leactl.safety.thermal.guard import ThermalGuard
 from leactl.safety.thermal.resistance import LeadResistance
 
 SENSOR_K = 5.0  # that a camera or a thermistor may read too much
-LEADS = 2.0  # mean square current of the q axis that heats like a direct current through two leads, over its square
+
+
+class Leads:
+    """Direct currents through leads, by whatever tells one; of several for one role the largest heats."""
+
+    def __init__(self, guard: ThermalGuard) -> None:
+        self._guard = guard
+        self._told: dict[int, dict[str, float]] = {}  # A^2 by place of the role, and by source
+
+    def tell(self, role: str, source: str, amperes: float) -> None:
+        """Have this current [A] flow from now on, as far as this source goes."""
+        place = self._guard.roles.index(role)
+        told = self._told.setdefault(place, {})
+        told[source] = LEADS * amperes * amperes
+        self._guard.leads[place] = max(told.values())
 
 
 class Measured:
     """Streams that measure windings, housings, and the current through the leads and the voltage at them."""
 
-    def __init__(self, guard: ThermalGuard, streams: Iterable[StreamSpec], trip: Callable[[str], object]) -> None:
-        self._guard, self._trip = guard, trip
+    def __init__(
+        self,
+        guard: ThermalGuard,
+        streams: Iterable[StreamSpec],
+        trip: Callable[[str], object],
+        leads: Leads | None = None,
+    ) -> None:
+        self._guard, self._trip, self._currents = guard, trip, leads or Leads(guard)
         self._looks = {stream.name: looks for stream in streams if (looks := list(self._looks_at(stream)))}
 
     def look(self, row: Row) -> None:
@@ -69,4 +90,4 @@ class Measured:
     def _leads(self, role: str, index: int, row: Row) -> None:
         reading = row.values[index]
         if reading == reading:
-            self._guard.leads[self._guard.roles.index(role)] = LEADS * reading * reading
+            self._currents.tell(role, row.stream, reading)

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 from leactl.safety.thermal.bound import lateness
 
+LED_ALIGNED = 0.5  # of heat that two phases take in halves, which leaves (1 + 0.5) / 3 to each
+
 
 @dataclass(slots=True)
 class Span:
@@ -17,6 +19,7 @@ class Span:
     square: float = 0.0  # A^2 s
     cos: float = 0.0  # of it at twice the electrical angle
     sin: float = 0.0
+    led: float = 0.0  # A^2 s, of a direct current through two leads
     speed: float = 0.0  # rad/s, at the most
     most: float = 0.0  # A^2, the largest mean square current from one look to the next
     unseen: float = 0.0  # s, from one look to the next at the longest
@@ -24,7 +27,8 @@ class Span:
     @property
     def aligned(self) -> float:
         """How far the current stood at one electrical angle."""
-        return min(1.0, math.hypot(self.cos, self.sin) / self.square) if self.square > 0.0 else 0.0
+        stood = math.hypot(self.cos, self.sin) + LED_ALIGNED * self.led
+        return min(1.0, stood / self.square) if self.square > 0.0 else 0.0
 
     def late(self, duration: float) -> float:
         """How much later than evenly a phase's heat may have come [s], of the seconds that the span lasted."""
@@ -37,6 +41,7 @@ class Span:
             self.square + after.square,
             self.cos + after.cos,
             self.sin + after.sin,
+            self.led + after.led,
             max(self.speed, after.speed),
             max(self.most, after.most),
             max(self.unseen, after.unseen),
@@ -53,7 +58,7 @@ class Rotor:
         self._angle = self._velocity = 0.0
         self.span = Span()
 
-    def look(self, angle: float, velocity: float, square: float, since: float) -> None:
+    def look(self, angle: float, velocity: float, square: float, since: float, led: float) -> None:
         """Put the heat since the last look, `since` s ago, at the electrical angles that the rotor has passed.
 
         Turning evenly over 2 x rad leaves |sin x / x| of an alignment. A rotor that stood at either look may have stood
@@ -63,6 +68,7 @@ class Rotor:
         ----------
         angle, velocity : as measured [rad, rad/s]; NaN where unknown, which counts as standing and at full speed.
         square : heat since `span` was taken [A^2 s].
+        led : what of it has come by a direct current through two leads since the last look [A^2 s].
         """
         span, speed = self.span, abs(velocity)
         if speed != speed:
@@ -76,6 +82,8 @@ class Rotor:
         fresh, span.square = square - span.square, square
         if fresh > span.most * since:
             span.most = fresh / since
+        span.led += led
+        fresh -= led
         evenly = min(abs(velocity), self._velocity) * since
         self._velocity = abs(velocity)
         passed = 0.5 * self._poles * min(abs(angle - before), evenly)

@@ -3,16 +3,12 @@
 import re
 from typing import NamedTuple
 
-from leactl.errors import DeviceError
+from leactl.driver.conversation import Unreadable
 
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?")
 ERROR = re.compile(r'([+-]?\d{1,5}),\s*"(.*)"')
 MOST = 1e4  # V or A; SCPI-1999 volume 1, 7.2.1.4 and 7.2.1.5: 9.9E37 stands for infinity, 9.91E37 for not a number
 TRUE, FALSE = ("1", "ON", "YES"), ("0", "OFF", "NO")
-
-
-class Unreadable(DeviceError):
-    """An answer that is none of its kind: garbled, cut short, or meant for another question."""
 
 
 class Identity(NamedTuple):

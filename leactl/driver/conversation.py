@@ -9,17 +9,24 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from leactl.driver.serial_port import SerialPort
 from leactl.errors import DeviceError, NoAnswer
-from leactl_plugins.scpi_supply.answers import Unreadable
 
 Result = TypeVar("Result")
 
 
+class Unreadable(DeviceError):
+    """An answer that is none of its kind: garbled, cut short, or meant for another question."""
+
+
 class Question(NamedTuple):
-    """A query and how its answer is read; with `patient` whatever is none goes by until one comes."""
+    """What is asked and how its answer is read; with `patient` whatever is none goes by until one comes.
+
+    An answer is one line, or all lines up to and with `last`; `means` takes them joined by line feeds.
+    """
 
     text: str
     means: Callable[[bytes], Any]
     patient: bool = False
+    last: bytes | None = None
 
 
 class Answer(NamedTuple):
@@ -45,6 +52,7 @@ class Talk(Generic[Result]):
         self._port, self._script, self._answer_s = port, script, answer_s
         self._question: Question | None = None
         self._asked = 0.0
+        self._lines: list[bytes] = []  # of an answer that is not whole yet
         self.ended = False
         self.result: Result | None = None
 
@@ -63,8 +71,11 @@ class Talk(Generic[Result]):
             now = self._port.clock.now()
             line = self._port.take_line()
             if line is not None:
-                self._hear(self._question, line, now)
-            elif now - self._asked >= self._answer_s:
+                self._lines.append(line)
+                if self._question.last in (None, line):
+                    whole, self._lines = b"\n".join(self._lines), []
+                    self._hear(self._question, whole, now)
+            elif now >= self._asked + self._answer_s:  # as `finish` waits, to the last bit
                 missed, self._question = self._question, None
                 self._say(self._script.throw, NoAnswer(f"no answer to {missed.text} within {self._answer_s:g} s"))
             else:
@@ -92,9 +103,9 @@ class Talk(Generic[Result]):
             else:
                 clock.sleep_until(min(deadline, now + 0.01))
 
-    def _hear(self, question: Question, line: bytes, now: float) -> None:
+    def _hear(self, question: Question, answer: bytes, now: float) -> None:
         try:
-            value = question.means(line)
+            value = question.means(answer)
         except Unreadable as error:
             if not question.patient:
                 self._question = None
@@ -111,10 +122,10 @@ class Talk(Generic[Result]):
             self.ended, self.result = True, end.value
             return None
         if isinstance(said, Question):
-            self._port.write(said.text.encode("ascii") + b"\n")
-            self._question, self._asked = said, self._port.clock.now()
+            self._port.write(said.text.encode("ascii") + self._port.line_end)
+            self._question, self._asked, self._lines = said, self._port.clock.now(), []
         elif isinstance(said, bytes):
             self._port.write(said)
         elif isinstance(said, str):
-            self._port.write(said.encode("ascii") + b"\n")
+            self._port.write(said.encode("ascii") + self._port.line_end)
         return said

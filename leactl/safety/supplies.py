@@ -1,0 +1,149 @@
+"""Supplies of direct current under supervision: what each may put out, and what its leads heat by.
+
+A current counts as it is measured. From a command until two readings have come since, of which the first may be of
+before it, whatever was asked for counts; where a reading is no number, the most that the supply can give.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import NoReturn
+
+from leactl.driver.contract import Driver, PowerSupply, Row
+from leactl.errors import InputError
+from leactl.safety.limits import LEADS, Limits
+from leactl.safety.thermal.guard import ThermalGuard
+from leactl.safety.thermal.measured import Leads
+
+QUANTITY = "line_current"
+TRUSTED = 2  # readings after a command, from which on they tell what came of it
+
+
+@dataclass
+class _Fed:
+    """One supply at the leads of one role."""
+
+    device: PowerSupply
+    role: str
+    stream: str
+    place: int  # of the current in a row of that stream
+    asked: float = 0.0  # A, that may flow as far as the commands go
+    flowing: float = 0.0  # A, that counts
+    last: float = 0.0  # A, of the latest reading
+    readings: int = 0  # since the latest command
+
+
+class Supplies:
+    """The supplies of a bench that feed the leads of an actuator, one a role."""
+
+    def __init__(
+        self,
+        devices: Iterable[Driver],
+        limits: Limits,
+        guard: ThermalGuard,
+        leads: Leads,
+        refuse_latched: Callable[[], None],
+        trip: Callable[[str], NoReturn],
+    ) -> None:
+        """Of all devices of a bench; its supervisor tells what is latched, and trips.
+
+        Raises
+        ------
+        InputError : two supplies at the leads of one role.
+        """
+        self._limits, self._guard, self._leads = limits, guard, leads
+        self._refuse_latched, self._trip = refuse_latched, trip
+        self._fed: dict[str, _Fed] = {}
+        for device in devices:
+            for stream in device.streams if isinstance(device, PowerSupply) else ():
+                for place, channel in enumerate(stream.channels):
+                    if channel.quantity == QUANTITY and channel.role in guard.roles:
+                        if channel.role in self._fed:
+                            raise InputError(f"two supplies at the leads of {channel.role}; one was expected")
+                        assert isinstance(device, PowerSupply)
+                        self._fed[channel.role] = _Fed(device, channel.role, stream.name, place)
+        self._by_stream = {fed.stream: fed for fed in self._fed.values()}
+
+    @property
+    def most(self) -> Mapping[str, tuple[float, float]]:
+        """Highest voltage [V] and current [A] of each role's supply."""
+        return {role: fed.device.most for role, fed in self._fed.items()}
+
+    def put_out(self, role: str, voltage: float, current: float) -> None:
+        """Set levels [V, A] and switch on.
+
+        Raises
+        ------
+        SafetyTrip : a trip is latched, the current is outside the limits, or more than the winding may carry now;
+            nothing is passed on.
+        InputError : the role has no supply, or the supply cannot put that out; nothing is passed on.
+        """
+        self._refuse_latched()
+        fed = self._of(role)
+        low, high = self._limits.of(QUANTITY) or (math.nan, math.nan)
+        if not low <= current <= high:
+            self._trip(f"{role} {QUANTITY} of {current:g} A is outside the limits ({low:.4g}, {high:.4g})")
+        allowed = self._guard.allowed[role] / LEADS**0.5
+        if current > allowed:
+            self._trip(
+                f"{role} winding: {allowed:.1f} A may flow through two leads now, {current:g} A were asked for: its"
+                f" hottest phase may be at {self._guard.hottest[role]:.1f} degC"
+            )
+        fed.device.supply(voltage, current)
+        self._command(fed, current)
+        fed.device.switch_on()
+
+    def switch_off(self, role: str) -> None:
+        """Switch off; what flowed counts until readings tell otherwise.
+
+        Raises
+        ------
+        InputError : the role has no supply.
+        DeviceError : its line is gone.
+        """
+        fed = self._of(role)
+        self._command(fed, 0.0)
+        fed.device.switch_off()
+
+    def supplying(self, role: str) -> bool:
+        """True from when the supply itself has reported its output on until it has reported it off.
+
+        Raises
+        ------
+        InputError : the role has no supply.
+        """
+        return self._of(role).device.supplying
+
+    def cut(self) -> None:
+        """Switch off whatever was switched on or may be; never raises."""
+        for fed in self._fed.values():
+            with suppress(Exception):  # a driver that breaks here is switched off by `make_safe`, and hides no trip
+                if fed.flowing or fed.device.supplying:
+                    self._command(fed, 0.0)
+                    fed.device.switch_off()
+
+    def look(self, row: Row) -> None:
+        """Take what a supply has measured."""
+        fed = self._by_stream.get(row.stream)
+        if fed is None:
+            return
+        reading = abs(row.values[fed.place])
+        fed.readings += 1
+        # the larger of the last two held at some time in between
+        told = max(reading, fed.last) if reading == reading else fed.device.most[1]
+        fed.last = told if reading != reading else reading
+        self._count(fed, told if fed.readings >= TRUSTED else max(told, fed.asked))
+
+    def _command(self, fed: _Fed, current: float) -> None:
+        fed.asked, fed.readings = max(current, fed.flowing), 0
+        self._count(fed, fed.asked)
+
+    def _count(self, fed: _Fed, amperes: float) -> None:
+        fed.flowing = amperes
+        self._leads.tell(fed.role, fed.stream, amperes)
+
+    def _of(self, role: str) -> _Fed:
+        if role not in self._fed:
+            raise InputError(f"no supply feeds the leads of {role}")
+        return self._fed[role]

@@ -1,0 +1,64 @@
+"""What a supply's answers mean: digits without a point, and an `OK` of its own after them; all else is refused."""
+
+import re
+from typing import NamedTuple
+
+from leactl.driver.conversation import Unreadable
+
+OK = b"OK"
+
+
+class Levels(NamedTuple):
+    """Voltage in steps of 0.1 V, current in steps of the model."""
+
+    volts: int
+    amperes: int
+
+
+class Display(NamedTuple):
+    """What stands at the terminals, and whether the current is what is regulated."""
+
+    voltage: float  # V
+    current: float  # A
+    limited: bool  # constant current, else constant voltage
+
+
+def done(answer: bytes) -> None:
+    """A command that was carried out.
+
+    Raises
+    ------
+    Unreadable : anything beside `OK`.
+    """
+    if answer != OK:
+        raise Unreadable(f"{_shown(answer)} where OK was expected")
+
+
+def levels(answer: bytes) -> Levels:
+    """Both settings, or both limits.
+
+    Raises
+    ------
+    Unreadable : not six digits and `OK`.
+    """
+    found = re.fullmatch(rb"([0-9]{3})([0-9]{3})\nOK", answer)
+    if found is None:
+        raise Unreadable(f"{_shown(answer)} where six digits and OK were expected")
+    return Levels(int(found[1]), int(found[2]))
+
+
+def display(answer: bytes) -> Display:
+    """What is measured.
+
+    Raises
+    ------
+    Unreadable : not nine digits, of which the last is 0 or 1, and `OK`.
+    """
+    found = re.fullmatch(rb"([0-9]{4})([0-9]{4})([01])\nOK", answer)
+    if found is None:
+        raise Unreadable(f"{_shown(answer)} where nine digits and OK were expected")
+    return Display(int(found[1]) / 100, int(found[2]) / 100, found[3] == b"1")
+
+
+def _shown(answer: bytes) -> str:
+    return repr(answer.decode("ascii", "backslashreplace"))

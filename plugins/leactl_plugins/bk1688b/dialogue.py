@@ -1,0 +1,188 @@
+"""What is said to a supply that tells what it measures and never whether its output is on.
+
+Each command is answered by `OK`, and every setting is read back. Whether the output is off is judged by voltage and
+current at the terminals; what is no answer to the latest question is kept apart by what only that question can bring.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from leactl.driver.contract import Confirmation
+from leactl.driver.conversation import Answer, Question, Script, Unreadable
+from leactl.driver.serial_supply import Progress, Reading
+from leactl.errors import DeviceError, DeviceFault, NoAnswer
+from leactl_plugins.bk1688b import answers
+from leactl_plugins.bk1688b.answers import OK, Display, Levels
+from leactl_plugins.bk1688b.models import LEAST_V, STEP_V
+from leactl_plugins.bk1688b.settings import Bk1688bSettings
+
+ON, OFF = "SOUT0", "SOUT1"  # the manual's own sense
+DISPLAY = Question("GETD", answers.display, last=OK)
+LOOKS = 40  # at the display, some 40 ms each, until a switched output has risen or fallen
+MARKS = 10  # settings from 1.0 V to 1.9 V
+SETTINGS_S = 1.0  # between two looks at what is set, which a person may change at the panel
+RATED = 0.15  # share of its rating by which a model's own limits may differ
+ASTRAY, ASTRAY_S = 0.03, 1.0  # share by which, and time for which, the output may be off what is set
+ASTRAY_V, ASTRAY_A = 0.1, 0.1  # and beside that
+
+
+class Bk1688bDialogue:
+    """What is said to the supply of these settings."""
+
+    off = f"\r{OFF}\r".encode("ascii")  # the first end closes what somebody has left half sent
+
+    def __init__(self, settings: Bk1688bSettings) -> None:
+        self._settings, self._step = settings, settings.rating.step_A
+        self._held = Levels(round(LEAST_V / STEP_V), 0)  # what was commanded
+        self._mark = 0
+        self._looked = 0.0
+        self._astray_since: float | None = None  # None: nothing has been put out since the last command
+        self._panel = ""  # what was set there
+
+    def in_step(self) -> Script[Levels]:
+        """Ask for the settings: what comes before six digits was meant for an earlier question, and is dropped."""
+        held: Levels = yield from _asked(Question("GETS", answers.levels, patient=True, last=OK))
+        return held
+
+    def output_off(self, progress: Progress) -> Script[Confirmation]:
+        """Switch off until nothing is measured at the terminals, however often that takes.
+
+        A voltage that was not set before is set and read back each time: any answer before it was given earlier, and
+        an output that does not switch off is turned down.
+        """
+        while True:
+            yield b"\r"
+            yield from _asked(Question(OFF, answers.done, patient=True, last=OK))
+            self._mark = (self._mark + 1) % MARKS
+            volts = round(LEAST_V / STEP_V) + self._mark
+            yield from _asked(Question(f"VOLT{volts:03d}", answers.done, patient=True, last=OK))
+            yield from _asked(Question("GETS", _with(volts), patient=True, last=OK))
+            shown: Display = yield from _asked(DISPLAY)
+            if not self._on(shown):
+                return Confirmation(True, f"output off, {_told(shown)}")
+            progress.said = f"the output is still on, {_told(shown)}"
+
+    def set_up(self, progress: Progress) -> Script[Sequence[str]]:
+        """Make off, see by its limits that it is the model expected, and set as little as there is.
+
+        Raises
+        ------
+        DeviceError : another model, a setting that does not stick, an output that cannot be switched off.
+        """
+        rating, found = self._settings.rating, []
+        yield from self.output_off(progress)
+        progress.said = ""
+        try:
+            most: Levels = yield from _asked(Question("GMAX", answers.levels, last=OK))
+        except NoAnswer:
+            found.append(f"does not tell its limits (GMAX); it is taken for a {self._settings.model}")
+            yield from self.in_step()
+        else:
+            volts, amperes = most.volts * STEP_V, most.amperes * self._step
+            near = abs(volts / rating.voltage - 1) < RATED and abs(amperes / rating.current - 1) < RATED
+            if not near:
+                raise DeviceError(
+                    f"limits of {volts:.1f} V and {amperes:.1f} A answer; a {self._settings.model} with"
+                    f" {rating.voltage:g} V and {rating.current:g} A was expected"
+                )
+        yield from self._put(Levels(round(LEAST_V / STEP_V), 0))
+        return found
+
+    def put(self, voltage: float, current: float) -> Script[None]:
+        """Set both levels [V, A] and read them back.
+
+        Raises
+        ------
+        DeviceError : they come back as others.
+        """
+        yield from self._put(Levels(round(voltage / STEP_V), round(current / self._step)))
+
+    def _put(self, wanted: Levels) -> Script[None]:
+        self._held, self._astray_since = wanted, None
+        yield from _asked(_command(f"CURR{wanted.amperes:03d}"))
+        yield from _asked(_command(f"VOLT{wanted.volts:03d}"))
+        held: Levels = yield from _asked(Question("GETS", answers.levels, last=OK))
+        if held != wanted:
+            raise DeviceError(f"{self._spelt(held)} are set after {self._spelt(wanted)} were commanded")
+
+    def switched(self, on: bool) -> Script[None]:
+        """Switch the output and see by what is measured that it is.
+
+        Raises
+        ------
+        DeviceFault : it is not.
+        """
+        self._astray_since = None
+        yield from _asked(_command(ON if on else OFF))
+        for _ in range(LOOKS):
+            shown: Display = yield from _asked(DISPLAY)
+            if self._on(shown) is on:
+                return
+        raise DeviceFault(f"the output does not switch {'on' if on else 'off'}, {_told(shown)}")
+
+    def measured(self) -> Script[Reading]:
+        """Voltage, current and what is regulated; once in a while what is set."""
+        answer = yield DISPLAY
+        assert answer is not None
+        shown: Display = answer.value
+        on = self._on(shown)
+        mode = ("constant current" if shown.limited else "constant voltage") if on else ""
+        if answer.seen - self._looked >= SETTINGS_S:
+            self._looked = answer.seen
+            held = yield from self.in_step()
+            wanted = self._held
+            self._panel = (
+                f"set to {self._spelt(held)} at its panel; {self._spelt(wanted)} were commanded"
+                if held != wanted
+                else ""
+            )
+        fault = self._panel or (self._astray(shown, answer) if on else "")
+        return Reading((answer.asked + answer.seen) / 2, shown.voltage, shown.current, on, mode, fault)
+
+    def _astray(self, shown: Display, answer: Answer) -> str:
+        """What is put out beyond what is set, or below where that is said to be regulated, for longer than it settles.
+
+        A current that is set in another model's steps shows here where the model itself does not tell its limits.
+        """
+        volts, amperes = self._held.volts * STEP_V, self._held.amperes * self._step
+        room_v, room_a = ASTRAY * volts + ASTRAY_V, ASTRAY * amperes + ASTRAY_A
+        regulated = shown.current - amperes >= -room_a if shown.limited else shown.voltage - volts >= -room_v
+        within = regulated and shown.voltage - volts <= room_v and shown.current - amperes <= room_a
+        if within or self._astray_since is None:
+            self._astray_since = answer.seen
+        if answer.seen - self._astray_since < ASTRAY_S:
+            return ""
+        return f"out of regulation, {_told(shown)}; {self._spelt(self._held)} are set"
+
+    def _on(self, shown: Display) -> bool:
+        return shown.voltage > self._settings.off_voltage_V or shown.current > self._settings.off_current_A
+
+    def _spelt(self, held: Levels) -> str:
+        return f"{held.volts * STEP_V:.1f} V and {held.amperes * self._step:.2f} A"
+
+
+def _with(volts: int) -> Callable[[bytes], Levels]:
+    """Settings with this voltage and no others."""
+
+    def read(answer: bytes) -> Levels:
+        found = answers.levels(answer)
+        if found.volts != volts:
+            raise Unreadable(f"{found.volts} where {volts} was expected")
+        return found
+
+    return read
+
+
+def _command(text: str) -> Question:
+    return Question(text, answers.done, last=OK)
+
+
+def _told(shown: Display) -> str:
+    return f"{shown.voltage:.2f} V and {shown.current:.2f} A"
+
+
+def _asked(question: Question) -> Script[Any]:
+    """The value of an answer."""
+    answer = yield question
+    assert answer is not None
+    return answer.value

@@ -1,0 +1,133 @@
+"""The supply's far end of the wire: commands that end in a carriage return, `OK` after all that it understands.
+
+What it does not understand, or what is out of its range, it does not answer.
+"""
+
+import math
+import re
+from collections import deque
+
+from leactl.driver.far_end import SupplyLoad
+from leactl_plugins.bk1688b.models import LEAST_V, RATINGS, STEP_V
+
+REGULATE_S = 0.05  # the load's resistance changes within seconds
+MOST_INPUT = 64
+PRESETS = 3
+
+
+class Bk1688bEmulator:
+    """One supply that feeds a load."""
+
+    def __init__(self, model: str, load: SupplyLoad, answer_s: float = 0.005) -> None:
+        self.rating = RATINGS[model]
+        self._load, self._answer_s = load, answer_s
+        self.set_volts, self.set_amperes = LEAST_V, 0.0
+        self.presets = [(LEAST_V, 0.0)] * PRESETS
+        self.on = False
+        self.volts = self.amperes = 0.0  # at the terminals
+        self._stuck, self._share = False, 1.0
+        self._input = b""
+        self._output: deque[tuple[float, bytes]] = deque()
+        self._busy = 0.0
+        self._regulates = 0.0
+        self._regulate()
+
+    # -- what a bench may have go wrong ------------------------------------------------------------------------------
+
+    def stuck_on(self, admits: bool = True) -> None:
+        """Switch on no more off, as with a welded relay; its display tells so, whether it `admits` anything or not."""
+        self._stuck = True
+
+    def lose_regulation(self, share: float) -> None:
+        """Give this share of the voltage and current it is set to."""
+        self._share = share
+        self._regulate()
+
+    def mend(self) -> None:
+        """Be whole again."""
+        self._stuck, self._share = False, 1.0
+        self._regulate()
+
+    # -- the wire ----------------------------------------------------------------------------------------------------
+
+    @property
+    def due(self) -> float:
+        """When an answer is ready or the output is looked at again."""
+        return min(self._output[0][0] if self._output else math.inf, self._regulates)
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Take bytes as they arrive; a carriage return ends a command."""
+        for byte in data:
+            if byte == 0x0D:
+                command, self._input = self._input.decode("ascii", "replace"), b""
+                answer = self._obey(command)
+                self._regulate()
+                if answer is not None:
+                    self._busy = max(self._busy, now) + self._answer_s
+                    self._output.append((self._busy, answer.encode("ascii")))
+            else:
+                self._input = (self._input + bytes([byte]))[-MOST_INPUT:]
+
+    def tick(self, now: float) -> bytes:
+        """Regulate where that is due; the answer that is ready."""
+        if now >= self._regulates:
+            self._regulates = now + REGULATE_S
+            self._regulate()
+        if self._output and now >= self._output[0][0]:
+            return self._output.popleft()[1]
+        return b""
+
+    def _obey(self, command: str) -> str | None:
+        """The answer, with its ends; None where there is none."""
+        found = re.fullmatch(r"(VOLT|CURR|GETS|GETD|GMAX|GETM|PROM|RUNM|SOUT|SESS|ENDS)([0-9]*)", command, re.ASCII)
+        if found is None:
+            return None
+        word, digits = found[1], found[2]
+        queries = {"GETS": self._settings, "GETD": self._display, "GMAX": self._limits, "GETM": self._memory}
+        if word in queries and not digits:
+            return f"{queries[word]()}\rOK\r"
+        if word in ("SESS", "ENDS") and not digits:
+            return "OK\r"
+        return "OK\r" if self._change(word, digits) else None
+
+    def _change(self, word: str, digits: str) -> bool:
+        """Carry out a command with an argument; whether it was one."""
+        if word == "SOUT" and digits in ("0", "1"):
+            self.on = digits == "0" or (self._stuck and self.on)
+        elif word == "VOLT" and len(digits) == 3 and LEAST_V <= (volts := int(digits) * STEP_V) <= self.rating.voltage:
+            self.set_volts = volts
+        elif word == "CURR" and len(digits) == 3 and (amperes := self._amperes(digits)) <= self.rating.current:
+            self.set_amperes = amperes
+        elif word == "PROM" and len(digits) == 6 * PRESETS:
+            kept = [digits[6 * k : 6 * k + 6] for k in range(PRESETS)]
+            self.presets = [(int(one[:3]) * STEP_V, self._amperes(one[3:])) for one in kept]
+        elif word == "RUNM" and digits in ("0", "1", "2"):
+            self.set_volts, self.set_amperes = self.presets[int(digits)]
+        else:
+            return False
+        return True
+
+    def _amperes(self, digits: str) -> float:
+        return int(digits) * self.rating.step_A
+
+    def _pair(self, volts: float, amperes: float) -> str:
+        return f"{round(volts / STEP_V):03d}{round(amperes / self.rating.step_A):03d}"
+
+    def _settings(self) -> str:
+        return self._pair(self.set_volts, self.set_amperes)
+
+    def _limits(self) -> str:
+        return self._pair(self.rating.voltage, self.rating.current)
+
+    def _memory(self) -> str:
+        return "\r".join(self._pair(*preset) for preset in self.presets)
+
+    def _display(self) -> str:
+        limited = self.on and self.volts < self.set_volts * self._share - 1e-6
+        return f"{round(100 * self.volts):04d}{round(100 * self.amperes):04d}{limited:d}"
+
+    # -- the output --------------------------------------------------------------------------------------------------
+
+    def _regulate(self) -> None:
+        asked = (self.set_volts * self._share, self.set_amperes * self._share) if self.on else (0.0, 0.0)
+        self.volts, self.amperes = self._load.feed(*asked)

@@ -1,0 +1,21 @@
+"""The three models and what each can be set to."""
+
+from typing import Final, NamedTuple
+
+LEAST_V: Final = 1.0  # below which none can be set
+STEP_V: Final = 0.1
+
+
+class Rating(NamedTuple):
+    """What one model is good for."""
+
+    voltage: float  # V
+    current: float  # A
+    step_A: float  # noqa: N815 (a unit keeps its letter)
+
+
+RATINGS: Final = {
+    "1685B": Rating(60.0, 5.0, 0.01),
+    "1687B": Rating(36.0, 10.0, 0.1),
+    "1688B": Rating(18.0, 20.0, 0.1),
+}

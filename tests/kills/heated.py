@@ -1,0 +1,34 @@
+"""The emulated bench of heated leads in a process of its own: `python -m tests.kills.heated`.
+
+It tells by lines of JSON on stdout where its serial line is, then when the current through the leads begins and ends.
+"""
+
+import json
+
+from leactl.bench import benchfile
+from leactl.emulation.emulated_bench import EmulatedBench
+from leactl.emulation.serving import bridged, serve
+from leactl.runner.signals import listening
+
+FLOWING_A = 0.05
+
+
+def main():
+    file, devices, _document = benchfile.load("emulated-heated")
+    bench = EmulatedBench(file, devices, "heated", "")
+    flowing = False
+
+    def look(_now):
+        nonlocal flowing
+        if (bench.rig.line_current > FLOWING_A) is not flowing:
+            flowing = not flowing
+            print(json.dumps({"flowing": flowing}), flush=True)
+
+    bench.time.follow(look)
+    with listening() as stop, bridged(file, bench.wires, bench.serial_wires) as bridges:
+        print(json.dumps(bridges["supply0"].place), flush=True)
+        serve(bench.time, list(bridges.values()), [], lambda: bool(stop.cause))
+
+
+if __name__ == "__main__":
+    main()
