@@ -67,6 +67,6 @@ def test_leads_are_supplied_in_their_own_set_up_alone(setup):
 
 def test_a_quantity_that_nobody_knows_is_not_wanted():
     with pytest.raises(
-        InputError, match=r"wants\[0\]: .*'temperature' is no quantity; one of q_axis_current_reference"
+        InputError, match=r"wants\[0\]: .*'temperature' is not in the vocabulary; known: ambient_temperature"
     ):
         read("wants: [temperature]\n" + protocol(ON))

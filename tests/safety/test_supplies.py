@@ -125,7 +125,7 @@ def test_two_leads_heat_two_phases_by_half_each_and_no_phase_by_two_thirds():
     rig = SupplyRig()
     rig.heat()
     before = rig.guard.kept["test"][:, None]
-    rig.cycle(30 * 20)
+    rig.cycle(30 * 20 + 15)  # a cold bound is told of heat once a second
     half, most = (stepped(before, aligned) for aligned in (0.5, 1.0))
     assert half < rig.guard.hottest["test"] < half + 3.0 < most - 3.0
 
@@ -134,7 +134,7 @@ def stepped(before, aligned):
     """Hottest phase [degC] after 20 s of 2 R I^2 with a share of (1 + aligned) / 3 in it."""
     alone = ThermalBound([Box.of(LEA)], 25.0)
     alone.set(before)
-    alone.step(20.0, np.array([2 * 81.0]), np.array([aligned]), np.zeros(1), 25.0, even=True)
+    alone.step(20.0, np.array([2 * 81.0]), np.array([aligned]), np.zeros(1), 25.0, late=0.0)
     return alone.hottest()[0]
 
 
