@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from textwrap import indent
 
 import typer
 
@@ -33,7 +34,8 @@ def show(motor: str, ambient: float = AMBIENT, bus_voltage: float = BUS, as_json
         told = found.model_dump(exclude_defaults=True) | {"name": found.name}
         typer.echo(json.dumps(told | {"motor_constant": figures["motor_constant"], "figures": figures}))
         return
-    typer.echo(document.text.rstrip() + "\n\n" + comparison_text([one]))
+    # what follows from the file is a comment to it: redirected, the whole is a motor file
+    typer.echo(document.text.rstrip() + "\n\n" + indent(comparison_text([one]), "# ", lambda line: True).rstrip())
 
 
 @app.command()

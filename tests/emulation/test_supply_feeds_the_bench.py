@@ -175,7 +175,7 @@ def test_the_supply_of_the_bus_is_what_the_drives_read_and_is_made_safe_after_th
     power = emulated.rig.bus_power
     assert emulated.far_ends["supply"].amperes == pytest.approx(power / 29.6, rel=0.1)
     outcome = make_safe(bench.drivers.values())
-    assert list(outcome) == ["drive_test", "drive_load", "torque_sensor", "supply"]
+    assert list(outcome) == ["drive_test", "drive_load", "torque_sensor", "daq", "supply"]
     assert outcome["supply"].safe
     assert emulated.rig.bus_voltage == 0.0
     assert emulated.rig.actuators["test"].mode == "off"

@@ -43,7 +43,9 @@ class Recorder:
 def main(path, *changes):
     file, devices, _document = benchfile.load(path)
     bench = EmulatedBench(file, devices, "coupled", "")
-    bench.wires["can0"].attach(Recorder(bench, devices[0].settings.host_node))
+    bench.wires["can0"].attach(
+        Recorder(bench, next(d.settings.host_bus_address for d in devices if d.settings.host_bus_address))
+    )
     clock, drives = bench.time, [bench.far_ends[name] for name in ("drive_test", "drive_load")]
     if "without-dead-man" in changes:
         for drive in drives:

@@ -1,6 +1,7 @@
 """A driver whose call never returns once a file is there; the product has no such hook, the harness registers it."""
 
 import ctypes
+import math
 import time
 from pathlib import Path
 
@@ -34,9 +35,14 @@ class Stuck(Driver):
 
     def close(self): ...
 
+    due = math.inf
+
+    @staticmethod
+    def tick(now): ...
+
     @classmethod
     def far_end(cls, settings, role, physics):
-        return None
+        return cls  # which has no time of its own to keep
 
     @property
     def streams(self):

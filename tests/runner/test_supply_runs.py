@@ -190,7 +190,7 @@ def test_eight_amperes_are_good_for_every_actuator_in_the_tolerances_and_nine_ar
     """`worst` is the corner of the box in closed form: a network of resistances with two phases at half each."""
     allowed = forecast(tmp_path, 8)
     assert allowed.passing is None
-    assert worst(8.0) < allowed.peaks["test"] < 130.0
+    assert worst(8.0) - 1.0 < allowed.peaks["test"] < 130.0  # 75 min are 99 % of the way
     refused = forecast(tmp_path, 9)
     assert (refused.passing.step, refused.passing.role) == ("heating", "test")
     assert refused.passing.time_s < 1100

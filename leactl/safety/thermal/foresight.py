@@ -16,7 +16,7 @@ from leactl.protocol.plan import Plan, Segment
 from leactl.safety.thermal.bound import LONGEST_STEP_S, ThermalBound, lateness
 from leactl.safety.thermal.box import Array, Box
 from leactl.safety.thermal.demand import Demand, State, states
-from leactl.safety.thermal.guard import MARGIN_K, STEP_S, TURN_S, Budgets, GuardSettings
+from leactl.safety.thermal.guard import LOOK_S, MARGIN_K, STEP_S, TURN_S, Budgets, GuardSettings
 from leactl.safety.thermal.turning import LED_ALIGNED
 
 PARTS = 10  # samples of a step, where setpoints vary along a line
@@ -24,7 +24,7 @@ COARSE_K = 2.0  # that a node may rise by in one step, where they do not
 LONGEST_S = 2.0
 LEAST_S = 1e-6  # rounding of a sum of steps, which is no step of its own
 MOST_WAIT_S = 4 * 3600.0
-WAIT_ROUNDING_S = 5.0
+WAIT_ROUNDING_S, WAIT_FOUND_TO_S = 5.0, 1.0
 FAST = 3.0  # rad of electrical angle in a step, from which on it shares its heat among the phases by itself
 
 
@@ -90,7 +90,7 @@ class Foresight:
             if not self._passes_later(waits, passing):
                 continue
             low, high = 0.0, MOST_WAIT_S
-            while high - low > WAIT_ROUNDING_S:
+            while high - low > WAIT_FOUND_TO_S:
                 middle = 0.5 * (low + high)
                 tried = replace(plan, actions=(*plan.actions[:place], _wait(middle), *plan.actions[place:]))
                 low, high = (low, middle) if self._passes_later(tried, passing) else (middle, high)
@@ -133,7 +133,9 @@ class Foresight:
                 rate = self._bound.fastest(squares, aligned, speeds, self._settings.ambient)
                 step = min(left, LONGEST_S, max(COARSE_K / rate if rate > 0.0 else LONGEST_S, 0.01))
                 if time < own - LEAST_S or left <= own + LEAST_S:
-                    step, aligned, late = min(step, own), _aligned(turned * own), np.full(len(aligned), own)
+                    # the guard's step that sees a current begin or end counts it as late: most where that is its middle
+                    step, aligned = min(step, own), _aligned(turned * own)
+                    late = np.full(len(aligned), max(0.25 * own, own - state.duration) + TURN_S)
                 else:
                     step = min(step, left - own)
             else:
@@ -162,10 +164,11 @@ class Foresight:
     def _shared(self, turned: Array, own: float, evenness: Array) -> tuple[Array, Array]:
         """Alignments and latenesses over the span that serves best to bound each, of 1, 2, .. guard's steps."""
         best: list[tuple[float, float, float]] = []
+        unseen = LOOK_S if own == STEP_S else TURN_S
         for speed, evens in zip(turned.tolist(), evenness.tolist(), strict=True):
             spans = [own * (k + 1) for k in range(len(evens))]
             shares = [(span, _envelope(speed * span), even) for span, even in zip(spans, evens, strict=True)]
-            found = [(share, lateness(span, even, share, TURN_S)) for span, share, even in shares]
+            found = [(share, lateness(span, even, share, unseen)) for span, share, even in shares]
             best.append(min(((1.0 + a) * (1.0 + late / self._bound.decay_s), a, late) for a, late in found))
         return np.array([one[1] for one in best]), np.array([one[2] for one in best])
 

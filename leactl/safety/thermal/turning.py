@@ -33,7 +33,8 @@ class Span:
     def late(self, duration: float) -> float:
         """How much later than evenly a phase's heat may have come [s], of the seconds that the span lasted."""
         even = self.square / (duration * self.most) if self.most > 0.0 else 1.0
-        return lateness(duration, even, self.aligned, self.unseen)
+        # what leads bring keeps its share of a phase, as what stands at one angle does
+        return lateness(duration, even, 1.0 if self.led == self.square else self.aligned, self.unseen)
 
     def joined(self, after: "Span") -> "Span":
         """This one and the next."""
