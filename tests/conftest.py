@@ -22,6 +22,17 @@ def pytest_configure():
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+WALL_CLOCK = {"bench", "cli", "driver", "emulation", "kills", "runfile", "runner"}
+"""Directories of tests whose processes, threads or buses go by the wall's clock: never two of these at once."""
+
+
+@pytest.hookimpl(tryfirst=True)  # before `-m` is looked at
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if WALL_CLOCK.intersection(item.path.relative_to(item.config.rootpath).parts):
+            item.add_marker(pytest.mark.wall_clock)
+
+
 @pytest.fixture
 def holder():
     """A process that holds the bench `testbed`."""

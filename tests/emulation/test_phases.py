@@ -159,7 +159,7 @@ def test_heat_in_is_heat_out_and_heat_stored(thermal, phases, coefficient, ambie
     p = replace(LEA, thermal=thermal, phases=phases, resistance_coefficient=coefficient)
     network = PhaseNetwork([p], [ambient])
     fastest = max(np.diag(conductances(p)) / capacitances(p))  # 1/s
-    step, to_ambient = 0.1 / fastest, conductances(p).sum(axis=0)
+    step, to_ambient = 0.05 / fastest, conductances(p).sum(axis=0)
     nodes = lambda: np.array([*network.temperatures[:, 0], network.housing[0], network.fixture[0]]) - ambient  # noqa: E731
     heat_in = heat_out = 0.0
     for *squares, housing_heat in levels:
