@@ -22,8 +22,8 @@ def pytest_configure():
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-WALL_CLOCK = {"bench", "cli", "driver", "emulation", "kills", "runfile", "runner"}
-"""Directories of tests whose processes, threads or buses go by the wall's clock: never two of these at once."""
+WALL_CLOCK = {"driver", "kills"}
+"""Directories of tests whose far ends answer from other processes within a time: nothing else is to run beside these."""
 
 
 @pytest.hookimpl(tryfirst=True)  # before `-m` is looked at
