@@ -23,7 +23,7 @@ def pytest_configure():
 
 
 WALL_CLOCK = {"driver", "kills"}
-"""Directories of tests whose far ends answer from other processes within a time: nothing else is to run beside these."""
+"""Directories of tests whose far ends answer from other processes within a time: nothing is to run beside these."""
 
 
 @pytest.hookimpl(tryfirst=True)  # before `-m` is looked at
