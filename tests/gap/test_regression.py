@@ -57,7 +57,7 @@ def test_misfit_is_the_weighted_squares_left_and_the_priors_paid(stacked):
 @given(st.floats(0.0, 0.9), st.integers(0, 2**20))
 def test_rows_that_lean_on_their_neighbours_count_for_less(lean, seed):
     random = np.random.default_rng(seed)
-    noise = random.normal(size=4000)
+    noise = random.normal(size=40000)
     series = lfilter([1.0], [1.0, -lean], noise)
     assert rows_per_independent(series) == pytest.approx((1 + lean) / (1 - lean), rel=0.5)
 
