@@ -22,6 +22,20 @@ def pytest_configure():
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+WALL_CLOCK = ("bench", "cli", "driver", "emulation", "kills", "runfile", "runner")
+"""Directories of tests whose processes, threads or buses go by the wall's clock: never two of these at once."""
+
+
+@pytest.hookimpl(tryfirst=True)  # xdist reads the marks in a hook of its own
+def pytest_collection_modifyitems(items):
+    """Groups for `pytest -n 2 --dist loadgroup`: what goes by the wall's clock, and what shares a dear fixture."""
+    for item in items:
+        place = item.path.relative_to(item.config.rootpath).parts
+        group = "wall clock" if place[1] in WALL_CLOCK else str(item.path) if place[1] == "gap" else None
+        if group:
+            item.add_marker(pytest.mark.xdist_group(group))
+
+
 @pytest.fixture
 def holder():
     """A process that holds the bench `testbed`."""

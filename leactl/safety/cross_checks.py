@@ -1,6 +1,7 @@
 """What no channel shows by itself: a reading that stands still while others move, and two torques that disagree."""
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -9,6 +10,7 @@ from leactl.safety.watching import Panel, Watch
 
 TEMPERATURE_STUCK_S = 600.0  # a temperature without a word on it: at a thousandth of a kelvin none stands still so long
 TURNING_RAD_S = 0.1  # far above the noise of a velocity: below, nothing is said of an angle or a velocity that stands
+APART_CYCLES = 3  # that a torque and a current which stand side by side may have been measured apart
 OTHERS_EVERY = 16  # cycles in which others are looked at: that they move at all shows soon enough
 
 
@@ -119,7 +121,8 @@ class TorqueEstimates:
     """Kt i of the test actuator against the torque sensor.
 
     The sensor sees Kt i less friction and less what accelerates the rotor. Friction at rest has any sign and size up to
-    the Coulomb friction, so that its bound is allowed for, and |J acceleration| from the velocities of two cycles.
+    the Coulomb friction, so that its bound is allowed for, and |J acceleration| from the velocities of two cycles. The
+    two are not read at the same moment: what Kt i has gone through within `APART_CYCLES` is allowed for too.
     """
 
     def __init__(
@@ -133,6 +136,7 @@ class TorqueEstimates:
         self._least = settings.tolerance_Nm + model.coulomb_friction
         self._since = math.nan
         self._velocity, self._at = math.nan, -math.inf
+        self._currents: deque[float] = deque(maxlen=APART_CYCLES + 1)
 
     def look(self, now: float) -> None:
         """Judge the newest sensor reading, which there must be, by the exchange that has just ended.
@@ -152,8 +156,11 @@ class TorqueEstimates:
         # from one closer look to the next: at the first the acceleration is unknown, and counts as none for a cycle
         acceleration = (velocity - self._velocity) / (now - self._at) if now > self._at else 0.0
         self._velocity, self._at = velocity, now
+        if current == current:
+            self._currents.append(current)
         allowed = self._least + self._model.viscous_damping * abs(velocity)
         allowed += self._model.rotor_inertia * abs(acceleration)
+        allowed += self._torque_constant * (max(self._currents, default=0.0) - min(self._currents, default=0.0))
         if not abs(apart) > allowed:  # NaN: its age tells
             self._since = math.nan
             return

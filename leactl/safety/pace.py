@@ -14,38 +14,35 @@ class Pace:
 
     def __init__(self, overruns: LoopOverruns, clock: ClockJump, trip: Trip, now: float) -> None:
         self._overruns, self._clock, self._trip = overruns, clock, trip
-        self._period, self._longest = math.inf, math.inf
-        self._last, self._latest = now, math.inf
+        self.period, self._longest = math.inf, math.inf
+        self.last, self.latest = now, math.inf  # a check between the two keeps the pace, and need not be looked at
         self._in_a_row, self._late_at, self._most = 0, math.nan, math.inf
         self._late: deque[float] = deque()
 
     def begin(self, period: float, now: float) -> None:
         """The loop begins with cycles of this length."""
-        self._period, self._last, self._latest = period, now, now + period
+        self.period, self.last, self.latest = period, now, now + period
         self._longest = max(self._clock.jump_s, LEAST_JUMP_CYCLES * period)
         self._most = self._overruns.share_percent / 100 * self._overruns.window_s / period
 
     def look(self, now: float) -> None:
-        """Judge the time of a check: late is more than a period after it was due, as the loop counts it.
+        """Judge a check that came back in time, or late: more than a period after it was due, as the loop counts it.
 
         Raises
         ------
         SafetyTrip : by way of `trip`.
         """
-        if self._last <= now <= self._latest:
-            self._latest += self._period
-        else:
-            self._look_closer(now)
-            self._latest = now + 2 * self._period
-        self._last = now
+        self._judge(now)
+        self.latest = now + 2 * self.period
+        self.last = now
 
-    def _look_closer(self, now: float) -> None:
-        step = now - self._last
+    def _judge(self, now: float) -> None:
+        step = now - self.last
         if not step >= 0:
             self._trip(f"the bench's clock went back by {-step:.4g} s")
         if step > self._longest:
             self._trip(f"the bench's clock went on by {step:.4g} s in one cycle; {self._longest:g} s are allowed")
-        self._in_a_row = self._in_a_row + 1 if self._last == self._late_at else 1
+        self._in_a_row = self._in_a_row + 1 if self.last == self._late_at else 1
         self._late_at = now
         self._late.append(now)
         while now - self._late[0] > self._overruns.window_s:

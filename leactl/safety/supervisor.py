@@ -45,7 +45,7 @@ class Axis(NamedTuple):
     motion: MotionDevice
 
 
-@dataclass
+@dataclass(slots=True)
 class _Guarded:
     axis: Axis
     panel: Panel
@@ -56,6 +56,7 @@ class _Guarded:
     bounds: tuple[float, float] = UNLIMITED
     heats: bool = False  # whether the engaged mode sets a current
     asked: float = 0.0  # A^2 of a current reference, which heats
+    held: float = 0.0  # A^2, the same as the exchange before left it, which its reading tells of
     scaled: bool = False  # whether its last setpoint was more than the winding may carry
     path: AnglePath | None = None  # in angle mode alone
 
@@ -112,11 +113,11 @@ class Supervisor:
         self._stuck = Stuck(panels, interlocks)
         self._pace = Pace(interlocks.loop_overruns, interlocks.clock, self.trip, now)
         self._disk = Disk(interlocks.disk_space, self.trip, self.warnings.append)
-        self._torques = self._torque_estimates(panels, torque_model)
+        self._torques = self._torque_estimates(torque_model)
         self._due = self._ages_due = -math.inf
         # by names of their own: `check` runs in every cycle
         self._judged = [
-            (guard.roles.index(role), guarded, guarded.axis.motion, guarded.panel.look)
+            (guard.roles.index(role), guarded, guarded.axis.motion, guarded.current, guarded.panel.look)
             for role, guarded in self._axes.items()
         ]
         guard.watch(self._motion_of)
@@ -124,7 +125,6 @@ class Supervisor:
         self._heated, self._heating = now, (guard, guard.squares, guard.flowing, math.inf)
         self.windings = guard.estimate, guard.hottest  # degC by role, kept up to date
         self.time_left = guard.time_left
-        self._keep_pace = self._pace.look
 
     def _panel(self, channels: Sequence[ChannelSpec], age: float, now: float) -> Panel:
         panel = Panel(channels, self._limits, self._interlocks, self.trip, self.warnings.append)
@@ -137,11 +137,11 @@ class Supervisor:
         panel = self._panel(channels, self._limits.cyclic_age(0.0), now)
         return _Guarded(axis, panel, place["q_axis_current"], place.get("velocity"), place.get("angle"))
 
-    def _torque_estimates(self, panels: Sequence[Panel], model: TorqueModel | None) -> TorqueEstimates | None:
+    def _torque_estimates(self, model: TorqueModel | None) -> TorqueEstimates | None:
         settings, test = self._interlocks.torque_disagreement, self._axes.get("test")
         if model is None or settings is None or test is None:
             return None
-        for panel in panels:
+        for panel in self._own.values():
             for watch in panel.watches:
                 if (watch.channel.quantity, watch.channel.role) == ("torque", "test"):
                     panel.values = panel.values or [math.nan] * len(panel.watches)  # until the first reading
@@ -263,22 +263,28 @@ class Supervisor:
         """
         if self.tripped:
             raise SafetyTrip(self.tripped)
-        self._keep_pace(now)
+        pace = self._pace
+        if pace.last <= now <= pace.latest:
+            pace.last = now
+            pace.latest += pace.period
+        else:
+            pace.look(now)
         elapsed = now - self._heated
         self._heated = now
         guard, squares, flowing, stall = self._heating
-        for place, guarded, motion, look in self._judged:
+        for place, guarded, motion, where, look in self._judged:
             values = motion.values
             look(values, now)
             if guarded.path is not None:
                 guarded.path.exchanged(guarded.measured_angle, motion.engaged, now)
-            current = values[guarded.current]
-            square = current * current
-            if not square >= guarded.asked:  # a reading that is no number is the worst that may flow
-                square = guarded.asked if square == square else self._worst
+            current = values[where]
+            square, asked = current * current, guarded.asked
+            if not square >= guarded.held:  # a reading that is no number is the worst that may flow
+                square = guarded.held if square == square else self._worst
             # a stall of the loop is longer than a cycle: what flowed before it may have gone on
             squares[place] += (square if elapsed < stall or square > flowing[place] else flowing[place]) * elapsed
-            flowing[place] = square
+            guarded.held = asked
+            flowing[place] = square if square > asked else asked
         if now >= guard.due or elapsed < 0.0:
             too_hot = guard.check(now)
             if too_hot:

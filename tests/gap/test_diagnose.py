@@ -17,16 +17,15 @@ from leactl.gap.ringing import ringing
 from leactl.runfile.reader import Channel
 from leactl.vocabulary.effect import effect_names
 
+EVERY = effect_names()
 PRACTICE = Path(__file__).parents[3] / "shared" / "gap-cases" / "practice"
 
 
 @pytest.fixture(scope="session")
 def benches(tmp_path_factory):
     folder = tmp_path_factory.mktemp("benches")
-    for kind, seed, count in (("none", 11, 1), ("unknown", 16, len(unlisted_effects()))):
+    for kind, seed, count in (("none", 11, 1), ("unknown", 16, len(unlisted_effects())), ("single", 13, len(EVERY))):
         make(count, folder / kind, folder / f"{kind}-key", seed=seed, kinds=(kind,), strengths=("plain",), prefix=kind)
-    every = {"kinds": ("single",), "effects": effect_names(), "strengths": ("plain",)}
-    make(len(effect_names()), folder / "one", folder / "one-key", seed=13, **every)
     return folder
 
 
@@ -63,10 +62,10 @@ def keyed(benches, kind, field):
 
 @pytest.fixture(scope="session")
 def with_effect(benches):
-    return keyed(benches, "one", "effects")
+    return keyed(benches, "single", "effects")
 
 
-@pytest.mark.parametrize("name", effect_names())
+@pytest.mark.parametrize("name", EVERY)
 def test_each_effect_of_the_emulated_bench_is_named_first_and_its_gap_closed(with_effect, name):
     found = answer(with_effect[name])
     first = found.causes[0]

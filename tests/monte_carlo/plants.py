@@ -4,6 +4,7 @@ Half of the corners are the one at which an actuator becomes hottest: by chance 
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,8 @@ from leactl.model.motor import load_motor
 
 LEA = load_motor("lea")[0]
 TOLD_AMBIENT_DEGC = 25.0
+assert LEA.tolerances is not None
+WIDTHS: dict[str, float] = LEA.tolerances.model_dump()
 ROLES = ("test", "load")
 HOTTEST_SHARE = 0.5  # of the corners, that are the one at which an actuator becomes hottest
 OUTSIDE = ("third node", "blocked air", "wrong convention")
@@ -32,38 +35,47 @@ class Truth:
 
 def drawn(draw: np.random.Generator, outside: str, duration_s: float) -> Truth:
     """One plant."""
-    tolerances = LEA.tolerances
-    assert tolerances is not None
-    widths = tolerances.model_dump()
-    whole = LEA.model_dump(exclude={"name", "limits", "tolerances"})
     corner = bool(draw.random() < 0.5)
     hottest = corner and bool(draw.random() < HOTTEST_SHARE)
 
     def place(name: str) -> float:
-        """Where in its tolerance a parameter lies, from -1 to 1."""
         if hottest:
-            return -1.0 if name.endswith("capacitance") else 1.0
+            return _hottest(name)
         return float(draw.choice([-1.0, 1.0]) if corner else draw.uniform(-1.0, 1.0))
 
     actuators, factors = {}, {}
     for role in ROLES:
-        values = {name: value * (1.0 + widths.get(name, 0.0) * place(name)) for name, value in _numbers(whole)}
-        thermal = {
-            name: value * (1.0 + widths.get(name, 0.0) * place(name)) for name, value in _numbers(whole["thermal"])
-        }
         phases: dict[str, float] = {"commutation_offset": float(draw.uniform(0.0, math.pi))}
-        factors[role] = 1.0 + widths["current"] * place("current")
         if outside == "third node":
             phases |= {"fixture_capacitance": draw.uniform(100.0, 2000.0), "fixture_resistance": draw.uniform(0.5, 5.0)}
         elif outside == "blocked air":
             factor = float(np.exp(draw.uniform(np.log(1.5), np.log(20.0))))
             phases |= {"blocked_air_factor": factor, "blocked_air_from": float(draw.uniform(0.0, duration_s))}
-        elif outside == "wrong convention":
+        actuators[role] = _actuator(place, phases)
+        factors[role] = 1.0 + WIDTHS["current"] * place("current")
+        if outside == "wrong convention":
             factors[role] *= math.sqrt(2.0)
-        kept = {name: value for name, value in values.items() if widths.get(name)}
-        actuators[role] = ActuatorParameters.from_mapping(kept | {"thermal": thermal, "phases": phases})
-    ambient = TOLD_AMBIENT_DEGC + widths["ambient_K"] * place("ambient_K")
+    ambient = TOLD_AMBIENT_DEGC + WIDTHS["ambient_K"] * place("ambient_K")
     return Truth(actuators, factors, ambient, corner, outside, float(draw.uniform(0.0, 2.0 * math.pi)))
+
+
+def at_the_corner(offset: float) -> Truth:
+    """The plant whose tolerances all add to its heat, commutated at this offset [rad]."""
+    actuators = {role: _actuator(_hottest, {"commutation_offset": offset}) for role in ROLES}
+    factors = dict.fromkeys(ROLES, 1.0 + WIDTHS["current"])
+    return Truth(actuators, factors, TOLD_AMBIENT_DEGC + WIDTHS["ambient_K"], True, "", 0.0)
+
+
+def _hottest(name: str) -> float:
+    return -1.0 if name.endswith("capacitance") else 1.0
+
+
+def _actuator(place: Callable[[str], float], phases: dict[str, float]) -> ActuatorParameters:
+    """An actuator whose parameters lie where `place` says, from -1 to 1 across their tolerances."""
+    whole = LEA.model_dump(exclude={"name", "limits", "tolerances"})
+    kept = {name: value * (1.0 + WIDTHS[name] * place(name)) for name, value in _numbers(whole) if WIDTHS.get(name)}
+    thermal = {name: value * (1.0 + WIDTHS[name] * place(name)) for name, value in _numbers(whole["thermal"])}
+    return ActuatorParameters.from_mapping(kept | {"thermal": thermal, "phases": phases})
 
 
 def _numbers(values: dict) -> list[tuple[str, float]]:

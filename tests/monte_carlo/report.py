@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+from leactl.safety.thermal.guard import MARGIN_K
 from tests.monte_carlo.plants import OUTSIDE
 from tests.monte_carlo.supervised import AFTER_S
 from tests.monte_carlo.trial import LIMIT_DEGC, MILD_DEGC, THERMAL, Campaign, needless, violations
@@ -51,6 +52,7 @@ def report(told: Sequence[Told], campaign: Campaign) -> str:
         _row("of these: refused", judged, lambda item: item["forecast"] == "refused"),
         _row("of these: accepted, then tripped for a winding", judged, lambda i: needless(i) and _by_guard(i)),
         _row("of these: accepted, then ended by another limit", judged, lambda i: needless(i) and not _for_heat(i)),
+        _row("of these: another plant of the box would pass the limit", judged, lambda i: needless(i) and _must(i)),
         _row("not counted: accepted, complete, but scaled down", judged, lambda i: i["scaled"] and not needless(i)),
         "",
         f"The highest of all is {max((item['peak_degC'] for item in sound), default=0.0):.2f} degC."
@@ -100,6 +102,14 @@ def _row(name: str, items: Sequence[Told], rule: Callable[[Told], bool | None]) 
 
 def _by_guard(item: Told) -> bool:
     return item["forecast"] == "accepted" and THERMAL in item["reason"]
+
+
+def _must(item: Told) -> bool:
+    """Whether a plant of the box would come to where a guard has to stop it, on the same protocol.
+
+    Over the wire, where every protocol is one that the forecast accepts, it is not worked out.
+    """
+    return bool(item.get("corner_degC", 0.0) > LIMIT_DEGC - MARGIN_K)
 
 
 def _for_heat(item: Told) -> bool:

@@ -72,6 +72,7 @@ class Unsupervised:
     """What a plan does where nothing interferes: the loop's side of a supervisor that lets everything pass."""
 
     windings: tuple[dict, dict] = ({}, {})
+    time_left = dict[str, float]  # an empty one
 
     def __init__(self, bench: DirectBench) -> None:
         self._drives, self.warnings = bench.drives, []
@@ -140,6 +141,8 @@ def run_free(plan: Plan, truth: Truth, seed: int) -> Course:
     """Run a plan to its end, whatever becomes of the windings."""
     bench = DirectBench(truth, plan.setup, None, seed)
     status, reason, _ = _loop(plan, bench, Unsupervised(bench))
+    if status != "complete":
+        raise AssertionError(f"nothing interferes, and yet the run {status}: {reason}")
     return _course(bench, status, reason, False, {})
 
 

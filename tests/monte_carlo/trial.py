@@ -1,12 +1,14 @@
 """One trial: a random protocol on a random plant, its forecast, what its run came to, and the true temperatures."""
 
+import math
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from leactl.protocol.plan import Plan
 from leactl.runner.thermal_memory import Memory
 from leactl.runner.windings import motors_of
 from leactl.safety.thermal.box import Array, Box
@@ -14,12 +16,13 @@ from leactl.safety.thermal.foresight import Foresight
 from leactl.safety.thermal.guard import ThermalGuard
 from tests.monte_carlo import wire
 from tests.monte_carlo.direct import Fault
-from tests.monte_carlo.plants import LEA, OUTSIDE, ROLES, Truth, drawn
+from tests.monte_carlo.plants import LEA, OUTSIDE, ROLES, Truth, at_the_corner, drawn
 from tests.monte_carlo.protocols import LONGEST_S, Protocol
 from tests.monte_carlo.supervised import Course, MakeGuard, run, run_free, shipped
 from tests.monte_carlo.truth import History, hottest
 
 LIMIT_DEGC, MILD_DEGC = 130.0, 90.0
+OFFSETS_RAD = tuple(math.pi / 12.0 * k for k in range(4))  # of commutation; from pi / 3 on they repeat other phases
 WARM_SHARE, EARLIER_KILLED_SHARE = 0.3, 0.2
 LONGEST_EARLIER_S, LONGEST_PAUSE_S = 90.0, 120.0
 THERMAL = "winding: its hottest phase may be at"
@@ -32,7 +35,9 @@ class Trial:
 
     told: dict[str, Any]
     truth: Truth
-    parts: list[Course | float] = field(default_factory=list)
+    parts: list[Course | float]
+    plan: Plan
+    seed: int
     free: Course | None = None  # the same protocol where nothing interferes, if that is another course
 
 
@@ -110,7 +115,7 @@ def _direct(draw: np.random.Generator, number: int, beyond: bool, guard_of: Make
     free = None
     if fault is None and (course.scaled or course.status != "complete"):
         free = run_free(plan, truth, seed)
-    return Trial(told, truth, [*parts, course], free)
+    return Trial(told, truth, [*parts, course], plan, seed, free)
 
 
 def _start(
@@ -152,6 +157,16 @@ def _heat(trials: list[Trial]) -> None:
         trial.told["undisturbed_degC"] = round(own, 3)
     for trial, (_, own) in zip(undisturbed, found[len(trials) :], strict=True):
         trial.told["undisturbed_degC"] = round(own, 3)
+    for trial in trials:
+        if needless(trial.told):
+            trial.told["corner_degC"] = round(_at_the_corner(trial), 3)
+
+
+def _at_the_corner(trial: Trial) -> float:
+    """How hot the same protocol makes a cold plant of the box whose tolerances all add to its heat [degC]."""
+    worst = [at_the_corner(offset) for offset in OFFSETS_RAD]
+    found = hottest([History(truth, [run_free(trial.plan, truth, trial.seed)]) for truth in worst])
+    return max(whole for whole, _ in found)
 
 
 def violations(told: Mapping[str, Any]) -> list[str]:

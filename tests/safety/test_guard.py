@@ -53,7 +53,7 @@ def test_a_trip_comes_early_enough_for_a_drive_that_goes_on(reserve):
     assert f"{reserve:g} s on; the limit is 120 degC" in cause
     bound = ThermalBound([Box.of(LEA)], 25.0)
     bound.set(guard.kept["test"][:, None])
-    bound.step(reserve, np.array([400.0]), np.ones(1), np.zeros(1), 25.0, even=True)
+    bound.step(reserve, np.array([400.0]), np.ones(1), np.zeros(1), 25.0, late=0.0)
     assert 116.0 < bound.hottest()[0] <= 120.0
 
 
@@ -142,7 +142,7 @@ def test_bounds_that_cannot_be_kept_stop_the_bench():
 
 def test_each_role_is_told_by_itself():
     guard = ready(roles=("test", "load"))
-    fed(guard, 3.0, current=12.0, role=1)
+    fed(guard, 4.0, current=12.0, role=1)
     assert guard.hottest["test"] == pytest.approx(28.0, abs=0.1)
     assert guard.estimate["test"] < 28.0
     assert guard.hottest["load"] > 37.0

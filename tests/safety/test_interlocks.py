@@ -237,6 +237,23 @@ def test_viscous_friction_and_inertia_explain_a_difference_of_torques(make):
     assert trips_after(rig, "from Kt i", 1) < 0.03
 
 
+def test_a_torque_that_is_read_cycles_apart_from_its_current_agrees_with_it(make):
+    """A sine of 10 A in 40 cycles changes by 1.6 A, 0.77 N*m, in one of them; a torque half a period late disagrees."""
+    rig = make("torque_disagreement: {tolerance_Nm: 0.1, for_s: 0.005}")
+    rig.engage()
+    asked = [10.0 * math.sin(2.0 * math.pi * k / 40) for k in range(240)]
+
+    def follow(late):
+        for k in range(late, len(asked)):
+            rig.supervisor.command("test", asked[k])
+            rig.converter.apply(0.49 * asked[k - late] / 5.0)
+            rig.run(rig.period)
+
+    follow(0)  # the converter takes its time
+    with pytest.raises(SafetyTrip, match="from Kt i"):
+        follow(20)
+
+
 # -- ages --------------------------------------------------------------------------------------------------------------
 
 

@@ -43,6 +43,44 @@ def test_a_reading_makes_no_bound_cooler_and_none_trips_below_it(values):
     assert guard.hottest["test"] == pytest.approx(28.0, abs=0.01)
 
 
+PAIR = StreamSpec("supply", tuple(ChannelSpec(n, n, "test", "supply") for n in ("line_voltage", "line_current")))
+
+
+def looked(resistances, currents, bound=28.0):
+    """Rows at 10 Hz of a winding with these resistances from lead to lead."""
+    look = Measured(guard_of(start=bound), [PAIR], tripped)
+    for k, (resistance, current) in enumerate(zip(resistances, currents, strict=True)):
+        look.look(Row("supply", 0.1 * k, (resistance * current, current)))
+
+
+def lead_resistance(celsius, above=1.0):
+    """Of the LEA at a temperature, times what its tolerance adds."""
+    return 0.528 * above * (1.0 + 0.004 * (celsius - 25.0))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_resistance_that_no_cooler_winding_can_have_trips(sign):
+    with pytest.raises(SafetyTrip, match=r"test winding is by its resistance at 9\d\.\d degC, and no actuator"):
+        looked([lead_resistance(130.0)] * 30, [9.0 * sign] * 30)
+
+
+@pytest.mark.parametrize(
+    ("resistance", "current", "bound"),
+    [
+        (lead_resistance(45.0), 9.0, 28.0),  # within the tolerance of a cold one
+        (lead_resistance(100.0, above=1.1), 9.0, 100.0),
+        (lead_resistance(130.0), 0.5, 28.0),  # an offset would do as much
+        (np.nan, 9.0, 28.0),
+    ],
+)
+def test_a_resistance_that_a_winding_of_the_box_may_have_does_not(resistance, current, bound):
+    looked([resistance] * 30, [current] * 30, bound)
+
+
+def test_a_voltage_that_is_read_before_its_current_is_no_resistance():
+    looked([lead_resistance(25.0), lead_resistance(200.0)] * 20, [9.0] * 40)
+
+
 def test_a_direct_current_through_two_leads_heats_as_both_phases_do():
     guard = guard_of()
     guard.begin(0.0)

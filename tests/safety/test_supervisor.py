@@ -88,12 +88,12 @@ def test_the_winding_is_heated_by_the_mean_square_of_the_current_at_any_rate(per
     began, before = bench.clock.now(), bench.guard.hottest["test"]
     for half in range(10):
         bench.supervisor.command("test", 0.0 if half % 2 else 20.0)
-        for _ in range(round(0.2 / period)):
+        for _ in range(round(0.22 / period)):  # 2.2 s in all: a cold bound is told of heat once a second
             bench.supervised_cycle(period)
     alone = ThermalBound([Box.of(LEA)], before)
-    alone.step(bench.clock.now() - began, np.array([200.0]), np.ones(1), np.zeros(1), 25.0, even=True)
+    alone.step(bench.clock.now() - began, np.array([200.0]), np.ones(1), np.zeros(1), 25.0, late=0.0)
     bench.drive.close()
-    assert bench.guard.hottest["test"] - before == pytest.approx(alone.hottest()[0] - before, rel=0.15)
+    assert bench.guard.hottest["test"] - before == pytest.approx(alone.hottest()[0] - before, rel=0.25)  # which is even
 
 
 @pytest.mark.parametrize(
@@ -219,7 +219,7 @@ def test_a_winding_is_heated_by_the_reference_where_the_measurement_lies():
     bench.engage()
     bench.supervisor.command("test", 25.0)
     bench.shaft.read = lambda: (0.0, 0.0, 0.0)
-    for _ in range(1000):
+    for _ in range(1100):  # a cold bound is told of heat once a second
         bench.supervised_cycle()
     assert 28.0 + 18.0 < bench.guard.hottest["test"] < 28.0 + 35.0
     bench.drive.close()

@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from leactl.errors import InputError
-from leactl.safety.thermal.bound import ThermalBound
+from leactl.safety.thermal.bound import ThermalBound, lateness
 from leactl.safety.thermal.box import Box
 from tests.safety.phases import LEA, STEP_S, Plant, advance, follow
 
 GUARD_S = 0.1
 FINE = round(GUARD_S / STEP_S)
+LOOK = 2  # fine steps from one look of the guard to the next
 ONE = np.ones(1)
 
 
@@ -28,7 +29,9 @@ def bounded(currents, speeds, box=None, start=28.0):
         square = np.mean(currents[part] ** 2)
         turned = abs(np.mean(currents[part] ** 2 * np.exp(2j * angles[part])))
         aligned = turned / square if square > 0 else 0.0
-        bound.step(GUARD_S, square * ONE, aligned * ONE, np.max(np.abs(speeds[part])) * ONE, 25.0)
+        looks = np.mean(currents[part].reshape(-1, LOOK) ** 2, axis=1)
+        late = lateness(GUARD_S, square / looks.max() if square > 0 else 1.0, aligned, LOOK * STEP_S)
+        bound.step(GUARD_S, square * ONE, aligned * ONE, np.max(np.abs(speeds[part])) * ONE, 25.0, late * ONE)
         found.append(bound.nodes()[:, 0])
     return np.array(found).T
 
@@ -36,7 +39,7 @@ def bounded(currents, speeds, box=None, start=28.0):
 corner = st.sampled_from([-1.0, 1.0]) | st.floats(-1.0, 1.0)
 course = st.lists(
     st.tuples(
-        st.integers(1, 30),  # guard's steps
+        st.integers(1, 30 * FINE),  # fine steps: the guard's see currents change in their midst
         st.sampled_from([0.0, 8.0, 13.0, 20.0, 30.0]),
         st.sampled_from([0.0, 0.02, 0.3, 2.0, 12.0, 31.0]),
     ),
@@ -48,11 +51,25 @@ course = st.lists(
 @settings(max_examples=30, deadline=None)
 @given(places=st.tuples(*[corner] * 11), offset=st.floats(0.0, np.pi), course=course)
 def test_no_plant_of_the_box_is_hotter_than_its_bound(places, offset, course):
-    currents = np.concatenate([np.full(n * FINE, i) for n, i, _ in course])
-    speeds = np.concatenate([np.full(n * FINE, w) for n, _, w in course])
+    currents = np.concatenate([np.full(n, i) for n, i, _ in course])
+    speeds = np.concatenate([np.full(n, w) for n, _, w in course])
     true = follow(Plant.inside(places, offset), currents, speeds)[:, FINE::FINE]
     bound = bounded(currents, speeds)
     assert np.all(true <= bound + 1e-6)
+
+
+@given(
+    duration=st.floats(0.01, 0.5),
+    rate=st.floats(0.01, 0.4),
+    heat=st.lists(st.floats(0.0, 30.0), min_size=2, max_size=40).filter(lambda heat: max(heat) > 0.1),
+)
+def test_heat_that_comes_late_leaves_no_more_behind_than_its_lateness_says(duration, rate, heat):
+    """Any heat of equal parts against an even one, both as they have decayed by the end of the step."""
+    edges = np.exp(-rate * np.linspace(duration, 0.0, len(heat) + 1))
+    left, even = np.dot(np.diff(edges), heat), (1.0 - edges[0]) * np.mean(heat)
+    late = lateness(duration, np.mean(heat) / max(heat), 1.0, 0.0)
+    assert left <= even * (1.0 + rate * late) * (1.0 + 1e-9)
+    assert late <= duration
 
 
 @settings(max_examples=10, deadline=None)
@@ -127,7 +144,7 @@ def test_the_steps_of_the_guard_end_where_constant_heat_leads():
     bound.settle(current**2 * ONE, ONE, 0.0 * ONE, 25.0)
     end = bound.hottest()[0]
     bound = ThermalBound([Box.of(LEA)], 28.0)
-    bound.step(far, current**2 * ONE, ONE, 0.0 * ONE, 25.0, even=True)
+    bound.step(far, current**2 * ONE, ONE, 0.0 * ONE, 25.0, late=0.0)
     for _ in range(3000):
         bound.step(GUARD_S, current**2 * ONE, ONE, 0.0 * ONE, 25.0)
     assert end <= bound.hottest()[0] < end + 2.0

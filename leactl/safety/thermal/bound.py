@@ -31,6 +31,7 @@ RUNAWAY = 20.0  # time constants of a growing temperature within a step
 BURNT = 1e4  # degC, above which a bound is not worked out any further
 
 HOTTEST, MEAN, HOUSING = range(3)
+ACROSS = [HOUSING, HOUSING, MEAN]  # the node that each of them gives to and takes from
 
 
 class ThermalBound:
@@ -66,11 +67,18 @@ class ThermalBound:
         self._rise = low("resistance_coefficient"), high("resistance_coefficient")
         self._friction = high("coulomb_friction"), high("viscous_damping")
         self._gain_squared, self._ambient_rise = plain("current_gain") ** 2, plain("ambient_rise")
-        self._slowest = self._capacitance[0][MEAN] / (self._to_housing[1] + self._to_air[1][MEAN])
+        self._decay = self._capacitance[0][MEAN] / (self._to_housing[1] + self._to_air[1][MEAN])
+        self.decay_s = float(np.min(self._decay))  # the shortest time constant of any winding
         self.state = np.full((3, len(self._of)), float(start))  # degC
 
     def step(
-        self, duration: float, squares: Array, aligned: Array, speeds: Array, ambient: float, even: bool = False
+        self,
+        duration: float,
+        squares: Array,
+        aligned: Array,
+        speeds: Array,
+        ambient: float,
+        late: Array | float | None = None,
     ) -> None:
         """Advance all lanes.
 
@@ -82,7 +90,8 @@ class ThermalBound:
             i^2, 1 at standstill and 0 over whole turns.
         speeds : of each actuator, the largest speed in the step [rad/s].
         ambient : as measured or told [degC].
-        even : whether the current is known to be the same throughout; else its heat may all come at the end.
+        late : of each actuator, how much later than evenly a phase's heat may have come [s]: see `lateness`. 0 where
+            the current and the angle are known to stay as they are; as long as the step where nothing is said.
         """
         told = np.concatenate([squares, aligned, speeds, [duration, ambient]])
         if not (np.isfinite(told).all() and duration >= 0.0 and np.isfinite(self.state).all()):
@@ -90,8 +99,10 @@ class ThermalBound:
             return
         pieces = max(1, int(np.ceil(duration / LONGEST_STEP_S)))
         square, share, friction, air = self._heat(squares, aligned, speeds, ambient)
-        if not even:  # less of what comes late has left again
-            share = share * (1.0 + duration / pieces / self._slowest)
+        behind = duration / pieces if late is None else late
+        if isinstance(behind, np.ndarray):
+            behind = behind[self._of]
+        square = square * (1.0 + behind / self._decay)  # less of what comes late has left again
         for _ in range(pieces):
             self._advance(duration / pieces, square, share, friction, air)
 
@@ -144,10 +155,6 @@ class ThermalBound:
         shrink[decay == 0.0] = 1.0
         return np.minimum(state + gained * shrink * h / capacitance, BURNT), ceiling, floor
 
-    def unevenness(self, duration: float) -> float:
-        """Part of a winding's heat that is added, where all of it may come at the end of such a step."""
-        return duration / float(np.min(self._slowest))
-
     def fastest(self, squares: Array, aligned: Array, speeds: Array, ambient: float) -> float:
         """How fast any node rises at the most under such heat [K/s]; arguments as of `step`."""
         return float(np.max(self._rates(self.state, *self._heat(squares, aligned, speeds, ambient))))
@@ -170,7 +177,7 @@ class ThermalBound:
         base = self._resistance * square * (1.0 - rise_high * self._tref + cold)
         warmer = self._resistance * square * rise_high
         constant, slope = inflow(air, ceiling, floor, *self._to_air)
-        across = np.stack([ceiling[HOUSING], ceiling[HOUSING], ceiling[MEAN]])
+        across = ceiling[ACROSS]
         more, steeper = inflow(across, ceiling, floor, *self._to_housing)
         constant += more
         slope += steeper
@@ -192,6 +199,24 @@ class ThermalBound:
     def set(self, nodes: Array) -> None:
         """Start from bounds of hottest phase, mean and housing, shape (3, actuators) [degC]."""
         self.state = np.ascontiguousarray(nodes[:, self._of])
+
+
+def lateness(duration: float, evenness: float, aligned: float, unseen: float) -> float:
+    """How much later than evenly the heat of a phase may have come in a step, as heat [s].
+
+    Heat leaves at a rate r at the most. Of one that is never above M and has the mean m, most is left at the end where
+    all of it comes last, at M: (1 - exp(-r d m/M)) / (m/M (1 - exp(-r d))) times what is left of an even one. That is
+    convex in m/M and 1 at m = M, thereby no more than 1 + r d (1 - m/M). A phase may take twice the winding's mean
+    heat, and takes 1 + `aligned` of it over the step.
+
+    Parameters
+    ----------
+    duration : of the step [s].
+    evenness : the mean square current of the step over the largest of any look within it.
+    aligned : as of `ThermalBound.step`.
+    unseen : the longest time from look to look [s], within which nothing is known.
+    """
+    return min(duration, duration * (1.0 - 0.5 * (1.0 + aligned) * evenness) + unseen)
 
 
 def inflow(source: Array, ceiling: Array, floor: Array, low: Array, high: Array) -> tuple[Array, Array]:

@@ -104,7 +104,7 @@ def _held_for(box: Box, limit: float, ambient: float, durations: Sequence[float]
     still, standing, before = np.zeros(CURRENTS), np.full(CURRENTS, STANDING), bound.hottest()
     for time in np.geomspace(SOONEST_S, 1.1 * max(durations), STEPS):
         going = np.isinf(reached)
-        bound.step(time - last, np.where(going, currents, 0.0) ** 2, standing, still, ambient, even=True)
+        bound.step(time - last, np.where(going, currents, 0.0) ** 2, standing, still, ambient, late=0.0)
         after = bound.hottest()
         crossed = going & ~(after < limit)
         part = (limit - before[crossed]) / (after[crossed] - before[crossed])

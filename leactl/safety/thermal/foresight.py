@@ -1,22 +1,23 @@
 """A whole plan under the bound before anything moves: how hot each winding may become, where, and what wait would help.
 
-Where a drive follows a speed or an angle its current is not planned; friction, inertia and the other drive's torque
-bound it. Where a current is planned the speed may be anything up to the bench's limit, or none at all.
+What a plan asks of the drives is in `demand`; here it is followed as the guard will follow it, or a little ahead.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from leactl.driver.contract import Mode
 from leactl.model.motor import Motor
-from leactl.protocol.plan import Action, Constant, Engage, Plan, Profile, Samples, Segment, Supply, Tare
-from leactl.safety.limits import LEADS
-from leactl.safety.thermal.bound import ThermalBound
+from leactl.protocol.plan import Plan, Segment
+from leactl.safety.thermal.bound import LONGEST_STEP_S, ThermalBound, lateness
 from leactl.safety.thermal.box import Array, Box
-from leactl.safety.thermal.guard import LED_ALIGNED, MARGIN_K, STEP_S, Budgets, GuardSettings
+from leactl.safety.thermal.demand import Demand, State, states
+from leactl.safety.thermal.guard import LOOK_S, MARGIN_K, STEP_S, TURN_S, Budgets, GuardSettings
+from leactl.safety.thermal.turning import LED_ALIGNED
 
 PARTS = 10  # samples of a step, where setpoints vary along a line
 COARSE_K = 2.0  # that a node may rise by in one step, where they do not
@@ -24,7 +25,7 @@ LONGEST_S = 2.0
 LEAST_S = 1e-6  # rounding of a sum of steps, which is no step of its own
 MOST_WAIT_S = 4 * 3600.0
 WAIT_ROUNDING_S = 5.0
-CURRENT_MODES = (Mode.CURRENT, Mode.TORQUE_PROFILE)
+FAST = 3.0  # rad of electrical angle in a step, from which on it shares its heat among the phases by itself
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class Foresight:
         ------
         InputError : a motor without tolerances.
         """
-        self._motors, self._settings = dict(motors), settings
+        self._demand, self._settings = Demand(motors, settings), settings
         self._roles = tuple(motors)
         boxes = [Box.of(motor) for motor in motors.values()]
         self._bound, self._budgets = ThermalBound(boxes, settings.ambient), Budgets(boxes, settings)
@@ -65,7 +66,7 @@ class Foresight:
     def forecast(self, plan: Plan) -> Forecast:
         """Follow a plan from its start until its end, or until a winding may pass its limit."""
         self._bound.state = self._start
-        return self._follow(plan, _states(plan), 0.0)
+        return self._follow(plan, states(plan), 0.0)
 
     def with_waits(self, plan: Plan) -> tuple[Plan, Forecast]:
         """The plan with a wait wherever it would pass the limit and one can help; the forecast is of that plan.
@@ -102,16 +103,15 @@ class Foresight:
         found = self.forecast(replace(plan, actions=plan.actions[: before.action + 2]))
         return found.passing is None
 
-    def _follow(self, plan: Plan, states: Iterator["_State"], time: float) -> Forecast:
+    def _follow(self, plan: Plan, states: Iterator[State], time: float) -> Forecast:
         peaks = dict(zip(self._roles, self._bound.hottest().tolist(), strict=True))
         limit = self._settings.limit - MARGIN_K
         for index, state in enumerate(states):
-            for duration, squares, aligned, speeds in self._pieces(plan, state):
+            for piece in self._pieces(plan, state):
                 before = self._bound.hottest().tolist()
-                # no cooler than the guard, which knows no more than what has flowed since its last step
-                share = (1.0 + aligned) * (1.0 + self._bound.unevenness(self._budgets.step(self._budgets.left(before))))
-                self._bound.step(duration, squares, share - 1.0, speeds, self._settings.ambient, even=True)
-                time += duration
+                heat = piece.squares, piece.aligned, piece.speeds
+                self._bound.step(piece.duration, *heat, self._settings.ambient, piece.late)
+                time += piece.duration
                 after = self._bound.hottest().tolist()
                 for role, was, hottest in zip(self._roles, before, after, strict=True):
                     peaks[role] = max(peaks[role], hottest)
@@ -119,149 +119,85 @@ class Foresight:
                         return Forecast(peaks, Passing(index, state.name, time, role))
         return Forecast(peaks, None)
 
-    def _pieces(self, plan: Plan, state: "_State") -> Iterator[tuple[float, Array, Array, Array]]:
-        """Heat of one action, step by step."""
-        time = 0.0
+    def _pieces(self, plan: Plan, state: State) -> Iterator["_Piece"]:
+        """Heat of one action, step by step: no less than the guard will find, which takes steps of its own.
+
+        The guard's steps around the ends of an action see its currents change, those in between do not.
+        """
+        time, led = 0.0, [role in state.leads for role in self._roles]
         while (left := state.duration - time) > LEAST_S:
+            own = self._budgets.step(self._budgets.left(self._bound.hottest().tolist()))
             if state.constant:
-                squares, aligned, speeds = self._heats(plan, state, [0.0], 0.0)
+                squares, turned, speeds = self._demand.heats(plan, state, [0.0])
+                aligned, late = self._shared(turned, own, np.ones((len(turned), round(LONGEST_STEP_S / own))))
                 rate = self._bound.fastest(squares, aligned, speeds, self._settings.ambient)
                 step = min(left, LONGEST_S, max(COARSE_K / rate if rate > 0.0 else LONGEST_S, 0.01))
+                if time < own - LEAST_S or left <= own + LEAST_S:
+                    step, aligned, late = min(step, own), _aligned(turned * own), np.full(len(aligned), own)
+                else:
+                    step, late = min(step, left - own), np.where(led, self._unseen(plan, own), late)
             else:
                 step = min(left, STEP_S)
                 # a list of setpoints is taken as the loop takes it: between its own samples anything may stand
                 parts = max(PARTS, math.ceil(step * plan.rate_Hz - 1e-6)) if state.listed else PARTS
                 at = [time + step * (k + 0.5) / parts for k in range(parts)]
-                squares, aligned, speeds = self._heats(plan, state, at, step)
-            yield step, squares, aligned, speeds
+                squares, turned, speeds = self._demand.heats(plan, state, at)
+                aligned, late = _aligned(turned * STEP_S), np.full(len(squares), own)
+                if left > own and np.any((turned * own < FAST) & (turned * LONGEST_STEP_S > 1.0)):
+                    aligned, late = self._shared(turned, own, self._evenness(plan, state, time, own))
+            yield _Piece(step, squares, np.where(led, LED_ALIGNED, aligned), speeds, late)
             time += step
 
-    def _heats(self, plan: Plan, state: "_State", at: Sequence[float], step: float) -> tuple[Array, Array, Array]:
-        """Mean square currents, how far each stands at one electrical angle, and speeds of all roles at the most."""
-        currents = np.zeros((len(self._roles), len(at)))
-        speeds, planned = self._speeds(plan, state, at)
-        accelerations = self._accelerations(plan, state, at)
-        for k, role in enumerate(self._roles):
-            if state.modes.get(role) in CURRENT_MODES:
-                currents[k] = [abs(state.setpoints[role].at(t)) for t in at]
-        for k, role in enumerate(self._roles):
-            if state.modes.get(role) in (Mode.VELOCITY, Mode.ANGLE):
-                currents[k] = np.minimum(
-                    self._held_current(plan, role, k, currents, speeds, accelerations), self._settings.most_current
-                )
-        turned = np.array([self._motors[role].pole_pairs for role in self._roles]) * planned * STEP_S
-        aligned = 1.0 / np.maximum(turned, 1.0)  # |sin x / x|
-        squares = np.mean(currents**2, axis=1)
-        for k, role in enumerate(self._roles):
-            if role in state.leads:  # where no drive stands beside the supply, which a heated set-up has none of
-                squares[k], aligned[k] = LEADS * state.leads[role] ** 2, LED_ALIGNED
-        return squares, aligned, speeds
+    @staticmethod
+    def _unseen(plan: Plan, own: float) -> float:
+        """The longest time from one look of the guard to the next [s]: it is due, and comes with the next cycle."""
+        return min(own, (LOOK_S if own == STEP_S else TURN_S) + 1.0 / plan.rate_Hz)
 
-    def _held_current(
-        self, plan: Plan, role: str, place: int, currents: Array, speeds: Array, accelerations: Array
-    ) -> Array:
-        """What a drive that follows a speed needs at the most: the other's torque, friction and inertia of both."""
-        motor = self._motors[role]
-        resisting = 0.0
-        for k, other in enumerate(self._roles):
-            if k == place or plan.setup == "coupled":
-                box = Box.of(self._motors[other])
-                resisting += box.coulomb_friction.high + box.viscous_damping.high * speeds[k]
-                resisting += self._motors[other].rotor_inertia * accelerations[place]
-        against = np.zeros(currents.shape[1])
-        if plan.setup == "coupled":
-            for k, other in enumerate(self._roles):
-                if k != place:
-                    against += self._motors[other].torque_constant * currents[k]
-        return np.asarray((against + resisting) / motor.torque_constant, np.float64)
+    def _evenness(self, plan: Plan, state: State, time: float, own: float) -> Array:
+        """Mean over largest square current of spans of 1, 2, .. guard's steps from a moment on, within the action."""
+        count = int(min(LONGEST_STEP_S, state.duration - time) / own + LEAST_S)
+        at = [time + 0.5 * own * k for k in range(2 * count + 1)]
+        squares = self._demand.currents(plan, state, at)[0] ** 2
+        ends = range(3, 2 * count + 2, 2)
+        most = np.stack([squares[:, :end].max(axis=1) for end in ends], axis=1)
+        mean = np.stack([squares[:, :end].mean(axis=1) for end in ends], axis=1)
+        return np.asarray(np.divide(mean, most, out=np.ones_like(mean), where=most > 0.0), np.float64)
 
-    def _speeds(self, plan: Plan, state: "_State", at: Sequence[float]) -> tuple[Array, Array]:
-        """Of each role: the speed at the most, and the speed that it keeps at the least."""
-        count = len(self._roles)
-        if plan.setup in ("locked", "heated"):
-            return np.zeros(count), np.zeros(count)
-        most, least = np.zeros(count), np.zeros(count)
-        for k, role in enumerate(self._roles):
-            mode = state.modes.get(role)
-            if mode is Mode.VELOCITY:
-                told = [abs(state.setpoints[role].at(t)) for t in at]
-                most[k], least[k] = max(told), min(told)
-            elif mode is Mode.ANGLE:
-                told = [state.setpoints[role].at(t) for t in at]
-                most[k] = float(np.max(np.abs(np.diff(told)))) / (at[1] - at[0]) if len(at) > 1 else 0.0
-            elif mode in CURRENT_MODES:
-                most[k] = self._settings.most_speed
-        if plan.setup == "coupled":
-            led = [k for k, role in enumerate(self._roles) if state.modes.get(role) in (Mode.VELOCITY, Mode.ANGLE)]
-            most[:], least[:] = (most[led[0]], least[led[0]]) if led else (most.max(), 0.0)
-        return most, least
-
-    def _accelerations(self, plan: Plan, state: "_State", at: Sequence[float]) -> Array:
-        """Of each role that follows a speed or listed angles; where a setpoint jumps none is planned."""
-        found = np.zeros(len(self._roles))
-        if len(at) < 2 or plan.setup in ("locked", "heated"):
-            return found
-        for k, role in enumerate(self._roles):
-            mode, profile = state.modes.get(role), state.setpoints.get(role)
-            if profile is not None and (mode is Mode.VELOCITY or (mode is Mode.ANGLE and isinstance(profile, Samples))):
-                order = 1 if mode is Mode.VELOCITY else 2
-                spacing = profile.period if isinstance(profile, Samples) else at[1] - at[0]
-                told = [profile.at(t) for t in np.arange(at[0], at[-1] + (order + 0.5) * spacing, spacing)]
-                found[k] = float(np.max(np.abs(np.diff(told, order)))) / spacing**order
-        return found
+    def _shared(self, turned: Array, own: float, evenness: Array) -> tuple[Array, Array]:
+        """Alignments and latenesses over the span that serves best to bound each, of 1, 2, .. guard's steps."""
+        best: list[tuple[float, float, float]] = []
+        for speed, evens in zip(turned.tolist(), evenness.tolist(), strict=True):
+            spans = [own * (k + 1) for k in range(len(evens))]
+            shares = [(span, _envelope(speed * span), even) for span, even in zip(spans, evens, strict=True)]
+            found = [(share, lateness(span, even, share, TURN_S)) for span, share, even in shares]
+            best.append(min(((1.0 + a) * (1.0 + late / self._bound.decay_s), a, late) for a, late in found))
+        return np.array([one[1] for one in best]), np.array([one[2] for one in best])
 
 
-@dataclass(frozen=True)
-class _State:
-    """One action with the modes and setpoints that hold in it."""
+class _Piece(NamedTuple):
+    """Part of an action, and the heat in it: arguments of `ThermalBound.step`."""
 
-    name: str
     duration: float
-    modes: Mapping[str, Mode]
-    setpoints: Mapping[str, Profile]
-    leads: Mapping[str, float]  # A, through two leads of a role
-
-    @property
-    def constant(self) -> bool:
-        """Whether every setpoint stays as it is."""
-        return all(profile.low == profile.high for profile in self.setpoints.values())
-
-    @property
-    def listed(self) -> bool:
-        """Whether any setpoint is a list."""
-        return any(isinstance(profile, Samples) for profile in self.setpoints.values())
+    squares: Array
+    aligned: Array
+    speeds: Array
+    late: Array
 
 
-def _states(plan: Plan) -> Iterator[_State]:
-    """Every action of a plan; waits for a person or a reading take no time here, the guard watches them."""
-    modes: dict[str, Mode] = {}
-    setpoints: dict[str, Profile] = {}
-    leads: dict[str, float] = {}
-    for action in plan.actions:
-        name, duration = _name_and_duration(plan, action)
-        if isinstance(action, Engage):
-            modes |= action.modes
-            setpoints |= dict.fromkeys(action.modes, Constant(0.0))
-        if isinstance(action, Segment):
-            setpoints |= action.setpoints
-        if isinstance(action, Supply):
-            leads |= {role: output[1] if output else 0.0 for role, output in action.outputs.items()}
-        yield _State(name, duration, dict(modes), dict(setpoints), {k: v for k, v in leads.items() if v})
-        if isinstance(action, Segment):
-            ended = {role: Constant(profile.at(action.duration_s)) for role, profile in action.setpoints.items()}
-            setpoints |= ended
+def _envelope(turned: float) -> float:
+    """|sin x / x| at the most, where a speed is kept to 5 %."""
+    return max(abs(math.sin(x) / x) if x > 0.0 else 1.0 for x in (0.95 * turned, turned, 1.05 * turned))
 
 
-def _name_and_duration(plan: Plan, action: Action) -> tuple[str, float]:
-    if isinstance(action, Segment):
-        return action.name, action.duration_s
-    return type(action).__name__.lower(), action.samples / plan.rate_Hz if isinstance(action, Tare) else 0.0
+def _aligned(turned: Array) -> Array:
+    """|sin x / x| at the most, of currents that turn evenly by 2 x rad of twice the electrical angle."""
+    return np.asarray(1.0 / np.maximum(turned, 1.0), np.float64)
 
 
 def _at_rest(plan: Plan, place: int) -> bool:
     """Whether no current is asked for, from drive or supply, and no speed, as an action begins."""
     last = None
-    for index, state in enumerate(_states(plan)):
+    for index, state in enumerate(states(plan)):
         if index == place:
             break
         last = state

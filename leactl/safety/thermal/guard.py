@@ -1,8 +1,8 @@
 """The thermal guard of a bench: heat in, every cycle; a bound, a trip and the current that may still flow, out.
 
-Heat is the larger of what a drive reports and what it is asked for, by the measured time between cycles. Budgets are
-looked at every `LOOK_S`, rotors every `TURN_S`. The bound is advanced every `STEP_S` where anything that may flow could
-take a winding to its limit before the next step, else every `COLD_STEP_S`. It must hold for longer than now: a drive
+Heat is the larger of what a drive reports and what it is asked for, by the measured time between cycles. The bound is
+advanced every `STEP_S` where anything that may flow could take a winding to its limit before the next step, else every
+`COLD_STEP_S`; rotors and budgets are looked at every `LOOK_S`, or `TURN_S`. It must hold for longer than now: a drive
 that loses its host goes on with its last current until its own watchdog stops it, so that the bound is looked at
 `reserve_s` ahead, at the current that flows and standing at one electrical angle.
 """
@@ -15,17 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.model.motor import Motor
-from leactl.safety.thermal.bound import HOTTEST, MEAN, ThermalBound
+from leactl.safety.thermal.bound import HOTTEST, LONGEST_STEP_S, MEAN, ThermalBound
 from leactl.safety.thermal.box import PHASE_SHARE, Array, Box
+from leactl.safety.thermal.turning import LED_ALIGNED, Rotor, Span
 
-LOOK_S = 0.01
-TURN_S = 0.05  # between two looks at the rotors
-STEP_S = 0.1
-COLD_STEP_S = 0.5
+LOOK_S, TURN_S = 0.01, 0.1
+STEP_S, COLD_STEP_S = 0.1, 1.0
 LONGEST_LEFT_S, GROWTH = 3600.0, 1.15  # that a time left is told up to, and of the steps to it
 HORIZON_S = 1.0  # over which a current is scaled down as the limit comes near
 MARGIN_K = 0.5  # below the limit, where a bench is stopped: what the largest current heats in LOOK_S
-LED_ALIGNED = 0.5  # of heat that two phases take in halves, which leaves (1 + 0.5) / 3 to each
 SCALED_K = 1.0  # below the limit, where scaling ends, so that a hold that is scaled is not stopped
 
 
@@ -68,24 +66,6 @@ class Budgets:
         return COLD_STEP_S if all(self._most < budget for budget in budgets) else STEP_S
 
 
-class _Turn:
-    """Where the heat of one actuator went since the last step: integral of i^2 at its electrical angle, and speed."""
-
-    __slots__ = ("angle", "cos", "led", "poles", "sin", "speed", "taken", "velocity")
-
-    def __init__(self, poles: int) -> None:
-        self.poles, self.angle, self.velocity = 2.0 * poles, 0.0, 0.0
-        self.clear()
-
-    def clear(self) -> None:
-        self.taken = self.cos = self.sin = self.speed = self.led = 0.0
-
-    def aligned(self) -> float:
-        """How far the heat stood at one electrical angle."""
-        stood = math.hypot(self.cos, self.sin) + LED_ALIGNED * self.led
-        return min(1.0, stood / self.taken) if self.taken > 0.0 else 0.0
-
-
 class ThermalGuard:
     """Bounds of all actuators of a bench, beside estimates for display: the same network in a box without width."""
 
@@ -99,7 +79,8 @@ class ThermalGuard:
         InputError : a motor without tolerances.
         """
         self.roles, self._settings = tuple(motors), settings
-        boxes = [Box.of(motor) for motor in motors.values()]
+        self.boxes = {role: Box.of(motor) for role, motor in motors.items()}
+        boxes = list(self.boxes.values())
         self._bound = ThermalBound([*boxes, *(Box.exact(motor) for motor in motors.values())], settings.ambient)
         nodes = np.stack([start[role] for role in self.roles], axis=1)
         self._bound.set(np.concatenate([nodes, nodes], axis=1))
@@ -108,10 +89,12 @@ class ThermalGuard:
         self.leads: dict[int, float] = {}  # A^2 that heats like what flows through two leads, where any may
         self.undriven: frozenset[int] = frozenset()  # roles without a drive, by their places: nothing else heats them
         self.due = -math.inf  # when `check` is to be called again
-        self._turns = [_Turn(motor.pole_pairs) for motor in motors.values()]
+        self._rotors = [Rotor(motor.pole_pairs, settings.most_speed) for motor in motors.values()]
         self._budgets_of = Budgets(boxes, settings)
         self._advanced = self._looked = 0.0
         self._step = STEP_S
+        # the bound as it stood when the span began that is looked at as one step, and what that span leaves of a phase
+        self._anchor, self._spans, self._spanned = self._bound.state, [Span() for _ in boxes], 0.0
         self._motion: Motion = lambda index: (math.nan, math.nan)
         self._forgotten: Callable[[], str] = str
         self._budgets = [-math.inf] * len(boxes)
@@ -137,8 +120,9 @@ class ThermalGuard:
         """Look at heat and rotors; gives why the bench must stop, and nothing where it may go on."""
         if now < self._looked:
             return "the clock of the bench has gone backwards: no bound of a winding's temperature holds"
-        self.due = now + LOOK_S
-        if now - self._looked >= (TURN_S if self._step > STEP_S else LOOK_S):
+        every = LOOK_S if self._step == STEP_S else TURN_S
+        self.due = now + every
+        if now - self._looked >= every:
             self._look(now)
         since = now - self._advanced
         if since < self._step:
@@ -152,7 +136,7 @@ class ThermalGuard:
     def end(self, now: float) -> None:
         """No cycle comes any more: bring `kept` to now, and to what may flow until drives stop by themselves."""
         reserve = self._settings.reserve_s
-        speeds, standing = [turn.speed for turn in self._turns], [1.0] * len(self.squares)
+        speeds, standing = [rotor.span.speed for rotor in self._rotors], [1.0] * len(self.squares)
         since, on = max(now - self._advanced, 0.0), max(now - self._looked, 0.0)
         nodes = self._bound.nodes()
         if since > 0.0:
@@ -160,7 +144,7 @@ class ThermalGuard:
             squares = [(square + flowing * on) / since for square, flowing in heat]
             self._bound.step(since, *self._twice(squares, standing, speeds), self._settings.ambient)
             nodes = self._bound.nodes()
-        self._bound.step(reserve, *self._twice(self.flowing, standing, speeds), self._settings.ambient)
+        self._bound.step(reserve, *self._twice(self.flowing, standing, speeds), self._settings.ambient, late=0.0)
         self._advanced = self._looked = now
         self.squares, self.flowing = [0.0] * len(self.squares), [0.0] * len(self.squares)
         self._keep(np.maximum(nodes, self._bound.nodes()))
@@ -169,52 +153,54 @@ class ThermalGuard:
         self.kept = {role: nodes[:, k] for k, role in enumerate(self.roles)}
 
     def _look(self, now: float) -> None:
-        """Put the heat since the last look at the electrical angles that the rotor has passed since.
-
-        Turning evenly over 2 x rad leaves |sin x / x| of an alignment. A rotor that stood at either look may have stood
-        in between: it has turned evenly no further than the slower look tells.
-        """
+        """Give every rotor the heat since the last look."""
+        since = now - self._looked
         for index, square in self.leads.items():
-            heat = square * (now - self._looked)
-            self.squares[index] += heat
-            self._turns[index].taken += heat
-            self._turns[index].led += heat
+            self.squares[index] += square * since
             alone = index in self.undriven
             self.flowing[index] = square if alone else max(self.flowing[index], square)
             self._standing[index] = LED_ALIGNED if alone else 1.0
-        for index, turn in enumerate(self._turns):
-            angle, velocity = self._motion(index)
-            speed = abs(velocity)
-            if speed != speed:
-                speed, velocity = self._settings.most_speed, 0.0
-            if speed > turn.speed:
-                turn.speed = speed
-            before = turn.angle
-            turn.angle = angle = angle if angle == angle else before + velocity * (now - self._looked)
-            square = self.squares[index]
-            fresh, turn.taken = square - turn.taken, square
-            evenly = min(abs(velocity), turn.velocity) * (now - self._looked)
-            turn.velocity = abs(velocity)
-            passed = 0.5 * turn.poles * min(abs(angle - before), evenly)
-            if passed > 1.0:
-                fresh /= passed
-            turned = turn.poles * angle
-            turn.cos += fresh * math.cos(turned)
-            turn.sin += fresh * math.sin(turned)
+        for index, rotor in enumerate(self._rotors):
+            rotor.look(*self._motion(index), self.squares[index], since, self.leads.get(index, 0.0) * since)
         self._looked = now
 
     def _advance(self, now: float, duration: float) -> str:
         if now > self._looked:
             self._look(now)
-        squares = [square / duration for square in self.squares]
-        aligned = [turn.aligned() for turn in self._turns]
-        speeds = [turn.speed for turn in self._turns]
-        self._bound.step(duration, *self._twice(squares, aligned, speeds), self._settings.ambient)
+        fresh = [rotor.take() for rotor in self._rotors]
+        speeds = [span.speed for span in fresh]
+        self._follow(fresh, duration)
         self._advanced = now
-        for index, turn in enumerate(self._turns):
-            self.squares[index] = 0.0
-            turn.clear()
+        self.squares[:] = [0.0] * len(self.squares)
         return self._judge(speeds) or self._forgotten()
+
+    def _follow(self, fresh: list[Span], duration: float) -> None:
+        """One step of the bound: from where the last one ended, or over again from where the span began.
+
+        Either is a bound. The longer one is taken where it leaves less of the same heat in a phase: where rotors crawl.
+        """
+        bound, whole = self._bound, self._spanned + duration
+        joined = [before.joined(after) for before, after in zip(self._spans, fresh, strict=True)]
+        longer = self._spanned > 0.0 and whole <= LONGEST_STEP_S
+        if longer and self._left(joined, whole, joined) < self._left(self._spans, self._spanned, joined):
+            self._spans, self._spanned = joined, whole
+            bound.state = self._anchor
+        else:
+            self._anchor, self._spans, self._spanned = bound.state, fresh, duration
+        spans, whole = self._spans, self._spanned
+        heat = self._twice(
+            [span.square / whole for span in spans], [s.aligned for s in spans], [s.speed for s in spans]
+        )
+        late = [span.late(whole) for span in spans]
+        bound.step(whole, *heat, self._settings.ambient, np.array(late + late))
+
+    def _left(self, spans: list[Span], duration: float, heat: list[Span]) -> float:
+        """Of some heat, what the hottest phases keep if it is shared as in these spans."""
+        decay = self._bound.decay_s
+        return sum(
+            one.square * (1.0 + span.aligned) * (1.0 + span.late(duration) / decay)
+            for one, span in zip(heat, spans, strict=True)
+        )
 
     def _judge(self, speeds: list[float]) -> str:
         """Look ahead from where the bound stands: trip, scale, and how much heat may pass before the next look."""
@@ -258,7 +244,7 @@ class ThermalGuard:
     def _ahead(self, squares: list[float], aligned: list[float], speeds: list[float], duration: float) -> Array:
         """Hottest phases after some time at these currents."""
         kept = self._bound.state
-        self._bound.step(duration, *self._twice(squares, aligned, speeds), self._settings.ambient)
+        self._bound.step(duration, *self._twice(squares, aligned, speeds), self._settings.ambient, late=0.0)
         found = self._bound.hottest()
         self._bound.state = kept
         return found
@@ -273,11 +259,11 @@ class ThermalGuard:
 
         From another thread at any time: it works on a copy.
         """
-        bound, speeds = copy(self._bound), [turn.speed for turn in self._turns]
+        bound, speeds = copy(self._bound), [rotor.span.speed for rotor in self._rotors]
         heat = self._twice(list(self.flowing), list(self._standing), speeds)
         left, time, step = dict.fromkeys(self.roles, math.inf), 0.0, STEP_S
         while time < LONGEST_LEFT_S and math.inf in left.values():
-            bound.step(step, *heat, self._settings.ambient, even=True)
+            bound.step(step, *heat, self._settings.ambient, late=0.0)
             time, step = time + step, step * GROWTH
             for role, hottest in zip(self.roles, bound.hottest(), strict=False):
                 if math.isinf(left[role]) and not hottest < self._settings.limit - MARGIN_K:

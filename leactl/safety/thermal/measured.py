@@ -1,16 +1,17 @@
-"""What measured temperatures and currents tell the guard: a reading that no actuator of the box can have, heat by DC.
+"""What measured temperatures, resistances and currents tell the guard: what no actuator of its box can have.
 
 A reading never makes a bound cooler: a camera may have slipped, a thermistor come off. One that is hotter than the
 bound shows that the actuator lies outside its tolerances, or that its air is blocked.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 
 from leactl.driver.contract import Row, StreamSpec
 from leactl.safety.limits import LEADS
 from leactl.safety.thermal.bound import HOUSING
 from leactl.safety.thermal.guard import ThermalGuard
+from leactl.safety.thermal.resistance import LeadResistance
 
 SENSOR_K = 5.0  # that a camera or a thermistor may read too much
 
@@ -31,7 +32,7 @@ class Leads:
 
 
 class Measured:
-    """Streams that measure windings, housings and the current through the leads."""
+    """Streams that measure windings, housings, and the current through the leads and the voltage at them."""
 
     def __init__(
         self,
@@ -41,41 +42,46 @@ class Measured:
         leads: Leads | None = None,
     ) -> None:
         self._guard, self._trip, self._currents = guard, trip, leads or Leads(guard)
-        self._looks = {
-            stream.name: [
-                (place, look, channel.role)
-                for place, channel in enumerate(stream.channels)
-                if channel.role in guard.roles and (look := self._look_of(channel.quantity, stream.name)) is not None
-            ]
-            for stream in streams
-        }
+        self._looks = {stream.name: looks for stream in streams if (looks := list(self._looks_at(stream)))}
 
     def look(self, row: Row) -> None:
         """Hold a row against the guard; a value that is no number is a matter of its age."""
-        for place, look, role in self._looks.get(row.stream, ()):
-            look(role, row.values[place])
+        for look in self._looks.get(row.stream, ()):
+            look(row)
 
-    def _look_of(self, quantity: str, stream: str) -> Callable[[str, float], None] | None:
-        looks: dict[str, Callable[[str, float], None]] = {
+    def _looks_at(self, stream: StreamSpec) -> Iterator[Callable[[Row], None]]:
+        known = {
             "winding_temperature": self._winding,
             "housing_temperature": self._housing,
-            "line_current": partial(self._leads, stream),
+            "line_current": self._leads,
         }
-        return looks.get(quantity)
+        place = {(channel.role, channel.quantity): k for k, channel in enumerate(stream.channels)}
+        for (role, quantity), index in place.items():
+            if role in self._guard.roles and quantity in known:
+                yield partial(known[quantity], role, index)
+        for role in self._guard.roles:
+            voltage, current = place.get((role, "line_voltage")), place.get((role, "line_current"))
+            if voltage is not None and current is not None:
+                yield partial(self._resistance, role, voltage, current, LeadResistance(self._guard.boxes[role]))
 
-    def _winding(self, role: str, reading: float) -> None:
-        self._compare(role, "winding", reading, self._guard.hottest[role])
+    def _winding(self, role: str, index: int, row: Row) -> None:
+        self._compare(role, "winding is measured", row.values[index], self._guard.hottest[role])
 
-    def _housing(self, role: str, reading: float) -> None:
-        self._compare(role, "housing", reading, float(self._guard.kept[role][HOUSING]))
+    def _housing(self, role: str, index: int, row: Row) -> None:
+        self._compare(role, "housing is measured", row.values[index], float(self._guard.kept[role][HOUSING]))
+
+    def _resistance(self, role: str, voltage: int, current: int, leads: LeadResistance, row: Row) -> None:
+        least = leads.least(row.values[voltage], row.values[current], row.time)
+        self._compare(role, "winding is by its resistance", least, self._guard.hottest[role])
 
     def _compare(self, role: str, part: str, reading: float, bound: float) -> None:
         if reading > bound + SENSOR_K:
             self._trip(
-                f"{role} {part} is measured at {reading:.1f} degC, and no actuator inside its motor file's tolerances"
+                f"{role} {part} at {reading:.1f} degC, and no actuator inside its motor file's tolerances"
                 f" can be above {bound:.1f} degC: cooling, tolerances or sensor are not what they are taken to be"
             )
 
-    def _leads(self, stream: str, role: str, reading: float) -> None:
+    def _leads(self, role: str, index: int, row: Row) -> None:
+        reading = row.values[index]
         if reading == reading:
-            self._currents.tell(role, stream, reading)
+            self._currents.tell(role, row.stream, reading)

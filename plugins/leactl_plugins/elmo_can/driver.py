@@ -86,6 +86,7 @@ class ElmoCan(Driver):
         self._heard = -math.inf
         self._fed = -math.inf
         self._asked = -math.inf
+        self._due = -math.inf  # when `feed` next has something to send
         self._located = False  # the shaft's angle is known: no operation before that
         self._counts = 0  # of the encoder, going on where the drive's 32 bits go round
         self._standing = _Standing()
@@ -164,7 +165,7 @@ class ElmoCan(Driver):
             self._emergency = ""
         self._current_per_mille, self._standing.most_per_mille = setup.read_scales()
         setup.arm_dead_man()
-        self._fed = -math.inf  # what was sent before counts no more: writing 0x1016 ends the monitoring
+        self._fed = self._due = -math.inf  # what was sent before counts no more: writing 0x1016 ends the monitoring
         self._nmt(NMT_PRE_OPERATIONAL)
         setup.map_pdos()
         setup.start_heartbeat()
@@ -309,12 +310,15 @@ class ElmoCan(Driver):
     def feed(self) -> None:
         """Send the host's heartbeat once a third of the consumer time has passed; ask for the bus voltage."""
         now = self._clock.now()
+        if now < self._due:
+            return
         if now - self._fed >= self._feed_period:
             self._port.send(0x700 + self.settings.host_node, bytes((OPERATIONAL,)))
             self._fed = now
         if now - self._asked >= self.settings.bus_voltage_period_s:
             self._asked = now
             self._port.send(0x600 + self._node, READ_BUS_VOLTAGE)
+        self._due = min(self._fed + self._feed_period, self._asked + self.settings.bus_voltage_period_s)
 
     def notices(self) -> list[str]:
         """One line each time the drive began to limit its demand by itself, which it tells by statusword bit 11."""
@@ -437,20 +441,21 @@ class ElmoCan(Driver):
     def _judge(self, engaged: bool) -> None:
         if self._emergency:
             raise DeviceFault(f"{self.name}: {self._emergency}")
-        if self.state in FAULTS:
-            raise DeviceFault(f"{self.name}: {self.state}, statusword 0x{self.statusword:04X}")
         now = self._clock.now()
         if now - self._heard > self._longest_silence:
             raise NoAnswer(f"{self.name}: no heartbeat of node {self._node} for {now - self._heard:.3f} s")
-        if self._mode is OFF:
-            return
         if engaged:
             self._enable_by = -math.inf  # from here on, leaving operation is the drive's own doing
-        elif self._enable_by == -math.inf:
+            return
+        if self.state in FAULTS:
+            raise DeviceFault(f"{self.name}: {self.state}, statusword 0x{self.statusword:04X}")
+        if self._mode is OFF:
+            return
+        if self._enable_by == -math.inf:
             raise DeviceFault(
                 f"{self.name}: left operation by itself, {self.state}, statusword 0x{self.statusword:04X}"
             )
-        elif now > self._enable_by:
+        if now > self._enable_by:
             raise NoAnswer(
                 f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {self.state}, 0x{self.statusword:04X}"
             )

@@ -1,0 +1,156 @@
+"""What a plan asks of the drives, action by action: currents where they are planned, and the most where they are not.
+
+A drive that follows a speed or an angle takes what friction, inertia and the other drive's torque make it take. Where a
+current is planned the speed may be anything up to the bench's limit, or none at all.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.driver.contract import Mode
+from leactl.model.motor import Motor
+from leactl.protocol.plan import Action, Constant, Engage, Plan, Profile, Samples, Segment, Supply, Tare
+from leactl.safety.limits import LEADS
+from leactl.safety.thermal.box import Array, Box
+from leactl.safety.thermal.guard import GuardSettings
+
+TURNING_RAD_S = 0.1  # from which on a rotor that is to turn does so one way
+CURRENT_MODES = (Mode.CURRENT, Mode.TORQUE_PROFILE)
+
+
+@dataclass(frozen=True)
+class State:
+    """One action with the modes and setpoints that hold in it."""
+
+    name: str
+    duration: float
+    modes: Mapping[str, Mode]
+    setpoints: Mapping[str, Profile]
+    leads: Mapping[str, float]  # A, through two leads of a role
+
+    @property
+    def constant(self) -> bool:
+        """Whether every setpoint stays as it is."""
+        return all(profile.low == profile.high for profile in self.setpoints.values())
+
+    @property
+    def listed(self) -> bool:
+        """Whether any setpoint is a list."""
+        return any(isinstance(profile, Samples) for profile in self.setpoints.values())
+
+
+def states(plan: Plan) -> Iterator[State]:
+    """Every action of a plan; waits for a person or a reading take no time here, the guard watches them."""
+    modes: dict[str, Mode] = {}
+    setpoints: dict[str, Profile] = {}
+    leads: dict[str, float] = {}
+    for action in plan.actions:
+        name, duration = _name_and_duration(plan, action)
+        if isinstance(action, Engage):
+            modes |= action.modes
+            setpoints |= dict.fromkeys(action.modes, Constant(0.0))
+        if isinstance(action, Segment):
+            setpoints |= action.setpoints
+        if isinstance(action, Supply):
+            leads |= {role: output[1] if output else 0.0 for role, output in action.outputs.items()}
+        yield State(name, duration, dict(modes), dict(setpoints), {k: v for k, v in leads.items() if v})
+        if isinstance(action, Segment):
+            ended = {role: Constant(profile.at(action.duration_s)) for role, profile in action.setpoints.items()}
+            setpoints |= ended
+
+
+def _name_and_duration(plan: Plan, action: Action) -> tuple[str, float]:
+    if isinstance(action, Segment):
+        return action.name, action.duration_s
+    return type(action).__name__.lower(), action.samples / plan.rate_Hz if isinstance(action, Tare) else 0.0
+
+
+class Demand:
+    """Currents and speeds of all actuators of a bench under its plans."""
+
+    def __init__(self, motors: Mapping[str, Motor], settings: GuardSettings) -> None:
+        self._motors, self._settings, self._roles = dict(motors), settings, tuple(motors)
+
+    def heats(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array]:
+        """Mean square currents, electrical speeds at the least [rad/s], and speeds at the most, of all roles."""
+        currents, turned, speeds = self.currents(plan, state, at)
+        squares = np.mean(currents**2, axis=1)
+        for role, current in state.leads.items():  # no drive stands beside the supply in a heated set-up
+            squares[self._roles.index(role)] = LEADS * current**2
+        return squares, turned, speeds
+
+    def currents(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array]:
+        """Currents at these moments, and both speeds as of `heats`."""
+        currents = np.zeros((len(self._roles), len(at)))
+        speeds, planned = self._speeds(plan, state, at)
+        accelerations = self._accelerations(plan, state, at)
+        for k, role in enumerate(self._roles):
+            if state.modes.get(role) in CURRENT_MODES:
+                currents[k] = [state.setpoints[role].at(t) for t in at]
+        for k, role in enumerate(self._roles):
+            if (mode := state.modes.get(role)) in (Mode.VELOCITY, Mode.ANGLE):
+                told = [state.setpoints[role].at(t) if mode is Mode.VELOCITY else 0.0 for t in at]
+                held = self._held_current(plan, k, currents, np.array(told), speeds, accelerations)
+                currents[k] = np.minimum(held, self._settings.most_current)
+        turned = np.array([self._motors[role].pole_pairs for role in self._roles]) * planned
+        return currents, turned, speeds
+
+    def _held_current(
+        self, plan: Plan, place: int, currents: Array, velocities: Array, speeds: Array, accelerations: Array
+    ) -> Array:
+        """What a drive that follows a speed needs at the most: the other's torque, friction and inertia of both.
+
+        Friction helps to hold what drives a rotor onward and adds to what drives it back; one that hardly turns may
+        stick either way.
+        """
+        most, inertia = 0.0, 0.0
+        least, driving = np.zeros(currents.shape[1]), np.zeros(currents.shape[1])
+        for k, role in enumerate(self._roles):
+            if k == place or plan.setup == "coupled":
+                motor, box = self._motors[role], Box.of(self._motors[role])
+                least += box.coulomb_friction.low + box.viscous_damping.low * np.abs(velocities)
+                most += box.coulomb_friction.high + box.viscous_damping.high * speeds[k]
+                inertia += motor.rotor_inertia * accelerations[place]
+                if k != place:
+                    driving += motor.torque_constant * currents[k]
+        onward = driving * np.sign(velocities)
+        known = np.maximum(np.abs(onward - least), np.abs(onward - most))
+        torque = np.where(np.abs(velocities) >= TURNING_RAD_S, known, np.abs(driving) + most)
+        return np.asarray((torque + inertia) / self._motors[self._roles[place]].torque_constant, np.float64)
+
+    def _speeds(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array]:
+        """Of each role: the speed at the most, and the speed that it keeps at the least."""
+        count = len(self._roles)
+        if plan.setup in ("locked", "heated"):
+            return np.zeros(count), np.zeros(count)
+        most, least = np.zeros(count), np.zeros(count)
+        for k, role in enumerate(self._roles):
+            mode = state.modes.get(role)
+            if mode is Mode.VELOCITY:
+                told = [abs(state.setpoints[role].at(t)) for t in at]
+                most[k], least[k] = max(told), min(told)
+            elif mode is Mode.ANGLE:
+                told = [state.setpoints[role].at(t) for t in at]
+                most[k] = float(np.max(np.abs(np.diff(told)))) / (at[1] - at[0]) if len(at) > 1 else 0.0
+            elif mode in CURRENT_MODES:
+                most[k] = self._settings.most_speed
+        if plan.setup == "coupled":
+            led = [k for k, role in enumerate(self._roles) if state.modes.get(role) in (Mode.VELOCITY, Mode.ANGLE)]
+            most[:], least[:] = (most[led[0]], least[led[0]]) if led else (most.max(), 0.0)
+        return most, least
+
+    def _accelerations(self, plan: Plan, state: State, at: Sequence[float]) -> Array:
+        """Of each role that follows a speed or listed angles; where a setpoint jumps none is planned."""
+        found = np.zeros(len(self._roles))
+        if len(at) < 2 or plan.setup in ("locked", "heated"):
+            return found
+        for k, role in enumerate(self._roles):
+            mode, profile = state.modes.get(role), state.setpoints.get(role)
+            if profile is not None and (mode is Mode.VELOCITY or (mode is Mode.ANGLE and isinstance(profile, Samples))):
+                order = 1 if mode is Mode.VELOCITY else 2
+                spacing = profile.period if isinstance(profile, Samples) else at[1] - at[0]
+                told = [profile.at(t) for t in np.arange(at[0], at[-1] + (order + 0.5) * spacing, spacing)]
+                found[k] = float(np.max(np.abs(np.diff(told, order)))) / spacing**order
+        return found
