@@ -143,14 +143,15 @@ class Foresight:
         for k, role in enumerate(self._roles):
             if state.modes.get(role) in CURRENT_MODES:
                 currents[k] = [abs(state.setpoints[role].at(t)) for t in at]
+        squares, most = np.mean(currents**2, axis=1), self._settings.most_current
         for k, role in enumerate(self._roles):
             if state.modes.get(role) in (Mode.VELOCITY, Mode.ANGLE):
-                currents[k] = np.minimum(
-                    self._held_current(plan, role, k, currents, speeds, accelerations), self._settings.most_current
-                )
+                wanted = self._held_current(plan, role, k, currents, speeds, accelerations)
+                # what asks for more than may flow takes the longer: the same impulse at the most that may
+                squares[k] = min(float(np.mean(wanted * np.minimum(wanted, most))), most**2)
         turned = np.array([self._motors[role].pole_pairs for role in self._roles]) * planned * STEP_S
         aligned = 1.0 / np.maximum(turned, 1.0)  # |sin x / x|
-        return np.mean(currents**2, axis=1), aligned, speeds
+        return squares, aligned, speeds
 
     def _held_current(
         self, plan: Plan, role: str, place: int, currents: Array, speeds: Array, accelerations: Array
@@ -192,8 +193,8 @@ class Foresight:
         return most, least
 
     def _accelerations(self, plan: Plan, state: "_State", at: Sequence[float]) -> Array:
-        """Of each role that follows a speed or listed angles; where a setpoint jumps none is planned."""
-        found = np.zeros(len(self._roles))
+        """Of each role at each time, where it follows a speed or listed angles; none where a setpoint jumps."""
+        found = np.zeros((len(self._roles), len(at)))
         if len(at) < 2 or plan.setup in ("locked", "heated"):
             return found
         for k, role in enumerate(self._roles):
@@ -202,7 +203,8 @@ class Foresight:
                 order = 1 if mode is Mode.VELOCITY else 2
                 spacing = profile.period if isinstance(profile, Samples) else at[1] - at[0]
                 told = [profile.at(t) for t in np.arange(at[0], at[-1] + (order + 0.5) * spacing, spacing)]
-                found[k] = float(np.max(np.abs(np.diff(told, order)))) / spacing**order
+                changes = np.abs(np.diff(told, order)) / spacing**order
+                found[k] = changes[((np.asarray(at) - at[0]) / spacing + 1e-6).astype(np.int64)]
         return found
 
 
