@@ -161,7 +161,11 @@ def test_a_bench_file_resolves_the_phases(tmp_path):
             "  test: {phases: {fixture_capacitance: -1}}\n",
             "phases.fixture_capacitance: -1 is outside",
         ),
-        ("", "  load: {phases: {commutation_offset: 1}}\n", "phases: these act only where the bench has phase_resolved"),
+        (
+            "",
+            "  load: {phases: {commutation_offset: 1}}\n",
+            "phases: these act only where the bench has phase_resolved",
+        ),
         (
             RESOLVED_PHASES,
             "  effects: [{name: nonlinear_convection}]\n",
