@@ -62,7 +62,7 @@ def current_bandwidth(bandwidth, lead, lead_time):
 
 
 def position_step(angle, motor, bench, duration=2.0):
-    """Time and angle [rad] of a free servo that starts at rest and is asked for an angle, friction that sticks and all."""
+    """Time and angle [rad] of a free servo that rests and is asked for an angle, friction that sticks and all."""
     gain = motor.rotor_inertia / motor.torque_constant
     fast = 2 * math.pi * bench.current_loop_bandwidth
 

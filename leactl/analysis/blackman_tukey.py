@@ -1,13 +1,15 @@
 """Frequency response from noise by Blackman and Tukey: windowed covariances, transformed.
 
-Ljung, System Identification, 2nd ed. (1999), section 6.4; Jenkins & Watts, Spectral Analysis and Its Applications (1968),
-chapter 10, for coherence and the variance of the gain. The window is Hann's, over lags to both sides. It averages the
-response over some frequencies around each; the same average, taken once more, tells how much that has changed it, and
-the estimate is corrected by that (Tukey's twicing).
+Ljung, System Identification, 2nd ed. (1999), section 6.4; Jenkins & Watts, Spectral Analysis and Its Applications
+(1968), chapter 10, for coherence and the variance of the gain. The window is Hann's, over lags to both sides. It
+averages the response over some frequencies around each; the same average, taken once more, tells how much that has
+changed it, and the estimate is corrected by that (Tukey's twicing).
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +18,7 @@ import numpy.typing as npt
 from leactl.analysis.regression import Array
 
 Complex = npt.NDArray[np.complex128]
+Mask = npt.NDArray[np.bool_]
 FINER = 4  # frequencies from one resolved frequency to the next
 
 
@@ -37,6 +40,11 @@ class Spectra(NamedTuple):
         )
 
 
+def together(spectra: Sequence[Spectra]) -> Spectra:
+    """Of all these records."""
+    return reduce(Spectra.plus, spectra)
+
+
 @dataclass(frozen=True, eq=False)
 class BlackmanTukey:
     """An estimator for records of one rate."""
@@ -53,7 +61,8 @@ class BlackmanTukey:
     @property
     def frequency(self) -> Array:
         """The grid [Hz], beyond the highest frequency by as much as the correction needs."""
-        return self.resolved / FINER * np.arange(round(self.highest / self.resolved * FINER) + FINER + 1)
+        count = round(self.highest / self.resolved * FINER) + FINER + 1
+        return np.asarray(self.resolved / FINER * np.arange(count), np.float64)
 
     def spectra(self, given: Array, answer: Array) -> Spectra:
         """Of one record, its means taken out."""

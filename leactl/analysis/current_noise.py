@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 
 from leactl.analysis.estimate import Result
-from leactl.analysis.noise_response import Loop, noise_response
+from leactl.analysis.noise_records import Loop
+from leactl.analysis.noise_response import noise_response
 from leactl.runfile.reader import Run
 
 LOOP = Loop("current-noise", "q_axis_current_reference", "q_axis_current", "offset_A", "locked", (10, 225.0))

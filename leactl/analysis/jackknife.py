@@ -1,4 +1,4 @@
-"""Mean over levels of a figure that comes from all trials of a level together, with its interval from leaving trials out.
+"""Mean over levels of a figure that all trials of a level give together, with its interval from leaving trials out.
 
 Efron & Tibshirani, An Introduction to the Bootstrap (1993), chapters 10 and 11: bias and standard error.
 """

@@ -1,8 +1,8 @@
 """Rise time, overshoot and settling time of the step response that several trials make together.
 
-Samples of all trials are averaged in bins of one sample, growing to a fiftieth of the time since the jump, so that the
-noise of a late, slow part does not end in the settling time. Values between bins are taken from the straight line; where
-samples lie on the curve is the same in every trial, so that its uncertainty is told apart from the scatter of trials.
+Samples of all trials are averaged in bins of one sample, growing to a fiftieth of the time since the jump, so that
+the noise of a late, slow part does not end in the settling time. Values between bins are taken from the straight line.
+Where samples lie on the curve is the same in every trial: its uncertainty is told apart from the scatter of trials.
 """
 
 import math
@@ -21,7 +21,8 @@ BIN = 0.02  # of the time since the jump
 CLEAR = 4.5  # standard errors that an overshoot stands out by, else there is none
 TOP = 0.7  # of the overshoot, above which a curve is laid through its top
 ORDER = 4  # of that curve in the logarithm of time
-ENOUGH = 8  # bins above, for such a curve
+ENOUGH = 8  # bins, for such a curve and that of the settling
+NEAR, FAR = 0.4, 2.0  # of the band, between which the last way into it counts for when it is entered
 
 
 class Curve(NamedTuple):
@@ -81,7 +82,7 @@ def overshoot(curve: Curve) -> Reading:
     lower = above < TOP * above[top]
     begin = int(np.flatnonzero(lower[:top])[-1]) + 1
     end = top + int(np.argmax(lower[top:])) if lower[top:].any() else len(above)
-    if end - begin < ENOUGH:  # too few for a curve: the highest one, and what may lie between it and its neighbours
+    if end - begin < ENOUGH:  # too few for a curve: the highest, and what may lie between it and its neighbours
         beside = float(np.max(np.abs(np.diff(above[top - 1 : top + 2]))))
         return Reading(100.0 * float(above[top]), shared=100.0 * beside / 8.0, own=rounding)
     at = np.log(curve.time[begin:end])
@@ -91,17 +92,35 @@ def overshoot(curve: Curve) -> Reading:
 
 
 def settling_time(curve: Curve) -> Reading:
-    """From the jump until the response stays within `BAND` of its steady value [s]; NaN where noise leaves that open."""
+    """From the jump until the response stays within `BAND` of its steady value [s]; NaN where noise leaves it open."""
     outside = np.abs(curve.value - 1.0) > BAND
     last = int(np.flatnonzero(outside)[-1])
     if last + 1 >= len(curve.time) or curve.time[last] >= curve.steady_from:
         return Reading(NAN)
-    level = 1.0 + math.copysign(BAND, curve.value[last] - 1.0)
+    side = math.copysign(1.0, curve.value[last] - 1.0)
     slope = abs(float(curve.value[last + 1] - curve.value[last]) / float(curve.time[last + 1] - curve.time[last]))
+    at = _way_in(curve, last, side)
     # a clock and its drive agree to a sample on when the jump was
-    return Reading(
-        crossing(curve, last + 1, level), shared=curve.interval / math.sqrt(12.0), own=_rounding(curve) / slope
+    return Reading(at, shared=curve.interval / math.sqrt(12.0), own=_rounding(curve) / slope)
+
+
+def _way_in(curve: Curve, last: int, side: float) -> float:
+    """Where the response enters the band for good: by a parabola through its last way in, if that has bins enough."""
+    distance = side * (curve.value - 1.0) / BAND
+    inside = np.flatnonzero(distance < NEAR)
+    begin = int(max(inside[inside < last], default=-1)) + 1
+    end = int(inside[inside > last][0])
+    begin += int(np.argmax(distance[begin:end]))
+    begin += int(np.count_nonzero(distance[begin:end] > FAR))
+    if end - begin < ENOUGH:
+        return crossing(curve, last + 1, 1.0 + side * BAND)
+    time = curve.time[begin:end]
+    through = np.polynomial.Polynomial.fit(
+        time, distance[begin:end] - 1.0, 2, w=1.0 / np.maximum(curve.error, 1e-9)[begin:end]
     )
+    roots = through.roots()
+    within = [float(root.real) for root in roots if not root.imag and time[0] <= root.real <= time[-1]]
+    return max(within, default=crossing(curve, last + 1, 1.0 + side * BAND))
 
 
 def crossing(curve: Curve, index: int, level: float) -> float:
@@ -112,7 +131,7 @@ def crossing(curve: Curve, index: int, level: float) -> float:
 
 
 def _between(curve: Curve, index: int) -> float:
-    """Standard uncertainty of a crossing between two samples: how far a curve that bends as here may be off its chord."""
+    """Standard uncertainty of a crossing between two samples: how far a curve that bends as here is off its chord."""
     around = np.concatenate([[0.0], curve.value])[index - 1 : index + 3]
     bend = math.sqrt(math.prod(np.abs(np.diff(around, 2)).tolist()))
     rise = abs(float(curve.value[index] - curve.value[index - 1]))

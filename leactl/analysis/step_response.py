@@ -11,7 +11,7 @@ import numpy as np
 
 from leactl.analysis.estimate import Plot, Result, Series
 from leactl.analysis.jackknife import LevelValue, Reading, mean_of_levels, over_trials
-from leactl.analysis.linefit import expect_setup, place_of
+from leactl.analysis.linefit import expect_setup
 from leactl.analysis.step_metrics import Curve, curve_of, overshoot, rise_time, settling_time
 from leactl.analysis.step_trials import BAND, Trial, trials_of, uneven
 from leactl.runfile.reader import Run

@@ -138,7 +138,7 @@ def _trial(asked: Channel, measured: Channel, jump: Jump) -> Trial | str:
         response=response[good & behind],
         steady_error=(target - one) / sent,
         steady_from=float(step.start + step.settle - jumped),
-        noise=float(rest.std()),
+        noise=float(np.sqrt(0.5 * np.mean(np.diff(rest) ** 2))),  # what drifts or slips is none
         quantum=quantum_of(values[good]) / abs(made),
     )
 

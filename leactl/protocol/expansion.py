@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 from leactl.errors import InputError
 from leactl.protocol import sweeps, trajectory
@@ -123,7 +124,7 @@ def _signal(timeline: Timeline, step: Step, pass_number: int) -> None:
     timeline.roles[content.role].goes_to(float(samples.values[-1]))
 
 
-def _samples(timeline: Timeline, step: Step, content: Signal, spelling: Spelling) -> Samples | None:
+def _samples(timeline: Timeline, step: Step, content: Any, spelling: Spelling) -> Samples | None:
     """Sample a signal at the rate of its references, once for all passes that have the same."""
     import numpy as np
 
