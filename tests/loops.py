@@ -81,21 +81,18 @@ def position_step(angle, motor, bench, duration=2.0):
         return slip * state[1]
 
     breaks_loose.terminal, rests.terminal, rests.direction = True, True, -1
-    now, state, slip, times, angles = 0.0, np.zeros(4), 0, [], []
+    now, state, slip, fine = 0.0, np.zeros(4), 0, np.arange(0, duration, 5e-5)
+    angles = np.zeros(len(fine))
+    settings = {"method": "LSODA", "rtol": 1e-9, "atol": 1e-11, "max_step": 1e-3, "dense_output": True}
     while now < duration:
-        event = rests if slip else breaks_loose
         part = solve_ivp(
-            slope, (now, duration), state, "LSODA", events=event, args=(slip,), rtol=1e-9, atol=1e-11, max_step=1e-3
+            slope, (now, duration), state, events=rests if slip else breaks_loose, args=(slip,), **settings
         )
-        times.append(part.t[:-1])
-        angles.append(part.y[2][:-1])
+        here = (fine >= now) & (fine <= part.t[-1])
+        angles[here] = part.sol(fine[here])[2]
         now, state = part.t[-1], part.y[:, -1]
-        if slip:
-            state[1] = 0.0
-            pull = motor.torque_constant * state[0]
-            slip = int(math.copysign(1, pull)) if abs(pull) > motor.coulomb_friction else 0
-        else:
-            slip = int(math.copysign(1, state[0]))
+        pull = motor.torque_constant * state[0]
+        free = not slip or abs(pull) > motor.coulomb_friction
+        slip = int(math.copysign(1, pull)) if free else 0
         state[1] = slip * 1e-9
-    fine = np.arange(0, duration, 5e-5)
-    return fine, np.interp(fine, np.concatenate(times), np.concatenate(angles))
+    return fine, angles

@@ -89,9 +89,7 @@ def _record(place: str, asked: Channel, measured: Channel, step: Step, loop: Loo
     """The longest part of a stretch without a gap, behind the record's filter; or why it is of no use."""
     from scipy.signal import butter, sosfilt
 
-    begin, end = np.searchsorted(
-        asked.time, (step.start + EPS_S, step.stop + EPS_S)
-    )  # the first row is the last of before
+    begin, end = np.searchsorted(asked.time, (step.start + EPS_S, step.stop + EPS_S))
     time = asked.time[begin:end]
     if end - begin < FEWEST:
         return "too few samples"
@@ -101,15 +99,16 @@ def _record(place: str, asked: Channel, measured: Channel, step: Step, loop: Loo
     stops = np.unique(np.concatenate([[-1], np.flatnonzero(missed), [end - begin]]))
     parts = [part for low, high in zip(stops[:-1] + 1, stops[1:], strict=True) for part in _cut(low, high, broken)]
     first, last = max(parts, key=lambda part: part[1] - part[0])
+    kept = time[first:last] > step.start + step.settle
+    if kept.sum() < FEWEST:
+        return "too few samples in a row"
     order, cutoff = loop.record_filter
     sections = butter(order, cutoff, fs=1.0 / interval, output="sos") if cutoff < 0.5 / interval else None
     columns = []
     for channel in (asked, measured):
         values = channel.values[begin + first : begin + last]
         filtered = values if sections is None else sosfilt(sections, values - values[:1])
-        columns.append(filtered[time[first:last] > step.start + step.settle])
-    if len(columns[0]) < FEWEST:
-        return "too few samples in a row"
+        columns.append(filtered[kept])
     if not columns[0].std() > 0.0:
         return "the reference does not move"
     reach = step.parameters.get("cutoff_Hz")

@@ -1,4 +1,5 @@
 """Run files of control-loop experiments, made from closed forms: nothing here comes from the emulated bench."""
+# ruff: noqa: N803 (a unit keeps its letter)
 
 import numpy as np
 from scipy.signal import butter, lfilter, sosfilt
@@ -92,7 +93,7 @@ def noise_run(
     trials=3,
     seed=1,
     edit=None,
-    sign=1.0,  # noqa: N803
+    sign=1.0,
 ):
     """A position noise run of a first-order loop sampled with its reference held, and noise of its readings."""
     rng = np.random.default_rng(seed)
