@@ -18,7 +18,7 @@ from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Channel, Run, Step
 
 FEWEST = 1600  # samples in a row, four windows of the estimator
-EPS_S = 1e-6  # rounding of stamps; the row at the start of a step still belongs to the one before
+EPS_S = 1e-6  # rounding of stamps; a row at either end of a step may belong to what is before or behind it
 EVEN = 0.2  # of an interval that stamps may be off
 
 
@@ -89,7 +89,7 @@ def _record(place: str, asked: Channel, measured: Channel, step: Step, loop: Loo
     """The longest part of a stretch without a gap, behind the record's filter; or why it is of no use."""
     from scipy.signal import butter, sosfilt
 
-    begin, end = np.searchsorted(asked.time, (step.start + EPS_S, step.stop + EPS_S))
+    begin, end = np.searchsorted(asked.time, (step.start + EPS_S, step.stop - EPS_S))
     time = asked.time[begin:end]
     if end - begin < FEWEST:
         return "too few samples"

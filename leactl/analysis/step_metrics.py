@@ -93,34 +93,43 @@ def overshoot(curve: Curve) -> Reading:
 
 def settling_time(curve: Curve) -> Reading:
     """From the jump until the response stays within `BAND` of its steady value [s]; NaN where noise leaves it open."""
-    outside = np.abs(curve.value - 1.0) > BAND
-    last = int(np.flatnonzero(outside)[-1])
-    if last + 1 >= len(curve.time) or curve.time[last] >= curve.steady_from:
+    calm = curve._replace(value=_calmed(curve))
+    last = int(np.flatnonzero(np.abs(calm.value - 1.0) > BAND)[-1])
+    if last + 1 >= len(calm.time) or calm.time[last] >= calm.steady_from:
         return Reading(NAN)
-    side = math.copysign(1.0, curve.value[last] - 1.0)
-    slope = abs(float(curve.value[last + 1] - curve.value[last]) / float(curve.time[last + 1] - curve.time[last]))
-    at = _way_in(curve, last, side)
+    side = math.copysign(1.0, calm.value[last] - 1.0)
+    slope = abs(float(calm.value[last + 1] - calm.value[last]) / float(calm.time[last + 1] - calm.time[last]))
     # a clock and its drive agree to a sample on when the jump was
-    return Reading(at, shared=curve.interval / math.sqrt(12.0), own=_rounding(curve) / slope)
+    shared = curve.interval / math.sqrt(12.0)
+    return Reading(_way_in(curve, calm, last, side), shared=shared, own=_rounding(curve) / slope)
 
 
-def _way_in(curve: Curve, last: int, side: float) -> float:
+def _calmed(curve: Curve) -> Array:
+    """The response averaged over neighbouring bins until noise is an eighth of the band; untouched where it is."""
+    half = math.ceil(0.5 * ((8.0 * float(np.max(curve.error)) / BAND) ** 2 - 1.0))
+    if half <= 0:
+        return curve.value
+    total = np.concatenate([[0.0], np.cumsum(curve.value)])
+    place = np.arange(len(curve.value))
+    begin, end = np.maximum(place - half, 0), np.minimum(place + half + 1, len(place))
+    return np.asarray((total[end] - total[begin]) / (end - begin), np.float64)
+
+
+def _way_in(curve: Curve, calm: Curve, last: int, side: float) -> float:
     """Where the response enters the band for good: by a parabola through its last way in, if that has bins enough."""
-    distance = side * (curve.value - 1.0) / BAND
+    distance = side * (calm.value - 1.0) / BAND
     inside = np.flatnonzero(distance < NEAR)
     begin = int(max(inside[inside < last], default=-1)) + 1
     end = int(inside[inside > last][0])
     begin += int(np.argmax(distance[begin:end]))
     begin += int(np.count_nonzero(distance[begin:end] > FAR))
+    straight = crossing(calm, last + 1, 1.0 + side * BAND)
     if end - begin < ENOUGH:
-        return crossing(curve, last + 1, 1.0 + side * BAND)
-    time = curve.time[begin:end]
-    through = np.polynomial.Polynomial.fit(
-        time, distance[begin:end] - 1.0, 2, w=1.0 / np.maximum(curve.error, 1e-9)[begin:end]
-    )
-    roots = through.roots()
-    within = [float(root.real) for root in roots if not root.imag and time[0] <= root.real <= time[-1]]
-    return max(within, default=crossing(curve, last + 1, 1.0 + side * BAND))
+        return straight
+    time, values = curve.time[begin:end], side * (curve.value[begin:end] - 1.0) / BAND - 1.0
+    through = np.polynomial.Polynomial.fit(time, values, 2, w=1.0 / np.maximum(curve.error[begin:end], 1e-9))
+    roots = [float(root.real) for root in through.roots() if not root.imag and time[0] <= root.real <= time[-1]]
+    return min(roots, key=lambda root: abs(root - straight), default=straight)
 
 
 def crossing(curve: Curve, index: int, level: float) -> float:

@@ -20,7 +20,7 @@ from leactl.runfile.reader import Channel, Run, Step
 BAND = 0.02  # of the step, about the steady value: settled for good inside
 FEWEST_SAMPLES = 20  # before the jump or in the steady part
 MISSING = 0.1  # of a trial's samples
-EPS_S = 1e-6  # rounding of stamps; the row at the start of a step still belongs to the one before
+EPS_S = 1e-6  # rounding of stamps; a row at either end of a step may belong to what is before or behind it
 FOLLOWS = 0.5  # of a step that the response makes of it at the least
 
 
@@ -102,7 +102,7 @@ def jumps_of(run: Run, key: str) -> list[Jump]:
 def _trial(asked: Channel, measured: Channel, jump: Jump) -> Trial | str:
     """The trial of a jump, or why it does not count."""
     step = jump.step
-    rows = slice(*np.searchsorted(asked.time, (step.start + EPS_S, step.stop + EPS_S)))
+    rows = slice(*np.searchsorted(asked.time, (step.start + EPS_S, step.stop - EPS_S)))
     references, stamps = asked.values[rows], asked.time[rows]
     nearer = np.abs(references - jump.target) < np.abs(references - jump.start)
     if not nearer.any() or nearer[0] or jump.target == jump.start:
@@ -112,7 +112,7 @@ def _trial(asked: Channel, measured: Channel, jump: Jump) -> Trial | str:
     start, target = (float(np.nanmedian(part)) for part in (before_it, references[first:]))
 
     time = measured.time - (0.5 * float(np.median(np.diff(measured.time))) if measured.sampling == "mean" else 0.0)
-    within = (time > step.start + EPS_S) & (time <= step.stop + EPS_S)
+    within = (time > step.start + EPS_S) & (time < step.stop - EPS_S)
     time, values = time[within] - jumped, measured.values[within]
     behind, steady = time > 0.0, time >= step.start + step.settle - jumped
     resting = (time <= 0.0) & (time >= 0.5 * (step.start - jumped))  # the later half of the wait for the jump

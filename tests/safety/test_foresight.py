@@ -194,7 +194,7 @@ def test_a_drive_that_gains_speed_needs_current_for_the_inertia():
 
 def test_a_fast_swing_heats_with_its_mean_square_and_not_with_its_peak():
     rate, amplitude = 2.0 * math.pi * 30.0, 12.0 * 0.49 / 0.0024 / (2.0 * math.pi * 30.0) ** 2
-    swing = Segment("swing", 1.0, 0.0, {"test": Samples(1 / 300, amplitude * np.sin(rate * np.arange(301) / 300))}, {})
+    swing = Segment("swing", 1.0, 0.0, {"test": Samples(1e-3, amplitude * np.sin(rate * np.arange(1001) / 1000))}, {})
     found = squares(made(Engage({"test": Mode.ANGLE}), swing, setup="free", rate=1000.0))["test"]
     resisting = friction(amplitude * rate) / 0.49
     assert found == pytest.approx(72.0 + 2.0 * resisting * 12.0 * 2.0 / math.pi + resisting**2, rel=0.08)
