@@ -80,19 +80,21 @@ class Demand:
 
     def squares(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array]:
         """Square currents at these moments, and both speeds as of `heats`."""
-        currents = np.zeros((len(self._roles), len(at)))
+        currents, most = np.zeros((len(self._roles), len(at))), self._settings.most_current
         speeds, planned = self._speeds(plan, state, at)
         accelerations = self._accelerations(plan, state, at)
         for k, role in enumerate(self._roles):
             if state.modes.get(role) in CURRENT_MODES:
                 currents[k] = [state.setpoints[role].at(t) for t in at]
+        squares = currents**2
         for k, role in enumerate(self._roles):
             if (mode := state.modes.get(role)) in (Mode.VELOCITY, Mode.ANGLE):
                 told = [state.setpoints[role].at(t) if mode is Mode.VELOCITY else 0.0 for t in at]
-                held = self._held_current(plan, k, currents, np.array(told), speeds, accelerations)
-                currents[k] = np.minimum(held, self._settings.most_current)
-        squares = currents**2
-        for k, role in enumerate(self._roles):
+                wanted = self._held_current(plan, k, currents, np.array(told), speeds, accelerations)
+                currents[k] = np.minimum(wanted, most)
+                # what asks for more than may flow takes the longer: the same impulse at the most that may
+                longer = wanted * currents[k]
+                squares[k] = longer * most**2 / max(most**2, float(np.mean(longer)))
             if role in state.leads:  # where no drive stands beside the supply, which a heated set-up has none of
                 squares[k] = LEADS * state.leads[role] ** 2
         turned = np.array([self._motors[role].pole_pairs for role in self._roles]) * planned
@@ -106,8 +108,8 @@ class Demand:
         Friction helps to hold what drives a rotor onward and adds to what drives it back; one that hardly turns may
         stick either way.
         """
-        most, inertia = 0.0, 0.0
-        least, driving = np.zeros(currents.shape[1]), np.zeros(currents.shape[1])
+        most = 0.0
+        least, driving, inertia = (np.zeros(currents.shape[1]) for _ in range(3))
         for k, role in enumerate(self._roles):
             if k == place or plan.setup == "coupled":
                 motor, box = self._motors[role], Box.of(self._motors[role])
@@ -143,8 +145,8 @@ class Demand:
         return most, least
 
     def _accelerations(self, plan: Plan, state: State, at: Sequence[float]) -> Array:
-        """Of each role that follows a speed or listed angles; where a setpoint jumps none is planned."""
-        found = np.zeros(len(self._roles))
+        """Of each role at each time, where it follows a speed or listed angles; none where a setpoint jumps."""
+        found = np.zeros((len(self._roles), len(at)))
         if len(at) < 2 or plan.setup in ("locked", "heated"):
             return found
         for k, role in enumerate(self._roles):
@@ -153,5 +155,6 @@ class Demand:
                 order = 1 if mode is Mode.VELOCITY else 2
                 spacing = profile.period if isinstance(profile, Samples) else at[1] - at[0]
                 told = [profile.at(t) for t in np.arange(at[0], at[-1] + (order + 0.5) * spacing, spacing)]
-                found[k] = float(np.max(np.abs(np.diff(told, order)))) / spacing**order
+                changes = np.abs(np.diff(told, order)) / spacing**order
+                found[k] = changes[((np.asarray(at) - at[0]) / spacing + 1e-6).astype(np.int64)]
         return found
