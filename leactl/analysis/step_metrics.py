@@ -1,7 +1,8 @@
 """Rise time, overshoot and settling time of the step response that several trials make together.
 
-Samples of all trials are averaged in bins of one sample, growing to a fiftieth of the time since the jump, so that
-the noise of a late, slow part does not end in the settling time. Values between bins are taken from the straight line.
+Samples of all trials are averaged in bins of one sample; for the settling time they grow to a fiftieth of the time
+since the jump, so that the noise of a late, slow part does not end in it. Values between bins are taken from the
+straight line.
 Where samples lie on the curve is the same in every trial: its uncertainty is told apart from the scatter of trials.
 """
 
@@ -17,7 +18,7 @@ from leactl.analysis.regression import Array
 from leactl.analysis.step_trials import BAND, Trial
 
 LOW, HIGH = 0.1, 0.9  # of the steady value, between which the rise time counts
-BIN = 0.02  # of the time since the jump
+GROWTH = 0.02  # of the time since the jump, bins for the settling time
 CLEAR = 4.5  # standard errors that an overshoot stands out by, else there is none
 TOP = 0.7  # of the overshoot, above which a curve is laid through its top
 ORDER = 4  # of that curve in the logarithm of time
@@ -37,14 +38,14 @@ class Curve(NamedTuple):
     steady_from: float  # s
 
 
-def curve_of(trials: Sequence[Trial]) -> Curve:
-    """The response of trials together."""
+def curve_of(trials: Sequence[Trial], growth: float = 0.0) -> Curve:
+    """The response of trials together, in bins of a sample or of this part of the time since the jump."""
     time = np.concatenate([trial.time for trial in trials])
     values = np.concatenate([trial.response for trial in trials])
     interval = float(np.median([np.median(np.diff(trial.time)) for trial in trials]))
     edges = [0.5 * interval]
     while edges[-1] < time.max():
-        edges.append(edges[-1] + max(interval, BIN * edges[-1]))
+        edges.append(edges[-1] + max(interval, growth * edges[-1]))
     place = np.searchsorted(edges, time)
     counts = np.bincount(place, minlength=len(edges))
     filled = counts > 0
@@ -61,8 +62,9 @@ def curve_of(trials: Sequence[Trial]) -> Curve:
     )
 
 
-def rise_time(curve: Curve) -> Reading:
+def rise_time(trials: Sequence[Trial]) -> Reading:
     """From a tenth to nine tenths of the steady value [s]."""
+    curve = curve_of(trials)
     half = int(np.argmax(curve.value >= 0.5))
     low = int(np.flatnonzero(curve.value[:half] < LOW)[-1]) + 1
     high = half + int(np.argmax(curve.value[half:] >= HIGH))
@@ -71,8 +73,9 @@ def rise_time(curve: Curve) -> Reading:
     return Reading(crossings[1] - crossings[0], shared=doubt)
 
 
-def overshoot(curve: Curve) -> Reading:
+def overshoot(trials: Sequence[Trial]) -> Reading:
     """Highest point above the steady value [%]; zero where it does not stand out of noise and rounding."""
+    curve = curve_of(trials)
     above = curve.value - 1.0
     top = int(np.argmax(above))
     blurred = math.hypot(float(curve.error[top]), curve.quantum / math.sqrt(12.0))
@@ -91,10 +94,11 @@ def overshoot(curve: Curve) -> Reading:
     return Reading(100.0 * float(through(fine).max()), own=rounding)
 
 
-def settling_time(curve: Curve) -> Reading:
+def settling_time(trials: Sequence[Trial]) -> Reading:
     """From the jump until the response stays within `BAND` of its steady value [s]; NaN where noise leaves it open."""
+    curve = curve_of(trials, GROWTH)
     calm = curve._replace(value=_calmed(curve))
-    last = int(np.flatnonzero(np.abs(calm.value - 1.0) > BAND)[-1])
+    last = int(max(np.flatnonzero(np.abs(calm.value - 1.0) > BAND), default=len(calm.time)))
     if last + 1 >= len(calm.time) or calm.time[last] >= calm.steady_from:
         return Reading(NAN)
     side = math.copysign(1.0, calm.value[last] - 1.0)

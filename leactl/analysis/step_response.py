@@ -12,7 +12,7 @@ import numpy as np
 from leactl.analysis.estimate import Plot, Result, Series
 from leactl.analysis.jackknife import LevelValue, Reading, mean_of_levels, over_trials
 from leactl.analysis.linefit import expect_setup
-from leactl.analysis.step_metrics import Curve, curve_of, overshoot, rise_time, settling_time
+from leactl.analysis.step_metrics import GROWTH, curve_of, overshoot, rise_time, settling_time
 from leactl.analysis.step_trials import BAND, Trial, trials_of, uneven
 from leactl.runfile.reader import Run
 
@@ -36,7 +36,7 @@ def step_response(experiment: str, runs: Sequence[Run], reference: str, response
     levels = [[trial for trial in every if trial.level == level] for level in sorted({trial.level for trial in every})]
     notes += uneven(levels)
     units = runs[0].channel(response, role="test").units
-    metrics: dict[str, tuple[str, Callable[[Curve], Reading]]] = {
+    metrics: dict[str, tuple[str, Callable[[Sequence[Trial]], Reading]]] = {
         "rise_time": ("s", rise_time),
         "overshoot": ("%", overshoot),
         "settling_time": ("s", settling_time),
@@ -58,8 +58,8 @@ def step_response(experiment: str, runs: Sequence[Run], reference: str, response
     return Result(experiment, paths, tuple(results), tuple(notes), (_plot(levels, units, until),))
 
 
-def _over(trials: Sequence[Trial], metric: Callable[[Curve], Reading]) -> LevelValue:
-    return over_trials(len(trials), lambda kept: metric(curve_of([trials[k] for k in kept])))
+def _over(trials: Sequence[Trial], metric: Callable[[Sequence[Trial]], Reading]) -> LevelValue:
+    return over_trials(len(trials), lambda kept: metric([trials[k] for k in kept]))
 
 
 def _steady_error(trials: Sequence[Trial]) -> LevelValue:
@@ -73,7 +73,7 @@ def _steady_error(trials: Sequence[Trial]) -> LevelValue:
 def _plot(levels: Sequence[Sequence[Trial]], units: str, until: float) -> Plot:
     points = []
     for trials in levels:
-        curve = curve_of(trials)
+        curve = curve_of(trials, GROWTH)
         shown = np.flatnonzero(curve.time <= until)
         shown = shown[:: max(1, len(shown) // SHOWN)]
         time, value = (1e3 * curve.time[shown]).tolist(), curve.value[shown].tolist()

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.analysis.estimate import tally
-from leactl.analysis.levels import Hold
+from leactl.analysis.levels import Hold, span
 from leactl.analysis.regression import Array
 from leactl.analysis.saturation import saturated
 from leactl.errors import NotIdentifiable
@@ -68,8 +68,7 @@ def trials_of(run: Run, reference: str, response: str, key: str, notes: list[str
     asked, measured = run.channel(reference, role="test"), run.channel(response, role="test")
     jumps = jumps_of(run, key)
     holds = [Hold(jump.target, 0, jump.step.start + jump.step.settle, jump.step.stop) for jump in jumps]
-    value, clipped = saturated(measured, holds)
-    at_end = {hold.start for hold in clipped}
+    value, at_end = clipped(measured, holds)
     left_out: dict[str, list[str]] = {}
     found = []
     for jump, hold in zip(jumps, holds, strict=True):
@@ -86,6 +85,19 @@ def trials_of(run: Run, reference: str, response: str, key: str, notes: list[str
         what = f"{len(jumps)} steps of {response}, none of use ({why})" if jumps else f"no step from and to a {key}"
         raise NotIdentifiable(f"{run.path}: found {what}; one response that settles is needed")
     return found
+
+
+def clipped(channel: Channel, holds: Sequence[Hold]) -> tuple[float, set[float]]:
+    """The value that a channel stops at, and where the holds begin that reach it.
+
+    Where readings mostly come twice, a level at rest looks the same as an end of range; only two levels there tell.
+    """
+    value, reached = saturated(channel, holds)
+    parts = [channel.values[span(channel, hold.start, hold.stop)] for hold in holds]
+    still = np.median([np.mean(np.diff(part) == 0.0) for part in parts if len(part) > 1] or [0.0]) > 0.5
+    if still and len({hold.setpoint for hold in reached}) < 2:
+        return value, set()
+    return value, {hold.start for hold in reached}
 
 
 def jumps_of(run: Run, key: str) -> list[Jump]:

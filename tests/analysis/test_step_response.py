@@ -99,6 +99,14 @@ def test_clipped_trials_are_left_out(tmp_path):
     assert found(result)["overshoot"].value == pytest.approx(8.3, rel=0.05)
 
 
+def test_a_servo_that_friction_holds_at_its_highest_level_is_not_clipped(tmp_path):
+    def creeping(time):
+        return 1 - np.exp(-time / 0.02) - 0.002 * np.maximum(1.2 - time, 0.0)
+
+    result = analyze_runs([step_run(tmp_path, answer=creeping, trials=2, quantum=0.0005)])
+    assert not any("clipped" in note for note in result.notes)
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
