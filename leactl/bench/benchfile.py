@@ -86,6 +86,7 @@ class Emulated(BaseModel):
     current_noise_A: Fraction = 0.015  # noqa: N815 (a unit keeps its letter)
     torque_noise_Nm: Fraction = 0.004  # noqa: N815
     velocity_noise_rad_s: Fraction = 0.002
+    temperature_noise_K: Fraction = 0.05  # noqa: N815
 
 
 class BenchFile(BaseModel):

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 from pydantic import BaseModel, ConfigDict
 
 from leactl.driver.clock import Clock
-from leactl.driver.far_end import CanEmulator, I2cEmulator, Physics, SerialEmulator
+from leactl.driver.far_end import CanEmulator, FileEmulator, I2cEmulator, Physics, SerialEmulator
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 
@@ -86,7 +86,7 @@ class Mode(StrEnum):
     ANGLE = "angle"  # rad
 
 
-FarEnd = CanEmulator | SerialEmulator | tuple[int, I2cEmulator]
+FarEnd = CanEmulator | SerialEmulator | FileEmulator | tuple[int, I2cEmulator]
 
 
 class Driver(ABC):

@@ -128,6 +128,18 @@ class StoreKeeper(Protocol):
         """Look at the store once: take what the host wrote there, put there what it will read; called often."""
 
 
+@runtime_checkable
+class FileEmulator(Protocol):
+    """A device whose program writes files; it hangs on no bus."""
+
+    def tick(self, now: float) -> None:
+        """What the device samples and its program writes up to now."""
+
+    @property
+    def due(self) -> float:
+        """Time at which `tick` next has something to do; emulated time stops there."""
+
+
 class Physics(Protocol):
     """The bench behind the wires, as a device's far end sees it."""
 

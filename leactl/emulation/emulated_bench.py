@@ -8,7 +8,7 @@ import can
 
 from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus, SerialBus
 from leactl.driver import registry
-from leactl.driver.far_end import Physics, SupplyLoad
+from leactl.driver.far_end import FileEmulator, Physics, SupplyLoad
 from leactl.driver.i2c_port import SmBus
 from leactl.driver.serial_port import SerialLine
 from leactl.emulation import witness
@@ -154,6 +154,9 @@ class EmulatedBench:
         if quantity == "torque" and role == "test":
             spread = self._settings.torque_noise_Nm
             return lambda: rig.shaft_torque + spread * noise()
+        if quantity in ("winding_temperature", "housing_temperature"):
+            actuator, spread = rig.actuators[role], self._settings.temperature_noise_K
+            return lambda: getattr(actuator, quantity) + spread * noise()
         plain: Mapping[str, Callable[[], float]] = {
             "line_current": lambda: rig.line_current,
             "line_voltage": lambda: rig.line_voltage,
@@ -187,6 +190,9 @@ class EmulatedBench:
             self.i2c_buses[entry.bus].devices[address] = far_end
         elif entry.bus in self.serial_wires:
             self.serial_wires[entry.bus].device = far_end
+        elif isinstance(far_end, FileEmulator):
+            self.time.follow(far_end.tick)
+            self.time.stop_at(lambda: far_end.due)
         self.far_ends[device.name] = far_end
 
 
