@@ -13,6 +13,7 @@ from leactl.errors import InputError
 
 Array = npt.NDArray[np.float64]
 GAP = 1.5  # of the usual interval
+FEWEST = 10  # rows or seconds that a rule is read from
 COARSE = 0.2  # share of stamps that stand twice, above which the clock is coarser than the frames
 
 
@@ -63,7 +64,7 @@ def in_order(
         told.append(f"{len(back)} rows whose stamps go back, from {where(int(back[0]))}: left out")
         time, values = np.delete(time, back), np.delete(values, back, axis=0)
     same = np.diff(time) == 0
-    if same.mean() > COARSE if len(same) else False:
+    if len(same) >= FEWEST and same.mean() > COARSE:
         time = spread(time, resolution, frame_rate, where)
         told.append(f"{int(same.sum())} rows share a stamp with the one before: placed at {frame_rate:g} Hz")
         same = np.zeros(len(same), bool)
@@ -99,9 +100,13 @@ def spread(time: Array, resolution: float, frame_rate: float | None, where: Call
     if frame_rate is None:
         raise InputError(f"{where(1)}: stamps are coarser than frames; time.frame_rate_Hz places them")
     count = np.arange(len(time), dtype=np.float64)
-    slope, start = np.polyfit(count, time + 0.5 * resolution, 1)
-    if abs(slope * frame_rate - 1.0) > 0.01:
+    turns = np.flatnonzero(np.diff(time) > 0) + 1  # the frame that comes first under a new stamp is the youngest there
+    slope = 1.0 / frame_rate
+    if len(turns) >= FEWEST:
+        slope = float(np.polyfit(count[turns], time[turns], 1)[0])
+    if not len(turns) or abs(slope * frame_rate - 1.0) > 0.01:
         raise InputError(f"{where(1)}: {1.0 / slope:.4g} rows a second; time.frame_rate_Hz says {frame_rate:g}")
+    start = float(np.mean(time[turns] + 0.5 * slope - slope * count[turns]))
     placed: Array = start + slope * count
     beyond = np.flatnonzero(np.abs(placed - time - 0.5 * resolution) > 0.5 * resolution + 1.5 / frame_rate)
     if len(beyond):
