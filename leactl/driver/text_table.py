@@ -8,7 +8,7 @@ import codecs
 import csv
 import re
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -96,7 +96,7 @@ def text_of(path: Path, encoding: str | None) -> tuple[str, str]:
     if not raw.strip(b"\0 \r\n\t"):
         raise InputError(f"{path}: {'empty' if not raw else 'holds nothing but blanks'}")
     found = next((name for mark, name in BOMS if raw.startswith(mark)), None)
-    if found and encoding and found.replace("-le", "") not in (encoding, encoding.replace("-le", "")):
+    if found and encoding not in (None, found) and not (encoding == "utf-16" and found.startswith("utf-16")):
         raise InputError(f"{path}: begins with the mark of {found}; encoding says {encoding}")
     chosen = found or encoding or ("utf-16-le" if looks_like_utf16(raw) else "utf-8")
     try:
@@ -150,6 +150,11 @@ def read_table(path: Path, form: TextForm, wanted: Sequence[str]) -> Table:
     for k, line in enumerate(lines[first:at], start=first + 1):
         note_aside(table, k, trimmed(line.split(delimiter)))
     fill(table, lines[at:], at, delimiter)
+    if table.rows and not text.endswith(("\n", "\r")) and table.lines[-1] == len(lines):
+        table.told.append(f"the last row, line {table.lines.pop()}, has no end and may be cut: left out")
+        table.rows.pop()
+    if not table.rows:
+        raise InputError(f"{path}: no row below the headings of line {at + 1}")
     return table
 
 
@@ -173,15 +178,13 @@ def header(lines: Sequence[str], first: int, delimiter: str, wanted: Sequence[st
 def no_header(lines: Sequence[str], candidates: Sequence[str], wanted: Sequence[str]) -> str:
     """What was looked for and what the likeliest line has instead."""
     rows = [
-        (len(cells), cells)
+        cells
         for delimiter in candidates
         for line in lines[:50]
         if (cells := [cell.strip() for cell in cells_of(line, delimiter) if cell.strip()])
         and sum(any(c.isalpha() for c in cell) for cell in cells) > len(cells) / 2
     ]
-    best = max(rows, key=lambda row: (sum(bool(called(cell) & {*wanted}) for cell in row[1]), row[0]), default=(0, []))[
-        1
-    ]
+    best = max(rows, key=lambda cells: (sum(bool(called(cell) & {*wanted}) for cell in cells), len(cells)), default=[])
     has = ", ".join(map(repr, best[:40])) or "no line that looks like headings"
     lacking = [repr(name) for name in wanted if all(name not in called(cell) for cell in best)]
     return f"no line has the headings {', '.join(lacking)}; the file has {has}"
@@ -226,8 +229,6 @@ def fill(table: Table, lines: Sequence[str], before: int, delimiter: str) -> Non
         table.told.append(f"the last row, line {uneven[0]}, ends after {uneven[1]} of {width} cells: left out")
     if faults:
         raise InputError(faults)
-    if not table.rows:
-        raise InputError(f"{table.path}: no row below the headings of line {before + 1}")
 
 
 def trimmed(cells: Sequence[str]) -> list[str]:
@@ -253,8 +254,3 @@ def note_aside(table: Table, line: int, cells: Sequence[str]) -> bool:
     value = found[2] or (filled[1] if len(filled) > 1 else "")
     table.asides.append(Aside(line, found[1], value.strip()))
     return True
-
-
-def asides_named(table: Table, pattern: re.Pattern[str]) -> Iterator[Aside]:
-    """Those whose name the pattern is found in."""
-    return (aside for aside in table.asides if pattern.search(aside.name))

@@ -18,9 +18,10 @@ import numpy as np
 from leactl.driver.batch import Record, RecordClock
 from leactl.errors import InputError
 from leactl.runfile import layout
-from leactl.runfile.alignment import NORMAL_95, Alignment, Tie, by_likeness, tied, ties_by_onset
+from leactl.runfile.alignment import NORMAL_95, Alignment, Tie, by_likeness, tied
 from leactl.runfile.description import faults_of_channel
 from leactl.runfile.integrity import add_note, amend
+from leactl.runfile.onsets import ties_by_onset
 from leactl.runfile.reader import Array, Run
 from leactl.runfile.repack import CHUNK_ROWS, COMPRESSION
 from leactl.runfile.space import reserve

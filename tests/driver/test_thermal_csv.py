@@ -291,6 +291,12 @@ def test_a_last_row_cut_short_is_left_out_and_told(tmp_path):
     assert "the last row, line 6, ends after 2 of 3 cells: left out" in told(record)
 
 
+def test_a_last_row_without_an_end_may_be_cut_within_its_number(tmp_path):
+    record = read(tmp_path, PLAIN + "0.100,25.60,2")
+    assert len(record.time) == 3
+    assert "the last row, line 6, has no end and may be cut: left out" in told(record)
+
+
 def test_blocks_and_a_changed_emissivity_are_told(tmp_path):
     head = PLAIN.split("\n")[1]
     again = f"\nEmissivity: 0.80\n{head}\n0.100,25.60,24.95\n"

@@ -5,7 +5,8 @@ import pytest
 from scipy.linalg import expm
 
 from leactl.errors import InputError
-from leactl.runfile.alignment import Tie, by_likeness, jumps, onset, tied, ties_by_onset
+from leactl.runfile.alignment import Tie, by_likeness, tied
+from leactl.runfile.onsets import jumps, onset, ties_by_onset
 
 DRIFT = 1e-4  # 95 %
 
@@ -65,12 +66,12 @@ def test_a_systematic_delay_stays_whatever_the_number_of_ties():
 @pytest.mark.parametrize("noise", [0.02, 0.3])
 def test_likeness_finds_the_offset_and_says_how_well(noise):
     errors, claims = [], []
-    for seed in range(12):
+    for seed in range(6):
         own, reference, offset, rate = pair(seed, noise)
         found = by_likeness(own, reference, 2.0, "a and b", near=5.0, drift_within=DRIFT)
         errors.append(found.on_run(np.array([8.0]))[0] - (offset + rate * 8.0))
         claims.append(found.uncertainty(8.0))
-    assert np.sum(np.abs(errors) < claims) >= 10
+    assert np.sum(np.abs(errors) < claims) >= 5
     assert np.median(claims) < 4 * np.sqrt(np.mean(np.square(errors)))
     assert np.median(claims) < 0.005
 
@@ -102,7 +103,7 @@ def heating(time, starts, ends):
 
 def test_onsets_of_heating_and_cooling_tie_a_camera_with_its_drift():
     errors, claims = [], []
-    for seed in range(12):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
         starts, ends = 60 + rng.uniform(0, 1), 600 + rng.uniform(0, 1)
         offset, rate = 40 + rng.uniform(-20, 20), 1 + rng.normal(0, DRIFT / 2)
@@ -114,7 +115,7 @@ def test_onsets_of_heating_and_cooling_tie_a_camera_with_its_drift():
         found = tied("x", ties, DRIFT, 0.0)
         errors.append(found.on_run(np.array([300.0]))[0] - (offset + rate * 300.0))
         claims.append(found.uncertainty(300.0))
-    assert np.sum(np.abs(errors) < claims) >= 10
+    assert np.sum(np.abs(errors) < claims) >= 5
     assert np.median(claims) < 0.06
 
 

@@ -1,7 +1,6 @@
 """Foreign records in run files: what is stored, what stays as it was, what is refused, at the command line."""
 
 import json
-import re
 
 import h5py
 import numpy as np
@@ -10,7 +9,10 @@ import xarray
 import yaml
 from leactl_plugins.thermal_csv.emulator import series
 
+from leactl import yamlfile
+from leactl.bench.records import RecordDevice
 from leactl.driver.text_writing import Dialect
+from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.runfile import layout
 from leactl.runfile.integrity import verify
@@ -73,7 +75,9 @@ def elapsed(seconds):
 
 
 def of_day(seconds):
-    return f"2026-11-20T10:15:{32.5 + seconds:06.3f}Z" if seconds < 27 else f"2026-11-20T10:16:{seconds - 27.5:06.3f}Z"
+    return (
+        f"2026-11-20T10:15:{32.5 + seconds:06.3f}Z" if seconds < 27.5 else f"2026-11-20T10:16:{seconds - 27.5:06.3f}Z"
+    )
 
 
 def everything(path):
@@ -81,13 +85,25 @@ def everything(path):
         return {place: layout.digest(item) for place, item in layout.datasets(file) if "camera" not in place}
 
 
-def attached(run, files, bench, *options):
-    return leactl("runs", "attach", run, *files, "--device", "camera", "--bench", bench, *options)
+def joined(run, file, bench, name="camera"):
+    """Read and tie a record; the device and what it gives."""
+    device = RecordDevice(yamlfile.load(bench), name)
+    return device, device.join(device.read([file]), run)
+
+
+def attach(run, file, bench, name="camera", replace=False):
+    device, found = joined(run, file, bench, name)
+    device.attach(found, run, replace)
+    return found
+
+
+def at_the_shell(run, file, bench, *options):
+    return leactl("runs", "attach", run, file, "--device", "camera", "--bench", bench, *options)
 
 
 def test_a_given_offset_puts_the_record_beside_what_the_run_holds(run, export, bench):
     before = everything(run)
-    answer = attached(run, [export(elapsed)], bench({"offset_s": 2.5, "offset_within_s": 0.2}), "--json")
+    answer = at_the_shell(run, export(elapsed), bench({"offset_s": 2.5, "offset_within_s": 0.2}), "--json")
     assert answer.returncode == 0, answer.stderr
     told = json.loads(answer.stdout)
     assert (told["attached"], told["rows"], told["rows_left_out"]) == (True, 1500, 0)
@@ -112,7 +128,7 @@ def test_a_given_offset_puts_the_record_beside_what_the_run_holds(run, export, b
 
 
 def test_the_stamps_can_be_had_back(run, export, bench):
-    attached(run, [export(elapsed)], bench({"onset": {"channel": "active_1", "against": "loop/idc", "jump": 4.0}}))
+    attach(run, export(elapsed), bench({"onset": {"channel": "active_1", "against": "loop/idc", "jump": 4.0}}))
     with Run.open(run) as opened:
         about, time = opened.attached("camera"), opened.time("camera")
     own = (time - about["alignment_offset_s"]) / about["alignment_rate"]
@@ -121,24 +137,22 @@ def test_the_stamps_can_be_had_back(run, export, bench):
 
 def test_wall_clocks_tie_within_what_is_stated_and_what_they_resolve(run, export, bench):
     # the run's `created` has whole seconds: its start lies up to 1.2 s later, on the average 0.6 s
-    answer = attached(run, [export(of_day)], bench({"wall_within_s": 0.3}), "--json")
-    alignment = json.loads(answer.stdout)["alignment"]
-    assert alignment["offset_s"] == pytest.approx(2.5 - 0.6, abs=0.01)
-    assert alignment["uncertainty_s"] == pytest.approx(0.3 + 0.6, abs=0.01)
+    _, found = joined(run, export(of_day), bench({"wall_within_s": 0.3}))
+    assert found.alignment.offset == pytest.approx(2.5 - 0.6, abs=0.01)
+    assert found.uncertainty == pytest.approx(0.3 + 0.6, abs=0.01)
 
 
 def test_an_onset_ties_what_wall_clocks_only_bring_near(run, export, bench):
     clock = {"onset": {"channel": "active_1", "against": "loop/idc", "jump": 4.0}, "drift_within_ppm": 50.0}
-    answer = attached(run, [export(of_day)], bench(clock), "--json")
-    alignment = json.loads(answer.stdout)["alignment"]
-    assert alignment["offset_s"] == pytest.approx(2.5, abs=alignment["uncertainty_s"])
-    assert alignment["uncertainty_s"] < 0.15
-    assert alignment["ties"] == 1
+    _, found = joined(run, export(of_day), bench(clock))
+    assert found.alignment.offset == pytest.approx(2.5, abs=found.uncertainty)
+    assert found.uncertainty < 0.15
+    assert found.alignment.ties == 1
 
 
 def test_check_tells_and_changes_nothing(run, export, bench):
     before = run.read_bytes()
-    answer = attached(run, [export(elapsed)], bench({"offset_s": 2.5, "offset_within_s": 0.2}), "--check")
+    answer = at_the_shell(run, export(elapsed), bench({"offset_s": 2.5, "offset_within_s": 0.2}), "--check")
     assert answer.returncode == 0
     assert "utf-8, ';' between cells" in answer.stdout
     assert "stamps are good to 0.2 s (95 %)" in answer.stdout
@@ -146,29 +160,38 @@ def test_check_tells_and_changes_nothing(run, export, bench):
 
 
 def test_rows_outside_the_run_are_left_out_and_told(run, export, bench):
-    answer = attached(run, [export(elapsed, frames=2400)], bench({"offset_s": -10.0, "offset_within_s": 0.2}))
-    assert "300 rows outside the run left out" not in answer.stdout
-    assert "rows outside the run left out" in answer.stdout
+    found = attach(run, export(elapsed, frames=2400), bench({"offset_s": -10.0, "offset_within_s": 0.2}))
+    assert "; 300 rows outside the run left out" in found.told()[-1]  # ten seconds at 30 Hz
     with Run.open(run) as opened:
+        assert opened.rows["camera"] == 2100
         assert opened.time("camera")[0] >= 0.0
         assert opened.time("camera")[-1] <= TIME[-1]
 
 
 def test_a_second_record_needs_replace_and_a_recorded_stream_never_gives_way(run, export, bench):
     given = bench({"offset_s": 2.5, "offset_within_s": 0.2})
-    assert attached(run, [export(elapsed)], given).returncode == 0
-    again = attached(run, [export(elapsed)], given)
-    assert again.returncode == 2
-    assert "stream camera is attached already, from camera.csv; --replace puts this record in its place" in again.stderr
-    assert attached(run, [export(elapsed, frames=900)], given, "--replace").returncode == 0
+    attach(run, export(elapsed), given)
+    with pytest.raises(InputError, match=r"stream camera is attached already, from camera\.csv; --replace puts"):
+        attach(run, export(elapsed), given)
+    attach(run, export(elapsed, frames=900), given, replace=True)
     with Run.open(run) as opened:
         assert opened.rows["camera"] == 900
         assert len(opened.notes) == 2
     assert verify(run) == []
+    other = bench({"offset_s": 2.5, "offset_within_s": 0.2}, name="second")
+    with pytest.raises(InputError, match="second/active_1: same quantity, role and location as camera/active_1"):
+        attach(run, export(elapsed), other, name="second")
     loop = bench({"offset_s": 2.5, "offset_within_s": 0.2}, name="loop")
-    refused = leactl("runs", "attach", run, export(elapsed), "--device", "loop", "--bench", loop, "--replace")
-    assert refused.returncode == 2
-    assert "stream loop was recorded with the run and stays" in refused.stderr
+    with pytest.raises(InputError, match="stream loop was recorded with the run and stays"):
+        attach(run, export(elapsed), loop, name="loop", replace=True)
+
+
+def test_a_foreign_run_without_checksums_gets_none(run, export, bench):
+    with h5py.File(run, "r+") as file:
+        for _, dataset in layout.datasets(file):
+            del dataset.attrs["sha256"]
+    attach(run, export(elapsed), bench({"offset_s": 2.5, "offset_within_s": 0.2}))
+    assert [finding for finding in verify(run) if "streams" in finding] == []
 
 
 @pytest.mark.parametrize(
@@ -206,11 +229,9 @@ def test_a_second_record_needs_replace_and_a_recorded_stream_never_gives_way(run
 )
 def test_clocks_that_cannot_be_tied_are_refused_and_the_run_stays(run, export, bench, clock, stamp, words):
     before = run.read_bytes()
-    answer = attached(run, [export(stamp, frames=1500)], bench(clock))
-    assert answer.returncode == 2
-    assert answer.stderr.startswith("leactl: ")
-    assert len(answer.stderr.splitlines()) == 1
-    assert re.search(words, answer.stderr), answer.stderr
+    with pytest.raises(InputError, match=words) as refused:
+        attach(run, export(stamp), bench(clock))
+    assert len(refused.value.faults) == 1
     assert run.read_bytes() == before
 
 
@@ -226,17 +247,23 @@ def test_clocks_that_cannot_be_tied_are_refused_and_the_run_stays(run, export, b
 def test_faults_of_the_map_are_told_with_their_place(run, export, tmp_path, entry, words):
     path = tmp_path / "bench.yaml"
     path.write_text(yaml.safe_dump({"devices": {"camera": entry}}, sort_keys=False))
-    answer = attached(run, [export(elapsed)], path)
+    with pytest.raises(InputError, match=words):
+        attach(run, export(elapsed), path)
+    with pytest.raises(InputError, match="no device 'other'; the file has camera"):
+        attach(run, export(elapsed), path, name="other")
+
+
+def test_a_run_that_keeps_no_map_asks_for_one_in_one_line(run, export):
+    answer = leactl("runs", "attach", run, export(elapsed), "--device", "camera")
     assert answer.returncode == 2
-    assert re.search(words, answer.stderr), answer.stderr
-    assert leactl("runs", "attach", run, tmp_path / "x.csv", "--device", "other", "--bench", path).returncode == 2
+    assert answer.stderr.startswith(f"leactl: {run}: bench:")
+    assert len(answer.stderr.splitlines()) == 1
 
 
 def test_an_altered_run_takes_no_record(run, export, bench):
     with h5py.File(run, "r+") as file:
         file["streams/loop/iq"][3] = 77.0
-    answer = attached(run, [export(elapsed)], bench({"offset_s": 2.5, "offset_within_s": 0.2}))
-    assert answer.returncode == 2
-    assert "/streams/loop/iq: checksum mismatch" in answer.stderr
+    with pytest.raises(InputError, match="/streams/loop/iq: checksum mismatch"):
+        attach(run, export(elapsed), bench({"offset_s": 2.5, "offset_within_s": 0.2}))
     with h5py.File(run, "r") as file:
         assert "camera" not in file["streams"]

@@ -54,6 +54,8 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Sheet:
         delimiter = delimiter_of(path, lines, settings)
         told.append(f"{encoding}, {NAMED.get(delimiter, repr(delimiter))} between cells")
         frames += frames_in(path, lines, delimiter)
+        if not text.endswith(("\n", "\r")):
+            told.append(f"{path.name} has no end of its last line: the last pixel may be cut")
     told = list(dict.fromkeys(told))
     frames, width, left_out = even(frames, delimiter)
     told += [f"{len(frames)} frames of {len(frames[0].rows)} rows and {width} columns", *left_out]
