@@ -19,6 +19,7 @@ Array = npt.NDArray[np.float64]
 NORMAL_95 = 1.959964
 FEWEST_COMMON = 20  # samples of each channel that an estimated offset must rest on
 LIKENESS = 0.8  # correlation below which two channels did not measure the same
+LEAST_SHARE = 0.05  # a channel's noise and its own derivative cancel from sample to sample
 ENOUGH = 4000  # samples to look for the likeliest offset with
 BLOCKS = 12  # of the common time, each of which gives a tie
 FEWEST_IN_BLOCK = 30  # samples
@@ -160,21 +161,21 @@ def ties_by_likeness(
     gain = math.copysign(float(np.std(own)) / spread, float((own - own.mean()) @ (there - there.mean())))
     level = np.stack([there, np.ones(len(grid))], axis=1)
     delayed, instrument, found = (apart_from(level, column) for column in (gain * slope, own_slope, own))
-    blocks = []
-    for part in np.array_split(np.arange(len(grid)), max(1, min(BLOCKS, len(grid) // FEWEST_IN_BLOCK))):
-        x, z, y = delayed[part], instrument[part], found[part]
-        power, shared = float(z @ z), float(z @ x)
-        if power > 0.0 and shared != 0.0:
-            lacks = float(z @ y) / shared
-            blocks.append((part, lacks, power, shared, autocorrelated(z * (y - lacks * x))))
+    if not float(instrument @ delayed):
+        return []
+    parts = np.array_split(np.arange(len(grid)), max(1, min(BLOCKS, len(grid) // FEWEST_IN_BLOCK)))
     # a block's own noise, known from a few samples, would make a poor weight: that of all blocks counts
-    noise = sum(block[4] for block in blocks) / (sum(block[2] for block in blocks) or 1.0)
+    common = float(instrument @ found) / float(instrument @ delayed)
+    scores = instrument * (found - common * delayed)
+    noise = sum(autocorrelated(scores[part]) for part in parts) / float(instrument @ instrument)
     ties = []
-    for part, lacks, power, shared, _ in blocks:
-        sd = math.hypot(math.sqrt(noise * power) / abs(shared), LEAST_SD * interval)
+    for part in parts:
+        x, z, y = delayed[part], instrument[part], found[part]
+        shared = float(z @ x)
+        sd = math.hypot(math.sqrt(noise * float(z @ z)) / abs(shared), LEAST_SD * interval) if shared else math.inf
         if sd < 0.5 * (grid[part[-1]] - grid[part[0]]):
             at = float(np.average(grid[part], weights=own_slope[part] ** 2))
-            ties.append(Tie((at - shift) / rate, at + lacks, sd))
+            ties.append(Tie((at - shift) / rate, at + float(z @ y) / shared, sd))
     return ties
 
 
@@ -190,15 +191,20 @@ def with_slope(grid: Array, time: Array, values: Array, interval: float) -> tupl
     return np.interp(grid, time, values), (ahead - behind) / (2.0 * interval)
 
 
-def autocorrelated(scores: Array) -> float:
-    """Variance of the sum of correlated scores, after Newey and West (1987), Bartlett weights."""
+def autocorrelated(scores: Array, least: float = LEAST_SHARE) -> float:
+    """Variance of the sum of correlated scores, after Newey and West (1987), Bartlett weights.
+
+    Parameters
+    ----------
+    least : share of what it would be without correlation that it never falls below.
+    """
     count = len(scores)
     lags = min(count - 1, 4 + int(4.0 * (count / 100.0) ** (2.0 / 9.0)))
     centred = scores - scores.mean()
-    total = float(centred @ centred)
+    alone = total = float(centred @ centred)
     for k in range(1, lags + 1):
         total += 2.0 * (1.0 - k / (lags + 1.0)) * float(centred[k:] @ centred[:-k])
-    return max(total, float(centred @ centred)) * count / max(count - 3, 1)
+    return max(total, least * alone) * count / max(count - 3, 1)
 
 
 def by_likeness(

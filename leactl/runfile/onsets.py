@@ -87,7 +87,7 @@ def hinge(time: Array, values: Array, at: float, fit_s: float) -> tuple[float, f
     except np.linalg.LinAlgError:
         return None
     change = inverse @ whole.T @ residual
-    variance = autocorrelated(residual - whole @ change) / (len(u) - whole.shape[1])
+    variance = autocorrelated(residual - whole @ change, least=1.0) / (len(u) - whole.shape[1])
     slope, step = float(solution[2]), float(change[5])
     distance = slope / math.sqrt(max(variance * bread[2, 2], 1e-300))
     return slope, distance, max(-0.5 * fit_s, min(0.5 * fit_s, step)), math.sqrt(max(variance * inverse[5, 5], 1e-18))

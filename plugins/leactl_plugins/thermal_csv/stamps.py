@@ -62,44 +62,46 @@ def read_stamps(texts: Sequence[str], settings: TimeOf, where: Where) -> Clock:
     """
     if settings.colons == "fraction_last":
         texts = [".".join(text.rsplit(":", 1)) if text.count(":") == 3 else text for text in texts]
-    heads: dict[tuple[str, str], int] = {}
+    places, fractions, digits = without_fractions(texts)
+    heads = {key: row for row, key in reversed(list(enumerate(places)))}
+    stamps = {key: take_apart("".join(key), where(heads[key])) for key in dict.fromkeys(places)}
+    day_of, told_order = read_days(stamps, settings, lambda key: where(heads[key]))
+    kind = kind_of(stamps, settings, where)
+    base = base_day(set(day_of.values()), next(iter(stamps.values())), settings, kind)
+    days_first = digits > 0 or settings.colons == "days_first"
+    seconds = {}
+    for key, stamp in stamps.items():
+        own = day_of[stamp.day]
+        days = (own - base).days if own is not None and base is not None else 0
+        seconds[key] = days * DAY_S + clock_seconds(stamp, days_first, where(heads[key]), kind)
+    time_s = np.array([seconds[key] for key in places]) + fractions
+    told = {"wall": "time of day", "elapsed": "elapsed time"}.get(kind, "time of day or elapsed time")
+    if kind == "wall" and None in day_of.values():
+        passed = np.cumsum(np.diff(time_s, prepend=time_s[0]) < -0.5 * DAY_S)
+        time_s = time_s + DAY_S * passed
+        told += f", {int(passed[-1])} midnights passed"
+    whole = 60.0 if kind == "wall" and all(len(stamp.fields) == 2 for stamp in stamps.values()) else 1.0
+    resolution = 10.0**-digits if digits else whole
+    midnight, told_zone = midnight_of(base, {stamp.zone for stamp in stamps.values()}, settings, time_s, where)
+    said = [told, told_order, told_zone if kind == "wall" else "", f"resolved to {resolution:g} s"]
+    return Clock(time_s, midnight if kind == "wall" else None, resolution, ", ".join(filter(None, said)))
+
+
+def without_fractions(texts: Sequence[str]) -> tuple[list[tuple[str, str]], Array, int]:
+    """What stands before and behind each fraction of a second, the fractions, and the digits of the longest.
+
+    A long record has few stamps that differ in more than their fraction; only those are taken apart.
+    """
     places: list[tuple[str, str]] = []
     fractions = np.zeros(len(texts))
     digits = 0
     for row, text in enumerate(texts):
         found = FRACTION.fullmatch(text)
-        key = (found[1], found[3]) if found else (text, "")
+        places.append((found[1], found[3]) if found else (text, ""))
         if found:
             digits = max(digits, len(found[2]))
             fractions[row] = int(found[2]) * 10.0 ** -len(found[2])
-        places.append(key)
-        heads.setdefault(key, row)
-    stamps = {key: take_apart("".join(key), where(row)) for key, row in heads.items()}
-    day_of, told_order = read_days(stamps, settings, lambda key: where(heads[key]))
-    with_days = {day_of[stamp.day] for stamp in stamps.values()}
-    kind = kind_of(stamps, settings, where)
-    first = next(iter(stamps.values()))
-    base = base_day(with_days, first, settings, kind)
-    seconds = {}
-    for key, stamp in stamps.items():
-        own = day_of[stamp.day]
-        days = (own - base).days if own is not None and base is not None else 0
-        days_first = digits > 0 or settings.colons == "days_first"
-        seconds[key] = days * DAY_S + clock_seconds(stamp, days_first, where(heads[key]), kind)
-    time_s = np.array([seconds[key] for key in places]) + fractions
-    turned = None in with_days and kind == "wall"
-    midnights = 0
-    if turned:
-        steps = np.cumsum(np.diff(time_s, prepend=time_s[0]) < -0.5 * DAY_S)
-        midnights = int(steps[-1])
-        time_s = time_s + DAY_S * steps
-    fields = max(len(stamp.fields) for stamp in stamps.values())
-    resolution = 10.0**-digits if digits else (60.0 if fields == 2 and kind == "wall" else 1.0)
-    midnight, told_zone = midnight_of(base, {stamp.zone for stamp in stamps.values()}, settings, time_s, where)
-    told = ["time of day" if kind == "wall" else "elapsed time" if kind == "elapsed" else "time of day or elapsed time"]
-    told += [told_order, told_zone if kind == "wall" else ""]
-    told += [f"{midnights} midnight passed" if midnights else "", f"resolved to {resolution:g} s"]
-    return Clock(time_s, midnight if kind == "wall" else None, resolution, ", ".join(filter(None, told)))
+    return places, fractions, digits
 
 
 def take_apart(text: str, where: str) -> Stamp:
