@@ -193,7 +193,7 @@ def remarks(known: Known, stretches: Sequence[Stretch], instruments: Instruments
         values = np.concatenate([getattr(one.supply, name)[one.supply.on] for one in stretches])
         if np.ptp(values) == 0.0:
             notes.append(
-                f"line_{name} reads {values[0]:g} throughout, so that its resolution does not show; tell {name}_gain_std"
+                f"line_{name} reads {values[0]:g} throughout: its resolution does not show; tell {name}_gain_std"
             )
     moved = [float(np.ptp(_smooth(one.ambient))) for one in stretches if one.ambient is not None]
     if max(moved, default=0.0) > STEADY_K:
