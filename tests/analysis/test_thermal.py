@@ -162,7 +162,7 @@ def test_under_white_noise_standard_errors_are_those_of_least_squares(heated):
     informed, spread = table.T @ table, table.T @ (np.repeat(weights, len(heat))[:, None] * table)
     expected = np.sqrt(np.diag(np.linalg.solve(informed, np.linalg.solve(informed, spread).T)))
     for name, relative in zip((*NETWORK, *BODIES), expected, strict=False):
-        assert result.find(name).std / result.find(name).value == pytest.approx(relative, rel=0.15)
+        assert result.find(name).std / result.find(name).value == pytest.approx(relative, rel=0.05)
 
 
 def test_a_clock_that_is_late_is_found_or_told(heated):
