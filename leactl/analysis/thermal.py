@@ -31,13 +31,14 @@ from leactl.analysis.heating.capability import carried
 from leactl.analysis.heating.figures import plots_of
 from leactl.analysis.heating.network import Unknowns, fit_network
 from leactl.analysis.heating.parameters import NAMES, Instruments, known_of, natural_covariance, uncertainty
-from leactl.analysis.heating.record import stretches
+from leactl.analysis.heating.record import frames_of, stretches
 from leactl.analysis.heating.resistance import REFERENCE, resistance_line
 from leactl.analysis.linefit import expect_setup, place_of
 from leactl.errors import InputError
 from leactl.runfile.reader import Run
 
 PHASE_OF_LINE = {"wye": 0.5, "delta": 1.5}  # each in its own frame
+LEFT_OUT = 0.01  # of the frames, above which it is told
 WINDING_LIMIT = 130.0  # degC, the paper's
 
 
@@ -88,6 +89,9 @@ def analyze(
     phase_of_line = phase_share(model, notes)
     records = [part for run in runs for part in stretches(run, notes)]
     fit = fit_network(records, Unknowns(camera_offset_std, camera_lag), place)
+    unknown = sum(frames_of(run) for run in runs) - sum(len(one.time) for one in fit.stretches)
+    if unknown > LEFT_OUT * sum(len(one.time) for one in fit.stretches):
+        notes.append(f"left out {unknown} frames at which the supply was not recorded")
     spread = uncertainty(fit, camera_offset_std)
     line = resistance_line(fit, place)
     air = [float(np.mean(one.ambient)) for one in fit.stretches if one.ambient is not None]

@@ -98,6 +98,7 @@ class Emulated(BaseModel):
     velocity_noise_rad_s: Fraction = 0.002
     terminal_noise_V: Fraction = 0.005  # noqa: N815 (between two leads, as a converter there picks it up)
     back_emf_harmonics: tuple[Harmonic, ...] = ()  # of either actuator
+    temperature_noise_K: Fraction = 0.05  # noqa: N815
 
 
 class BenchFile(BaseModel):

@@ -27,9 +27,10 @@ def list_drivers(as_json: bool = AS_JSON) -> None:
         ]
         typer.echo(json.dumps({"drivers": rows}))
         return
+    width = max((len(item.name) for item in found), default=0)
     for item in found:
         text = f"{item.driver.transport:<7} {item.driver.summary}" if item.driver else f"broken  {item.error}"
-        typer.echo(f"{item.name:<14} {text}")
+        typer.echo(f"{item.name:<{width}} {text}")
 
 
 @app.command()

@@ -1,7 +1,8 @@
-"""`leactl runs`: list, show, verify, recover, annotate, export and import run files."""
+"""`leactl runs`: list, show, verify, recover, annotate, attach to, export and import run files."""
 
 import json
 from pathlib import Path
+from typing import Any
 
 import typer
 
@@ -38,6 +39,7 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
         streams = {
             name: {
                 "rows": found.rows[name],
+                **({"attached": found.attached(name)} if found.attached(name) else {}),
                 "channels": [
                     {"name": c.name, "quantity": c.quantity, "role": c.role, "units": c.unit} for c in channels
                 ],
@@ -58,7 +60,7 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
     for name, value in about.items():
         typer.echo(f"{name:<16} {value}".rstrip())
     for name, stream in streams.items():
-        typer.echo(f"stream {name}: {stream['rows']} rows")
+        typer.echo(f"stream {name}: {stream['rows']} rows{attached_told(stream)}")
         for channel in found.streams[name]:
             typer.echo(f"  {channel.name:<12} {channel.role:<6} {channel.quantity:<26} {channel.unit}")
     typer.echo(f"{len(steps)} steps, {len(events)} events")
@@ -101,6 +103,30 @@ def annotate(run: Path, text: str, author: str = typer.Option("", help="Who says
 
 
 @app.command()
+def attach(
+    run: Path,
+    files: list[Path] = typer.Argument(..., metavar="FILE...", help="One record: an export, or its parts in order."),
+    device: str = typer.Option(..., help="The device of the bench file that the record is of."),
+    bench: Path | None = typer.Option(None, help="YAML file whose devices say so; the run's own by default."),
+    check: bool = typer.Option(False, "--check", help="Read and align, tell what was found, change nothing."),
+    replace: bool = typer.Option(False, "--replace", help="Take the place of an attached record of this device."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Attach a record of another program to a run, on the run's clock; what the run holds stays as it is."""
+    from leactl import yamlfile
+    from leactl.bench.records import RecordDevice, bench_of_run
+
+    source = RecordDevice(yamlfile.load(bench) if bench else bench_of_run(run), device)
+    joined = source.join(source.read(files), run)
+    if not check:
+        source.attach(joined, run, replace)
+    if as_json:
+        typer.echo(json.dumps(joined.as_json() | {"run": str(run), "attached": not check}))
+    else:
+        typer.echo("\n".join(joined.told()))
+
+
+@app.command()
 def export(
     run: Path,
     to: str = typer.Option("csv", "--format", help="csv, mat or parquet."),
@@ -126,3 +152,12 @@ def import_foreign(
 
     files = [str(path) for path in import_runs(sources, mapping, out)]
     typer.echo(json.dumps({"files": files}) if as_json else "\n".join(files))
+
+
+def attached_told(stream: dict[str, Any]) -> str:
+    """Where a stream that joined later came from and how well its stamps are known; empty for a recorded one."""
+    if "attached" not in stream:
+        return ""
+    found = stream["attached"]
+    within = f"stamps good to {found['alignment_uncertainty_s']:.2g} s (95 %)"
+    return f", attached from {found['record_files']}, {within} by {found['alignment_method']}"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, runtime_c
 from pydantic import BaseModel, ConfigDict
 
 from leactl.driver.clock import Clock
-from leactl.driver.far_end import CanEmulator, I2cEmulator, LibraryEmulator, Physics, SerialEmulator
+from leactl.driver.far_end import BuslessEmulator, CanEmulator, I2cEmulator, Physics, SerialEmulator
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 
@@ -113,7 +113,7 @@ class Mode(StrEnum):
     ANGLE = "angle"  # rad
 
 
-FarEnd = CanEmulator | SerialEmulator | LibraryEmulator | tuple[int, I2cEmulator]
+FarEnd = CanEmulator | SerialEmulator | BuslessEmulator | tuple[int, I2cEmulator]
 
 
 class Driver(ABC):

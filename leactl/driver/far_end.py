@@ -117,8 +117,8 @@ class I2cEmulator(Protocol):
         """Time at which `tick` next has something to do; emulated time stops there."""
 
 
-class LibraryEmulator(Protocol):
-    """What stands in for the maker's library of a device without a bus; its driver calls it as it calls that one."""
+class BuslessEmulator(Protocol):
+    """A device without a bus: what stands in for its maker's library, or for the program that writes its files."""
 
     def tick(self, now: float) -> None:
         """What the device does by itself up to now; called whenever emulated time has passed."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus, SerialBus
 from leactl.driver import registry
-from leactl.driver.far_end import LibraryEmulator, Physics, SupplyLoad
+from leactl.driver.far_end import BuslessEmulator, Physics, SupplyLoad
 from leactl.driver.i2c_port import SmBus
 from leactl.driver.serial_port import SerialLine
 from leactl.emulation import witness
@@ -175,6 +175,9 @@ class EmulatedBench:
         if quantity == "torque" and role == "test":
             spread = self._settings.torque_noise_Nm
             return lambda: rig.shaft_torque + spread * noise()
+        if quantity in ("winding_temperature", "housing_temperature"):
+            actuator, spread = rig.actuators[role], self._settings.temperature_noise_K
+            return lambda: getattr(actuator, quantity) + spread * noise()
         plain: Mapping[str, Callable[[], float]] = {
             "line_current": lambda: rig.line_current,
             "line_voltage": lambda: rig.line_voltage,
@@ -212,7 +215,7 @@ class EmulatedBench:
             self._keep_time(far_end)
         self.far_ends[device.name] = far_end
 
-    def _keep_time(self, far_end: LibraryEmulator) -> None:
+    def _keep_time(self, far_end: BuslessEmulator) -> None:
         self.time.follow(far_end.tick)
         self.time.stop_at(lambda: far_end.due)
 

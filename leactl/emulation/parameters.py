@@ -145,6 +145,8 @@ class BenchParameters(Checked):
 
     bus_voltage: float = _positive(29.6)  # V
     current_loop_bandwidth: float = _positive(450.0)  # Hz, first order
+    setpoint_lead: float = bounded(0.0, 0.0, 1.0)  # share by which a drive's current setpoint counts for more at first
+    setpoint_lead_time: float = _positive(0.06)  # s, in which that fades
     velocity_filter_bandwidth: float = _positive(250.0)  # Hz, first order
     torque_filter_bandwidth: float = _positive(265.0)  # Hz, first order
     shaft_stiffness: float = _positive(6000.0)  # N*m/rad, between test and load actuator

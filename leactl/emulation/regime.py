@@ -15,7 +15,8 @@ from leactl.emulation.parameters import ActuatorParameters, BenchParameters
 Array = NDArray[np.float64]
 
 # State: per actuator current, velocity, angle, servo integral, filtered velocity; then the shaft's twist and the
-# filtered torque. Inputs: per actuator setpoint, torque of effects, voltage correction; then 1.
+# filtered torque. In current mode the integral holds the setpoint that the lead has caught up with. Inputs: per
+# actuator setpoint, torque of effects, voltage correction; then 1.
 CURRENT, VELOCITY, ANGLE, INTEGRAL, FILTERED = range(5)
 SETPOINT, TORQUE, CORRECTION = range(3)
 PER_ACTUATOR = 5
@@ -143,7 +144,7 @@ def electric(plant: Plant, regime: Regime, k: int) -> Electric:
     if own.mode == "angle":
         speed = bench.position_gain * (setpoint - _unit(x + ANGLE))
     limited_speed = _unit(ONE, own.speed * bench.speed_limit) if own.speed else speed
-    current = setpoint
+    current = setpoint + bench.setpoint_lead * (setpoint - _unit(x + INTEGRAL))
     if own.mode != "current":
         gain = parameters.rotor_inertia * bench.velocity_gain / parameters.torque_constant
         current = gain * (limited_speed - _unit(x + VELOCITY)) + _unit(x + INTEGRAL)
@@ -163,7 +164,7 @@ def _drive(plant: Plant, regime: Regime, k: int, generator: Array) -> list[tuple
     margins: list[tuple[Array, Switch]] = []
     if own.mode == "angle":
         margins += _limit(computed.speed_setpoint, bench.speed_limit, own.speed, k, "speed")
-    if own.mode != "current":
+    if own.mode != "current" or bench.setpoint_lead:
         margins += _limit(computed.current_setpoint, bench.peak_current, own.current, k, "current")
     margins += _limit(computed.voltage, plant.voltage_ceiling, own.voltage, k, "voltage")
 
@@ -171,7 +172,11 @@ def _drive(plant: Plant, regime: Regime, k: int, generator: Array) -> list[tuple
     drop = _unit(x + CURRENT, regime.resistances[k]) + _unit(STATES + k * INPUTS + CORRECTION)
     emf = _unit(x + VELOCITY, parameters.back_emf_constant)
     generator[x + CURRENT] = (voltage - drop - emf) / parameters.phase_inductance
-    if own.mode != "current":
+    if own.mode == "current":
+        if bench.setpoint_lead:
+            caught_up = _unit(STATES + k * INPUTS + SETPOINT) - _unit(x + INTEGRAL)
+            generator[x + INTEGRAL] = caught_up / bench.setpoint_lead_time
+    else:
         speed = _unit(ONE, own.speed * bench.speed_limit) if own.speed else computed.speed_setpoint
         current = _unit(ONE, own.current * bench.peak_current) if own.current else computed.current_setpoint
         # Back-calculation keeps the right-hand side continuous across a limit, so a limit cannot chatter.

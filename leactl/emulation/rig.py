@@ -198,7 +198,7 @@ class Rig:
         before, actuator.mode, actuator.setpoint = actuator.mode, mode, value
         if mode == "off":
             self._point[x + CURRENT] = self._point[x + INTEGRAL] = 0.0
-        elif before in ("off", "current"):
+        elif (before in ("off", "current")) != (mode == "current"):
             self._point[x + INTEGRAL] = self._point[x + CURRENT]
         peak = self.bench.peak_current
         self._point[STATES + k * INPUTS + SETPOINT] = min(max(value, -peak), peak) if mode == "current" else value
@@ -213,11 +213,10 @@ class Rig:
             row = electric(self._plant, regime, k).speed_setpoint
             own = own._replace(speed=self._side(row, self.bench.speed_limit))
             regime = self._with(k, own)
-        if own.mode in ("angle", "velocity"):
+        if own.mode != "off":
             row = electric(self._plant, regime, k).current_setpoint
             own = own._replace(current=self._side(row, self.bench.peak_current))
             regime = self._with(k, own)
-        if own.mode != "off":
             row = electric(self._plant, regime, k).voltage
             own = own._replace(voltage=self._side(row, self._plant.voltage_ceiling))
             regime = self._with(k, own)

@@ -3,6 +3,7 @@
 Time goes in whole milliseconds, commands are taken at the next one, and the servos close over what the drives read.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -138,8 +139,10 @@ class SteppedActuator:
         if self._rig.setup == "heated" and mode != "off":
             raise InputError("the heated setup has no drive: set heater_current, or choose another setup")
         mode = mode if self._rig.powered else "off"
-        if mode in ("velocity", "angle") and self.mode in ("off", "current"):
-            self._integral = self.current if self.mode == "current" else 0.0
+        if self.mode == "off":
+            self._integral = 0.0
+        elif (mode == "current") != (self.mode == "current"):
+            self._integral = self.current
         self.mode, self.setpoint = mode, float(value)
 
     def reference(self) -> float:
@@ -148,6 +151,10 @@ class SteppedActuator:
         if self.mode == "off":  # what the sensor reads where no current flows
             return float(self._rig.plant.current_offset[self._place, 0])
         if self.mode == "current":
+            wanted = min(max(wanted, -bench.peak_current), bench.peak_current)
+            ahead = (wanted - self._integral) * -math.expm1(-TICK / bench.setpoint_lead_time)
+            self._integral += ahead
+            wanted += bench.setpoint_lead * ahead * bench.setpoint_lead_time / TICK  # mean over the millisecond
             return min(max(wanted, -bench.peak_current), bench.peak_current)
         if self.mode == "angle":
             wanted = bench.position_gain * (wanted - self.angle)

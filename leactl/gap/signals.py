@@ -15,7 +15,7 @@ from leactl.effects.contract import Signals
 from leactl.effects.shapes import play
 from leactl.gap.record import Clocked, Record
 from leactl.gap.smoothing import middle, slope, smooth
-from leactl.model.nominal import Model
+from leactl.model.nominal import BenchModel, Model
 from leactl.model.sheet import Thermal
 from leactl.model.thermal_network import ThermalNetwork
 
@@ -44,6 +44,8 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
     current = averaged(clock, "q_axis_current")
     reference = clock.get("q_axis_current_reference")
     if reference is not None and model.bench.current_loop_bandwidth:
+        if not moved_by_a_servo(clock):
+            reference = led(reference, model.bench, dt)
         ends, means = loop(reference, model.bench.current_loop_bandwidth, dt)
         s.following = means
         if ("q_axis_current", "test") not in clock.means:
@@ -89,6 +91,14 @@ def averaged(clock: Clocked, quantity: str, role: str = "test") -> Array | None:
 def moved_by_a_servo(clock: Clocked) -> bool:
     """Whether a loop inside the drive moves the current reference between samples."""
     return clock.get("velocity_reference") is not None or clock.get("angle_reference") is not None
+
+
+def led(reference: Array, bench: BenchModel, interval: float) -> Array:
+    """What a drive's current loop follows, as means over the intervals for which each setpoint holds."""
+    if not bench.setpoint_lead:
+        return reference
+    _, caught_up = loop(reference, 1.0 / (2.0 * np.pi * bench.setpoint_lead_time), interval)
+    return reference + bench.setpoint_lead * (reference - caught_up)
 
 
 def loop(reference: Array, bandwidth: float, interval: float) -> tuple[Array, Array]:

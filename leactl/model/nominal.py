@@ -21,6 +21,8 @@ class BenchModel(BaseModel):
     model_config = STRICT
     bus_voltage: Positive | None = None  # V
     current_loop_bandwidth: Positive | None = None  # Hz, first order
+    setpoint_lead: NotNegative = 0.0  # share by which the drive's current setpoint counts for more at first
+    setpoint_lead_time: Positive = 0.06  # s, in which that fades
     velocity_filter_bandwidth: Positive | None = None  # Hz, first order
     torque_filter_bandwidth: Positive | None = None  # Hz, first order
     shaft_stiffness: Positive | None = None  # N*m/rad, between test and load actuator

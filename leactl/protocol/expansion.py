@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 from leactl.driver.contract import Mode
 from leactl.errors import InputError
@@ -101,16 +102,20 @@ def _told(timeline: Timeline, role: str, spelling: Spelling, value: float, pass_
 
 
 def _signal(timeline: Timeline, step: Step, pass_number: int) -> None:
-    content: Signal = step.content
+    content: Signal = step.content.in_pass(pass_number)
     spelling = timeline.spelling(step, content.role, content)
-    faults = list(content.faults(timeline.rate_hz))
+    rate = min(content.reference_Hz or math.inf, timeline.rate_hz)
+    faults = list(content.faults(rate))
+    if content.reference_Hz is not None and content.reference_Hz > timeline.rate_hz:
+        message = f"{content.reference_Hz:g} Hz: rate_Hz ({timeline.rate_hz:g} Hz) or less was expected"
+        faults.append(("reference_Hz", message))
     for key, message in faults:
         timeline.complain(step, key, message)
     if spelling is None or faults:
         return
-    made = step.location, spelling.setpoint
+    made = step.location, spelling.setpoint, content
     if made not in timeline.signals:
-        samples = _samples(timeline, step, spelling)
+        samples = _samples(timeline, step, content, spelling)
         if samples is None:
             return
         timeline.signals[made] = samples
@@ -125,12 +130,12 @@ def _signal(timeline: Timeline, step: Step, pass_number: int) -> None:
     timeline.roles[content.role].goes_to(float(samples.values[-1]))
 
 
-def _samples(timeline: Timeline, step: Step, spelling: Spelling) -> Samples | None:
-    """Sample a signal at the loop's rate, once for all passes."""
+def _samples(timeline: Timeline, step: Step, content: Any, spelling: Spelling) -> Samples | None:
+    """Sample a signal at the rate of its references, once for all passes that have the same."""
     import numpy as np
 
-    content = step.content
-    period = 1 / timeline.rate_hz
+    rate = content.reference_Hz or timeline.rate_hz
+    period = 1 / rate
     if isinstance(content, Csv):
         try:
             times, column = trajectory.read(timeline.folder / content.path, content.column, spelling)
@@ -138,11 +143,11 @@ def _samples(timeline: Timeline, step: Step, spelling: Spelling) -> Samples | No
             for fault in error.faults:
                 timeline.complain(step, "column" if fault.startswith("column ") else "path", fault)
             return None
-        count = math.floor(float(times[-1]) * timeline.rate_hz + 1e-6) + 1
+        count = math.floor(float(times[-1]) * rate + 1e-6) + 1
         timeline.charge(step, steps=0, samples=count)
         values = np.interp(np.arange(count) * period, times, column)
     else:
-        count = round(content.duration_s * timeline.rate_hz)
+        count = round(content.duration_s * rate)
         if count < 1:
             timeline.complain(step, "duration_s", f"{content.duration_s:g} s: at least {period:g} s was expected")
             return None

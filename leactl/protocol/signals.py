@@ -1,16 +1,18 @@
 """Signals: setpoints that are sampled at the control loop's rate, each held until the next.
 
-    kind        keys besides role, kind, duration_s, offset_*, settle_s
+    kind        keys besides role, kind, duration_s, offset_*, settle_s, reference_Hz
     step        from_current_A (or as the mode asks), to_current_A, at_s; no offset
     sine        amplitude_*, frequency_Hz, phase_rad
     chirp       amplitude_*, from_Hz, to_Hz, spacing: linear | log
     multisine   amplitude_*, frequencies_Hz or from_Hz, to_Hz and count; phases: schroeder | random, seed
-    noise       std_*, cutoff_Hz, order, seed
+    noise       std_*, cutoff_Hz, order, seed, fresh: true | false
     csv         path, column; see trajectory.py; no duration and no offset
 
 The amplitude of a multisine is the peak of the whole sum over its duration. The standard deviation of noise is that of
 the filtered signal over its duration; the Butterworth filter starts at rest, so that noise begins without a jump. Noise
-and random phases come from their seed alone: a signal inside a `repeat` is the same each time.
+and random phases come from their seed alone: a signal inside a `repeat` is the same each time, except that noise that
+is to be `fresh` counts its seed up with every pass. With `reference_Hz`, as of a host that is slower than the record,
+new setpoints come at that rate on average, each in the first cycle in which it is due.
 """
 # ruff: noqa: N815 (a unit keeps its letter)
 
@@ -38,6 +40,11 @@ class Signal(Driven):
     kind: str
     role: Role
     settle_s: Rest = 0.0
+    reference_Hz: Frequency | None = None
+
+    def in_pass(self, number: int) -> "Signal":
+        """The signal as this pass of a repeat has it, counted from 1."""
+        return self
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
         """Keys that do not go with the loop's rate, and why."""
@@ -56,7 +63,11 @@ class Signal(Driven):
         for key in keys:
             value = getattr(self, key)
             if value is not None and not value < rate_hz / 2:
-                yield key, f"{value:g} Hz: less than half of rate_Hz ({rate_hz / 2:g} Hz) was expected"
+                yield key, f"{value:g} Hz: {self._less_than_half(rate_hz)}"
+
+    def _less_than_half(self, rate_hz: float) -> str:
+        name = "rate_Hz" if self.reference_Hz is None else "reference_Hz"
+        return f"less than half of {name} ({rate_hz / 2:g} Hz) was expected"
 
 
 class StepSignal(Signal):
@@ -183,8 +194,7 @@ class Multisine(Amplitude):
         yield from self._below_half(rate_hz, "from_Hz", "to_Hz")
         for frequency in self.frequencies_Hz or ():
             if not frequency < rate_hz / 2:
-                expected = f"less than half of rate_Hz ({rate_hz / 2:g} Hz) was expected"
-                yield "frequencies_Hz", f"{frequency:g} Hz: {expected}"
+                yield "frequencies_Hz", f"{frequency:g} Hz: {self._less_than_half(rate_hz)}"
         if round(self.duration_s * rate_hz) * len(self._frequencies()) > MAX_TERMS:
             yield (
                 "duration_s",
@@ -229,6 +239,11 @@ class Noise(Offset):
     cutoff_Hz: Frequency
     order: Annotated[int, Field(strict=True, ge=1, le=60)]
     seed: Seed
+    fresh: Annotated[bool, Field(strict=True)] = False
+
+    def in_pass(self, number: int) -> Signal:
+        """Each pass has noise of its own where it is to be fresh."""
+        return self.model_copy(update={"seed": self.seed + number - 1}) if self.fresh else self
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
         """The loop must be fast enough."""

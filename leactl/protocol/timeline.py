@@ -13,6 +13,7 @@ from leactl.protocol.parameters import Substituted
 from leactl.protocol.plan import Action, Constant, Engage, Profile, Ramp, Samples, Segment
 from leactl.protocol.schema import MAX_ACTIONS, MAX_DURATION_S, MAX_SAMPLES, Driven
 from leactl.protocol.setpointkeys import SPELLINGS, Spelling
+from leactl.protocol.signals import Signal
 from leactl.protocol.steps import Step
 from leactl.yamlfile import Location
 
@@ -45,7 +46,7 @@ class Timeline:
     actions: list[Action] = field(default_factory=list)
     roles: dict[str, Followed] = field(default_factory=lambda: {"test": Followed(), "load": Followed()})
     faults: dict[str, None] = field(default_factory=dict)  # in order, each once
-    signals: dict[tuple[Location, str], Samples] = field(default_factory=dict)
+    signals: dict[tuple[Location, str, Signal], Samples] = field(default_factory=dict)
     modes_known: bool = True  # False behind a faulty `mode` step
     whole: bool = True  # False behind any faulty step
     _steps: int = 0

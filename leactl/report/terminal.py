@@ -120,7 +120,9 @@ def value_text(item: Estimate) -> str:
 
 
 def interval_text(item: Estimate) -> str:
-    """The 95 % interval to the digits of the value; empty where there is none."""
+    """The 95 % interval to the digits of the value, a bound where one side is open; empty where there is none."""
+    if item.low > 0.0 and math.isinf(item.high):
+        return f"> {item.low:.6g}"
     if not (math.isfinite(item.low) and math.isfinite(item.high)):
         return ""
     return f"{number(item.low, item.std)} .. {number(item.high, item.std)}"

@@ -194,6 +194,9 @@ def write(runs: Sequence[Imported], out: Path) -> list[Path]:
                 for name, stream in run.streams.items():
                     writer.append(name, stream.time, np.stack(stream.values, axis=1))
                 writer.event(0.0, "info", "import", run.told)
+                for name, stream in run.streams.items():
+                    if stream.aligned:
+                        writer.event(0.0, "info", "import", f"stream {name}: {stream.aligned}")
         for target in targets:
             move_without_overwriting(aside / target.name, target)
             moved.append(target)

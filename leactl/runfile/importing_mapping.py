@@ -9,8 +9,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator, model_validator
 
+from leactl.driver.batch import Estimate
 from leactl.quantities import UNITS
-from leactl.runfile.importing_units import converter, known_units
+from leactl.units import converter, known_units
 
 STRICT = ConfigDict(frozen=True, extra="forbid")
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -73,14 +74,6 @@ class TimeBase(Block):
         if self.column is not None and self.start_s:
             raise ValueError("start_s goes with rate_Hz or step_s; use clock.offset_s to shift a column of stamps")
         return self
-
-
-class Estimate(Block):
-    """Find a clock's offset from two channels that measured the same."""
-
-    channel: Name
-    against: Annotated[str, StringConstraints(strict=True, pattern=r"^[^/]+/[^/]+$")]  # stream/channel
-    within_s: Above = 1.0
 
 
 class Clock(Block):

@@ -8,15 +8,14 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
+from leactl.runfile.alignment import Alignment, by_likeness
 from leactl.runfile.importing_mapping import ChannelMapping, FieldOf, Mapping, StreamMapping, TimeBase
 from leactl.runfile.importing_sources import Source
 from leactl.runfile.importing_trees import Lacking
-from leactl.runfile.importing_units import LINEAR, SECONDS, converter
+from leactl.units import LINEAR, SECONDS, converter
 from leactl.yamlfile import Document
 
 Array = npt.NDArray[np.float64]
-FEWEST_COMMON = 20  # samples of each channel that an estimated offset must rest on
-LIKENESS = 0.8  # correlation below which two channels did not measure the same
 
 
 @dataclass
@@ -26,6 +25,7 @@ class Stream:
     time: Array
     specs: list[ChannelSpec]
     values: list[Array]
+    aligned: str = ""  # how an estimated clock was tied, and how well
 
     def channel(self, name: str) -> Array:
         """Values of one channel."""
@@ -33,7 +33,7 @@ class Stream:
 
     def rows(self, first: int, last: int) -> "Stream":
         """Rows from the first up to before the last."""
-        return Stream(self.time[first:last], self.specs, [column[first:last] for column in self.values])
+        return Stream(self.time[first:last], self.specs, [column[first:last] for column in self.values], self.aligned)
 
 
 def build_streams(source: Source, mapping: Mapping, document: Document) -> dict[str, Stream]:
@@ -54,7 +54,9 @@ def build_streams(source: Source, mapping: Mapping, document: Document) -> dict[
         raise InputError(faults)
     for name, wanted in mapping.streams.items():
         if wanted.clock is not None:
-            streams[name].time = streams[name].time + offset_of(streams, name, wanted, document)
+            tied = aligned(streams, name, wanted, document)
+            streams[name].time = streams[name].time + (tied.offset if tied else wanted.clock.offset_s or 0.0)
+            streams[name].aligned = tied.told() if tied else ""
     begins = {name: float(s.time[0]) for name, s in streams.items()}
     ends = {name: float(s.time[-1]) for name, s in streams.items()}
     late, early = max(begins, key=lambda n: begins[n]), min(ends, key=lambda n: ends[n])
@@ -193,53 +195,21 @@ def seconds(source: Source, base: TimeBase, raw: Array | list[str]) -> Array:
     return out
 
 
-def offset_of(streams: dict[str, Stream], name: str, wanted: StreamMapping, document: Document) -> float:
-    """What is added to a stream's stamps to put them on the run's clock."""
+def aligned(streams: dict[str, Stream], name: str, wanted: StreamMapping, document: Document) -> Alignment | None:
+    """How a stream's stamps are put on the run's clock; None where its offset is given, or none."""
     clock = wanted.clock
-    assert clock is not None
-    if clock.estimate is None:
-        return clock.offset_s or 0.0
+    if clock is None or clock.estimate is None:
+        return None
     other, channel = clock.estimate.against.split("/")
     own, reference = streams[name], streams[other]
-    found, likeness = lag(
-        own.time,
-        own.channel(clock.estimate.channel),
-        reference.time,
-        reference.channel(channel),
-        clock.estimate.within_s,
-    )
-    if likeness < LIKENESS:
-        told = f"{clock.estimate.channel} and {clock.estimate.against} correlate by {likeness:.2f} at best"
-        hint = f"expected {LIKENESS} within {clock.estimate.within_s:g} s; set clock.offset_s or widen within_s"
-        raise InputError(document.fault(("streams", name, "clock", "estimate"), f"{told}; {hint}"))
-    return found
-
-
-def lag(time: Array, values: Array, base: Array, reference: Array, within: float) -> tuple[float, float]:
-    """The shift of `time` at which values correlate best with the reference, and that correlation.
-
-    Coarse over the whole range, then ten times finer around the best until a hundredth of the shorter interval.
-    """
-    good, sound = np.isfinite(values), np.isfinite(reference)
-    time, values, base, reference = time[good], values[good], base[sound], reference[sound]
-    if min(len(time), len(base)) < FEWEST_COMMON:
-        return 0.0, 0.0
-    finest = 0.01 * min(float(np.median(np.diff(time))), float(np.median(np.diff(base))))
-
-    def likeness(shift: float) -> float:
-        inside = (time + shift >= base[0]) & (time + shift <= base[-1])
-        if inside.sum() < FEWEST_COMMON:
-            return -1.0
-        own, there = values[inside], np.interp(time[inside] + shift, base, reference)
-        spread = float(np.std(own) * np.std(there))
-        return float(np.mean((own - own.mean()) * (there - there.mean()))) / spread if spread > 0 else -1.0
-
-    step, best = within / 200.0, 0.0
-    shifts = np.linspace(-within, within, 401)
-    while True:
-        best = float(max(shifts, key=likeness))
-        if step <= finest:
-            break
-        shifts, step = np.linspace(best - step, best + step, 21), step / 10.0
-    at_edge = abs(abs(best) - within) < 1e-9 * within
-    return best, -1.0 if at_edge else likeness(best)
+    what = f"{clock.estimate.channel} and {clock.estimate.against}"
+    try:
+        return by_likeness(
+            (own.time, own.channel(clock.estimate.channel)),
+            (reference.time, reference.channel(channel)),
+            within=clock.estimate.within_s,
+            what=what,
+        )
+    except InputError as fault:
+        hint = "set clock.offset_s or widen within_s"
+        raise InputError(document.fault(("streams", name, "clock", "estimate"), f"{fault}; {hint}")) from None

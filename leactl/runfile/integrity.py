@@ -4,7 +4,7 @@
 """
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -99,7 +99,7 @@ def wrong_checksums(file: Any) -> list[str]:
     stored = {place: layout.plain(dataset.attrs.get("sha256", "")) for place, dataset in layout.datasets(file)}
     for place, expected in stored.items():
         if not expected:
-            if any(stored.values()):
+            if any(sha for other, sha in stored.items() if not other.startswith("/notes/")):
                 findings.append(f"{place}: no checksum, though other datasets have one")
             continue
         try:
@@ -168,27 +168,52 @@ def annotate(path: Path, text: str, author: str = "") -> None:
     ------
     InputError : not a run file, one that is still being written, or a checksum that does not hold.
     """
+    amend(path, lambda file: add_note(file, text, author))
+
+
+def amend(path: Path, change: Callable[[Any], None], apart_from: Sequence[str] = ()) -> None:
+    """Change a copy of a closed run and put it in the run's place once all other values have proved the same.
+
+    Parameters
+    ----------
+    change : what is done to the open HDF5 file.
+    apart_from : places below which values may appear or go, besides `/notes`.
+
+    Raises
+    ------
+    InputError : not a run file, one that is still being written, or a checksum that does not hold.
+    """
     with Run.open(path) as run:
         if run.unfinished:
             raise InputError(f"{path}: still being written or left by a kill; close or recover it first")
-        notes = [vars(note) for note in run.notes]
-    notes.append({"time": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}", "author": author, "text": text})
-    before = checksums(path)
+    before = checksums(path, apart_from)
     with replacement(path) as copy:
         shutil.copy2(path, copy)
         with h5py.File(copy, "r+", libver="latest") as file:
-            if "notes" in file:
-                del file["notes"]
-            reserve(file, sum(text_bytes(cell) for note in notes for cell in note.values()))
-            write_table(file.create_group("notes"), layout.NOTES, notes)
+            change(file)
         trim(copy)
-        if checksums(copy) != before:
-            raise InputError(f"{path}: the copy with the note does not hold the same values; the file is as it was")
+        if checksums(copy, apart_from) != before:
+            raise InputError(f"{path}: the changed copy does not hold the same values; the file is as it was")
 
 
-def checksums(path: Path) -> dict[str, str]:
+def add_note(file: Any, text: str, author: str) -> None:
+    """Add one note to an open file."""
+    table = file.get("notes", {})
+    notes = [
+        dict(zip(layout.NOTES, row, strict=True))
+        for row in zip(*(read_cells(table, c) for c in layout.NOTES), strict=False)
+    ]
+    notes.append({"time": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}", "author": author, "text": text})
+    if "notes" in file:
+        del file["notes"]
+    reserve(file, sum(text_bytes(cell) for note in notes for cell in note.values()))
+    write_table(file.create_group("notes"), layout.NOTES, notes)
+
+
+def checksums(path: Path, apart_from: Sequence[str] = ()) -> dict[str, str]:
     """Checksum of every dataset but the notes, taken from the values; refuses values that are not the stored ones."""
+    left_out = tuple(f"{place}/" for place in ("/notes", *apart_from))
     with h5py.File(path, "r") as file, reading(path):
         if findings := wrong_checksums(file):
             raise InputError([f"{path}: {finding}" for finding in findings])
-        return {place: layout.digest(item) for place, item in layout.datasets(file) if not place.startswith("/notes/")}
+        return {place: layout.digest(item) for place, item in layout.datasets(file) if not place.startswith(left_out)}

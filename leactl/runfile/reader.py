@@ -165,6 +165,30 @@ class Run:
             raise InputError(f"{self.path}: several channels of {quantity} of {role}: {places}; ask for one location")
         return self._read(*found[0])
 
+    def channel_at(self, place: str) -> Channel:
+        """The channel that stands at `stream/name`.
+
+        Raises
+        ------
+        MissingChannel : there is none.
+        """
+        stream, _, name = place.partition("/")
+        for spec in self.streams.get(stream, ()):
+            if spec.name == name:
+                return self._read(stream, spec)
+        known = ", ".join(f"{stream}/{spec.name}" for stream, specs in self.streams.items() for spec in specs)
+        raise MissingChannel(f"{self.path}: no channel {place}; the run has {known or 'none'}")
+
+    def attached(self, stream: str) -> dict[str, Any]:
+        """Where a stream that joined the run later came from and how its clock was tied; empty for a recorded one."""
+        found = layout.attributes(self._streams[stream])
+        return {name: value for name, value in found.items() if name.startswith(("record_", "alignment_"))}
+
+    @property
+    def checked(self) -> bool:
+        """Whether its values carry checksums; files of other makers may have none."""
+        return any("sha256" in item.attrs for _, item in layout.datasets(self._file))
+
     def time(self, stream: str) -> Array:
         """Stamps of one stream."""
         return np.asarray(self._column(stream, "time", 0, self.rows[stream]), np.float64)

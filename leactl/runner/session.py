@@ -14,6 +14,7 @@ from pathlib import Path
 from leactl import __version__, yamlfile
 from leactl.bench.bench import Bench, refuse_blind
 from leactl.bench.benchfile import BenchFile, CheckedDevice
+from leactl.bench.records import collect
 from leactl.bench.wiring import MachineWiring, Wiring
 from leactl.driver.contract import Confirmation, MotionDevice
 from leactl.driver.stopping import doubt
@@ -184,6 +185,7 @@ def _run(
         writer.event(loop.time, "warning", "view", note)
     try:
         writer.close(*_status(error))
+        notes += collect(bench.drivers, request.bench_document, writer.path)
     except Exception as failure:  # noqa: BLE001 (as above)
         error = _joined(error, failure)
     status, reason = _status(error)
@@ -312,7 +314,7 @@ def _info(request: Request) -> RunInfo:
         simulated=bench.emulated is not None,
         mechanical=plan.setup,
         software=f"leactl {__version__}",
-        created=now.isoformat(timespec="seconds"),
+        created=now.isoformat(timespec="milliseconds"),
         sources={"protocol": plan.text, "bench": request.bench_document.text, "model": motor.text},
     )
 

@@ -30,6 +30,7 @@ class Limits(BaseModel):
     ambient_temperature_degC: Annotated[float, Field(ge=-40, le=60)] = UNKNOWN_AMBIENT_DEGC  # noqa: N815
     cyclic_age_s: Positive | None = None  # None: three cycles, 50 ms at the least
     angle_rad: Positive | None = None  # to either side of the encoder's zero; None: the shaft may turn on and on
+    angle_leap_rad: Positive | None = None  # of a setpoint at once, for drives that limit their own speed on the way
 
     @model_validator(mode="after")
     def _low_below_high(self) -> "Limits":

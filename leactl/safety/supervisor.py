@@ -246,10 +246,12 @@ class Supervisor:
         # a segment may end half a cycle late; after a stall the shaft must not be sent to where it would be without one
         elapsed = min(max(now - path.sent_at, period), CYCLES_OF_SILENCE * period) + 0.5 * period
         limit = self._limits.velocity_rad_s
-        if not abs(value - path.sent) <= limit * elapsed * (1 + 1e-9):
+        reach = max(limit * elapsed, self._limits.angle_leap_rad or 0.0)
+        if not abs(value - path.sent) <= reach * (1 + 1e-9):
             self.trip(
                 f"{role} angle_reference of {value:g} rad is {abs(value - path.sent):.4g} rad from {path.sent:.4g} rad;"
-                f" {limit * elapsed:.4g} rad can be reached in a cycle at the velocity limit of {limit:g} rad/s"
+                f" {limit * elapsed:.4g} rad can be reached in a cycle at the velocity limit of {limit:g} rad/s,"
+                f" and angle_leap_rad is {self._limits.angle_leap_rad or 'not given'}"
             )
         path.ask(value, now)
 

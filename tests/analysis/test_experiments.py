@@ -14,7 +14,9 @@ from .synthetic import FRICTION_LEVELS
 
 
 def test_the_experiments_of_the_paper_that_are_there():
-    assert {"torque-constant", "friction"} <= set(names())
+    assert {"torque-constant", "friction", "current-step", "position-step", "current-noise", "position-noise"} <= set(
+        names()
+    )
     assert not {"estimate", "levels", "regression"} & set(names())
 
 

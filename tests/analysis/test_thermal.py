@@ -6,9 +6,11 @@ import re
 
 import numpy as np
 import pytest
+from scipy.signal import StateSpace, lsim
 
 from leactl.analysis.experiments import analyze_runs
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
+from leactl.runfile.reader import Run
 from tests.cli.terminal import leactl
 
 from .heated import HeatedBench, Plant
@@ -89,6 +91,17 @@ def test_a_gain_of_the_camera_is_part_of_every_interval(whole):
     assert doubted.find("continuous_current").std == pytest.approx(0.02 * share * 13.79, rel=0.02)
 
 
+def test_a_current_read_in_coarse_steps_is_known_to_a_step(heated):
+    def coarse(time, camera, supply):
+        on = supply["line_current"] > 4.0
+        supply["line_current"] = np.where(on, np.where(heated.rng.random(len(time)) < 0.02, 9.1, 9.0), 0.0)
+
+    result = analyze_runs([heated.run(edit=coarse, **SHORT)], **EXACT)
+    assert "tell current_gain_std" not in notes(result)
+    found = result.find("line_resistance")
+    assert found.std / found.value == pytest.approx(0.1 / 9.0 / math.sqrt(12.0), rel=0.05)
+
+
 def test_the_command_prints_the_table_beside_the_paper_in_80_columns(whole):
     done = leactl("analyze", str(whole[0]), "--set", "camera_gain_std=0.02", PYTHONIOENCODING="utf-8")
     assert (done.returncode, done.stderr) == (0, "")
@@ -127,13 +140,38 @@ def test_less_of_a_record_gives_wider_intervals(whole, heated):
     assert covered(short.find("parallel_thermal_resistance"), heated.plant.parallel)
 
 
+def test_under_white_noise_standard_errors_are_those_of_least_squares(heated):
+    noise = 0.5
+    path = heated.run(noise=noise, rate_Hz=1.0, volts=0.0, amperes=0.0)
+    result = analyze_runs([path], camera_lag=0.0, **EXACT)
+    assert "line_current reads 9 throughout" in notes(result)
+    with Run.open(path) as run:
+        current, voltage = run.channel("line_current"), run.channel("line_voltage")
+    heat = np.column_stack([current.values * voltage.values, np.ones(len(current.time))])
+
+    def seen(wa, wh, ha, cw, ch, winding, housing):
+        rates = np.array([[-(1 / wa + 1 / wh) / cw, 1 / wh / cw], [1 / wh / ch, -(1 / wh + 1 / ha) / ch]])
+        driven = np.array([[1 / cw, 25.0 / wa / cw], [0.0, 25.0 / ha / ch]])
+        bodies = StateSpace(rates, driven, np.eye(2), np.zeros((2, 2)))
+        return lsim(bodies, heat, current.time - current.time[0], [winding, housing])[1]
+
+    true = np.array([5.6, 0.3, 1.7, 22.9, 469.1, 25.0, 25.0])
+    slopes = [(seen(*(true + d)) - seen(*(true - d))) / 2e-4 for d in 1e-4 * np.diag(true)]
+    weights = noise**2 * np.array([(4 / 9 + 1 / 9) / 3, 1 / 3])  # three places a region
+    table = np.stack([slope.T.ravel() for slope in slopes], axis=1)
+    informed, spread = table.T @ table, table.T @ (np.repeat(weights, len(heat))[:, None] * table)
+    expected = np.sqrt(np.diag(np.linalg.solve(informed, np.linalg.solve(informed, spread).T)))
+    for name, relative in zip((*NETWORK, *BODIES), expected, strict=False):
+        assert result.find(name).std / result.find(name).value == pytest.approx(relative, rel=0.05)
+
+
 def test_a_clock_that_is_late_is_found_or_told(heated):
-    path = heated.run(lag=137.4, **SHORT)
+    path = heated.run(lag=-712.4, **SHORT)
     result = analyze_runs([path], **EXACT)
-    assert result.find("camera_lag").value == pytest.approx(137.4, abs=0.1)
-    assert "137.4" in notes(result)
+    assert result.find("camera_lag").value == pytest.approx(-712.4, abs=0.1)
+    assert "-712." in notes(result)
     assert covered(result.find("housing_capacitance"), 469.1)
-    told = analyze_runs([path], camera_lag=137.4, **EXACT)
+    told = analyze_runs([path], camera_lag=-712.4, **EXACT)
     assert told.find("winding_capacitance").value == pytest.approx(22.9, rel=0.02)
     assert "camera_lag" not in {item.name for item in told.results}
 

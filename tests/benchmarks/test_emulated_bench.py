@@ -31,7 +31,7 @@ record_Hz: 30
 steps:
   - hold: {duration_s: 900}
 """
-RESOLVED = "  bench: {phase_resolved: true, friction_heat: true}\n"
+RESOLVED = "    phase_resolved: true\n    friction_heat: true\n"
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_a_bench_runs_faster_than_real_time(tmp_path, monkeypatch, figure, proto
     path.write_text(protocol)
     shipped = (benchfile.SHIPPED / "emulated.yaml").read_text()
     bench = tmp_path / "bench.yaml"
-    bench.write_text(shipped.replace("emulated:\n  seed: 1\n", f"emulated:\n  seed: 1\n{settings}"))
+    bench.write_text(shipped.replace("  bench:\n", f"  bench:\n{settings}", 1))
     speeds = []
     for _ in range(5):
         request = prepare(str(path), str(bench), [], "", "design", "", tmp_path / "runs", realtime=False)

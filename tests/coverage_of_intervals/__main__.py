@@ -17,7 +17,7 @@ from leactl.model.motor import load_motor
 from .judgement import Judgement, judge
 from .rehearsal import CONDITIONS, EXPERIMENTS, Rehearsal, rehearse, wanted
 
-HEAD = f"{'result':28}{'condition':10}{'seeds':>6}" + "".join(
+HEAD = f"{'result':28}{'condition':14}{'seeds':>6}" + "".join(
     f"{word:>10}" for word in ("covered", "mean", "worst", "bias", "scatter", "printed")
 )
 
@@ -37,13 +37,18 @@ def main() -> int:
     judgements = judged(rehearsals)
     print(HEAD)
     for item in judgements:
-        errors = (item.mean_error, item.worst_error, item.bias, item.scatter, item.printed)
-        shown = "".join(f"{error:10.4%}" for error in errors)
-        print(f"{item.name:28}{item.condition:10}{item.seeds:6}{item.covered:10.1%}{shown}")
+        print(shown(item))
     faults = [fault for item in judgements for fault in item.faults]
     for fault in faults:
         print(fault)
     return 1 if faults else 0
+
+
+def shown(item: Judgement) -> str:
+    """One line of the table."""
+    errors = (item.mean_error, item.worst_error, item.bias, item.scatter, item.printed)
+    numbers = "".join(f"{error:10.4%}" for error in errors)
+    return f"{item.name:28}{item.condition:14}{item.seeds:6}{item.covered:10.1%}{numbers}"
 
 
 def judged(rehearsals: list[Rehearsal]) -> list[Judgement]:

@@ -14,6 +14,9 @@ WORST_ERROR = {  # relative, any seed
     "coulomb_friction": 0.03,
     "back_emf_constant": 0.005,
     "line_to_line_constant": 0.005,
+    "overshoot": 0.05,
+    "settling_time": 0.05,
+    "bandwidth": 0.05,
 }
 
 
@@ -47,17 +50,19 @@ class Judgement:
         return faults
 
 
-def judge(name: str, condition: str, true: float, estimates: Sequence[Estimate]) -> Judgement:
-    """Compare the estimates of all seeds with the true value."""
-    errors = [item.value / true - 1.0 for item in estimates]
+def judge(name: str, condition: str, true: float | Sequence[float], estimates: Sequence[Estimate]) -> Judgement:
+    """Compare the estimates of all seeds with the true value, one for all or one each; errors of zero are absolute."""
+    trues = [true] * len(estimates) if isinstance(true, int | float) else list(true)
+    size = [abs(value) or 1.0 for value in trues]
+    errors = [(item.value - value) / unit for item, value, unit in zip(estimates, trues, size, strict=True)]
     return Judgement(
         name=name,
         condition=condition,
         seeds=len(errors),
-        covered=sum(item.low <= true <= item.high for item in estimates) / len(errors),
+        covered=sum(item.low <= value <= item.high for item, value in zip(estimates, trues, strict=True)) / len(errors),
         mean_error=statistics.fmean(abs(error) for error in errors),
         worst_error=max(abs(error) for error in errors),
         bias=statistics.fmean(errors),
         scatter=statistics.stdev(errors) if len(errors) > 1 else math.nan,
-        printed=math.sqrt(statistics.fmean((item.std / true) ** 2 for item in estimates)),
+        printed=math.sqrt(statistics.fmean((item.std / unit) ** 2 for item, unit in zip(estimates, size, strict=True))),
     )

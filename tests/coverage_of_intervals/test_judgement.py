@@ -33,3 +33,11 @@ def test_a_seed_far_off_is_a_fault_and_results_without_a_limit_have_none():
     values = [10.0] * 95 + [10.31] * 5
     assert "off by 3.10%, 3.0% are allowed" in judge("viscous_damping", "design", 10.0, estimates(values)).faults[-1]
     assert judge("sticking_torque", "design", 10.0, estimates(values)).faults == []
+
+
+def test_each_seed_may_have_a_truth_of_its_own_and_a_truth_of_zero_gives_absolute_errors():
+    found = judge("viscous_damping", "design", [10.0, 20.0, 30.0], estimates([10.1, 20.2, 31.5]))
+    assert found.covered == pytest.approx(2 / 3)
+    assert found.worst_error == pytest.approx(0.05)
+    zero = judge("steady_state_error", "design", 0.0, estimates([0.1, -0.2]))
+    assert (zero.covered, zero.worst_error) == (1.0, pytest.approx(0.2))

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,7 +8,9 @@ from scipy.integrate import solve_ivp
 from leactl.emulation.effects import known_effects, make_effect
 from leactl.emulation.parameters import ActuatorParameters, BenchParameters
 from leactl.emulation.rig import Rig
+from leactl.emulation.stepped_rig import SteppedRig
 from leactl.errors import InputError
+from tests.loops import current_step, position_step
 
 LEA = ActuatorParameters()
 KT, B, F = LEA.torque_constant, LEA.viscous_damping, LEA.coulomb_friction
@@ -66,6 +69,56 @@ def test_locked_current_step_is_first_order_of_the_stated_bandwidth():
         rig.advance(k * 1e-4)
         expected = 7.5 * (1.0 - math.exp(-2.0 * math.pi * 450.0 * k * 1e-4))
         assert actuator.current == pytest.approx(expected, rel=1e-8)
+
+
+LED = BenchParameters(current_loop_bandwidth=264.0, setpoint_lead=0.0892, setpoint_lead_time=0.0598)
+
+
+@pytest.mark.parametrize(("kind", "tolerance"), [(Rig, 1e-8), (SteppedRig, 3e-4)])
+def test_a_setpoint_that_leads_overshoots_as_its_closed_form(kind, tolerance):
+    rig = kind("locked", bench=LED)
+    actuator = rig.actuators["test"]
+    actuator.command("current", 7.5)
+    for k in range(1, 200):
+        rig.advance(k * 1e-3)
+        assert actuator.current == pytest.approx(7.5 * current_step(k * 1e-3, 264.0, 0.0892, 0.0598), rel=tolerance)
+
+
+@pytest.mark.parametrize("kind", [Rig, SteppedRig])
+def test_a_setpoint_that_leads_stays_below_the_drive_s_peak_current(kind):
+    rig = kind("locked", bench=replace(LED, peak_current=10.0))
+    actuator = rig.actuators["test"]
+    actuator.command("current", 9.9)
+    for k in range(1, 100):
+        rig.advance(k * 1e-3)
+        assert actuator.current <= 10.0 + 1e-9
+    assert actuator.current > 9.9
+
+
+@pytest.mark.parametrize("kind", [Rig, SteppedRig])
+def test_a_lead_begins_from_the_current_that_flows(kind):
+    """Taken over from a servo that holds its speed, the same current is no step."""
+    rig = kind("free", bench=LED)
+    actuator = rig.actuators["test"]
+    actuator.command("velocity", 10.0)
+    run(rig, 0.3)
+    flowing = actuator.current
+    actuator.command("current", flowing)
+    for _ in range(50):
+        rig.advance(rig.time + 1e-3)
+        assert actuator.current == pytest.approx(flowing, rel=1e-3)
+
+
+def test_a_position_step_agrees_with_an_integrator_of_the_servo_s_equations():
+    bench = BenchParameters(position_gain=47.0, velocity_gain=123.0, speed_limit=25.15, current_loop_bandwidth=264.0)
+    rig = Rig("free", bench=bench)
+    rig.actuators["test"].command("angle", math.pi / 2)
+    time, angle = position_step(math.pi / 2, LEA, bench, duration=0.4)
+    found = []
+    for at in time[1::20]:
+        rig.advance(float(at))
+        found.append(rig.actuators["test"].angle)
+    np.testing.assert_allclose(found, angle[1::20], atol=2e-6 * math.pi)
 
 
 def test_the_lock_is_beyond_the_torque_sensor():

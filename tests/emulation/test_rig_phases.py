@@ -130,17 +130,20 @@ def test_friction_warms_the_housing_of_a_turning_rotor():
 # ---------------------------------------------------------------- the bench file
 
 
-def bench_file(tmp_path: Path, extra: str) -> EmulatedBench:
+RESOLVED_PHASES = "    phase_resolved: true\n"
+
+
+def bench_file(tmp_path: Path, bench: str, extra: str = "") -> EmulatedBench:
     shipped = (benchfile.SHIPPED / "emulated.yaml").read_text()
     path = tmp_path / "bench.yaml"
-    path.write_text(shipped.replace("emulated:\n  seed: 1\n", f"emulated:\n  seed: 1\n{extra}"))
+    path.write_text(shipped.replace("  bench:\n", f"{extra}  bench:\n{bench}", 1))
     file, devices, _ = benchfile.load(str(path))
     return EmulatedBench(file, devices, "locked", "design")
 
 
 def test_a_bench_file_resolves_the_phases(tmp_path):
     phases = "phases: {commutation_offset: 0.0, fixture_capacitance: 200}"
-    bench = bench_file(tmp_path, f"  bench: {{phase_resolved: true, friction_heat: true}}\n  test: {{{phases}}}\n")
+    bench = bench_file(tmp_path, f"{RESOLVED_PHASES}    friction_heat: true\n", f"  test: {{{phases}}}\n")
     bench.machine("test").command("current", 20.0)
     bench.clock.sleep_until(3.0)
     hottest = bench.rig.hottest_phase("test")
@@ -148,25 +151,31 @@ def test_a_bench_file_resolves_the_phases(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("extra", "said"),
+    ("bench", "extra", "said"),
     [
-        ("  bench: {phase_resolved: 1}\n", "phase_resolved: found 1, expected true or false"),
-        ("  bench: {friction_heat: warm}\n", "friction_heat: found 'warm', expected true or false"),
-        ("  bench: {phase_resolved: true}\n  test: {phases: {offset: 1}}\n", "phases.offset: unknown parameter"),
+        ("    phase_resolved: 1\n", "", "phase_resolved: found 1, expected true or false"),
+        ("    friction_heat: warm\n", "", "friction_heat: found 'warm', expected true or false"),
+        (RESOLVED_PHASES, "  test: {phases: {offset: 1}}\n", "phases.offset: unknown parameter"),
         (
-            "  bench: {phase_resolved: true}\n  test: {phases: {fixture_capacitance: -1}}\n",
+            RESOLVED_PHASES,
+            "  test: {phases: {fixture_capacitance: -1}}\n",
             "phases.fixture_capacitance: -1 is outside",
         ),
-        ("  load: {phases: {commutation_offset: 1}}\n", "phases: these act only where the bench has phase_resolved"),
         (
-            "  bench: {phase_resolved: true}\n  effects: [{name: nonlinear_convection}]\n",
+            "",
+            "  load: {phases: {commutation_offset: 1}}\n",
+            "phases: these act only where the bench has phase_resolved",
+        ),
+        (
+            RESOLVED_PHASES,
+            "  effects: [{name: nonlinear_convection}]\n",
             "phase_resolved: the stepped plant of these effects has no phases",
         ),
     ],
 )
-def test_settings_that_make_no_plant_are_refused(tmp_path, extra, said):
+def test_settings_that_make_no_plant_are_refused(tmp_path, bench, extra, said):
     with pytest.raises(InputError) as caught:
-        bench_file(tmp_path, extra)
+        bench_file(tmp_path, bench, extra)
     assert said in str(caught.value)
 
 

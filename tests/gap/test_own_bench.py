@@ -10,7 +10,6 @@ from leactl.emulation.parameters import BenchParameters
 from leactl.model.motor import load_motor
 from leactl.model.nominal import Model
 from tests.cli.terminal import leactl
-from tests.gap.synthetic import BENCH
 
 PROTOCOLS = (("separate-by-grid", ()), ("separate-drive-timing", ("--set", "repeats=1")))
 
@@ -42,9 +41,10 @@ def diagnose(tmp_path_factory):
 
 def test_the_model_of_the_emulated_bench_is_what_the_bench_is_made_of():
     nominal = yamlfile.parse(leactl("bench", "model", "emulated").stdout, "nominal.yaml").validate(Model)
-    bench = BenchParameters()
+    file, _, _ = benchfile.load("emulated")
+    bench = BenchParameters.from_mapping(file.emulated.bench)
     known = nominal.bench.model_dump()
-    assert known == {name: getattr(bench, name) for name in known} == BENCH
+    assert known == {name: getattr(bench, name) for name in known}
     assert nominal.torque_constant == load_motor("lea")[0].torque_constant
 
 

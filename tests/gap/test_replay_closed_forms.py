@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 from leactl.gap.record import Record
 from leactl.gap.replay import replay
 from tests.gap.synthetic import (
+    BENCH,
     CONSTANT,
     DAMPING,
     FRICTION,
@@ -21,6 +22,7 @@ from tests.gap.synthetic import (
     model,
     record,
 )
+from tests.loops import current_step
 
 UNFILTERED = {"bus_voltage": 29.6, "shaft_stiffness": 6000.0}
 
@@ -55,6 +57,17 @@ def test_current_follows_a_step_as_a_first_order_loop():
     first = 5.0 * (1 - constant / INTERVAL_S * (1 - np.exp(-INTERVAL_S / constant)))
     assert job.fast["q_axis_current", "test"][500] == pytest.approx(first, rel=1e-6)
     assert job.fast["q_axis_current", "test"][520] == pytest.approx(5.0)
+
+
+def test_current_follows_a_step_of_a_setpoint_that_leads():
+    reference = np.where(np.arange(1000) >= 500, 5.0, 0.0)
+    led = {"current_loop_bandwidth": 264.0, "setpoint_lead": 0.0892, "setpoint_lead_time": 0.0598}
+    job = replay(record("locked", reference=reference), model(bench=BENCH | led))
+    instants = current_step(INTERVAL_S * np.arange(1, 101), 264.0, 0.0892, 0.0598)
+    fine = current_step(np.linspace(0.0, 0.1, 100_001), 264.0, 0.0892, 0.0598)
+    means = fine[:-1].reshape(100, 1000).mean(axis=1)  # the record's current is a mean over its interval
+    assert job.fast["q_axis_current", "test"][500:600] == pytest.approx(5.0 * means, rel=1e-3)
+    assert instants.max() == pytest.approx(1.083, abs=5e-4)
 
 
 def test_a_locked_rotor_rings_around_its_torque_and_sticks_within_friction_of_it():

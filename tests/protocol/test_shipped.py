@@ -128,3 +128,35 @@ def test_a_trajectory_lies_beside_its_protocol(tmp_path):
         "  - mode: {test: current}\n  - signal: {role: test, kind: csv, path: walk.csv}\n"
     )
     assert protocolfile.load(str(tmp_path / "walk.yaml")).peaks() == {("test", "q_axis_current_reference"): 2.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "setup", "levels_at", "reference_hz"),
+    [
+        ("current-step", "locked", (2.5, 5, 7.5), 900),
+        ("position-step", "free", (math.pi / 4, math.pi / 2, 3 * math.pi / 4), 300),
+        ("current-noise", "locked", (2.5, 5, 7.5), 900),
+        ("position-noise", "free", (math.pi / 4, math.pi / 2, 3 * math.pi / 4), 300),
+    ],
+)
+def test_control_loops_are_asked_as_in_the_paper(name, setup, levels_at, reference_hz):
+    found = protocolfile.load(name)
+    assert (found.setup, found.rate_Hz, found.record_Hz, found.analysis) == (setup, 1000, 1000, name)
+    kind = name.partition("-")[2]
+    asked = [segment for segment in segments(found) if segment.name == kind]
+    level = {"step": "to", "noise": "offset"}[kind]
+    key = next(key for key in asked[0].parameters if key.startswith(f"{level}_"))
+    at = [segment.parameters[key] for segment in asked]
+    assert sorted(set(at)) == pytest.approx(levels_at)
+    trials = 25 if name == "current-noise" else 5
+    assert [at.count(value) for value in sorted(set(at))] == [trials] * 3
+    assert {segment.setpoints["test"].period for segment in asked} == {1 / reference_hz}
+    kept = 2.0 if kind == "step" else 8.192
+    assert {round(s.duration_s - (s.parameters.get("at_s") or s.settle_s), 6) for s in asked} == {kept}
+
+
+@pytest.mark.parametrize(("name", "cutoff", "order"), [("current-noise", 218, 35), ("position-noise", 40, 10)])
+def test_noise_reaches_as_far_as_in_the_paper_and_is_never_the_same(name, cutoff, order):
+    asked = [segment for segment in segments(protocolfile.load(name)) if segment.name == "noise"]
+    assert {(s.parameters["cutoff_Hz"], s.parameters["order"]) for s in asked} == {(cutoff, order)}
+    assert len({segment.parameters["seed"] for segment in asked}) == len(asked)

@@ -225,3 +225,47 @@ def test_a_trajectory_that_is_absent_a_folder_or_in_another_unit(trajectory):
         assert line.endswith("no such file")
     (line,) = faults("kind: csv, path: knee.csv, column: angle_rad", folder=folder)
     assert line == ("trial.yaml:9:61  steps[1].signal.column: column 'angle_rad': a name that ends in _A was expected")
+
+
+def test_references_come_at_the_host_s_own_rate():
+    keys = "kind: sine, amplitude_A: 1, frequency_Hz: 10, duration_s: 1, reference_Hz: 90"
+    profile = sampled(keys, rate_Hz=1000).setpoints["test"]
+    asked = np.array([profile.at(n / 1000) for n in range(1000)])
+    changes = np.flatnonzero(np.diff(asked)) + 1
+    assert set(np.diff(changes)) == {11, 12}  # 1000 / 90 cycles on average
+    held = np.floor(np.arange(1000) * 0.09 + 1e-6) / 90
+    np.testing.assert_allclose(asked, np.sin(2 * np.pi * 10 * held), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        (
+            "frequency_Hz: 50, reference_Hz: 90",
+            "frequency_Hz: 50 Hz: less than half of reference_Hz (45 Hz) was expected",
+        ),
+        ("frequency_Hz: 1, reference_Hz: 201", "reference_Hz: 201 Hz: rate_Hz (200 Hz) or less was expected"),
+    ],
+)
+def test_references_that_cannot_be(keys, words):
+    (fault,) = faults(f"kind: sine, amplitude_A: 1, duration_s: 1, {keys}")
+    assert words in fault
+
+
+def passes(more):
+    keys = f"kind: noise, std_A: 1, cutoff_Hz: 20, order: 4, seed: 7, duration_s: 1{more}"
+    found = segments(plan(f"repeat: {{times: 3, steps: [{{signal: {{role: test, {keys}}}}}]}}", rate_Hz=RATE))
+    return [segment.setpoints["test"].values for segment in found], [segment.parameters["seed"] for segment in found]
+
+
+def test_noise_is_the_same_in_each_pass_unless_it_is_to_be_fresh():
+    same, seeds = passes("")
+    assert seeds == [7, 7, 7]
+    np.testing.assert_array_equal(same[0], same[2])
+    fresh, seeds = passes(", fresh: true")
+    assert seeds == [7, 8, 9]
+    np.testing.assert_array_equal(fresh[0], same[0])
+    assert not np.allclose(fresh[0], fresh[1])
+    np.testing.assert_array_equal(
+        fresh[2], values("kind: noise, std_A: 1, cutoff_Hz: 20, order: 4, seed: 9, duration_s: 1")
+    )

@@ -221,6 +221,25 @@ def test_a_drive_that_gains_speed_needs_current_for_the_inertia():
     assert squares(plan)["test"] > (friction(0.0) / 0.49 + 0.9 * inertia) ** 2
 
 
+def test_a_fast_swing_heats_with_its_mean_square_and_not_with_its_peak():
+    rate, amplitude = 2.0 * math.pi * 30.0, 12.0 * 0.49 / 0.0024 / (2.0 * math.pi * 30.0) ** 2
+    swing = Segment("swing", 1.0, 0.0, {"test": Samples(1e-3, amplitude * np.sin(rate * np.arange(1001) / 1000))}, {})
+    found = squares(made(Engage({"test": Mode.ANGLE}), swing, setup="free", rate=1000.0))["test"]
+    resisting = friction(amplitude * rate) / 0.49
+    assert found == pytest.approx(72.0 + 2.0 * resisting * 12.0 * 2.0 / math.pi + resisting**2, rel=0.08)
+
+
+def test_a_jump_of_the_speed_heats_for_as_long_as_the_largest_current_takes_for_it():
+    """20 rad/s need 0.098 A s, at 30 A that is 3.3 ms; in one sample of the list they would be 98 A."""
+    listed = Samples(0.001, np.where(np.arange(1000) < 50, 0.0, 20.0))
+    plan = made(
+        Engage({"test": Mode.VELOCITY}), Segment("jump", 1.0, 0.0, {"test": listed}, {}), setup="free", rate=1e3
+    )
+    impulse = 0.0024 * 20.0 / 0.49
+    assert squares(plan)["test"] >= 30.0 * impulse / 0.1
+    assert squares(plan)["test"] == pytest.approx(30.0 * impulse / 0.1 + (friction(20.0) / 0.49) ** 2, rel=0.05)
+
+
 def test_no_current_is_taken_to_be_more_than_the_bench_lets_pass():
     modes = Engage({"test": Mode.CURRENT, "load": Mode.VELOCITY})
     plan = made(modes, held(0.0, test=-30.0, load=38.0), held(1.0, test=-30.0, load=38.0), setup="coupled")

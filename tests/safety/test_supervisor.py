@@ -167,6 +167,23 @@ def test_a_leap_of_the_angle_never_reaches_the_drive(turned, value):
     assert turned.shaft.following == ("angle", pytest.approx(ANGLE_RAD, abs=1e-3))
 
 
+@pytest.mark.parametrize(("leap", "passes"), [(1.9, True), (-1.9, True), (2.1, False), (-2.1, False)])
+def test_a_bench_whose_drives_limit_their_speed_may_allow_a_leap(leap, passes):
+    bench = SupervisedBench(LIMITS.model_copy(update={"angle_leap_rad": 2.0}))
+    bench.supervisor.begin(0.02)
+    bench.supervisor.engage("test", Mode.ANGLE)
+    while not bench.drive.engaged:
+        bench.supervised_cycle(0.02)
+    bench.supervised_cycle(0.02)
+    if passes:
+        bench.supervisor.command("test", bench.shaft.angle + leap)
+        bench.supervised_cycle(0.02)
+        assert bench.shaft.following == ("angle", pytest.approx(bench.shaft.angle + leap, abs=1e-3))
+    else:
+        with pytest.raises(SafetyTrip, match="and angle_leap_rad is 2"):
+            bench.supervisor.command("test", bench.shaft.angle + leap)
+
+
 def test_many_setpoints_of_one_cycle_reach_no_further_than_one(turned):
     with pytest.raises(SafetyTrip, match="rad from 7 rad"):
         for number in range(1, 20):

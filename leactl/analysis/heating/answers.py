@@ -189,6 +189,12 @@ def remarks(known: Known, stretches: Sequence[Stretch], instruments: Instruments
         f"standard uncertainties taken: camera {instruments.camera_offset:g} K and {instruments.camera_gain:.2%} of the"
         f" rise, voltage {instruments.voltage_gain:.2%}, current {instruments.current_gain:.2%}"
     )
+    for name in ("current", "voltage"):
+        values = np.concatenate([getattr(one.supply, name)[one.supply.on] for one in stretches])
+        if np.ptp(values) == 0.0:
+            notes.append(
+                f"line_{name} reads {values[0]:g} throughout: its resolution does not show; tell {name}_gain_std"
+            )
     moved = [float(np.ptp(_smooth(one.ambient))) for one in stretches if one.ambient is not None]
     if max(moved, default=0.0) > STEADY_K:
         notes.append(f"the air went {max(moved):.1f} K up and down; the network is driven by what was read of it")

@@ -185,7 +185,10 @@ def noise_of_heat(stretches: Sequence[Stretch]) -> float:
 
 
 def resolution_of(stretches: Sequence[Stretch], name: str) -> float:
-    """What the supply's resolution leaves open of a reading that neither noise nor drift moves over it, relative."""
-    supply = stretches[0].supply
-    values, step = np.abs(getattr(supply, name)[supply.on]), getattr(supply, f"{name}_step")
-    return float(step / math.sqrt(12.0) / np.mean(values)) if np.std(values) < step else 0.0
+    """What resolution leaves open of readings while on that neither noise nor drift moves over a step, relative.
+
+    Readings that are the same throughout do not show their step, and count as exact.
+    """
+    values = np.concatenate([np.abs(getattr(one.supply, name)[one.supply.on]) for one in stretches])
+    step = float(np.min(np.diff(np.unique(values)), initial=np.inf))
+    return float(step / math.sqrt(12.0) / np.mean(values)) if np.std(values) < step < np.inf else 0.0

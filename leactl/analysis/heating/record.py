@@ -26,21 +26,19 @@ NOT_CELSIUS = 200.0  # degC, and never below: no winding is left to, and a room 
 FLOWS = 0.2  # of the largest current, above which it counts as switched on
 LEAST_A = 0.1  # that heats anything worth a fit
 SEEN = 0.5  # of the frames of the place seen best, that a place must be seen in to count
+LONGEST_LAG_S = 900.0  # of the camera's clock by the supply's
 BRIDGED_S = 2.0  # without readings of the supply, that a straight line is drawn over
 SHORTEST_S, FEWEST = 60.0, 100  # of a stretch with heat and frames
-RESOLUTIONS = 200  # differences that tell a reading's step
 
 
 @dataclass(frozen=True, eq=False)
 class Supply:
-    """Current and voltage of the two leads on one clock, none missing, and what their resolution leaves open."""
+    """Current and voltage of the two leads on one clock, none missing."""
 
     time: Array  # s
     current: Array  # A
     voltage: Array  # V
     means: bool  # over the interval that ends at a stamp
-    current_step: float  # A, the least difference of two readings
-    voltage_step: float  # V
 
     @property
     def heat(self) -> Array:
@@ -88,8 +86,10 @@ def stretches(run: Run, notes: list[str]) -> list[Stretch]:
     found = []
     for part in unbroken(supply.time):
         heat = supply.within(part)
-        after, before = np.searchsorted(camera.time, [heat.time[0], heat.time[-1]]) if len(heat.time) > 1 else (0, 0)
-        frames = slice(int(after), int(before))
+        if not len(heat.time):
+            continue
+        ends = heat.time[[0, -1]]
+        frames = slice(*np.searchsorted(camera.time, ends + np.array([-LONGEST_LAG_S, LONGEST_LAG_S])).tolist())
         seen = int(np.sum(np.isfinite(winding[frames]) & np.isfinite(housing[frames])))
         if seen < FEWEST or heat.time[-1] - heat.time[0] < SHORTEST_S:
             if seen:
@@ -102,10 +102,12 @@ def stretches(run: Run, notes: list[str]) -> list[Stretch]:
         raise NotIdentifiable(
             f"{run.path}: camera and supply never record together for {SHORTEST_S:g} s; both are needed"
         )
-    outside = len(camera.time) - sum(len(one.time) for one in found)
-    if outside > 1:
-        notes.append(f"{run.path}: left out {outside} frames at which the supply was not recorded")
     return found
+
+
+def frames_of(run: Run) -> int:
+    """How many frames of the winding a run has, seen or not."""
+    return len(run.channels(WINDING)[0].time)
 
 
 def supply_of(run: Run, notes: list[str]) -> Supply:
@@ -125,8 +127,6 @@ def supply_of(run: Run, notes: list[str]) -> Supply:
         np.interp(time, current.time[amperes], current.values[amperes]),
         voltage.values[good],
         voltage.sampling == current.sampling == "mean",
-        least_step(current.values[amperes]),
-        least_step(voltage.values[volts]),
     )
     most = float(np.max(np.abs(found.current), initial=0.0))
     if most < LEAST_A:
@@ -236,12 +236,6 @@ def unbroken(time: Array) -> list[slice]:
     longest = max(BRIDGED_S, 3.0 * float(np.median(steps)))
     cuts = [0, *(np.flatnonzero(steps > longest) + 1).tolist(), len(time)]
     return [slice(a, b) for a, b in itertools.pairwise(cuts)]
-
-
-def least_step(values: Array) -> float:
-    """The step that readings come in; zero where noise leaves none to see."""
-    levels = np.unique(values)
-    return float(np.min(np.diff(levels), initial=np.inf)) if 1 < len(levels) < len(values) / RESOLUTIONS else 0.0
 
 
 def _names(places: Sequence[Channel]) -> str:

@@ -28,6 +28,8 @@ class Part:
     pace: float  # s
     residuals: Array  # (nodes, bins), means [K]; zero where nothing was seen
     columns: Array  # (nodes, bins, unknowns), sums over the frames seen
+    # Of noise from frame to frame, sums would miss what goes up and down within a bin, as columns do after a switch.
+    products: Array  # (nodes, unknowns, unknowns), of columns over all frames, times the mean number of frames in a bin
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,14 +54,16 @@ def parts_of(times: Sequence[Array], residuals: Sequence[Array], columns: Sequen
         pace = max(PACE_S, float(time[-1] - time[0]) / MOST, 2.0 * float(np.median(np.diff(time))))
         bins = ((time - time[0]) / pace).astype(np.int64)
         size = int(bins[-1]) + 1
+        products = np.zeros((len(left), column.shape[2], column.shape[2]))
         means, sums = np.zeros((len(left), size)), np.zeros((len(left), size, column.shape[2]))
         for node, row in enumerate(left):
             seen = np.isfinite(row)
             count = np.bincount(bins[seen], minlength=size)
             means[node] = np.bincount(bins[seen], row[seen], size) / np.maximum(count, 1)
+            products[node] = column[node][seen].T @ column[node][seen] * np.mean(count[count > 0])
             for k in range(column.shape[2]):
                 sums[node, :, k] = np.bincount(bins[seen], column[node][seen, k], size)
-        found.append(Part(pace, means, sums))
+        found.append(Part(pace, means, sums, products))
     return found
 
 
@@ -102,7 +106,7 @@ def spread_of_sums(part: Part, scatter: Scatter) -> tuple[Array, Array]:
     padded = np.fft.rfft(part.columns, 2 * bins, axis=1)
     weight = _halves(2 * bins) / (2 * bins)
     shape = drift_spectrum(scatter.lasts, part.pace, 2 * bins) * weight
-    by_noise = np.einsum("nbk,nbl,n->kl", part.columns, part.columns, scatter.noise)
+    by_noise = np.tensordot(scatter.noise, part.products, 1)
     mixed = np.einsum("nm,mfl->nfl", scatter.drift, padded)
     by_drift = np.einsum("nfk,nfl,f->kl", padded.conj(), mixed, shape, optimize=True).real
     return np.asarray(by_noise), np.asarray(by_drift)

@@ -8,13 +8,12 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import correlate, correlation_lags
 
-from leactl.analysis.heating.record import FEWEST, Array, Stretch, Supply
+from leactl.analysis.heating.record import FEWEST, LONGEST_LAG_S, Array, Stretch, Supply
 from leactl.errors import NotIdentifiable
 
 THIN_S = 2.0  # pace of the record that the first fit goes by
 SHARES, BODIES = (0.05, 0.4), (10.0, 40.0)  # first tries: heat past the housing, housing's capacitance over winding's
 LAG_PACE_S, LAG_SPAN_S = 0.5, 6.0  # paces of the search for a lag; slopes are those over a span
-LONGEST_LAG_S = 900.0
 LAG_EDGE = 6.0  # times what other lags give, by which one has to stand out
 MARGIN_S = 1.0  # that a lag may be off by after the search
 
@@ -44,7 +43,7 @@ def thinned(stretch: Stretch) -> Stretch:
     supply = stretch.supply
     edges = np.arange(supply.time[0], supply.time[-1], THIN_S)
     heat = np.concatenate([[0.0], np.diff(np.interp(edges, supply.time, energy(supply)))]) / THIN_S
-    means = Supply(edges, heat, np.ones(len(edges)), True, 0.0, 0.0)
+    means = Supply(edges, heat, np.ones(len(edges)), True)
     ambient = None if stretch.ambient is None else np.interp(edges, supply.time, stretch.ambient)
     bins = ((stretch.time - stretch.time[0]) / THIN_S).astype(np.int64)
     columns = {name: _binned(bins, getattr(stretch, name)) for name in ("time", "winding", "housing", "active")}

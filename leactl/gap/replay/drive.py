@@ -5,7 +5,7 @@ import numpy.typing as npt
 from scipy.signal import lfilter
 
 from leactl.gap.replay.job import Job, noise_of, quantum_of
-from leactl.gap.signals import moved_by_a_servo
+from leactl.gap.signals import led, moved_by_a_servo
 
 Array = npt.NDArray[np.float64]
 LONGEST_DELAY_S = 0.012  # by which a drive may follow late
@@ -21,6 +21,8 @@ def follow(job: Job) -> None:
     bandwidth = plant.model.bench.current_loop_bandwidth
     if clock.get("q_axis_current_reference") is not None:
         over = asked(job) + rounding(job)
+        if not moved_by_a_servo(clock):
+            over = led(over, plant.model.bench, job.step)
         for becomes in plant.command:
             over = becomes(over, job.step)
         reading, mean = answered(over, over[0], bandwidth, job.step)

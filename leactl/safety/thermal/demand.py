@@ -112,29 +112,38 @@ class Demand:
     def _followed(
         self, plan: Plan, state: State, at: Sequence[float]
     ) -> tuple[Array, Array, Array, dict[int, "_Held"]]:
-        currents = np.zeros((len(self._roles), len(at)))
+        currents, most = np.zeros((len(self._roles), len(at))), self._settings.most_current
         speeds, planned = self._speeds(plan, state, at)
         accelerations = self._accelerations(plan, state, at)
         helds: dict[int, _Held] = {}
         for k, role in enumerate(self._roles):
             if state.modes.get(role) in CURRENT_MODES:
                 currents[k] = [state.setpoints[role].at(t) for t in at]
-        for k, role in enumerate(self._roles):
-            if state.modes.get(role) in (Mode.VELOCITY, Mode.ANGLE):
-                torques, inertia, helds[k] = self._held_torques(plan, state, k, currents, at, speeds)
-                wanted = (torques + inertia * accelerations[k]) / self._motors[role].torque_constant
-                currents[k] = np.minimum(wanted, self._settings.most_current)
         squares = currents**2
         for k, role in enumerate(self._roles):
+            if state.modes.get(role) in (Mode.VELOCITY, Mode.ANGLE):
+                torques, helds[k] = self._held_torques(plan, state, k, currents, at, speeds, accelerations)
+                wanted = torques / self._motors[role].torque_constant
+                currents[k] = np.minimum(wanted, most)
+                # what asks for more than may flow takes the longer: the same impulse at the most that may
+                longer = wanted * currents[k]
+                squares[k] = longer * most**2 / max(most**2, float(np.mean(longer)))
             if role in state.leads:  # where no drive stands beside the supply, which a heated set-up has none of
                 squares[k] = LEADS * state.leads[role] ** 2
         turned = np.array([self._motors[role].pole_pairs for role in self._roles]) * planned
         return squares, turned, speeds, helds
 
     def _held_torques(
-        self, plan: Plan, state: State, place: int, currents: Array, at: Sequence[float], speeds: Array
-    ) -> tuple[Array, float, "_Held"]:
-        """What a drive that follows a speed or an angle needs at the most at each moment, and the inertia of its shaft.
+        self,
+        plan: Plan,
+        state: State,
+        place: int,
+        currents: Array,
+        at: Sequence[float],
+        speeds: Array,
+        accelerations: Array,
+    ) -> tuple[Array, "_Held"]:
+        """What a drive that follows a speed or an angle needs at the most: the other's torque, friction and inertia.
 
         Friction helps to hold what drives a shaft onward and adds to what drives it back. One that hardly turns may
         stick either way; one at rest keeps its strain until the other drive's torque overcomes friction.
@@ -142,14 +151,14 @@ class Demand:
         mode, profile = state.modes[self._roles[place]], state.setpoints[self._roles[place]]
         told = np.array([profile.at(t) for t in at])
         velocities = told if mode is Mode.VELOCITY else np.zeros(len(told))
-        most, inertia = 0.0, 0.0
-        least, driving = np.zeros(len(told)), np.zeros(len(told))
+        most = 0.0
+        least, driving, inertia = (np.zeros(len(told)) for _ in range(3))
         for k, role in enumerate(self._roles):
             if k == place or plan.setup == "coupled":
                 motor, box = self._motors[role], Box.of(self._motors[role])
                 least += box.coulomb_friction.low + box.viscous_damping.low * np.abs(velocities)
                 most += box.coulomb_friction.high + box.viscous_damping.high * speeds[k]
-                inertia += motor.rotor_inertia
+                inertia += motor.rotor_inertia * accelerations[place]
                 if k != place:
                     driving += motor.torque_constant * currents[k]
         turning = np.sign(velocities) * (np.abs(velocities) >= TURNING_RAD_S)
@@ -167,7 +176,7 @@ class Demand:
             else:
                 held = _Held(balance - most, balance + most, told[n])
             torques[n] = max(abs(held.low), abs(held.high))
-        return torques, inertia, held
+        return torques + inertia, held
 
     def _speeds(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array]:
         """Of each role: the speed at the most, and the speed that it keeps at the least."""
@@ -191,8 +200,8 @@ class Demand:
         return most, least
 
     def _accelerations(self, plan: Plan, state: State, at: Sequence[float]) -> Array:
-        """Of each role that follows a speed or listed angles; where a setpoint jumps none is planned."""
-        found = np.zeros(len(self._roles))
+        """Of each role at each time, where it follows a speed or listed angles; none where a setpoint jumps."""
+        found = np.zeros((len(self._roles), len(at)))
         if len(at) < 2 or plan.setup in ("locked", "heated"):
             return found
         for k, role in enumerate(self._roles):
@@ -201,5 +210,6 @@ class Demand:
                 order = 1 if mode is Mode.VELOCITY else 2
                 spacing = profile.period if isinstance(profile, Samples) else at[1] - at[0]
                 told = [profile.at(t) for t in np.arange(at[0], at[-1] + (order + 0.5) * spacing, spacing)]
-                found[k] = float(np.max(np.abs(np.diff(told, order)))) / spacing**order
+                changes = np.abs(np.diff(told, order)) / spacing**order
+                found[k] = changes[((np.asarray(at) - at[0]) / spacing + 1e-6).astype(np.int64)]
         return found

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Block, Confirmation, Driver, StreamSpec
-from leactl.driver.far_end import LibraryEmulator, Physics
+from leactl.driver.far_end import BuslessEmulator, Physics
 from leactl.errors import DeviceError, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.ni_daq.acquisition import OVERRUNS, SAFE, Acquisition, DaqmxError, Library
@@ -96,7 +96,7 @@ class NiDaq(Driver):
             task.close()
 
     @classmethod
-    def far_end(cls, settings: NiDaqSettings, role: str, physics: Physics) -> LibraryEmulator:
+    def far_end(cls, settings: NiDaqSettings, role: str, physics: Physics) -> BuslessEmulator:
         """A converter at the leads of the emulated motors, in place of NI-DAQmx."""
         from leactl_plugins.ni_daq.emulator import EmulatedDaq
 

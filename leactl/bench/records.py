@@ -1,0 +1,116 @@
+"""Devices of a bench whose readings come in files: found in a bench file, and made ready to read."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import cast
+
+from pydantic import ValidationError
+
+from leactl import yamlfile
+from leactl.bench.benchfile import Device
+from leactl.driver import registry
+from leactl.driver.batch import BatchSource, Record
+from leactl.driver.clock import MonotonicClock
+from leactl.driver.contract import Driver, DriverSettings
+from leactl.errors import InputError, LeactlError
+from leactl.runfile.attaching import Joined, attach, join
+from leactl.runfile.reader import Run
+
+
+class RecordDevice:
+    """One device of a bench file that reads records; of the file, only `devices.NAME` is looked at.
+
+    Raises
+    ------
+    InputError : no such device, one whose readings do not come in files, or faults in its settings.
+    """
+
+    def __init__(self, document: yamlfile.Document, name: str) -> None:
+        devices = document.data.get("devices") if isinstance(document.data, dict) else None
+        if not isinstance(devices, dict) or name not in devices:
+            known = ", ".join(devices) if isinstance(devices, dict) else "no devices"
+            raise InputError(document.fault(("devices",), f"no device '{name}'; the file has {known}"))
+        place: tuple[str | int, ...] = ("devices", name)
+        try:
+            self.entry = Device.model_validate(devices[name])
+            driver = registry.load(self.entry.driver)
+            self.settings: DriverSettings = driver.Settings.model_validate(self.entry.settings)
+        except ValidationError as error:
+            under = place if error.title == Device.__name__ else (*place, "settings")
+            raise InputError(document.explain(error, under)) from None
+        except InputError as error:
+            raise InputError(document.fault((*place, "driver"), str(error))) from None
+        found = driver(name, self.entry.role, self.settings, None, MonotonicClock())
+        if not isinstance(found, BatchSource):
+            raise InputError(
+                document.fault((*place, "driver"), f"{self.entry.driver}: its readings do not come in files")
+            )
+        self._document, self._place = document, place
+        self.source = cast(BatchSource, found)
+
+    def read(self, files: list[Path]) -> Record:
+        """Read one record.
+
+        Raises
+        ------
+        InputError : everything that is wrong with the files.
+        """
+        return self.source.read_files(files)
+
+    def join(self, record: Record, run: Path) -> Joined:
+        """Put a record on the clock of a run.
+
+        Raises
+        ------
+        InputError : the settings do not say how, or it cannot be done.
+        """
+        clock = self.source.clock
+        if clock is None:
+            told = "is missing: wall_within_s, offset_s, estimate or onset ties the record's clock to the run's"
+            raise InputError(self._document.fault((*self._place, "settings", "clock"), told))
+        with Run.open(run) as opened:
+            return join(record, clock, opened)
+
+    def attach(self, joined: Joined, run: Path, replace: bool = False) -> None:
+        """Store a joined record in its run, with the settings that it was read with.
+
+        Raises
+        ------
+        InputError : the run has such a stream already.
+        """
+        settings = self.settings.model_dump(mode="json", exclude_none=True)
+        attach(run, joined, settings, self.entry.driver, replace)
+
+
+def bench_of_run(run: Path) -> yamlfile.Document:
+    """The bench file as a run keeps it.
+
+    Raises
+    ------
+    InputError : the run keeps none.
+    """
+    with Run.open(run) as opened:
+        text = opened.source("bench")
+    if text is None:
+        raise InputError(f"{run}: the run keeps no bench file; give one with --bench")
+    return yamlfile.parse(text, f"{run}: bench")
+
+
+def collect(drivers: Mapping[str, Driver], document: yamlfile.Document, run: Path) -> list[str]:
+    """Attach what the programs of a bench's devices have exported since it was opened; a line for each that did not.
+
+    Nothing here is an error of the run, which is closed and whole: whatever is told can be mended and attached by hand.
+    """
+    told = []
+    for name, driver in drivers.items():
+        if not isinstance(driver, BatchSource) or driver.exports.folder is None:
+            continue
+        files = driver.exports.fresh()
+        try:
+            if not files:
+                raise InputError(f"no export has come into {driver.exports.folder}")
+            device = RecordDevice(document, name)
+            device.attach(device.join(device.read(files), run), run)
+        except LeactlError as fault:
+            told.append(f"{name}: its record is not in the run: {fault}; leactl runs attach {run} FILE --device {name}")
+    return told

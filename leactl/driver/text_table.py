@@ -1,0 +1,256 @@
+"""Text files of other programs as tables: encoding and delimiter found, headings looked up, every row accounted for.
+
+The settings name the columns that are wanted. The delimiter is the one under which a line holds all of those headings,
+so that a file of another layout is refused and not read askew.
+"""
+
+import codecs
+import csv
+import re
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from leactl.driver.text_form import TextForm
+from leactl.errors import InputError
+
+MOST_BYTES = 1 << 30
+MOST_PREAMBLE = 1000  # lines
+MOST_FAULTS = 5
+DELIMITERS = (",", ";", "\t", "|")
+NAMED = {"\t": "tab"}
+BOMS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"))
+SEP_LINE = re.compile(r"\s*\"?sep=(.)\"?\s*\Z", re.IGNORECASE)
+UNIT_IN_BRACKETS = re.compile(r"\s*[\[(\uff08]([^\[\]()]*)[\])\uff09]\s*\Z")
+ASIDE = re.compile(r"\s*([^\W\d][^:=]*?)\s*[:=]\s*(.*)", re.DOTALL)  # `Emissivity: 0.95`, `Time = 12:00`
+
+
+@dataclass
+class Aside:
+    """A line that says something beside the table: `Emissivity: 0.95`."""
+
+    line: int
+    name: str
+    value: str
+
+
+@dataclass
+class Table:
+    """Rows of text under headings."""
+
+    path: Path
+    headings: list[str]
+    rows: list[list[str]] = field(default_factory=list)
+    lines: array = field(default_factory=lambda: array("q"))  # type: ignore[type-arg]
+    asides: list[Aside] = field(default_factory=list)
+    told: list[str] = field(default_factory=list)
+    repeated_headers: int = 0
+
+    def place(self, heading: str, row: int) -> str:
+        """Where a cell stands, for messages."""
+        return f"{self.path}: line {self.lines[row]}, column {heading!r}"
+
+    def heading(self, wanted: str) -> str:
+        """The heading in full, unit and all.
+
+        Raises
+        ------
+        InputError : several columns are called so.
+        """
+        found = [heading for heading in self.headings if wanted in called(heading)]
+        if len(found) > 1:
+            raise InputError(f"{self.path}: {wanted!r} stands over {len(found)} columns: {', '.join(map(repr, found))}")
+        return found[0]
+
+    def column(self, wanted: str) -> list[str]:
+        """Cells of one column."""
+        at = self.headings.index(self.heading(wanted))
+        return [row[at] for row in self.rows]
+
+
+def called(heading: str) -> set[str]:
+    """What a column may be called: its heading as it stands, and without the unit in brackets."""
+    return {heading, UNIT_IN_BRACKETS.sub("", heading)}
+
+
+def unit_of(heading: str) -> str:
+    """The unit in brackets at the end of a heading; empty where there is none."""
+    found = UNIT_IN_BRACKETS.search(heading)
+    return found[1].strip() if found else ""
+
+
+def text_of(path: Path, encoding: str | None) -> tuple[str, str]:
+    """The text of a file and the encoding it is in: as told, by its byte order mark, or UTF-8 where it is that.
+
+    Raises
+    ------
+    InputError : absent, empty, too large, not in that encoding, or in one that only a person can name.
+    """
+    try:
+        if (size := path.stat().st_size) > MOST_BYTES:
+            raise InputError(f"{path}: {size} bytes; at most {MOST_BYTES} are read, export it in parts")
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from None
+    if not raw.strip(b"\0 \r\n\t"):
+        raise InputError(f"{path}: {'empty' if not raw else 'holds nothing but blanks'}")
+    found = next((name for mark, name in BOMS if raw.startswith(mark)), None)
+    if found and encoding not in (None, found) and not (encoding == "utf-16" and found.startswith("utf-16")):
+        raise InputError(f"{path}: begins with the mark of {found}; encoding says {encoding}")
+    chosen = found or encoding or ("utf-16-le" if looks_like_utf16(raw) else "utf-8")
+    try:
+        text = raw.decode(chosen)
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: {other_readings(raw, chosen, error.start, told=bool(found or encoding))}") from None
+    text = text.removeprefix("\ufeff")
+    if "\0" in text:
+        raise InputError(f"{path}: line {text.count(chr(10), 0, text.index(chr(0))) + 1}: NUL in the text; damaged?")
+    return text, chosen
+
+
+def looks_like_utf16(raw: bytes) -> bool:
+    """Whether every second byte is NUL, as in Latin text of 16 bits that lost its mark."""
+    head = raw[: 1 << 12]
+    return len(raw) % 2 == 0 and head[1::2].count(0) > 0.4 * len(head) and head[0::2].count(0) == 0
+
+
+def other_readings(raw: bytes, encoding: str, start: int, told: bool) -> str:
+    """What stands where the text is not in this encoding, in those that it may be in."""
+    if told:
+        return f"not {encoding} at byte {start}"
+    begin = raw.rfind(b"\n", 0, start) + 1
+    line = raw[begin : begin + 60].split(b"\n")[0].rstrip(b"\r")
+    readings = [f"{line.decode(name, 'replace')!r} in {name}" for name in ("cp1252", "gbk")]
+    return f"not UTF-8 at byte {start}; its line reads {' or '.join(readings)}; encoding decides"
+
+
+def read_table(path: Path, form: TextForm, wanted: Sequence[str]) -> Table:
+    """Read the table that holds the wanted headings.
+
+    Raises
+    ------
+    InputError : no such headings, more than one delimiter that would do, or rows of another width.
+    """
+    text, encoding = text_of(path, form.encoding)
+    lines = text.splitlines(keepends=True)
+    first, declared = 0, SEP_LINE.match(lines[0])
+    if declared:
+        first = 1
+    candidates = [form.delimiter] if form.delimiter else [declared[1]] if declared else [*DELIMITERS]
+    found = [(delimiter, at) for delimiter in candidates if (at := header(lines, first, delimiter, wanted)) is not None]
+    if not found:
+        raise InputError(f"{path}: {no_header(lines[first:], candidates, wanted)}")
+    if len(found) > 1:
+        names = " or ".join(NAMED.get(delimiter, repr(delimiter)) for delimiter, _ in found)
+        raise InputError(f"{path}: the headings are found with {names} between cells; delimiter decides")
+    delimiter, at = found[0]
+    table = Table(path, [])
+    table.told.append(f"{encoding}, {NAMED.get(delimiter, repr(delimiter))} between cells, headings in line {at + 1}")
+    for k, line in enumerate(lines[first:at], start=first + 1):
+        note_aside(table, k, trimmed(line.split(delimiter)))
+    fill(table, lines[at:], at, delimiter)
+    if table.rows and not text.endswith(("\n", "\r")) and table.lines[-1] == len(lines):
+        table.told.append(f"the last row, line {table.lines.pop()}, has no end and may be cut: left out")
+        table.rows.pop()
+    if not table.rows:
+        raise InputError(f"{path}: no row below the headings of line {at + 1}")
+    return table
+
+
+def cells_of(line: str, delimiter: str) -> list[str]:
+    """The cells of one line."""
+    try:
+        return next(csv.reader([line], delimiter=delimiter), [])
+    except csv.Error:
+        return []
+
+
+def header(lines: Sequence[str], first: int, delimiter: str, wanted: Sequence[str]) -> int | None:
+    """The line that holds all wanted headings."""
+    needles = set(wanted)
+    for at in range(first, min(len(lines), first + MOST_PREAMBLE)):
+        if needles <= {name for cell in cells_of(lines[at], delimiter) for name in called(cell.strip())}:
+            return at
+    return None
+
+
+def no_header(lines: Sequence[str], candidates: Sequence[str], wanted: Sequence[str]) -> str:
+    """What was looked for and what the likeliest line has instead."""
+    rows = [
+        cells
+        for delimiter in candidates
+        for line in lines[:50]
+        if (cells := [cell.strip() for cell in cells_of(line, delimiter) if cell.strip()])
+        and sum(any(c.isalpha() for c in cell) for cell in cells) > len(cells) / 2
+    ]
+    best = max(rows, key=lambda cells: (sum(bool(called(cell) & {*wanted}) for cell in cells), len(cells)), default=[])
+    has = ", ".join(map(repr, best[:40])) or "no line that looks like headings"
+    lacking = [repr(name) for name in wanted if all(name not in called(cell) for cell in best)]
+    return f"no line has the headings {', '.join(lacking)}; the file has {has}"
+
+
+def fill(table: Table, lines: Sequence[str], before: int, delimiter: str) -> None:
+    """Read everything from the header on; each line is a row, a heading again, an aside, blank, or a fault."""
+    reader = csv.reader(lines, delimiter=delimiter)
+    faults: list[str] = []
+    uneven: tuple[int, int] | None = None  # line and cells of a row that only the file's end excuses
+    try:
+        headings = table.headings = trimmed(next(reader))
+        if repeated := sorted({name for name in headings if name and headings.count(name) > 1}):
+            table.told.append(f"headings that stand twice: {', '.join(repeated)}")
+        width, rows, stamps = len(headings), table.rows, table.lines
+        for cells in reader:
+            plain = len(cells) == width and cells[0][:1].isdigit() and cells[0] != headings[0]
+            if not plain:
+                filled = trimmed(cells)
+                if not filled:
+                    continue
+                if filled == headings:
+                    table.repeated_headers += 1
+                    continue
+                if note_aside(table, before + reader.line_num, filled):
+                    continue
+            if uneven is not None:
+                faults.append(width_fault(table, *uneven, width))
+                uneven = None
+                if len(faults) == MOST_FAULTS:
+                    break
+            if plain or len(filled) <= width <= len(cells):
+                rows.append(cells)
+                stamps.append(before + reader.line_num)
+            else:
+                uneven = before + reader.line_num, len(cells)
+    except csv.Error as error:
+        raise InputError(f"{table.path}: line {before + reader.line_num}: {error}") from None
+    if uneven is not None and uneven[1] > width:
+        faults.append(width_fault(table, *uneven, width))
+    elif uneven is not None:
+        table.told.append(f"the last row, line {uneven[0]}, ends after {uneven[1]} of {width} cells: left out")
+    if faults:
+        raise InputError(faults)
+
+
+def trimmed(cells: Sequence[str]) -> list[str]:
+    """Cells without blanks around them and without the empty ones at the end."""
+    kept = [cell.strip() for cell in cells]
+    while kept and not kept[-1]:
+        kept.pop()
+    return kept
+
+
+def width_fault(table: Table, line: int, cells: int, width: int) -> str:
+    """A row of another width than the headings."""
+    hint = "; is a decimal comma taken for the delimiter?" if cells > width else ""
+    return f"{table.path}: line {line}: {cells} cells where {width} were expected{hint}"
+
+
+def note_aside(table: Table, line: int, cells: Sequence[str]) -> bool:
+    """Keep a line that says something beside the table; whether it is one."""
+    filled = [cell for cell in cells if cell]
+    found = ASIDE.fullmatch(filled[0].strip('"')) if 0 < len(filled) <= 2 else None
+    if found is None:
+        return False
+    value = found[2] or (filled[1] if len(filled) > 1 else "")
+    table.asides.append(Aside(line, found[1], value.strip()))
+    return True

@@ -1,0 +1,59 @@
+"""Text tables in the dialects of other programs, as their emulators write them."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a program writes a table."""
+
+    encoding: str = "utf-8"
+    byte_order_mark: bool = False
+    delimiter: str = ","
+    decimal: str = "."
+    thousands: str = ""
+    decimals: int = 2
+    missing: str = "--"
+    line_end: str = "\r\n"
+    sep_line: bool = False
+    trailing: bool = False  # a delimiter at the end of each row
+
+    def number(self, value: float) -> str:
+        """A number in this dialect; what is no number is the missing mark."""
+        if math.isnan(value):
+            return self.missing
+        text = f"{value:,.{self.decimals}f}"
+        marks = {",": self.thousands, ".": self.decimal}
+        return "".join(marks.get(character, character) for character in text)
+
+    def cell(self, text: str) -> str:
+        """A cell, quoted where it would be cut."""
+        if self.delimiter in text or '"' in text:
+            return '"' + text.replace('"', '""') + '"'
+        return text
+
+    def row(self, cells: Sequence[str]) -> str:
+        """One line of a table."""
+        end = self.delimiter if self.trailing else ""
+        return self.delimiter.join(map(self.cell, cells)) + end + self.line_end
+
+    def head(self) -> str:
+        """What stands before everything else."""
+        return f"sep={self.delimiter}{self.line_end}" if self.sep_line else ""
+
+    def encoded(self, text: str, begins: bool) -> bytes:
+        """Bytes of a part of the file; the mark of the byte order is at its beginning."""
+        mark = "\ufeff" if begins and self.byte_order_mark else ""
+        return (mark + text).encode(self.encoding)
+
+
+def new_export(folder: Path, name: str) -> Path:
+    """A path in the folder, made where it is absent, that no earlier export has: `name-1.csv`, `name-2.csv`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    number = 1
+    while (path := folder / f"{name}-{number}.csv").exists():
+        number += 1
+    return path

@@ -1,0 +1,1 @@
+"""Recordings of Elmo drives by the text files that the maker's tool saves."""

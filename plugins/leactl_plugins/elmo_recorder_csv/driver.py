@@ -1,0 +1,170 @@
+"""Recordings that an Elmo drive makes inside itself, read from the text that the maker's tool saves.
+
+The drive samples faster than its bus can tell; what it recorded joins the run afterwards, tied by a signal that both
+have, since the recorder's clock begins with the recording and tells no time of day.
+"""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leactl.driver.batch import Array, ExportFolder, Record, RecordClock
+from leactl.driver.clock import Clock
+from leactl.driver.contract import Confirmation, Driver
+from leactl.driver.far_end import BuslessEmulator, Physics
+from leactl.driver.ordering import in_order
+from leactl.driver.text_form import Numbers, read_numbers
+from leactl.driver.text_table import Table, read_table, unit_of
+from leactl.errors import InputError
+from leactl.quantities import ChannelSpec
+from leactl.units import SECONDS, converter
+from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, Signal
+
+SECONDS_NAMED = {**SECONDS, "sec": 1.0, "seconds": 1.0, "msec": 1e-3, "usec": 1e-6, "µs": 1e-6}
+UNEVEN = 0.01  # of the interval: a recorder samples by a timer
+
+
+class ElmoRecorderCsv(Driver):
+    """One drive whose recordings are saved as text."""
+
+    Settings = ElmoRecorderCsvSettings
+    transport = "none"
+    summary = "recordings of Elmo drives by the text files that the maker's tool saves"
+
+    def __init__(self, name: str, role: str, settings: ElmoRecorderCsvSettings, port: Any, clock: Clock) -> None:
+        self.name, self.role, self.settings = name, role, settings
+        self.exports = ExportFolder(settings.exports_folder)
+
+    def safe_state(self, deadline_s: float) -> Confirmation:
+        """Nothing to do: files move nothing."""
+        return Confirmation(True, "reads files only")
+
+    def open(self) -> None:
+        """See which files are there already: those that come later are of the run."""
+        self.exports.look()
+
+    def close(self) -> None:
+        """Nothing to do: no file stays open."""
+
+    @classmethod
+    def far_end(cls, settings: ElmoRecorderCsvSettings, role: str, physics: Physics) -> BuslessEmulator:
+        """A recorder inside the emulated drive of this role.
+
+        Raises
+        ------
+        InputError : no folder is set that its tool could save to.
+        """
+        from leactl_plugins.elmo_recorder_csv.emulator import RecorderEmulator
+
+        if settings.exports_folder is None:
+            raise InputError("exports_folder: an emulated recorder needs a folder that its tool saves to")
+        return RecorderEmulator(Path(settings.exports_folder), f"recorder-{role}", settings, physics.machine(role))
+
+    @property
+    def clock(self) -> RecordClock | None:
+        """How the recorder's clock is tied to that of a run."""
+        return self.settings.clock
+
+    @property
+    def channels(self) -> tuple[ChannelSpec, ...]:
+        """One channel a signal; its location tells it from the same quantity over the bus."""
+        return tuple(
+            ChannelSpec(name, signal.quantity, self.role, self.name, signal.column, "recorder", dtype="f8")
+            for name, signal in self.settings.signals.items()
+        )
+
+    def read_files(self, paths: Sequence[Path]) -> Record:
+        """Read one recording.
+
+        Raises
+        ------
+        InputError : a file that cannot be read, or that has two readings.
+        """
+        if len(paths) != 1:
+            raise InputError(f"{len(paths)} files; a recording is one file, attach them one by one")
+        settings = self.settings
+        timed = [settings.time_column] if settings.time_column else []
+        table = read_table(paths[0], settings, [*timed, *(signal.column for signal in settings.signals.values())])
+        wanted = {name: table.heading(signal.column) for name, signal in settings.signals.items()}
+        stamp = table.heading(settings.time_column) if settings.time_column else ""
+        columns = {
+            heading: table.column(heading) for heading in dict.fromkeys([*filter(None, [stamp]), *wanted.values()])
+        }
+        found, convention = read_numbers(columns, settings, table.place, {})
+        time, told_time = self._time(table, found.get(stamp), stamp)
+        values = np.stack(
+            [self._converted(table, wanted[name], signal, found) for name, signal in settings.signals.items()], axis=1
+        )
+
+        def where(row: int) -> str:
+            return table.place(stamp or next(iter(wanted.values())), row)
+
+        rows = in_order(time, values, where)
+        empty = [name for name, kept in zip(wanted, rows.values.T, strict=True) if np.isnan(kept).all()]
+        if empty:
+            raise InputError(f"{paths[0]}: no number at all in {', '.join(empty)}")
+        interval = float(np.median(np.diff(rows.time))) if len(rows.time) > 1 else 0.0
+        read_as = [
+            f"{wanted[name]} as {self._unit(table, wanted[name], signal)}" for name, signal in settings.signals.items()
+        ]
+        told = (*table.told, str(convention), *read_as, told_time, *rows.told)
+        return Record(
+            self.name, self.channels, rows.time - rows.time[0], rows.values, None, interval, told, tuple(paths)
+        )
+
+    def _time(self, table: Table, stamps: Numbers | None, heading: str) -> tuple[Array, str]:
+        settings = self.settings
+        if stamps is None:
+            interval = settings.interval_s or math.nan
+            return interval * np.arange(len(table.rows), dtype=np.float64), f"one row each {interval:g} s, as set"
+        named = unit_of(heading)
+        units = settings.time_units or (named if named in SECONDS_NAMED else None)
+        if units is None:
+            raise InputError(f"{table.path}: {heading!r} names no unit of time; time_units decides")
+        if settings.time_units and named in SECONDS_NAMED and SECONDS_NAMED[named] != SECONDS_NAMED[units]:
+            raise InputError(f"{table.path}: {heading!r} is in {named}; time_units says {units}")
+        time = stamps.values * SECONDS_NAMED[units]
+        steps = np.diff(time)
+        if len(steps) and float(np.ptp(steps)) > UNEVEN * float(np.median(steps)):
+            return time, f"stamps in {units}, UNEVEN: {steps.min():.6g} to {steps.max():.6g} s apart"
+        return time, f"stamps in {units}"
+
+    def _unit(self, table: Table, heading: str, signal: Signal) -> str:
+        named = unit_of(heading)
+        if signal.units is not None:
+            if (
+                named
+                and signal.takes(named)
+                and named != signal.units
+                and not {named, signal.units} <= {*signal.counted}
+            ):
+                raise InputError(f"{table.path}: {heading!r} is in {named}; units say {signal.units}")
+            return signal.units
+        if not named:
+            raise InputError(f"{table.path}: {heading!r} names no unit; units of the signal decide")
+        if not signal.takes(named):
+            raise InputError(f"{table.path}: {heading!r} is in {named!r}, which does not measure {signal.quantity}")
+        return named
+
+    def _converted(self, table: Table, heading: str, signal: Signal, found: dict[str, Numbers]) -> Array:
+        numbers, units, settings = found[heading], self._unit(table, heading, signal), self.settings
+        if numbers.outside:
+            raise InputError(f"{table.path}: {heading!r} holds {next(iter(numbers.outside))!r}; a number was expected")
+        in_cells = [text for text in numbers.units if text]
+        if in_cells and in_cells != [units]:
+            raise InputError(f"{table.path}: {heading!r} holds numbers in {', '.join(in_cells)}; {units} was expected")
+        values = numbers.values
+        if units in signal.counted:
+            if settings.counts_per_turn is None:
+                raise InputError(f"{table.path}: {heading!r} is in {units}; counts_per_turn is needed")
+            return settings.sign * values * (2.0 * math.pi / settings.counts_per_turn)
+        conversion = converter(units, signal.quantity)
+        assert conversion is not None
+        values = conversion.factor * (values - conversion.zero)
+        if signal.quantity in CURRENTS:
+            values = values * settings.current_convention.to_q_axis
+        signed: Array = values if signal.quantity == "bus_voltage" else settings.sign * values
+        return signed

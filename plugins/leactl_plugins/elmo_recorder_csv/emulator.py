@@ -1,0 +1,72 @@
+"""The drive's recorder: so many samples at a fixed interval, saved as text once the buffer is full."""
+
+import math
+from pathlib import Path
+
+from leactl.driver.far_end import Machine
+from leactl.driver.text_writing import Dialect, new_export
+from leactl.errors import InputError
+from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, Signal
+
+BUFFER = 16384  # samples of all signals together (recorder of the Gold line, by an open client's notes)
+INTERVAL_S = 1e-3
+STARTS_S = 0.5  # after the bench was made: the trigger
+READS = ("q_axis_current", "velocity", "angle", "bus_voltage")
+UNITS = {"q_axis_current": "A", "velocity": "cnt/sec", "angle": "cnt", "bus_voltage": "V"}
+
+
+class RecorderEmulator:
+    """A recorder that fills its buffer once, and the tool that saves it."""
+
+    def __init__(self, folder: Path, name: str, settings: ElmoRecorderCsvSettings, machine: Machine) -> None:
+        if unknown := [s.quantity for s in settings.signals.values() if s.quantity not in READS]:
+            raise InputError(f"signals: an emulated recorder has no {', '.join(unknown)}; it has {', '.join(READS)}")
+        self._folder, self._name, self._settings, self._machine = folder, name, settings, machine
+        self._interval = settings.interval_s or INTERVAL_S
+        self._samples = BUFFER // len(settings.signals)
+        self._dialect = Dialect(
+            encoding=settings.encoding or "utf-8",
+            delimiter=settings.delimiter or ",",
+            decimal=settings.decimal or ".",
+            thousands=settings.thousands or "",
+            decimals=6,
+        )
+        self._rows: list[list[float]] = []
+        self._starts = STARTS_S
+        self._saved = False
+
+    @property
+    def due(self) -> float:
+        """When the next sample is taken."""
+        return math.inf if self._saved else self._starts + len(self._rows) * self._interval
+
+    def tick(self, now: float) -> None:
+        """Take a sample; save when the buffer is full."""
+        if self._saved or now < self.due - 1e-9:
+            return
+        if not self._rows:
+            self._starts = now
+        reads = dict(zip(READS, (*self._machine.read(), self._machine.bus_voltage), strict=True))
+        signals = self._settings.signals.values()
+        self._rows.append([self._as_recorded(signal, reads[signal.quantity]) for signal in signals])
+        if len(self._rows) == self._samples:
+            self._save()
+
+    def _as_recorded(self, signal: Signal, value: float) -> float:
+        settings = self._settings
+        if signal.quantity == "bus_voltage":
+            return value
+        if signal.quantity in CURRENTS:
+            return settings.sign * value / settings.current_convention.to_q_axis
+        return settings.sign * value * (settings.counts_per_turn or 1) / (2.0 * math.pi)
+
+    def _save(self) -> None:
+        settings, dialect = self._settings, self._dialect
+        named = [f"{signal.column} [{UNITS[signal.quantity]}]" for signal in settings.signals.values()]
+        timed = [f"{settings.time_column} [s]"] if settings.time_column else []
+        lines = [dialect.row([*timed, *named])]
+        for k, row in enumerate(self._rows):
+            stamp = [dialect.number(k * self._interval)] if timed else []
+            lines.append(dialect.row([*stamp, *(dialect.number(value) for value in row)]))
+        new_export(self._folder, self._name).write_bytes(dialect.encoded("".join(lines), begins=True))
+        self._saved = True

@@ -1,0 +1,71 @@
+"""Settings of one drive's recordings: which column is which signal, in which units, sampled how."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt, StringConstraints, model_validator
+
+from leactl.driver.batch import RecordClock
+from leactl.driver.text_form import TextForm
+from leactl.units import converter
+from leactl_plugins.elmo_can.settings import CurrentConvention
+
+STRICT = ConfigDict(frozen=True, extra="forbid")
+Heading = Annotated[str, StringConstraints(strict=True, strip_whitespace=True, min_length=1)]
+COUNTS = {
+    "angle": ("counts", "count", "cnt"),
+    "velocity": ("counts/s", "counts/sec", "count/s", "cnt/s", "cnt/sec"),
+}
+CURRENTS = ("q_axis_current", "q_axis_current_reference", "d_axis_current")
+
+
+class Signal(BaseModel):
+    """One recorded signal."""
+
+    model_config = STRICT
+    column: Heading
+    quantity: Literal[
+        "q_axis_current",
+        "q_axis_current_reference",
+        "d_axis_current",
+        "velocity",
+        "velocity_reference",
+        "angle",
+        "angle_reference",
+        "bus_voltage",
+    ]
+    units: str | None = None  # where the heading names none
+
+    @model_validator(mode="after")
+    def _known_units(self) -> Self:
+        if self.units is not None and not self.takes(self.units):
+            raise ValueError(f"units {self.units!r} do not measure {self.quantity}")
+        return self
+
+    @property
+    def counted(self) -> tuple[str, ...]:
+        """Names of encoder counts for this quantity."""
+        return COUNTS.get(self.quantity.removesuffix("_reference"), ())
+
+    def takes(self, units: str) -> bool:
+        """Whether numbers in these units can be of this quantity."""
+        return units in self.counted or converter(units, self.quantity) is not None
+
+
+class ElmoRecorderCsvSettings(TextForm):
+    """The recordings of one drive."""
+
+    signals: Annotated[dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], Signal], Field(min_length=1)]
+    time_column: Heading | None = None
+    time_units: Literal["s", "ms", "us"] | None = None  # where the heading names none
+    interval_s: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)] | None = None  # of files without stamps
+    current_convention: CurrentConvention = CurrentConvention.AMPLITUDE
+    counts_per_turn: PositiveInt | None = None
+    sign: Literal[-1, 1] = 1
+    clock: RecordClock | None = None
+    exports_folder: str | None = None  # where the tool leaves its files; what comes there during a run joins it
+
+    @model_validator(mode="after")
+    def _has_time(self) -> Self:
+        if (self.time_column is None) == (self.interval_s is None):
+            raise ValueError("give either time_column or interval_s (the recorder's resolution times TS)")
+        return self

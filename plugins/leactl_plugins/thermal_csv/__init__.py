@@ -1,0 +1,1 @@
+"""Thermal cameras by the text files that their programs export."""

@@ -1,0 +1,130 @@
+"""A thermal camera by its exports: regions over time, in degC, on the camera's own clock.
+
+The camera takes no part in the control loop. Its program exports a file, before, during or after the run; the record is
+read as a whole and tied to the run's clock afterwards.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leactl.driver.batch import ExportFolder, Record, RecordClock
+from leactl.driver.clock import Clock
+from leactl.driver.contract import Confirmation, Driver
+from leactl.driver.far_end import BuslessEmulator, Physics
+from leactl.driver.ordering import in_order
+from leactl.errors import InputError
+from leactl.quantities import ChannelSpec
+from leactl_plugins.thermal_csv.matrix import read_matrices
+from leactl_plugins.thermal_csv.series import Sheet, read_series
+from leactl_plugins.thermal_csv.settings import ThermalCsvSettings
+
+
+class ThermalCsv(Driver):
+    """One camera whose program exports text."""
+
+    Settings = ThermalCsvSettings
+    transport = "none"
+    summary = "thermal camera by the text files that its program exports (Fotric 616C, FLIR and others)"
+
+    def __init__(self, name: str, role: str, settings: ThermalCsvSettings, port: Any, clock: Clock) -> None:
+        self.name, self.role, self.settings = name, role, settings
+        self.exports = ExportFolder(settings.exports_folder)
+
+    def safe_state(self, deadline_s: float) -> Confirmation:
+        """Nothing to do: it only measures."""
+        return Confirmation(True, "measures only")
+
+    def open(self) -> None:
+        """See which files are there already: those that come later are of the run."""
+        self.exports.look()
+
+    def close(self) -> None:
+        """Nothing to do: no file stays open."""
+
+    @classmethod
+    def far_end(cls, settings: ThermalCsvSettings, role: str, physics: Physics) -> BuslessEmulator:
+        """A camera that looks at the emulated actuator of this role.
+
+        Raises
+        ------
+        InputError : no folder is set that its program could export to, or the export would be of frames.
+        """
+        from leactl_plugins.thermal_csv.emulator import CameraEmulator
+
+        if settings.exports_folder is None:
+            raise InputError("exports_folder: an emulated camera needs a folder that its program exports to")
+        if settings.matrix:
+            raise InputError("regions: an emulated camera exports a series of columns, no frames")
+        regions = {name: physics.reading(region.quantity, role) for name, region in settings.regions.items()}
+        return CameraEmulator(Path(settings.exports_folder), "camera", settings, regions)
+
+    @property
+    def clock(self) -> RecordClock | None:
+        """How the camera's clock is tied to that of a run."""
+        return self.settings.clock
+
+    @property
+    def channels(self) -> tuple[ChannelSpec, ...]:
+        """One channel a region, named and located as the settings have it."""
+        return tuple(
+            ChannelSpec(
+                name, region.quantity, self.role, self.name, region.column or f"{region.statistic} of {name}", name
+            )
+            for name, region in self.settings.regions.items()
+        )
+
+    def read_files(self, paths: Sequence[Path]) -> Record:
+        """Read one record from one export, from its parts in order, or from files of one frame each.
+
+        Raises
+        ------
+        InputError : a file that cannot be read, or that has two readings.
+        """
+        if self.settings.matrix:
+            sheets = [read_matrices(paths, self.settings)]
+        else:
+            sheets = [read_series(path, self.settings) for path in paths]
+        time, values, began = joined(sheets)
+        starts = np.cumsum([0, *(len(sheet.clock.time) for sheet in sheets)])
+
+        def where(row: int) -> str:
+            part = int(np.searchsorted(starts, row, side="right")) - 1
+            return sheets[part].where(row - int(starts[part]))
+
+        times = self.settings.time
+        resolution = max(sheet.clock.resolution for sheet in sheets)
+        rows = in_order(time, values, where, times.backward, resolution, times.frame_rate_Hz)
+        empty = [spec.name for spec, kept in zip(self.channels, rows.values.T, strict=True) if np.isnan(kept).all()]
+        if empty:
+            raise InputError(f"{paths[0]}: no number at all in {', '.join(empty)}")
+        told = list(dict.fromkeys(text for sheet in sheets for text in sheet.told))
+        return Record(
+            stream=self.name,
+            channels=self.channels,
+            time=rows.time - rows.time[0],
+            values=rows.values,
+            began=None if began is None else began + float(rows.time[0]),
+            resolution=resolution,
+            told=(*told, *rows.told),
+            files=tuple(paths),
+        )
+
+
+def joined(sheets: Sequence[Sheet]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], float | None]:
+    """Rows of all parts on one clock, and the moment of its zero in s since 1970, where it is known.
+
+    Raises
+    ------
+    InputError : parts of which some tell the day and some do not.
+    """
+    midnights = [sheet.clock.midnight for sheet in sheets]
+    known = [moment.timestamp() for moment in midnights if moment is not None]
+    if known and len(known) < len(sheets):
+        raise InputError(f"{sheets[midnights.index(None)].where(0)}: no day or no zone, which other files have")
+    began = min(known) if known else None
+    shifts = [moment - began for moment in known] if began is not None else [0.0] * len(sheets)
+    time = np.concatenate([sheet.clock.time + shift for sheet, shift in zip(sheets, shifts, strict=True)])
+    return time, np.concatenate([sheet.values for sheet in sheets]), began

@@ -1,0 +1,119 @@
+"""The camera's program: exports of regions over time or of frames, in any dialect; a camera that looks at a bench."""
+
+import math
+from collections.abc import Callable, Sequence
+from datetime import datetime, timedelta
+from pathlib import Path
+
+from leactl.driver.text_writing import Dialect, new_export
+from leactl_plugins.thermal_csv.settings import ThermalCsvSettings
+
+SYMBOLS = {"degC": "°C", "degF": "°F", "K": "K"}
+FROM_CELSIUS: dict[str, Callable[[float], float]] = {
+    "degC": lambda value: value,
+    "degF": lambda value: value * 1.8 + 32.0,
+    "K": lambda value: value + 273.15,
+}
+FRAME_RATE_HZ = 30.0
+BLOCK_S = 1.0  # the program writes once a second
+DAY = datetime(2026, 1, 1)  # of a camera whose clock was never set
+
+
+def series(
+    stamps: Sequence[str],
+    columns: dict[str, Sequence[float]],
+    dialect: Dialect,
+    unit: str = "degC",
+    time_heading: str = "Time",
+    above: Sequence[str] = (),
+    unit_in_cells: bool = False,
+) -> bytes:
+    """A series of regions; `columns` are in degC, by heading."""
+    lines = [
+        dialect.head(),
+        *(line + dialect.line_end for line in above),
+        heading(columns, dialect, unit, time_heading),
+    ]
+    behind = f" {SYMBOLS[unit]}" if unit_in_cells else ""
+    for k, stamp in enumerate(stamps):
+        values = [FROM_CELSIUS[unit](column[k]) for column in columns.values()]
+        cells = [dialect.number(value) + ("" if math.isnan(value) else behind) for value in values]
+        lines.append(dialect.row([stamp, *cells]))
+    return dialect.encoded("".join(lines), begins=True)
+
+
+def heading(columns: Sequence[str] | dict[str, Sequence[float]], dialect: Dialect, unit: str, time_heading: str) -> str:
+    """The line of headings, units in brackets."""
+    return dialect.row([time_heading, *(f"{name} ({SYMBOLS[unit]})" for name in columns)])
+
+
+def matrix(
+    frames: Sequence[Sequence[Sequence[float]]], above: Sequence[Sequence[str]], dialect: Dialect, unit: str = "degC"
+) -> bytes:
+    """Frames of pixels in degC, each under its own lines."""
+    lines = [dialect.head()]
+    for frame, said in zip(frames, above, strict=True):
+        lines += [line + dialect.line_end for line in said]
+        lines += [dialect.row([dialect.number(FROM_CELSIUS[unit](value)) for value in row]) for row in frame]
+        lines.append(dialect.line_end)
+    return dialect.encoded("".join(lines), begins=True)
+
+
+class CameraEmulator:
+    """A camera that looks at a bench, and whose program writes a series into a folder while it runs."""
+
+    def __init__(self, folder: Path, name: str, settings: ThermalCsvSettings, regions: dict[str, Callable[[], float]]):
+        self._folder, self._name, self._settings, self._regions = folder, name, settings, regions
+        self._dialect = Dialect(
+            encoding=settings.encoding or "utf-8",
+            delimiter=settings.delimiter or ",",
+            decimal=settings.decimal or ".",
+            thousands=settings.thousands or "",
+        )
+        self._period = 1.0 / (settings.time.frame_rate_Hz or FRAME_RATE_HZ)
+        self._file: Path | None = None
+        self._frame, self._began = 0, 0.0
+        self._pending: list[str] = []
+
+    @property
+    def due(self) -> float:
+        """When the next frame is taken."""
+        return self._began + self._frame * self._period
+
+    def tick(self, now: float) -> None:
+        """Take a frame; write those of a second at once."""
+        if now < self.due - 1e-9:
+            return
+        if self._frame == 0:
+            self._began = now
+        self._frame += 1
+        cells = [self._dialect.number(FROM_CELSIUS[self._unit](read())) for read in self._regions.values()]
+        self._pending.append(self._dialect.row([self._stamp(), *cells]))
+        if len(self._pending) * self._period >= BLOCK_S:
+            self._write()
+
+    @property
+    def _unit(self) -> str:
+        return self._settings.unit or "degC"
+
+    def _stamp(self) -> str:
+        since = (self._frame - 1) * self._period
+        time = self._settings.time
+        if time.kind == "frame":
+            return str(self._frame)
+        if time.kind == "wall":
+            day = datetime.fromisoformat(time.date) if time.date else DAY
+            return (day + timedelta(seconds=since)).isoformat(" ", "milliseconds")
+        return Dialect(decimal=self._dialect.decimal, decimals=3).number(since)
+
+    def _write(self) -> None:
+        text = "".join(self._pending)
+        self._pending.clear()
+        if self._file is None:
+            self._file = new_export(self._folder, self._name)
+            named = self._settings.time.column or "Time"
+            head = f"{named} (s)" if self._settings.time.kind in (None, "elapsed") else named
+            columns = [str(region.column) for region in self._settings.regions.values()]
+            text = heading(columns, self._dialect, self._unit, head) + text
+        with self._file.open("ab") as file:
+            file.write(self._dialect.encoded(text, begins=False))

@@ -1,0 +1,210 @@
+"""Frames of pixels: one row of numbers a line, frames apart by blank lines or by lines that tell their time."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from leactl.driver.text_form import read_numbers
+from leactl.driver.text_table import DELIMITERS, NAMED, SEP_LINE, Aside, text_of, trimmed
+from leactl.errors import InputError
+from leactl_plugins.thermal_csv.series import (
+    COLDEST,
+    HOTTEST,
+    Array,
+    Sheet,
+    by_order,
+    emissivities,
+    marks_told,
+    to_celsius,
+    unit_in,
+)
+from leactl_plugins.thermal_csv.settings import Region, ThermalCsvSettings
+from leactl_plugins.thermal_csv.stamps import looks_plain, read_plain, read_stamps
+
+LETTER = re.compile(r"[^\W\d_]")
+STATISTICS: dict[str, Callable[..., Array]] = {"mean": np.mean, "max": np.max, "min": np.min}
+NAME_VALUE = re.compile(r"\s*([^:=]*?)\s*[:=]\s*(.*)")
+
+
+@dataclass
+class Frame:
+    """One frame, not yet read: its lines, where it begins, what the lines above it say."""
+
+    path: Path
+    line: int
+    rows: list[str] = field(default_factory=list)
+    above: list[Aside] = field(default_factory=list)
+
+
+def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Sheet:
+    """Read the frames of one file or of several, in the order given.
+
+    Raises
+    ------
+    InputError : no frames, frames of several sizes, regions outside them, stamps or numbers with two readings.
+    """
+    frames: list[Frame] = []
+    told: list[str] = []
+    for path in paths:
+        text, encoding = text_of(path, settings.encoding)
+        lines = text.splitlines()
+        delimiter = delimiter_of(path, lines, settings)
+        told.append(f"{encoding}, {NAMED.get(delimiter, repr(delimiter))} between cells")
+        frames += frames_in(path, lines, delimiter)
+        if not text.endswith(("\n", "\r")):
+            told.append(f"{path.name} has no end of its last line: the last pixel may be cut")
+    told = list(dict.fromkeys(told))
+    frames, width, left_out = even(frames, delimiter)
+    told += [f"{len(frames)} frames of {len(frames[0].rows)} rows and {width} columns", *left_out]
+
+    def where(row: int) -> str:
+        return f"{frames[row].path}: the frame from line {frames[row].line} on"
+
+    cells = region_cells(frames, delimiter, width, settings)
+    flat = {name: [cell for frame in of for cell in frame] for name, of in cells.items()}
+    sizes = {name: len(of[0]) for name, of in cells.items()}
+
+    def place(name: str, at: int) -> str:
+        return f"{where(at // sizes[name])}, region {name}"
+
+    found, convention = read_numbers(flat, settings, place, dict.fromkeys(flat, (COLDEST, HOTTEST)))
+    asides = [aside for frame in frames for aside in frame.above]
+    headings = {name: name for name in cells}
+    unit = unit_in(paths[0], settings, headings, found, asides)
+    values = np.stack(
+        [
+            STATISTICS[region.statistic](to_celsius(found[name].values, unit).reshape(len(frames), -1), axis=1)
+            for name, region in settings.regions.items()
+        ],
+        axis=1,
+    )
+    if settings.time.line is None:
+        clock = by_order(len(frames), settings, where)
+    else:
+        stamps = [stamp_of(frame, settings.time.line) for frame in frames]
+        if looks_plain(stamps[0]):
+            plain, _ = read_numbers({settings.time.line: stamps}, settings, lambda _, row: where(row), {})
+            numbers = plain[settings.time.line]
+            clock = read_plain(numbers.values, "".join(numbers.units), settings.time, settings.time.line, where)
+        else:
+            clock = read_stamps(stamps, settings.time, where)
+    told += [str(convention), f"temperatures in {unit}", clock.told, *marks_told(headings, found)]
+    return Sheet(clock, values, where, told + emissivities(asides))
+
+
+def delimiter_of(path: Path, lines: Sequence[str], settings: ThermalCsvSettings) -> str:
+    """What stands between the cells: as told, or the only mark that cuts the first rows into equally many numbers."""
+    declared = SEP_LINE.match(lines[0])
+    if settings.delimiter or declared:
+        return settings.delimiter or (declared[1] if declared else "")
+    sample = [line for line in lines[:200] if line.strip() and not LETTER.match(line.lstrip("\"' "))][:50]
+    fitting = [
+        mark
+        for mark in DELIMITERS
+        if sample
+        and len({len(trimmed(line.split(mark))) for line in sample}) == 1
+        and len(trimmed(sample[0].split(mark))) > 1
+        and all(looks_plain(cell) or not any(c.isdigit() for c in cell) for cell in sample[0].split(mark))
+    ]
+    if len(fitting) != 1:
+        names = " and ".join(NAMED.get(mark, repr(mark)) for mark in fitting) or "no mark"
+        raise InputError(f"{path}: {names} cuts its lines into rows of numbers; delimiter decides")
+    return fitting[0]
+
+
+def frames_in(path: Path, lines: Sequence[str], delimiter: str) -> list[Frame]:
+    """Cut a file into frames."""
+    frames = [Frame(path, 1)]
+    for number, line in enumerate(lines, start=1):
+        if SEP_LINE.match(line):
+            continue
+        cells = trimmed(line.split(delimiter))
+        if not cells or LETTER.match(cells[0].lstrip("\"'")):
+            if frames[-1].rows:
+                frames.append(Frame(path, number + 1))
+            if cells:
+                note(frames[-1], number, cells)
+            continue
+        if not frames[-1].rows:
+            frames[-1].line = number
+        frames[-1].rows.append(line)
+    return [frame for frame in frames if frame.rows]
+
+
+def note(frame: Frame, line: int, cells: Sequence[str]) -> None:
+    """Keep what a line between the frames says: `Time = ...`, `Emissivity: 0.95`, `width;640`."""
+    found = NAME_VALUE.fullmatch(cells[0])
+    name, value = (found[1], found[2]) if found else (cells[0], "")
+    frame.above.append(Aside(line, name.strip("\"'"), value or " ".join(cells[1:2])))
+
+
+def even(frames: list[Frame], delimiter: str) -> tuple[list[Frame], int, list[str]]:
+    """Frames of one size; a last one that is cut short is left out.
+
+    Raises
+    ------
+    InputError : no frame, or another size in the midst of them.
+    """
+    if not frames:
+        raise InputError("no frame of numbers was found")
+    sizes = [{len(trimmed(row.split(delimiter))) for row in frame.rows} for frame in frames]
+    width, height = max(sizes[0]), len(frames[0].rows)
+    told = []
+    last = frames[-1]
+    if len(frames) > 1 and (len(last.rows) < height or min(sizes[-1]) < width):
+        told.append(f"the last frame, from line {last.line} on, is cut short: left out")
+        frames, sizes = frames[:-1], sizes[:-1]
+    for frame, widths in zip(frames, sizes, strict=True):
+        if widths != {width} or len(frame.rows) != height:
+            shape = f"{len(frame.rows)} rows of {' or '.join(map(str, sorted(widths)))} cells"
+            raise InputError(f"{frame.path}: line {frame.line}: a frame of {shape}; {height} of {width} were expected")
+    return frames, width, told
+
+
+def region_cells(
+    frames: Sequence[Frame], delimiter: str, width: int, settings: ThermalCsvSettings
+) -> dict[str, list[list[str]]]:
+    """The cells of each region, by frame.
+
+    Raises
+    ------
+    InputError : a region lies outside the frames.
+    """
+    height = len(frames[0].rows)
+    spans: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {}
+    for name, region in settings.regions.items():
+        spans[name] = span_of(region)
+        if spans[name][0][1] >= height or spans[name][1][1] >= width:
+            raise InputError(f"{frames[0].path}: region {name} goes past the frames of {height} rows, {width} columns")
+    needed = sorted({row for rows, _ in spans.values() for row in range(rows[0], rows[1] + 1)})
+    cells: dict[str, list[list[str]]] = {name: [] for name in spans}
+    for frame in frames:
+        split = {row: frame.rows[row].split(delimiter) for row in needed}
+        for name, (rows, columns) in spans.items():
+            found = [split[row][columns[0] : columns[1] + 1] for row in range(rows[0], rows[1] + 1)]
+            cells[name].append([cell for row_cells in found for cell in row_cells])
+    return cells
+
+
+def span_of(region: Region) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First and last row, first and last column."""
+    assert region.rows is not None
+    assert region.columns is not None
+    return region.rows, region.columns
+
+
+def stamp_of(frame: Frame, name: str) -> str:
+    """What the lines above a frame tell of its time.
+
+    Raises
+    ------
+    InputError : nothing of that name.
+    """
+    found = [aside.value for aside in frame.above if aside.name == name]
+    if len(found) != 1:
+        has = ", ".join(repr(aside.name) for aside in frame.above) or "nothing"
+        raise InputError(f"{frame.path}: the frame from line {frame.line} on has {has} above it, not one {name!r}")
+    return found[0]

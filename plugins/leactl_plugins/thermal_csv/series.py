@@ -1,0 +1,160 @@
+"""A series of regions over time: one row a frame, columns of the user's own names."""
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.driver.text_form import Numbers, read_numbers
+from leactl.driver.text_table import Aside, Table, read_table, unit_of
+from leactl.errors import InputError
+from leactl.units import converter
+from leactl_plugins.thermal_csv.settings import ThermalCsvSettings, unit_named
+from leactl_plugins.thermal_csv.stamps import Clock, looks_plain, read_frames, read_plain, read_stamps
+
+Array = npt.NDArray[np.float64]
+COLDEST, HOTTEST = -460.0, 6000.0  # in any of the units; no camera tells more
+EMISSIVITY = re.compile(r"emissivity|emissivit|emissionsgrad|发射率|辐射率|\bε", re.IGNORECASE)
+UNIT_LINE = re.compile(r"^(temperature\s*)?units?$|^temp\w*\s*unit|单位", re.IGNORECASE)
+
+
+class Sheet(NamedTuple):
+    """What one file holds, in its own order."""
+
+    clock: Clock
+    values: Array  # (rows, regions), degC
+    where: Callable[[int], str]
+    told: list[str]
+
+
+def read_series(path: Path, settings: ThermalCsvSettings) -> Sheet:
+    """Read one file of a series.
+
+    Raises
+    ------
+    InputError : everything in it that is wrong or has two readings.
+    """
+    time = settings.time
+    regions = {name: str(region.column) for name, region in settings.regions.items()}
+    stamped = [name for name in (time.date_column, time.column) if name is not None]
+    table = read_table(path, settings, [*stamped, *regions.values()])
+    columns = {name: table.column(column) for name, column in regions.items()}
+    stamps = [" ".join(parts).strip() for parts in zip(*(table.column(name) for name in stamped), strict=True)]
+    plain = not stamps or looks_plain(stamps[0])
+    cells = {table.heading(column): columns[name] for name, column in regions.items()}
+    bounds = dict.fromkeys(cells, (COLDEST, HOTTEST))
+    heading = table.heading(time.column) if time.column else ""
+    if plain and stamps:
+        cells[heading] = stamps
+    found, convention = read_numbers(cells, settings, table.place, bounds)
+    told = [*table.told, str(convention)]
+
+    def where(row: int) -> str:
+        return table.place(heading or table.headings[0], row)
+
+    if not stamps:
+        clock = by_order(len(table.rows), settings, where)
+    elif plain:
+        clock = read_plain(found[heading].values, unit_of(heading), time, heading, where)
+    else:
+        clock = read_stamps(stamps, time, where)
+    by_name = {name: found[table.heading(column)] for name, column in regions.items()}
+    headings = {name: table.heading(column) for name, column in regions.items()}
+    unit = unit_in(path, settings, headings, by_name, table.asides)
+    told += [f"temperatures in {unit}", clock.told, *marks_told(headings, by_name)]
+    if table.repeated_headers:
+        told.append(f"{table.repeated_headers + 1} blocks under the same headings")
+    told += emissivities(table.asides) + emissivity_columns(table)
+    values = np.stack([to_celsius(numbers.values, unit) for numbers in by_name.values()], axis=1)
+    return Sheet(clock, values, where, told)
+
+
+def by_order(rows: int, settings: ThermalCsvSettings, where: Callable[[int], str]) -> Clock:
+    """The clock of rows that carry no stamp: frames by their order."""
+    return read_frames(np.arange(rows, dtype=np.float64), settings.time, where)
+
+
+def unit_in(
+    path: Path,
+    settings: ThermalCsvSettings,
+    headings: Mapping[str, str],
+    columns: Mapping[str, Numbers],
+    asides: list[Aside],
+) -> str:
+    """The one temperature unit of a file: by headings, cells or a line above them, or as the settings say.
+
+    Raises
+    ------
+    InputError : none is named, or several.
+    """
+    named: dict[str, str] = {}
+    for name, heading in headings.items():
+        unit = unit_named(unit_of(heading)) or unit_after_slash(heading)
+        if unit:
+            named.setdefault(unit, f"heading {heading!r}")
+        for text in filter(None, columns[name].units):
+            in_cell = unit_named(text)
+            if in_cell is None:
+                raise InputError(f"{path}: column {heading!r}: {text!r} behind a number is no temperature unit")
+            named.setdefault(in_cell, f"cells of {heading!r}")
+    for aside in asides:
+        if UNIT_LINE.search(aside.name) and (unit := unit_named(aside.value)):
+            named.setdefault(unit, f"line {aside.line}")
+    if settings.unit is not None:
+        named.setdefault(settings.unit, "the setting unit")
+    if len(named) > 1:
+        told = ", ".join(f"{unit} by {where}" for unit, where in named.items())
+        raise InputError(f"{path}: several temperature units: {told}")
+    if not named:
+        raise InputError(f"{path}: no heading, cell or line names the temperature unit; unit decides")
+    return next(iter(named))
+
+
+def unit_after_slash(heading: str) -> str | None:
+    """The unit of a heading such as `T1/K` or `T1 °C`."""
+    return unit_named(re.split(r"[/_ ]", heading)[-1]) if re.search(r"/|°|℃|℉|deg[CF]$", heading) else None
+
+
+def to_celsius(values: Array, unit: str) -> Array:
+    """Temperatures in degC."""
+    conversion = converter(unit, "winding_temperature")
+    assert conversion is not None
+    converted: Array = conversion.factor * (values - conversion.zero)
+    return converted
+
+
+def marks_told(headings: Mapping[str, str], columns: Mapping[str, Numbers]) -> list[str]:
+    """Cells without a number, by column."""
+    told = []
+    for name, numbers in columns.items():
+        over = ", ".join(f"{mark} {count} times" for mark, count in numbers.outside.items())
+        missing = f"{numbers.missing} missing" if numbers.missing else ""
+        if over or missing:
+            told.append(f"{headings[name]}: {', '.join(filter(None, (missing, over)))}: NaN")
+    return told
+
+
+def emissivities(asides: list[Aside]) -> list[str]:
+    """The emissivity that the camera was set to, and where it changed."""
+    found = [aside for aside in asides if EMISSIVITY.search(aside.name)]
+    changes = [aside for k, aside in enumerate(found) if k == 0 or aside.value != found[k - 1].value]
+    if not changes:
+        return []
+    first, *later = changes
+    told = "".join(f"; from line {aside.line} on it is {aside.value}" for aside in later)
+    return [f"emissivity {first.value}{told and ' CHANGES'}{told}"]
+
+
+def emissivity_columns(table: Table) -> list[str]:
+    """Emissivities that stand in columns of their own, and where they change."""
+    told = []
+    for place, heading in enumerate(table.headings):
+        if EMISSIVITY.search(heading):
+            cells = [row[place].strip() for row in table.rows]
+            turns = [k for k in range(1, len(cells)) if cells[k] != cells[k - 1]]
+            changed = "".join(f"; from line {table.lines[k]} on it is {cells[k]}" for k in turns[:5])
+            told.append(f"{heading} {cells[0]}{changed and ' CHANGES'}{changed}")
+    return told

@@ -1,0 +1,124 @@
+"""Settings of one thermal camera: which columns or pixels are which places, and what its files do not say."""
+# ruff: noqa: N815 (a unit keeps its letter)
+
+from datetime import date, timedelta, timezone
+from typing import Annotated, Literal, Self
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator, model_validator
+
+from leactl.driver.batch import RecordClock
+from leactl.driver.text_form import TextForm
+from leactl.units import known_units
+
+STRICT = ConfigDict(frozen=True, extra="forbid")
+Heading = Annotated[str, StringConstraints(strict=True, strip_whitespace=True, min_length=1)]
+Pixel = Annotated[int, Field(strict=True, ge=0, le=20_000)]
+QUANTITIES = ("winding_temperature", "housing_temperature", "ambient_temperature")
+
+
+class Region(BaseModel):
+    """One place on the actuator: a column of the series, or a rectangle of the frames."""
+
+    model_config = STRICT
+    quantity: Literal["winding_temperature", "housing_temperature", "ambient_temperature"]
+    column: Heading | None = None
+    rows: tuple[Pixel, Pixel] | None = None  # first and last, from 0 at the top
+    columns: tuple[Pixel, Pixel] | None = None  # first and last, from 0 at the left
+    statistic: Literal["mean", "max", "min"] = "mean"  # of the rectangle; a column has its own
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        pixels = self.rows is not None and self.columns is not None
+        if pixels == (self.column is not None) or (self.rows is None) != (self.columns is None):
+            raise ValueError("give either column, or rows and columns")
+        for name, span in (("rows", self.rows), ("columns", self.columns)):
+            if span is not None and span[0] > span[1]:
+                raise ValueError(f"{name}: the first, {span[0]}, is above the last, {span[1]}")
+        return self
+
+
+class TimeOf(BaseModel):
+    """Where the stamps stand and what they are; what is left out is found in the file, or the file is refused."""
+
+    model_config = STRICT
+    column: Heading | None = None
+    date_column: Heading | None = None
+    line: Heading | None = None  # of frames: what the line above each one calls its time or number
+    kind: Literal["wall", "elapsed", "frame"] | None = None
+    units: Literal["s", "ms", "us", "min", "h"] | None = None  # of a plain number
+    colons: Literal["days_first", "fraction_last"] | None = None  # of stamps such as 010:15:30:33
+    date_order: Literal["ymd", "dmy", "mdy"] | None = None
+    date: Annotated[str, StringConstraints(strict=True, pattern=r"^\d{4}-\d\d-\d\d$")] | None = None  # of the first row
+    year: Annotated[int, Field(strict=True, ge=1990, le=2100)] | None = None  # of a day of the year
+    zone: str | None = None  # of a wall clock that tells none: Europe/Berlin, +08:00
+    frame_rate_Hz: Annotated[float, Field(gt=0, le=10_000, allow_inf_nan=False)] | None = None
+    backward: Literal["refuse", "leave_out"] = "refuse"  # stamps that go back
+
+    @field_validator("zone")
+    @classmethod
+    def _known_zone(cls, value: str | None) -> str | None:
+        if value is not None:
+            zone_of(value)
+        return value
+
+    @field_validator("date")
+    @classmethod
+    def _real_date(cls, value: str | None) -> str | None:
+        if value is not None:
+            date.fromisoformat(value)
+        return value
+
+
+class ThermalCsvSettings(TextForm):
+    """One camera and the regions that its exports have."""
+
+    regions: Annotated[dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], Region], Field(min_length=1)]
+    time: TimeOf = TimeOf()
+    unit: Literal["degC", "degF", "K"] | None = None
+    clock: RecordClock | None = None
+    exports_folder: str | None = None  # where the program leaves its files; what comes there during a run joins it
+
+    @model_validator(mode="after")
+    def _one_form_of_file(self) -> Self:
+        if len({region.column is None for region in self.regions.values()}) > 1:
+            raise ValueError("regions: some are columns and some are pixels; one file has one form")
+        needed = "time.line" if self.matrix else "time.column"
+        if (self.time.line if self.matrix else self.time.column) is None and self.time.frame_rate_Hz is None:
+            raise ValueError(f"time: {needed} or time.frame_rate_Hz is needed")
+        return self
+
+    @property
+    def matrix(self) -> bool:
+        """Whether the files hold frames of pixels, and no series of regions."""
+        return all(region.column is None for region in self.regions.values())
+
+
+def zone_of(name: str) -> timezone | ZoneInfo:
+    """A zone by its name or its hours ahead of UTC.
+
+    Raises
+    ------
+    ValueError : there is none of that name.
+    """
+    if name[:1] in "+-" and len(name) == 6 and name[3] == ":" and (name[1:3] + name[4:]).isdigit():
+        sign = -1 if name[0] == "-" else 1
+        return timezone(sign * timedelta(hours=int(name[1:3]), minutes=int(name[4:])))
+    try:
+        return ZoneInfo(name)
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        raise ValueError(f"zone {name!r} is not known; a name such as Europe/Berlin or +01:00 was expected") from None
+
+
+UNIT_NAMES = {
+    "degC": ("°c", "º c", "ºc", "℃", "degc", "deg c", "c", "celsius", "摄氏度"),
+    "degF": ("°f", "ºf", "℉", "degf", "deg f", "f", "fahrenheit", "华氏度"),
+    "K": ("k", "°k", "kelvin", "开尔文"),
+}
+assert set(UNIT_NAMES) == set(known_units("winding_temperature"))
+
+
+def unit_named(text: str) -> str | None:
+    """The temperature unit that a heading or cell names; None where it is none."""
+    plain = text.strip().lower()
+    return next((unit for unit, names in UNIT_NAMES.items() if plain in names), None)

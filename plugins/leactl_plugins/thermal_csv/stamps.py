@@ -1,0 +1,258 @@
+"""Stamps of a camera's export as seconds: time of day, elapsed time or frame numbers, in every way they are written.
+
+Where a stamp has two readings that differ, such as 01/02/2026, it is refused with the setting that decides.
+"""
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from datetime import UTC, date, datetime, time, timedelta
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+from leactl.units import SECONDS
+from leactl_plugins.thermal_csv.settings import TimeOf, zone_of
+
+Array = npt.NDArray[np.float64]
+Where = Callable[[int], str]
+DAY_S = 86400.0
+PLAIN = re.compile(r"[+-]?[0-9][0-9.,' ]*(?:[eE][+-]?[0-9]+)?")
+FRACTION = re.compile(r"(.*:[0-9]{2})[.,]([0-9]{1,9})(.*)", re.DOTALL)
+STAMP = re.compile(
+    r"(?:(?P<a>[0-9]{1,4})[-/.年](?P<b>[0-9]{1,2})[-/.月](?P<c>[0-9]{1,4})日?[T ]*)?"
+    r"(?P<early>上午|下午|[AaPp]\.?[Mm]\.?)?\s*"
+    r"(?P<clock>[0-9]{1,3}(?::[0-9]{1,3}){1,3})"
+    r"\s*(?P<late>上午|下午|[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|[+-][0-9]{2}:?[0-9]{2})?"
+)
+ORDERS = {"ymd": (0, 1, 2), "dmy": (2, 1, 0), "mdy": (2, 0, 1)}
+
+
+class Clock(NamedTuple):
+    """Stamps as they were read."""
+
+    time: Array  # s; of the first day's midnight where the clock is a wall clock
+    midnight: datetime | None  # UTC moment of time zero, where day and zone are known
+    resolution: float  # s
+    told: str
+
+
+class Stamp(NamedTuple):
+    """One stamp taken apart, without its fraction of a second."""
+
+    day: tuple[int, int, int] | None  # as it stands
+    fields: tuple[int, ...]  # of the time, between colons
+    half: str  # "", "am" or "pm"
+    zone: str
+
+
+def looks_plain(text: str) -> bool:
+    """Whether a stamp is a plain number: elapsed time or a frame's number."""
+    return PLAIN.fullmatch(text.strip()) is not None
+
+
+def read_stamps(texts: Sequence[str], settings: TimeOf, where: Where) -> Clock:
+    """Seconds out of stamps with colons.
+
+    Raises
+    ------
+    InputError : a stamp that is none, or one with two readings.
+    """
+    if settings.colons == "fraction_last":
+        texts = [".".join(text.rsplit(":", 1)) if text.count(":") == 3 else text for text in texts]
+    places, fractions, digits = without_fractions(texts)
+    heads = {key: row for row, key in reversed(list(enumerate(places)))}
+    stamps = {key: take_apart("".join(key), where(heads[key])) for key in dict.fromkeys(places)}
+    day_of, told_order = read_days(stamps, settings, lambda key: where(heads[key]))
+    kind = kind_of(stamps, settings, where)
+    base = base_day(set(day_of.values()), next(iter(stamps.values())), settings, kind)
+    days_first = digits > 0 or settings.colons == "days_first"
+    seconds = {}
+    for key, stamp in stamps.items():
+        own = day_of[stamp.day]
+        days = (own - base).days if own is not None and base is not None else 0
+        seconds[key] = days * DAY_S + clock_seconds(stamp, days_first, where(heads[key]), kind)
+    time_s = np.array([seconds[key] for key in places]) + fractions
+    told = {"wall": "time of day", "elapsed": "elapsed time"}.get(kind, "time of day or elapsed time")
+    if kind == "wall" and None in day_of.values():
+        passed = np.cumsum(np.diff(time_s, prepend=time_s[0]) < -0.5 * DAY_S)
+        time_s = time_s + DAY_S * passed
+        told += f", {int(passed[-1])} midnights passed"
+    whole = 60.0 if kind == "wall" and all(len(stamp.fields) == 2 for stamp in stamps.values()) else 1.0
+    resolution = 10.0**-digits if digits else whole
+    midnight, told_zone = midnight_of(base, {stamp.zone for stamp in stamps.values()}, settings, time_s, where)
+    said = [told, told_order, told_zone if kind == "wall" else "", f"resolved to {resolution:g} s"]
+    return Clock(time_s, midnight if kind == "wall" else None, resolution, ", ".join(filter(None, said)))
+
+
+def without_fractions(texts: Sequence[str]) -> tuple[list[tuple[str, str]], Array, int]:
+    """What stands before and behind each fraction of a second, the fractions, and the digits of the longest.
+
+    A long record has few stamps that differ in more than their fraction; only those are taken apart.
+    """
+    places: list[tuple[str, str]] = []
+    fractions = np.zeros(len(texts))
+    digits = 0
+    for row, text in enumerate(texts):
+        found = FRACTION.fullmatch(text)
+        places.append((found[1], found[3]) if found else (text, ""))
+        if found:
+            digits = max(digits, len(found[2]))
+            fractions[row] = int(found[2]) * 10.0 ** -len(found[2])
+    return places, fractions, digits
+
+
+def take_apart(text: str, where: str) -> Stamp:
+    """The parts of one stamp."""
+    found = STAMP.fullmatch(text.strip())
+    if found is None or (found["early"] and found["late"]):
+        raise InputError(f"{where}: {text!r} is no date and time that is known")
+    half = (found["early"] or found["late"] or "").lower().replace(".", "")
+    half = {"上午": "am", "下午": "pm"}.get(half, half)
+    day = (int(found["a"]), int(found["b"]), int(found["c"])) if found["a"] else None
+    return Stamp(day, tuple(int(part) for part in found["clock"].split(":")), half, found["zone"] or "")
+
+
+def read_days(
+    stamps: dict[tuple[str, str], Stamp], settings: TimeOf, where: Callable[[tuple[str, str]], str]
+) -> tuple[dict[tuple[int, int, int] | None, date | None], str]:
+    """Every day as a date, in the one order of year, month and day that fits all of them."""
+    days = {stamp.day: key for key, stamp in stamps.items()}
+    readings: dict[str, dict[tuple[int, int, int] | None, date | None]] = {}
+    for order in ORDERS if settings.date_order is None else (settings.date_order,):
+        dates = {day: None if day is None else date_in(order, day) for day in days}
+        if all(found is not None for day, found in dates.items() if day is not None):
+            readings[order] = dates
+    if not readings:
+        first = next(day for day in days if day is not None)
+        asked = f" in the order {settings.date_order}" if settings.date_order else ""
+        raise InputError(f"{where(days[first])}: {'/'.join(map(str, first))} is no date{asked}")
+    (order, dates), *others = readings.items()
+    for other, different in others:
+        for day in days:
+            if dates[day] != different[day]:
+                told = f"{'/'.join(map(str, day or ()))} reads {dates[day]} ({order}) or {different[day]} ({other})"
+                raise InputError(f"{where(days[day])}: {told}; time.date_order decides")
+    return dates, f"dates as {order}" if any(day is not None for day in days) else ""
+
+
+def date_in(order: str, day: tuple[int, int, int]) -> date | None:
+    """A date in one order; the year has two or four digits and a four-digit one stands where the order says."""
+    year, month, number = (day[place] for place in ORDERS[order])
+    if year < 100:
+        year += 2000
+    try:
+        return date(year, month, number) if 1990 <= year <= 2100 else None
+    except ValueError:
+        return None
+
+
+def kind_of(stamps: dict[tuple[str, str], Stamp], settings: TimeOf, where: Where) -> str:
+    """What the clock tells: the time of day, elapsed time, or either ("") where that makes no difference."""
+    dated = any(stamp.day is not None or stamp.half for stamp in stamps.values())
+    past_a_day = any(len(stamp.fields) == 3 and stamp.fields[0] > 23 for stamp in stamps.values())
+    if dated:
+        if any((stamp.day is None) != (first_day(stamps) is None) for stamp in stamps.values()):
+            raise InputError(f"{where(0)}: some stamps have a date and some have none")
+        if settings.kind not in (None, "wall"):
+            raise InputError(f"{where(0)}: a date or AM/PM stands there; time.kind says {settings.kind}")
+        return "wall"
+    if past_a_day and settings.kind == "wall":
+        raise InputError(f"{where(0)}: hours go past 23; time.kind says wall")
+    return settings.kind or ("elapsed" if past_a_day else "wall" if settings.date else "")
+
+
+def first_day(stamps: dict[tuple[str, str], Stamp]) -> tuple[int, int, int] | None:
+    """The day of the first stamp."""
+    return next(iter(stamps.values())).day
+
+
+def base_day(days: set[date | None], first: Stamp, settings: TimeOf, kind: str) -> date | None:
+    """The day whose midnight is time zero."""
+    dated = [day for day in days if day is not None]
+    if dated:
+        return min(dated)
+    if settings.date is not None and kind == "wall":
+        return date.fromisoformat(settings.date)
+    if len(first.fields) == 4 and settings.year is not None and kind == "wall":
+        return date(settings.year, 1, 1) - timedelta(days=1)  # the first of January is day 1
+    return None
+
+
+def clock_seconds(stamp: Stamp, days_first: bool, where: str, kind: str) -> float:
+    """Seconds of the day, or since the start, without the fraction."""
+    fields, days = stamp.fields, 0
+    if len(fields) == 4 and not days_first:
+        text = ":".join(f"{part:02d}" for part in fields)
+        raise InputError(f"{where}: {text} begins with days or ends with a fraction; time.colons decides")
+    if len(fields) == 4:
+        days, fields = fields[0], fields[1:]
+    if len(fields) == 2:
+        fields = (*fields, 0) if kind == "wall" else (0, *fields)  # hours and minutes, or minutes and seconds
+    hours, minutes, seconds = fields
+    if stamp.half:
+        if not 1 <= hours <= 12:
+            raise InputError(f"{where}: hour {hours} with {stamp.half.upper()}; 1 to 12 was expected")
+        hours = hours % 12 + (12 if stamp.half == "pm" else 0)
+    if (minutes > 59 and len(stamp.fields) > 2) or seconds > 59 or (kind == "wall" and hours > 23):
+        raise InputError(f"{where}: {':'.join(map(str, stamp.fields))} is no time")
+    return days * DAY_S + hours * 3600 + minutes * 60 + seconds
+
+
+def midnight_of(
+    base: date | None, zones: set[str], settings: TimeOf, time_s: Array, where: Where
+) -> tuple[datetime | None, str]:
+    """Time zero as a moment, where the clock tells the day and the zone."""
+    if len(zones) > 1:
+        raise InputError(f"{where(0)}: stamps of several zones: {', '.join(sorted(zones))}")
+    own = next(iter(zones))
+    name = own if own[:1] in ("+", "-") and own else "+00:00" if own else settings.zone
+    name = f"{name[:3]}:{name[3:]}" if name and name[0] in "+-" and ":" not in name else name
+    if base is None:
+        return None, "no date"
+    midnight = datetime.combine(base, time())
+    if name is None:
+        return None, "no zone"
+    zone = zone_of(name)
+    moments = [midnight + timedelta(seconds=float(at)) for at in (time_s.min(), time_s.max())]
+    offsets = {moment.replace(tzinfo=zone, fold=fold).utcoffset() for moment in moments for fold in (0, 1)}
+    if len(offsets) > 1:
+        told = f"the clocks of {name} change within the record; give time.zone as hours, such as +01:00"
+        raise InputError(f"{where(0)}: {told}")
+    offset = offsets.pop() or timedelta()
+    return (midnight - offset).replace(tzinfo=UTC), f"zone {name}"
+
+
+def read_plain(values: Array, heading_unit: str, settings: TimeOf, heading: str, where: Where) -> Clock:
+    """Seconds out of plain numbers: elapsed time in its unit, or frames by their number.
+
+    Raises
+    ------
+    InputError : neither the heading nor a setting says which.
+    """
+    unit = settings.units or (heading_unit if heading_unit in SECONDS else None)
+    if settings.kind == "wall":
+        raise InputError(f"{where(0)}: a plain number; time.kind says wall")
+    if settings.kind != "frame" and unit is not None:
+        spread = np.diff(np.unique(values[np.isfinite(values)]))
+        resolution = SECONDS[unit] * float(spread.min()) if len(spread) else SECONDS[unit]
+        return Clock(values * SECONDS[unit], None, min(resolution, 1.0), f"elapsed time in {unit}")
+    if settings.kind == "elapsed":
+        raise InputError(f"{where(0)}: elapsed time in no unit that {heading!r} names; time.units decides")
+    if settings.kind != "frame":
+        told = f"a plain number under {heading!r} may be elapsed time or a frame's number"
+        raise InputError(f"{where(0)}: {told}; time.kind and time.units decide")
+    return read_frames(values, settings, where)
+
+
+def read_frames(values: Array, settings: TimeOf, where: Where) -> Clock:
+    """Seconds out of frame numbers."""
+    if settings.frame_rate_Hz is None:
+        raise InputError(f"{where(0)}: frames by number; time.frame_rate_Hz is needed")
+    wrong = np.flatnonzero(values != np.round(values))
+    if len(wrong) and math.isfinite(values[wrong[0]]):
+        raise InputError(f"{where(int(wrong[0]))}: {values[wrong[0]]:g} is no frame number")
+    rate = settings.frame_rate_Hz
+    return Clock((values - values[0]) / rate, None, 1.0 / rate, f"frame numbers at {rate:g} Hz")

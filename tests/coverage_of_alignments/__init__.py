@@ -1,0 +1,1 @@
+"""How often the 95 % interval of an alignment holds the true offset, over simulated pairs of clocks."""

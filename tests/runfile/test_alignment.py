@@ -1,0 +1,132 @@
+"""Clocks tied to each other: closed forms for lines, simulated pairs of channels whose true offset is known."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from leactl.errors import InputError
+from leactl.runfile.alignment import Tie, by_likeness, tied
+from leactl.runfile.onsets import jumps, onset, ties_by_onset
+
+DRIFT = 1e-4  # 95 %
+
+
+def stepping(time, rng_of_signal=5):
+    """A signal of random levels behind a lag of 20 ms, at any times."""
+    rng = np.random.default_rng(rng_of_signal)
+    at, level, before = np.cumsum(rng.uniform(0.2, 1.5, 60)), rng.uniform(-5, 5, 60), 0.0
+    value = np.zeros_like(time)
+    for moment, now in zip(at, level, strict=True):
+        value += (now - before) * np.where(time >= moment, 1 - np.exp(-np.clip(time - moment, 0, None) / 0.02), 0.0)
+        before = now
+    return value
+
+
+def pair(seed, noise, interval=0.005):
+    """A channel of the run and the same one as a faster recorder with another clock has it."""
+    rng = np.random.default_rng(seed)
+    offset, rate = 5.0 + rng.uniform(-0.5, 0.5), 1.0 + rng.normal(0, DRIFT / 2)
+    base, own = np.arange(0, 30, interval), np.arange(0, 16, 0.001)
+    reference = stepping(base) + noise * rng.normal(size=len(base))
+    values = 1.3 * stepping(offset + rate * own) + 0.4 + noise * rng.normal(size=len(own))
+    return (own, values), (base, reference), offset, rate
+
+
+def test_one_tie_gives_its_offset_and_a_drift_that_is_only_bounded():
+    alignment = tied("x", [Tie(100.0, 112.0, 0.5 / 1.959964)], DRIFT, 0.0)
+    assert alignment.on_run(np.array([100.0]))[0] == pytest.approx(112.0)
+    assert alignment.uncertainty(100.0) == pytest.approx(0.5)
+    assert alignment.uncertainty(100.0 + 9000.0) == pytest.approx(np.hypot(0.5, 9000.0 * DRIFT))
+    assert alignment.drift_uncertainty_ppm == pytest.approx(100.0)
+
+
+def test_two_far_ties_give_offset_and_drift():
+    rate = 1 + 40e-6
+    ties = [Tie(0.0, 3.0, 0.001), Tie(9000.0, 3.0 + rate * 9000.0, 0.001)]
+    alignment = tied("x", ties, DRIFT, 0.0)
+    assert alignment.drift_ppm == pytest.approx(40.0, abs=0.01)
+    assert alignment.drift_uncertainty_ppm == pytest.approx(1.96 * 1e6 * 0.001 * np.sqrt(2) / 9000.0, rel=0.01)
+    middle, end = alignment.uncertainty(4500.0), alignment.uncertainty(9000.0)
+    assert middle == pytest.approx(1.96 * 0.001 / np.sqrt(2), rel=0.01)
+    assert end == pytest.approx(1.96 * 0.001, rel=0.01)
+
+
+def test_ties_that_scatter_more_than_they_claim_widen_the_interval():
+    own = np.linspace(0, 100, 6)
+    calm = tied("x", [Tie(t, t + 1.0, 0.01) for t in own], DRIFT, 0.0)
+    torn = tied("x", [Tie(t, t + 1.0 + 0.1 * (-1) ** k, 0.01) for k, t in enumerate(own)], DRIFT, 0.0)
+    assert torn.uncertainty(50.0) > 5 * calm.uncertainty(50.0)
+
+
+def test_a_systematic_delay_stays_whatever_the_number_of_ties():
+    alignment = tied("x", [Tie(t, t, 1e-6) for t in np.linspace(0, 100, 50)], DRIFT, 0.02)
+    assert alignment.uncertainty(50.0) == pytest.approx(0.02, rel=1e-3)
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.3])
+def test_likeness_finds_the_offset_and_says_how_well(noise):
+    errors, claims = [], []
+    for seed in range(6):
+        own, reference, offset, rate = pair(seed, noise)
+        found = by_likeness(own, reference, 2.0, "a and b", near=5.0, drift_within=DRIFT)
+        errors.append(found.on_run(np.array([8.0]))[0] - (offset + rate * 8.0))
+        claims.append(found.uncertainty(8.0))
+    assert np.sum(np.abs(errors) < claims) >= 5
+    assert np.median(claims) < 4 * np.sqrt(np.mean(np.square(errors)))
+    assert np.median(claims) < 0.005
+
+
+def test_unlike_channels_and_channels_at_rest_are_refused():
+    own, reference, _, _ = pair(1, 0.02)
+    noise = np.random.default_rng(0).normal(size=len(own[0]))
+    with pytest.raises(InputError, match=r"a and b correlate by 0\.\d+ at best"):
+        by_likeness((own[0], noise), reference, 2.0, "a and b", near=5.0)
+    ramp = (np.arange(0, 20, 0.01), np.zeros(2000))
+    with pytest.raises(InputError, match="correlate"):
+        by_likeness(ramp, ramp, 2.0, "a and b")
+
+
+def heating(time, starts, ends):
+    """Winding of two thermal nodes under constant heat from `starts` to `ends`; exact, by the matrix exponential."""
+    matrix = np.array([[-(1 / 5.6 + 1 / 0.3) / 22.9, 1 / 0.3 / 22.9], [1 / 0.3 / 469.1, -(1 / 0.3 + 1 / 1.7) / 469.1]])
+    heat = np.array([42.8 / 22.9, 0.0])
+    steady = np.linalg.solve(matrix, heat)
+    values, vectors = np.linalg.eig(matrix)
+    shares = vectors[0] * np.linalg.solve(vectors, steady)
+    assert np.allclose(vectors @ np.diag(np.exp(values)) @ np.linalg.inv(vectors), expm(matrix))
+
+    def response(since):
+        return np.where(since > 0, (np.exp(np.clip(since, 0, None)[:, None] * values) - 1.0) @ shares, 0.0)
+
+    return 25.0 + response(time - starts) - response(time - ends)
+
+
+def test_onsets_of_heating_and_cooling_tie_a_camera_with_its_drift():
+    errors, claims = [], []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        starts, ends = 60 + rng.uniform(0, 1), 600 + rng.uniform(0, 1)
+        offset, rate = 40 + rng.uniform(-20, 20), 1 + rng.normal(0, DRIFT / 2)
+        base, own = np.arange(0, 700, 1 / 30), np.arange(0, 640, 1 / 30)
+        current = np.where((base >= starts) & (base < ends), 9.0, 0.0) + 0.01 * rng.normal(size=len(base))
+        seen = heating(offset + rate * own, starts, ends) + 0.1 * rng.normal(size=len(own))
+        ties = ties_by_onset(own, np.round(seen, 2), base, current, 4.0, 40.0, 60.0, 5.0)
+        assert len(ties) == 2
+        found = tied("x", ties, DRIFT, 0.0)
+        errors.append(found.on_run(np.array([300.0]))[0] - (offset + rate * 300.0))
+        claims.append(found.uncertainty(300.0))
+    assert np.sum(np.abs(errors) < claims) >= 5
+    assert np.median(claims) < 0.06
+
+
+def test_a_camera_that_sees_nothing_has_no_onset():
+    rng = np.random.default_rng(3)
+    time = np.arange(0, 200, 1 / 30)
+    assert onset(time, 25 + 0.05 * rng.normal(size=len(time)), 100.0, 60.0, 5.0) is None
+    assert onset(time[:10], np.full(10, 25.0), 0.0, 60.0, 5.0) is None
+
+
+def test_a_jump_over_two_samples_is_one_and_a_missing_sample_is_none():
+    time = np.arange(8.0)
+    values = np.array([0.0, 0.0, 5.0, 9.0, 9.0, np.nan, 9.0, 0.0])
+    assert [(tie.run, round(tie.sd, 3)) for tie in jumps(time, values, 4.0)] == [(1.5, 0.289), (6.5, 0.289)]
