@@ -50,7 +50,7 @@ course = st.lists(
 )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(places=st.tuples(*[corner] * 11), offset=st.floats(0.0, np.pi), course=course)
 def test_no_plant_of_the_box_is_hotter_than_its_bound(places, offset, course):
     currents = np.concatenate([np.full(n, i) for n, i, _ in course])
