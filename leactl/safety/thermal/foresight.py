@@ -145,15 +145,15 @@ class Foresight:
                 # a list of setpoints is taken as the loop takes it: between its own samples anything may stand
                 parts = max(PARTS, math.ceil(step * plan.rate_Hz - 1e-6)) if state.listed else PARTS
                 at = [time + step * (k + 0.5) / parts for k in range(parts)]
+                squares, turned, speeds = self._demand.heats(plan, state, at)
+                aligned, late = _aligned(turned * step), self._late(np.full(len(squares), 0.25 * own), own)
                 if left > own:
                     count = PARTS * int(min(LONGEST_STEP_S, left) / own + LEAST_S)
                     ahead = [time + own / PARTS * (k + 0.5) for k in range(count)]
-                    squares, turned, _ = self._demand.squares(plan, state, ahead)
-                    aligned, late = self._shared(turned, own, squares)
-                    squares, _, speeds = self._demand.heats(plan, state, at)
-                else:
-                    squares, turned, speeds = self._demand.heats(plan, state, at)
-                    aligned, late = _aligned(turned * step), self._late(np.full(len(squares), 0.25 * own), own)
+                    later, kept, _ = self._demand.squares(plan, state, ahead)
+                    shared, lag = self._shared(kept, own, later)
+                    better = self._kept(shared, lag) < self._kept(aligned, late)
+                    aligned, late = np.where(better, shared, aligned), np.where(better, lag, late)
             aligned[[role in state.leads for role in self._roles]] = LED_ALIGNED
             yield _Piece(step, squares, aligned, speeds, late)
             time += step
@@ -167,7 +167,7 @@ class Foresight:
         own : of the guard's steps [s].
         squares : square currents in as many `PARTS` of as many steps [A^2], shape (roles, parts).
         """
-        decay, turned = self._bound.decay_s, np.minimum(turned, FAST / own)
+        turned = np.minimum(turned, FAST / own)
         times = own / PARTS * (np.arange(squares.shape[1]) + 0.5)
         ends = slice(PARTS - 1, None, PARTS)
         durations = own * np.arange(1, squares.shape[1] // PARTS + 1)
@@ -181,12 +181,16 @@ class Foresight:
         none = whole <= 0.0
         aligned = np.where(none, 1.0, np.abs(stood) / np.where(none, 1.0, whole))
         late = self._late(behind / np.where(none, 1.0, whole * (1.0 + aligned)), own, durations)
-        kept = (1.0 + aligned) * (1.0 + late / decay)
+        kept = self._kept(aligned, late)
         worst = np.argmax(kept, axis=1)
         span = np.argmin(np.take_along_axis(kept, worst[:, None, :], axis=1)[:, 0, :], axis=1)
         roles = np.arange(len(turned))
         at = roles, worst[roles, span], span
         return aligned[at], late[at]
+
+    def _kept(self, aligned: Array, late: Array) -> Array:
+        """What a hottest phase keeps of its heat, but for a factor."""
+        return (1.0 + aligned) * (1.0 + late / self._bound.decay_s)
 
     def _late(self, behind: Array, own: float, durations: Array | None = None) -> Array:
         """Lateness of spans of these durations [s], or of single steps, of a guard that takes steps of `own`."""
