@@ -45,6 +45,26 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False)
+class Points:
+    """A mark at each point; `style` says which."""
+
+    name: str
+    style: str
+    x: Array
+    y: Array
+
+    def reach(self) -> tuple[Array, Array]:
+        """What the axes have to hold."""
+        finite = np.isfinite(self.x) & np.isfinite(self.y)
+        return self.x[finite], self.y[finite]
+
+    def drawn(self, x: Axis, y: Axis) -> Html:
+        """Strokes without a length: their ends are the marks, which keep their shape however the drawing is stretched."""
+        places = (f"M{across(x, a)} {down(y, b)}h0" for a, b in zip(*map(np.ndarray.tolist, self.reach()), strict=True))
+        return tag("path", d="".join(places), class_=f"marks {self.style}")
+
+
+@dataclass(frozen=True, eq=False)
 class Bins:
     """Mean and standard deviation in bins: a bar about a stroke each."""
 
@@ -97,12 +117,13 @@ class Stretch:
         return tag("path", d=path, class_=f"area {self.style}")
 
 
-Layer = Curve | Bins | Stretch
+Layer = Curve | Points | Bins | Stretch
 
 
-def chart(layers: Sequence[Layer], x_label: str, y_label: str) -> Html:
-    """Layers over each other, with ticks at round numbers and a legend."""
-    x, y = (axis([layer.reach()[k] for layer in layers], TICKS[k]) for k in (0, 1))
+def chart(layers: Sequence[Layer], x_label: str, y_label: str, beside: Sequence[Layer] = ()) -> Html:
+    """Layers over each other, with ticks at round numbers and a legend; the axes hold what is drawn `beside` too."""
+    x, y = (axis([layer.reach()[k] for layer in (*layers, *beside)], TICKS[k]) for k in (0, 1))
+    names = {layer.name: layer.style for layer in reversed(layers)}  # alike in name, the first has the key
     x_ticks = {across(x, value): short(value, text) for value, text in x.ticks.items()}
     y_ticks = {down(y, value): short(value, text) for value, text in y.ticks.items()}
     grid = "".join([*(f"M{at} 0V{FULL:g}" for at in x_ticks), *(f"M0 {at}H{FULL:g}" for at in y_ticks)])
@@ -113,11 +134,11 @@ def chart(layers: Sequence[Layer], x_label: str, y_label: str) -> Html:
         viewBox=f"0 0 {FULL:g} {FULL:g}",
         preserveAspectRatio="none",
         role="img",
-        aria_label=f"{y_label} over {x_label}: {', '.join(layer.name for layer in layers)}",
+        aria_label=f"{y_label} over {x_label}: {', '.join(reversed(names))}",
     )
     return tag(
         "div",
-        legend((layer.style, layer.name) for layer in layers),
+        legend((names[name], name) for name in reversed(names)),
         tag("div", y_label, class_="y-label"),
         tag("div", *(tag("span", words, style=f"top:{at / 10:.4g}%") for at, words in y_ticks.items()), class_="y"),
         tag("div", drawing, class_="drawing"),
