@@ -59,7 +59,7 @@ class Points:
         return self.x[finite], self.y[finite]
 
     def drawn(self, x: Axis, y: Axis) -> Html:
-        """Strokes without a length: their ends are the marks, which keep their shape however the drawing is stretched."""
+        """Strokes without a length: their ends are the marks, and keep their shape in a drawing that is stretched."""
         places = (f"M{across(x, a)} {down(y, b)}h0" for a, b in zip(*map(np.ndarray.tolist, self.reach()), strict=True))
         return tag("path", d="".join(places), class_=f"marks {self.style}")
 
@@ -118,12 +118,23 @@ class Stretch:
 
 
 Layer = Curve | Points | Bins | Stretch
+Key = tuple[str, str]
 
 
-def chart(layers: Sequence[Layer], x_label: str, y_label: str, beside: Sequence[Layer] = ()) -> Html:
-    """Layers over each other, with ticks at round numbers and a legend; the axes hold what is drawn `beside` too."""
+def chart(
+    layers: Sequence[Layer], x_label: str, y_label: str, beside: Sequence[Layer] = (), keys: Sequence[Key] = ()
+) -> Html:
+    """Layers over each other, with ticks at round numbers and a legend.
+
+    Parameters
+    ----------
+    beside : layers of another chart, which the axes are to hold too.
+    keys : of the legend, style and name each; by default those of the layers, once a name.
+    """
     x, y = (axis([layer.reach()[k] for layer in (*layers, *beside)], TICKS[k]) for k in (0, 1))
-    names = {layer.name: layer.style for layer in reversed(layers)}  # alike in name, the first has the key
+    if not keys:
+        of_name = {layer.name: layer.style for layer in reversed(layers)}  # alike in name, the first has the key
+        keys = [(of_name[name], name) for name in reversed(of_name)]
     x_ticks = {across(x, value): short(value, text) for value, text in x.ticks.items()}
     y_ticks = {down(y, value): short(value, text) for value, text in y.ticks.items()}
     grid = "".join([*(f"M{at} 0V{FULL:g}" for at in x_ticks), *(f"M0 {at}H{FULL:g}" for at in y_ticks)])
@@ -134,11 +145,11 @@ def chart(layers: Sequence[Layer], x_label: str, y_label: str, beside: Sequence[
         viewBox=f"0 0 {FULL:g} {FULL:g}",
         preserveAspectRatio="none",
         role="img",
-        aria_label=f"{y_label} over {x_label}: {', '.join(reversed(names))}",
+        aria_label=f"{y_label} over {x_label}: {', '.join(name for _, name in keys)}",
     )
     return tag(
         "div",
-        legend((names[name], name) for name in reversed(names)),
+        legend(keys),
         tag("div", y_label, class_="y-label"),
         tag("div", *(tag("span", words, style=f"top:{at / 10:.4g}%") for at, words in y_ticks.items()), class_="y"),
         tag("div", drawing, class_="drawing"),
@@ -148,7 +159,7 @@ def chart(layers: Sequence[Layer], x_label: str, y_label: str, beside: Sequence[
     )
 
 
-def legend(entries: Iterable[tuple[str, str]]) -> Html:
+def legend(entries: Iterable[Key]) -> Html:
     """A swatch and a name each."""
     items = [tag("span", tag("i", class_=f"swatch {style}"), name, class_="key") for style, name in entries]
     return tag("div", *items, class_="legend")
