@@ -3,9 +3,9 @@
 import json
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 import typer
-from click import Context
 from typer.core import TyperCommand
 
 COMPARED = "--compare"
@@ -14,7 +14,7 @@ COMPARED = "--compare"
 class SeveralCompared(TyperCommand):
     """Lets `--compare` take every path up to the next option, as a shell's pattern gives them."""
 
-    def parse_args(self, ctx: Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Put the option before each of its paths."""
         spread: list[str] = []
         rest = list(args)

@@ -61,7 +61,9 @@ class Points:
     def drawn(self, x: Axis, y: Axis) -> Html:
         """Strokes without a length: their ends are the marks, and keep their shape in a drawing that is stretched."""
         places = (f"M{across(x, a)} {down(y, b)}h0" for a, b in zip(*map(np.ndarray.tolist, self.reach()), strict=True))
-        return tag("path", d="".join(places), class_=f"marks {self.style}")
+        d = "".join(places)
+        marks = tag("path", d=d, class_=f"marks {self.style}")
+        return joined([marks, tag("path", d=d, class_="marks hole")]) if "ring" in self.style.split() else marks
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
 """The figures of a datasheet: every plot of an analysis, conditions over each other, sets of runs side by side."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,6 +58,7 @@ def figure(one: Figure, beside: Sequence[Layer], whose: str, link: Link) -> Html
 def figures_of(answers: Sequence[Answer], index: int) -> list[Figure]:
     """Plot `index` of each answer: conditions of an actuator over each other where they stay readable."""
     own = [answer for answer in answers if index < len(answer.result.plots)]
+    colours = {one: f"s{k % COLOURS}" for k, one in enumerate(dict.fromkeys(answer.condition for answer in own))}
     found = []
     for actuator in dict.fromkeys(answer.actuator for answer in own):
         of_it = [answer for answer in own if answer.actuator == actuator]
@@ -67,7 +68,7 @@ def figures_of(answers: Sequence[Answer], index: int) -> list[Figure]:
         for group in [of_it] if together else [[answer] for answer in of_it]:
             plots = [answer.result.plots[index] for answer in group]
             entries = tuple(entry for answer in group for entry in answer.entries)
-            layers, keys = over_each_other(group, plots) if together else (alone(plots[0]), [])
+            layers, keys = over_each_other(group, plots, colours) if together else (alone(plots[0]), [])
             said = (subject(plots[0]), actuator, "" if together else group[0].condition)
             found.append(Figure(", ".join(filter(None, said)), plots[0], tuple(layers), tuple(keys), entries))
     return found
@@ -91,19 +92,22 @@ def subject(plot: Plot) -> str:
     return f"{plot.y_label.partition(' [')[0]} over {plot.x_label.partition(' [')[0]}"
 
 
-def over_each_other(answers: Sequence[Answer], plots: Sequence[Plot]) -> tuple[list[Layer], list[Key]]:
-    """A colour for each condition, a mark for each kind of points."""
+def over_each_other(
+    answers: Sequence[Answer], plots: Sequence[Plot], colours: Mapping[str, str]
+) -> tuple[list[Layer], list[Key]]:
+    """A colour for each condition, the same with every actuator; a mark for each kind of points."""
     kinds = list(dict.fromkeys(series.label for plot in plots for series in plot.points))
     layers: list[Layer] = []
-    for k, (answer, plot) in enumerate(zip(answers, plots, strict=True)):
+    for answer, plot in zip(answers, plots, strict=True):
+        colour = colours[answer.condition]
         for line in plot.lines:
             own = kind_of(line, dict.fromkeys(kinds)) == line.label
-            layers.append(Curve(answer.condition, f"line s{k}" if own else f"line thin s{k}", *arrays(line)))
+            layers.append(Curve(answer.condition, f"line {colour}" if own else f"line thin {colour}", *arrays(line)))
         marks = [MARKS[kinds.index(one.label)] for one in plot.points]
         layers += [
-            points(one, one.label, f"s{k}", mark, plot.lines) for one, mark in zip(plot.points, marks, strict=True)
+            points(one, one.label, colour, mark, plot.lines) for one, mark in zip(plot.points, marks, strict=True)
         ]
-    keys = [(f"line s{k}", answer.condition) for k, answer in enumerate(answers)]
+    keys = [(f"line {colours[answer.condition]}", answer.condition) for answer in answers]
     keys += [(f"{MARKS[k]} other", kind) for k, kind in enumerate(kinds)] if len(kinds) > 1 else []
     return points_first(layers), keys
 

@@ -221,7 +221,7 @@ def compared(entries: Sequence[Entry], options: Mapping[str, float]) -> Verdict:
     return Verdict(tuple(found), tuple(refused))
 
 
-def options_of(experiment: str, options: Mapping[str, float]) -> dict[str, float]:
+def options_of(experiment: str, options: Mapping[str, float]) -> dict[str, Any]:
     """Those options that the analysis of an experiment takes."""
     known = inspect.signature(analysis_of(experiment, experiment)).parameters
     return {name: value for name, value in options.items() if name in known and name != "runs"}

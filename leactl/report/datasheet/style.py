@@ -24,7 +24,8 @@ path.thin { stroke-width: 1; stroke-dasharray: 4 3; }
 path.marks { fill: none; stroke: currentcolor; stroke-width: 7; stroke-linecap: round; }
 path.marks.fine { stroke-width: 3; }
 path.marks.square { stroke-linecap: square; stroke-width: 5.5; }
-path.marks.ring { stroke-width: 9; stroke-opacity: 0.45; }
+path.marks.ring { stroke-width: 9; }
+path.marks.hole { stroke: var(--ground); stroke-width: 5; }
 path.paper { stroke: currentcolor; stroke-width: 1.5; stroke-dasharray: 3 2; }
 .swatch { background: currentcolor; }
 .swatch.line { height: 0; border-top: 2px solid currentcolor; background: none; }
@@ -32,7 +33,7 @@ path.paper { stroke: currentcolor; stroke-width: 1.5; stroke-dasharray: 3 2; }
 .swatch.paper { width: 0; height: 0.9rem; border-left: 2px dashed currentcolor; background: none; }
 .swatch.dot, .swatch.ring, .swatch.square, .swatch.fine { width: 0.6rem; border-radius: 50%; }
 .swatch.square { border-radius: 0; }
-.swatch.ring { opacity: 0.45; width: 0.7rem; height: 0.7rem; }
+.swatch.ring { background: none; border: 2px solid currentcolor; }
 .swatch.fine { width: 0.35rem; height: 0.35rem; }
 .key { color: var(--ink); }
 .strips { grid-template-columns: minmax(5rem, max-content) minmax(0, 1fr); align-items: center; gap: 0 0.5rem; }
@@ -41,6 +42,7 @@ path.paper { stroke: currentcolor; stroke-width: 1.5; stroke-dasharray: 3 2; }
 .lacking td, .lacking th { color: var(--faint); }
 .same th { font-weight: 400; }
 caption { text-align: left; color: var(--faint); padding-bottom: 0.25rem; }
+td:last-child { white-space: normal; overflow-wrap: normal; min-width: 5rem; }
 .fault { white-space: normal; min-width: 14rem; }
 .facts { display: grid; grid-template-columns: max-content minmax(0, 1fr); gap: 0 1rem; margin: 0.25rem 0; }
 .facts dt { color: var(--faint); }
