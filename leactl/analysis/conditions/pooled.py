@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leactl.analysis.estimate import Estimate
+from leactl.analysis.estimate import NAN, Estimate
 from leactl.errors import NotIdentifiable
 
 
@@ -13,7 +13,7 @@ def over_actuators(estimates: Sequence[Estimate]) -> Estimate:
     """The mean of one result over actuators, for actuators of their make: they are a random factor, as in `anova`.
 
     Scatter between them counts by Student's t. The mean half-width of their own intervals counts in full beside it:
-    instruments that they have in common are off for all of them alike.
+    instruments that they have in common are off for all of them alike. Without uncertainties it is the mean alone.
 
     Raises
     ------
@@ -22,17 +22,18 @@ def over_actuators(estimates: Sequence[Estimate]) -> Estimate:
     known = [one for one in estimates if math.isfinite(one.value)]
     if not known:
         raise NotIdentifiable(f"{estimates[0].name}: not known of any actuator")
-    if len(known) == 1:
-        return known[0]
+    first, count = known[0], len(known)
+    if count == 1:
+        return first
     from scipy.stats import t
 
-    count = len(known)
     values = np.array([one.value for one in known])
+    if not all(math.isfinite(one.std) for one in known):  # such as a coefficient of determination
+        return Estimate(first.name, float(values.mean()), NAN, NAN, NAN, first.units)
     error = float(values.std(ddof=1)) / math.sqrt(count)
     mean = float(values.mean())
     own = _mean([one.std for one in known])
     half = math.hypot(float(t.ppf(0.975, count - 1)) * error, _mean([(one.high - one.low) / 2.0 for one in known]))
-    first = known[0]
     return Estimate(first.name, mean, math.hypot(error, own), mean - half, mean + half, first.units)
 
 

@@ -113,9 +113,12 @@ def over_each_other(
 
 
 def points(series: Series, name: str, colour: str, mark: str, lines: Sequence[Series]) -> Layer:
-    """Marks, or a line where points follow each other closely and no line was fitted to them."""
+    """Marks, or a line where points follow each other closely and no line was fitted to them.
+
+    A level line is no fit: it marks a threshold or a mean.
+    """
     x, y = arrays(series)
-    fitted = any(line.label.startswith(series.label) for line in lines)
+    fitted = any(line.label.startswith(series.label) or len(set(line.y)) > 1 for line in lines)
     if len(x) > DENSE and not fitted and bool(np.all(np.diff(x) > 0.0)):
         return Curve(name, f"line {colour}", x, y)
     return Points(name, f"fine {colour}" if len(x) > DENSE else f"{mark} {colour}", x, y)
@@ -165,6 +168,6 @@ def plain(name: str) -> str:
     return name.replace("_", " ").replace("-", " ")
 
 
-def pretty(units: str) -> str:
-    """Units with a dot for a product."""
-    return units.replace("*", "·")
+def pretty(words: str) -> str:
+    """Words with units as they are printed: a dot for a product, and none for a ratio."""
+    return words.replace("*", "·").replace(" [1]", "")

@@ -10,6 +10,7 @@ from urllib.parse import quote
 
 from leactl.analysis.experiments import method_of
 from leactl.report.datasheet.figures import figures, over_conditions, plain, pretty
+from leactl.report.datasheet.motor_file import motor_table
 from leactl.report.datasheet.runset import Answer, Entry, RunSet
 from leactl.report.datasheet.sheet import Section, Sheet
 from leactl.report.datasheet.style import STYLE
@@ -39,14 +40,13 @@ def facts(own: RunSet, named: bool) -> Html:
     """Whose runs these are, and when they were made."""
     days = sorted(entry.about["created"][:10] for entry in own.entries if entry.about.get("created"))
     told = [
-        ("runs", f"{own.name}: {len(own.entries)}" if named else str(len(own.entries))),
+        ("runs", str(len(own.entries))),
         *((f"{key}s", ", ".join(values(own, key))) for key in ("actuator", "condition")),
         ("benches", ", ".join(values(own, "bench"))),
         ("recorded", " to ".join(dict.fromkeys([days[0], days[-1]])) if days else ""),
     ]
-    return tag(
-        "dl", *(part for key, what in told if what for part in (tag("dt", key), tag("dd", what))), class_="facts"
-    )
+    parts = (part for key, what in told if what for part in (tag("dt", key), tag("dd", what)))
+    return joined(([tag("p", tag("strong", own.name))] if named else []) + [tag("dl", *parts, class_="facts")])
 
 
 def values(own: RunSet, key: str) -> list[str]:
@@ -56,8 +56,11 @@ def values(own: RunSet, key: str) -> list[str]:
 
 def motor_section(sets: Sequence[RunSet], section: Section, place: str) -> Html:
     """Table and figures of one motor."""
-    about = "value ± standard uncertainty, and the 95 % interval; the LEA in the paper, its ± as it is printed"
+    about = "Value ± standard uncertainty, and the 95 % interval. The LEA in the paper as it is printed there."
+    if len(sets) > 1:
+        about += " A difference is strong where its interval does not hold zero."
     parts = [tag("h2", section.title), tag("p", about, class_="about"), rows_table(sets, section, place)]
+    parts.append(motor_table(sets, section.motors))
     if section.unlisted:
         parts.append(tag("p", f"Not measured besides: {', '.join(map(plain, section.unlisted))}.", class_="about"))
     for experiment in section.rows:
@@ -82,7 +85,7 @@ def experiment_section(
         if (verdict := own.verdicts.get((motor, experiment))) is not None:
             whose = f"{own.name}: " if len(sets) > 1 else ""
             tabled = {row.name for row in section.rows[experiment]}
-            parts += [tag("p", f"{whose}{found.sentence}") for found in verdict.found if found.name in tabled]
+            parts += [tag("p", f"{whose}{pretty(found.sentence)}") for found in verdict.found if found.name in tabled]
             notes += [f"{whose}not compared over conditions: {line}" for line in verdict.refused]
     parts.append(figures(sets, section.motors, experiment, links))
     parts.append(over_conditions(section.rows[experiment], sets))

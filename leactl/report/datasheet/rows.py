@@ -140,7 +140,7 @@ def cells_of(
     for answer, item in found:
         yield answer.actuator, Cell(item, answer.entries)
     if len(found) > 1:
-        known = [item for _, item in found if math.isfinite(item.value) and math.isfinite(item.std)]
+        known = [item for _, item in found if math.isfinite(item.value)]
         entries = tuple(entry for answer, _ in found for entry in answer.entries)
         if len(known) > 1:
             yield f"{len(known)} actuators", Cell(over_actuators(known), entries)

@@ -9,13 +9,14 @@ from typing import Any
 
 from leactl import yamlfile
 from leactl.analysis.conditions.comparison import Comparison, compare_all
-from leactl.analysis.estimate import Result
+from leactl.analysis.estimate import Result, listed
 from leactl.analysis.experiments import analysis_of, analyze_runs, experiment_of, names
 from leactl.errors import InputError
 from leactl.runfile.catalog import list_runs
 from leactl.runfile.reader import Run
 
 ABOUT = ("run_id", "actuator", "condition", "bench", "operator", "created", "status", "software")
+MOST_NAMED = 3  # folders in the name of a set of runs
 Tell = Callable[[str], None]
 
 
@@ -25,7 +26,8 @@ class Entry:
 
     path: Path
     label: str = ""  # short name in the datasheet
-    motor: str = ""  # by the model that the run carries
+    model: str = ""  # the text that the run carries
+    motor: str = ""  # its name in that model
     experiment: str = ""
     about: dict[str, str] = field(default_factory=dict)
     simulated: bool = False
@@ -135,16 +137,17 @@ def found_in(given: Sequence[Path]) -> list[Path]:
 
 
 def named(given: Sequence[Path]) -> str:
-    """What to call the runs: their folder."""
-    folders = {path.resolve() if path.is_dir() else path.resolve().parent for path in given}
-    return folders.pop().name if len(folders) == 1 else f"{len(given)} runs"
+    """What to call the runs: by their folders."""
+    folders = dict.fromkeys(path.resolve() if path.is_dir() else path.resolve().parent for path in given)
+    return listed((folder.name for folder in folders), MOST_NAMED)
 
 
 def entry_of(path: Path) -> Entry:
     """What a file says of itself."""
     try:
         with Run.open(path) as run:
-            entry = Entry(path, motor=motor_of(run), experiment=experiment_of(run), simulated=is_simulated(run))
+            model = run.source("model") or ""
+            entry = Entry(path, "", model, motor_of(model), experiment_of(run), simulated=is_simulated(run))
             entry.about = {name: str(run.attributes.get(name, "")) for name in ABOUT}
             entry.about["mechanical"] = run.mechanical
     except InputError as fault:
@@ -155,11 +158,10 @@ def entry_of(path: Path) -> Entry:
     return entry
 
 
-def motor_of(run: Run) -> str:
+def motor_of(model: str) -> str:
     """Name of the motor in the model that a run carries; empty where it carries none that can be read."""
-    text = run.source("model")
     try:
-        data = yamlfile.parse(text).data if text is not None else None
+        data = yamlfile.parse(model).data if model else None
     except InputError:
         data = None
     name = data.get("name") if isinstance(data, dict) else None

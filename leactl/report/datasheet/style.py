@@ -42,15 +42,16 @@ path.paper { stroke: currentcolor; stroke-width: 1.5; stroke-dasharray: 3 2; }
 .lacking td, .lacking th { color: var(--faint); }
 .same th { font-weight: 400; }
 caption { text-align: left; color: var(--faint); padding-bottom: 0.25rem; }
-td:last-child { white-space: normal; overflow-wrap: normal; min-width: 5rem; }
+.wrap { white-space: normal; min-width: 5rem; }
+.interval { display: block; color: var(--faint); }
 .fault { white-space: normal; min-width: 14rem; }
 .facts { display: grid; grid-template-columns: max-content minmax(0, 1fr); gap: 0 1rem; margin: 0.25rem 0; }
 .facts dt { color: var(--faint); }
 .facts dd { margin: 0; }
 @page { size: A4; margin: 14mm; }
 @media print { :root { --card: #ffffff; } main { max-width: none; padding: 0; } h2, h3, .method { break-after: avoid; }
-  tr, figure { break-inside: avoid; } th, td { white-space: normal; padding-right: 0.5rem; }
-  table { font-size: 8.5pt; } .drawing { height: 5cm; } .pair { grid-template-columns: 1fr 1fr; gap: 1rem; }
+  tr, figure { break-inside: avoid; } th, .wrap { white-space: normal; }
+  th, td { padding-right: 0.4rem; } table { font-size: 8pt; } .drawing { height: 5cm; } .pair { grid-template-columns: 1fr 1fr; gap: 1rem; }
   path, .swatch { print-color-adjust: exact; } }
 """
 )
