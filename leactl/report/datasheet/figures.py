@@ -169,5 +169,5 @@ def plain(name: str) -> str:
 
 
 def pretty(words: str) -> str:
-    """Words with units as they are printed: a dot for a product, and none for a ratio."""
-    return words.replace("*", "·").replace(" [1]", "")
+    """Words with units as they are printed: a dot for a product, raised powers, and none for a ratio."""
+    return words.replace("*", "·").replace("^2", "²").replace(" [1]", "")

@@ -94,7 +94,7 @@ def read_runs(given: Sequence[Path], prefix: str, options: Mapping[str, float], 
     """
     tell("reading")
     entries = [entry_of(path) for path in found_in(given)]
-    entries.sort(key=lambda one: (one.about.get("run_id", ""), one.about.get("status") == "recording", str(one.path)))
+    entries.sort(key=order)
     seen: dict[str, Entry] = {}
     for number, entry in enumerate(entries, start=1):
         entry.label = f"{prefix}{number}"
@@ -112,6 +112,12 @@ def read_runs(given: Sequence[Path], prefix: str, options: Mapping[str, float], 
         if len({answer.condition for answer in own}) > 1:
             verdicts[motor, experiment] = compared([one for answer in own for one in answer.entries], options)
     return RunSet(named(given), tuple(entries), tuple(answers), verdicts)
+
+
+def order(entry: Entry) -> tuple[bool, str, bool, str]:
+    """By time, which a run's identity begins with; files that tell none last, a copy whose recording ended first."""
+    run_id = entry.about.get("run_id", "")
+    return not run_id, run_id, entry.about.get("status") == "recording", str(entry.path)
 
 
 def found_in(given: Sequence[Path]) -> list[Path]:

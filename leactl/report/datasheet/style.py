@@ -9,7 +9,6 @@ STYLE = (
 @media (prefers-color-scheme: dark) { :root { --s0: #56b4e9; --s1: #f08a3c; --s2: #2fc69b; --s3: #dd9cc2;
   --s4: #e0b040; --s5: #9fd4f5; } }
 a { color: var(--s0); }
-section > section { margin-top: 2rem; }
 section h3 { margin-top: 2rem; font-size: 1.1rem; }
 .pair { align-items: start; gap: 1.5rem 2rem; margin-top: 1rem;
   grid-template-columns: repeat(auto-fill, minmax(min(100%, 26rem), 1fr)); }
@@ -40,8 +39,6 @@ path.paper { stroke: currentcolor; stroke-width: 1.5; stroke-dasharray: 3 2; }
 .strip-label { text-align: right; }
 .strip { display: block; width: 100%; height: 1.6rem; border-left: 1px solid var(--line); }
 .lacking td, .lacking th { color: var(--faint); }
-.same th { font-weight: 400; }
-caption { text-align: left; color: var(--faint); padding-bottom: 0.25rem; }
 .wrap { white-space: normal; min-width: 5rem; }
 .interval { display: block; color: var(--faint); }
 .fault { white-space: normal; min-width: 14rem; }
@@ -51,7 +48,8 @@ caption { text-align: left; color: var(--faint); padding-bottom: 0.25rem; }
 @page { size: A4; margin: 14mm; }
 @media print { :root { --card: #ffffff; } main { max-width: none; padding: 0; } h2, h3, .method { break-after: avoid; }
   tr, figure { break-inside: avoid; } th, .wrap { white-space: normal; }
-  th, td { padding-right: 0.4rem; } table { font-size: 8pt; } .drawing { height: 5cm; } .pair { grid-template-columns: 1fr 1fr; gap: 1rem; }
+  th, td { padding-right: 0.4rem; } table { font-size: 8pt; }
+  .drawing { height: 5cm; } .pair { grid-template-columns: 1fr 1fr; gap: 1rem; }
   path, .swatch { print-color-adjust: exact; } }
 """
 )
