@@ -67,8 +67,6 @@ def test_what_follows_compare_is_the_other_set_up_to_the_next_option(here):
 def test_what_cannot_be_done_is_one_line_each_and_writes_nothing(here, given, how, fault):
     (here / "empty").mkdir()
     (here / "broken.h5").write_text("none")
-    from pathlib import Path
-
     html = Path(how["html"]) if "html" in how else None
     with pytest.raises(InputError) as raised:
         make([Path(one) for one in given], [], {}, Wanted(html, how.get("pdf", False), how.get("json", False)))

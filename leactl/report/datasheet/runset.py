@@ -129,7 +129,11 @@ def found_in(given: Sequence[Path]) -> list[Path]:
     """
     faults, paths = [], []
     for path in given:
-        own = [one.path for one in list_runs(path)] if path.is_dir() else [path]
+        try:
+            own = [one.path for one in list_runs(path)] if path.is_dir() else [path]
+        except OSError as fault:
+            faults.append(f"{path}: cannot be read: {fault.strerror or fault}")
+            continue
         paths += own
         if not path.exists():
             faults.append(f"{path}: no such file or folder")
