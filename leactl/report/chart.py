@@ -25,6 +25,8 @@ class Curve:
     style: str
     x: Array
     y: Array
+    whole: bool = False  # from end to end, however far its points are from each other
+    told: bool = False  # its name stands on the line, and not in the legend
 
     def reach(self) -> tuple[Array, Array]:
         """What the axes have to hold."""
@@ -34,7 +36,7 @@ class Curve:
         """The path; a gap where a value is not finite, and where points were left out."""
         path, pen = [], "M"
         steps = np.diff(self.x, prepend=self.x[:1])
-        left_out = steps > HOLE * np.nanmedian(steps) if len(steps) > 2 else steps < 0.0
+        left_out = steps > HOLE * np.nanmedian(steps) if len(steps) > 2 and not self.whole else steps == np.inf
         for a, b, hole in zip(self.x.tolist(), self.y.tolist(), left_out.tolist(), strict=True):
             if not (math.isfinite(a) and math.isfinite(b)):
                 pen = "M"
@@ -121,6 +123,7 @@ class Stretch:
 
 Layer = Curve | Points | Bins | Stretch
 Key = tuple[str, str]
+NO_CURVE = Curve("", "", np.empty(0), np.empty(0))
 
 
 def chart(
@@ -135,7 +138,8 @@ def chart(
     """
     x, y = (axis([layer.reach()[k] for layer in (*layers, *beside)], TICKS[k]) for k in (0, 1))
     if not keys:
-        of_name = {layer.name: layer.style for layer in reversed(layers)}  # alike in name, the first has the key
+        unnamed = [layer for layer in layers if not (isinstance(layer, Curve) and layer.told)]
+        of_name = {layer.name: layer.style for layer in reversed(unnamed)}  # alike in name, the first has the key
         keys = [(of_name[name], name) for name in reversed(of_name)]
     x_ticks = {across(x, value): short(value, text) for value, text in x.ticks.items()}
     y_ticks = {down(y, value): short(value, text) for value, text in y.ticks.items()}
@@ -154,11 +158,25 @@ def chart(
         legend(keys),
         tag("div", y_label, class_="y-label"),
         tag("div", *(tag("span", words, style=f"top:{at / 10:.4g}%") for at, words in y_ticks.items()), class_="y"),
-        tag("div", drawing, class_="drawing"),
+        tag("div", drawing, *names_on_lines(layers, x, y), class_="drawing"),
         tag("div", *(tag("span", words, style=f"left:{at / 10:.4g}%") for at, words in x_ticks.items()), class_="x"),
         tag("div", x_label, class_="x-label"),
         class_="chart",
     )
+
+
+def names_on_lines(layers: Sequence[Layer], x: Axis, y: Axis) -> list[Html]:
+    """The names of lines that are told, each in the middle of the longest of its name."""
+    longest: dict[str, Curve] = {}
+    for layer in layers:
+        if isinstance(layer, Curve) and layer.told and len(layer.x) > len(longest.get(layer.name, NO_CURVE).x):
+            longest[layer.name] = layer
+    found = []
+    for name, line in longest.items():
+        middle = len(line.x) // 2
+        left, top = across(x, float(line.x[middle])) / 10, down(y, float(line.y[middle])) / 10
+        found.append(tag("span", name, class_="on-line", style=f"left:{left:.4g}%;top:{top:.4g}%"))
+    return found
 
 
 def legend(entries: Iterable[Key]) -> Html:

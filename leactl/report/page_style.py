@@ -27,6 +27,9 @@ figure { margin: 0; min-width: 0; }
 .key { display: inline-flex; align-items: center; gap: 0.35rem; }
 .swatch { width: 1rem; height: 0.6rem; border-radius: 2px; }
 .drawing { grid-column: 2; height: 14rem; border: 1px solid var(--line); }
+.drawing { position: relative; overflow: hidden; }
+.on-line { position: absolute; transform: translate(-50%, -50%); background: var(--ground); padding: 0 0.15rem;
+  font-size: 0.65rem; line-height: 1.1; white-space: nowrap; opacity: 0.85; }
 .drawing svg { display: block; width: 100%; height: 100%; }
 .x, .y { position: relative; }
 .y span { position: absolute; right: 0.4rem; transform: translateY(-50%); white-space: nowrap; }

@@ -281,3 +281,19 @@ def test_it_fits_a_telephone_and_a_screen_light_and_dark_and_asks_for_nothing(ca
     assert said == "fits"
     assert complaints == []
     assert tags == [element.tag for element in ElementTree.fromstring(text).iter()]
+
+
+def test_contours_are_told_on_the_longest_of_their_name_and_fitted_lines_have_no_holes(tmp_path):
+    x = tuple(float(k) for k in range(50))
+    shown = Series("all", x, x)
+    lines = [Series("20%", (0.0, 0.001, 0.002, 40.0), (1.0, 2.0, 3.0, 4.0)), Series("20%", (5.0, 6.0), (1.0, 1.5))]
+    lines += [Series(f"{k}0%", (1.0, 2.0, 3.0), (k, k + 1.0, k)) for k in (4, 6)]
+    entry = Entry(Path("x.h5"), "R1", "", "lea", "friction")
+    result = Result("friction", ("x.h5",), (), (), (Plot("x [1]", "y [1]", (shown,), tuple(lines)),))
+    own = RunSet("s", (entry,), (Answer("lea", "friction", "", "", result, (entry,)),), {})
+    root = tree(Sheet((own,)), tmp_path / "out.html")
+    on_line = [one for one in root.iter("span") if one.get("class") == "on-line"]
+    assert [one.text for one in on_line] == ["20%", "40%", "60%"]
+    assert [words(one) for one in root.iter("div") if one.get("class") == "legend"] == ["all"]
+    drawn = [one.get("d") for one in root.iter("path") if one.get("class") == "curve line thin other"]
+    assert [path.count("M") for path in drawn] == [1, 1, 1, 1]

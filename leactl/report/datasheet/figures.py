@@ -15,6 +15,7 @@ from leactl.report.intervals import Interval, intervals
 COLOURS = 6  # that can be told apart; see style.py
 MARKS = ("dot", "ring", "square")
 MOST_KINDS = 2  # of points in a plot, for several conditions to be readable over each other
+MOST_GREY = 2  # names of lines of their own, beyond which each is written on its line: contours
 DENSE = 40  # points of a kind, from which on they are drawn fine, or as a line where no line was fitted to them
 
 Link = Callable[[Sequence[Entry]], Html]
@@ -75,15 +76,16 @@ def figures_of(answers: Sequence[Answer], index: int) -> list[Figure]:
 
 
 def alone(plot: Plot) -> list[Layer]:
-    """A colour for each kind of points, and for the lines through them; lines of their own are grey."""
+    """A colour for each kind of points and for the lines through them; lines of their own, as contours, are grey."""
     colours = {series.label: f"s{k % COLOURS}" for k, series in enumerate(plot.points)}
     marks = {series.label: MARKS[k % len(MARKS)] for k, series in enumerate(plot.points)}
     layers: list[Layer] = []
+    told = len({line.label for line in plot.lines if not kind_of(line, colours)}) > MOST_GREY
     for line in plot.lines:
         kind = kind_of(line, colours)
         style = f"line {colours[kind]}" if kind == line.label else f"line thin {colours.get(kind, 'other')}"
-        layers.append(Curve(line.label, style, *arrays(line)))
-    layers += [points(one, one.label, colours[one.label], marks[one.label], plot.lines) for one in plot.points]
+        layers.append(Curve(line.label, style, *arrays(line), whole=True, told=told and not kind))
+    layers += [points(one, one.label, colours[one.label], marks[one.label], plot) for one in plot.points]
     return points_first(layers)
 
 
@@ -102,26 +104,27 @@ def over_each_other(
         colour = colours[answer.condition]
         for line in plot.lines:
             own = kind_of(line, dict.fromkeys(kinds)) == line.label
-            layers.append(Curve(answer.condition, f"line {colour}" if own else f"line thin {colour}", *arrays(line)))
+            layers.append(
+                Curve(answer.condition, f"line {colour}" if own else f"line thin {colour}", *arrays(line), whole=True)
+            )
         marks = [MARKS[kinds.index(one.label)] for one in plot.points]
-        layers += [
-            points(one, one.label, colour, mark, plot.lines) for one, mark in zip(plot.points, marks, strict=True)
-        ]
+        layers += [points(one, one.label, colour, mark, plot) for one, mark in zip(plot.points, marks, strict=True)]
     keys = [(f"line {colours[answer.condition]}", answer.condition) for answer in answers]
     keys += [(f"{MARKS[k]} other", kind) for k, kind in enumerate(kinds)] if len(kinds) > 1 else []
     return points_first(layers), keys
 
 
-def points(series: Series, name: str, colour: str, mark: str, lines: Sequence[Series]) -> Layer:
-    """Marks, or a line where points follow each other closely and no line was fitted to them.
+def points(series: Series, name: str, colour: str, mark: str, plot: Plot) -> Layer:
+    """Marks, fine ones where a kind of the plot has many, or a line where many follow each other and none was fitted.
 
     A level line is no fit: it marks a threshold or a mean.
     """
     x, y = arrays(series)
-    fitted = any(line.label.startswith(series.label) or len(set(line.y)) > 1 for line in lines)
+    fitted = any(line.label.startswith(series.label) or len(set(line.y)) > 1 for line in plot.lines)
     if len(x) > DENSE and not fitted and bool(np.all(np.diff(x) > 0.0)):
         return Curve(name, f"line {colour}", x, y)
-    return Points(name, f"fine {colour}" if len(x) > DENSE else f"{mark} {colour}", x, y)
+    dense = max(len(one.x) for one in plot.points) > DENSE
+    return Points(name, f"fine {colour}" if dense else f"{mark} {colour}", x, y)
 
 
 def points_first(layers: Sequence[Layer]) -> list[Layer]:
