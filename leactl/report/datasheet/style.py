@@ -39,7 +39,7 @@ path.paper { stroke: currentcolor; stroke-width: 1.5; stroke-dasharray: 3 2; }
 .strip-label { text-align: right; }
 .strip { display: block; width: 100%; height: 1.6rem; border-left: 1px solid var(--line); }
 .lacking td, .lacking th { color: var(--faint); }
-.wrap { white-space: normal; min-width: 5rem; }
+.wrap { white-space: normal; min-width: 8rem; }
 .interval { display: block; color: var(--faint); }
 .fault { white-space: normal; min-width: 14rem; }
 .facts { display: grid; grid-template-columns: max-content minmax(0, 1fr); gap: 0 1rem; margin: 0.25rem 0; }
@@ -47,7 +47,7 @@ path.paper { stroke: currentcolor; stroke-width: 1.5; stroke-dasharray: 3 2; }
 .facts dd { margin: 0; }
 @page { size: A4; margin: 14mm; }
 @media print { :root { --card: #ffffff; } main { max-width: none; padding: 0; } h2, h3, .method { break-after: avoid; }
-  tr, figure { break-inside: avoid; } th, .wrap { white-space: normal; }
+  tr, figure { break-inside: avoid; } th, .wrap { white-space: normal; min-width: 0; }
   th, td { padding-right: 0.4rem; } table { font-size: 8pt; }
   .drawing { height: 5cm; } .pair { grid-template-columns: 1fr 1fr; gap: 1rem; }
   path, .swatch { print-color-adjust: exact; } }
