@@ -42,6 +42,12 @@ def analysis_of(experiment: str, place: str) -> Analysis:
     raise InputError(f"{place}: {asked}; known: {', '.join(names())}")
 
 
+def method_of(experiment: str) -> str:
+    """How an experiment is analysed, in one sentence: the first of its module."""
+    text = inspect.getdoc(inspect.getmodule(analysis_of(experiment, experiment))) or ""
+    return " ".join(text.partition("\n\n")[0].split())
+
+
 def experiment_of(run: Run) -> str:
     """What a run is to be analysed as: `analysis` of its protocol, else the protocol's name.
 

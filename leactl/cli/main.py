@@ -20,6 +20,7 @@ from leactl.cli import (
     gap,
     motor,
     protocol,
+    report,
     run,
     runs,
     safety,
@@ -49,6 +50,7 @@ app.add_typer(protocol.app, name="protocol")
 app.add_typer(runs.app, name="runs")
 app.add_typer(safety.app, name="safety")
 app.add_typer(thermal.app, name="thermal")
+app.command("report", cls=report.SeveralCompared)(report.report)
 app.command("run")(run.run)
 app.command("stats")(stats.stats)
 app.command("demo")(demo.demo)

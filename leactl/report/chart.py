@@ -25,6 +25,8 @@ class Curve:
     style: str
     x: Array
     y: Array
+    whole: bool = False  # from end to end, however far its points are from each other
+    told: bool = False  # its name stands on the line, and not in the legend
 
     def reach(self) -> tuple[Array, Array]:
         """What the axes have to hold."""
@@ -34,7 +36,7 @@ class Curve:
         """The path; a gap where a value is not finite, and where points were left out."""
         path, pen = [], "M"
         steps = np.diff(self.x, prepend=self.x[:1])
-        left_out = steps > HOLE * np.nanmedian(steps) if len(steps) > 2 else steps < 0.0
+        left_out = steps > HOLE * np.nanmedian(steps) if len(steps) > 2 and not self.whole else steps == np.inf
         for a, b, hole in zip(self.x.tolist(), self.y.tolist(), left_out.tolist(), strict=True):
             if not (math.isfinite(a) and math.isfinite(b)):
                 pen = "M"
@@ -42,6 +44,28 @@ class Curve:
             path.append(f"{'M' if hole else pen}{across(x, a)} {down(y, b)}")
             pen = "L"
         return tag("path", d="".join(path), class_=f"curve {self.style}")
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """A mark at each point; `style` says which."""
+
+    name: str
+    style: str
+    x: Array
+    y: Array
+
+    def reach(self) -> tuple[Array, Array]:
+        """What the axes have to hold."""
+        finite = np.isfinite(self.x) & np.isfinite(self.y)
+        return self.x[finite], self.y[finite]
+
+    def drawn(self, x: Axis, y: Axis) -> Html:
+        """Strokes without a length: their ends are the marks, and keep their shape in a drawing that is stretched."""
+        places = (f"M{across(x, a)} {down(y, b)}h0" for a, b in zip(*map(np.ndarray.tolist, self.reach()), strict=True))
+        d = "".join(places)
+        marks = tag("path", d=d, class_=f"marks {self.style}")
+        return joined([marks, tag("path", d=d, class_="marks hole")]) if "ring" in self.style.split() else marks
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,12 +121,26 @@ class Stretch:
         return tag("path", d=path, class_=f"area {self.style}")
 
 
-Layer = Curve | Bins | Stretch
+Layer = Curve | Points | Bins | Stretch
+Key = tuple[str, str]
+NO_CURVE = Curve("", "", np.empty(0), np.empty(0))
 
 
-def chart(layers: Sequence[Layer], x_label: str, y_label: str) -> Html:
-    """Layers over each other, with ticks at round numbers and a legend."""
-    x, y = (axis([layer.reach()[k] for layer in layers], TICKS[k]) for k in (0, 1))
+def chart(
+    layers: Sequence[Layer], x_label: str, y_label: str, beside: Sequence[Layer] = (), keys: Sequence[Key] = ()
+) -> Html:
+    """Layers over each other, with ticks at round numbers and a legend.
+
+    Parameters
+    ----------
+    beside : layers of another chart, which the axes are to hold too.
+    keys : of the legend, style and name each; by default those of the layers, once a name.
+    """
+    x, y = (axis([layer.reach()[k] for layer in (*layers, *beside)], TICKS[k]) for k in (0, 1))
+    if not keys:
+        unnamed = [layer for layer in layers if not (isinstance(layer, Curve) and layer.told)]
+        of_name = {layer.name: layer.style for layer in reversed(unnamed)}  # alike in name, the first has the key
+        keys = [(of_name[name], name) for name in reversed(of_name)]
     x_ticks = {across(x, value): short(value, text) for value, text in x.ticks.items()}
     y_ticks = {down(y, value): short(value, text) for value, text in y.ticks.items()}
     grid = "".join([*(f"M{at} 0V{FULL:g}" for at in x_ticks), *(f"M0 {at}H{FULL:g}" for at in y_ticks)])
@@ -113,21 +151,35 @@ def chart(layers: Sequence[Layer], x_label: str, y_label: str) -> Html:
         viewBox=f"0 0 {FULL:g} {FULL:g}",
         preserveAspectRatio="none",
         role="img",
-        aria_label=f"{y_label} over {x_label}: {', '.join(layer.name for layer in layers)}",
+        aria_label=f"{y_label} over {x_label}: {', '.join(name for _, name in keys)}",
     )
     return tag(
         "div",
-        legend((layer.style, layer.name) for layer in layers),
+        legend(keys),
         tag("div", y_label, class_="y-label"),
         tag("div", *(tag("span", words, style=f"top:{at / 10:.4g}%") for at, words in y_ticks.items()), class_="y"),
-        tag("div", drawing, class_="drawing"),
+        tag("div", drawing, *names_on_lines(layers, x, y), class_="drawing"),
         tag("div", *(tag("span", words, style=f"left:{at / 10:.4g}%") for at, words in x_ticks.items()), class_="x"),
         tag("div", x_label, class_="x-label"),
         class_="chart",
     )
 
 
-def legend(entries: Iterable[tuple[str, str]]) -> Html:
+def names_on_lines(layers: Sequence[Layer], x: Axis, y: Axis) -> list[Html]:
+    """The names of lines that are told, each in the middle of the longest of its name."""
+    longest: dict[str, Curve] = {}
+    for layer in layers:
+        if isinstance(layer, Curve) and layer.told and len(layer.x) > len(longest.get(layer.name, NO_CURVE).x):
+            longest[layer.name] = layer
+    found = []
+    for name, line in longest.items():
+        middle = len(line.x) // 2
+        left, top = across(x, float(line.x[middle])) / 10, down(y, float(line.y[middle])) / 10
+        found.append(tag("span", name, class_="on-line", style=f"left:{left:.4g}%;top:{top:.4g}%"))
+    return found
+
+
+def legend(entries: Iterable[Key]) -> Html:
     """A swatch and a name each."""
     items = [tag("span", tag("i", class_=f"swatch {style}"), name, class_="key") for style, name in entries]
     return tag("div", *items, class_="legend")

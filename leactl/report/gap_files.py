@@ -8,9 +8,9 @@ from pathlib import Path
 
 import yaml
 
-from leactl.errors import InputError
 from leactl.gap.diagnosis import Diagnosis
 from leactl.model.nominal import as_mapping
+from leactl.report.outputs import check
 
 STDOUT = Path("-")
 
@@ -32,17 +32,9 @@ class Outputs:
         ------
         InputError : a file is an input or no plain file, its folder does not exist, or one is named twice.
         """
-        read = {path.resolve() for path in inputs}
         files = [path for path in (self.json, self.html, self.model) if path is not None and path != STDOUT]
-        faults = [f"{path}: is an input; name another file" for path in files if path.resolve() in read]
-        faults += [f"{path}: is no plain file" for path in files if path.exists() and not path.is_file()]
-        faults += [f"{path}: no folder {path.parent}" for path in files if not path.parent.is_dir()]
-        twice = {path for path in files if sum(path.resolve() == other.resolve() for other in files) > 1}
-        faults += [f"{path}: is named for two outputs; give each a file of its own" for path in sorted(twice)]
-        if STDOUT in (self.html, self.model):
-            faults.append("-: only --json goes to stdout; name a file")
-        if faults:
-            raise InputError(faults)
+        to_stdout = STDOUT in (self.html, self.model)
+        check(files, inputs, ["-: only --json goes to stdout; name a file"] if to_stdout else [])
 
     def write(self, answer: Diagnosis) -> None:
         """Write what was asked for, each file whole or not at all; JSON on stdout comes last."""

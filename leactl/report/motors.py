@@ -142,7 +142,7 @@ def cell(value: float | str | None) -> str:
     """One value; `-` where it is missing."""
     if value is None:
         return "-"
-    return value if isinstance(value, str) else f"{value:.4g}"
+    return value if isinstance(value, str) else f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
 
 
 def _scaled(value: float | None, factor: float) -> float | None:

@@ -102,14 +102,19 @@ def aligned(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
-@cache
 def figures(experiment: str, condition: str) -> Mapping[str, str]:
     """The paper's figures of an experiment under a condition; empty where it has none."""
+    by_condition = printed(experiment)
+    return {**by_condition.get("any", {}), **by_condition.get(condition, {})}
+
+
+@cache
+def printed(experiment: str) -> Mapping[str, Mapping[str, str]]:
+    """The paper's figures of an experiment by condition; `any` are those under every one."""
     entry = resources.files("leactl.report") / "paper" / f"{experiment}.yaml"
     if not entry.is_file():
         return {}
-    by_condition = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data
-    return by_condition.get("any", {}) | by_condition.get(condition, {})  # type: ignore[no-any-return]
+    return yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data  # type: ignore[no-any-return]
 
 
 def value_text(item: Estimate) -> str:

@@ -1,0 +1,49 @@
+"""`leactl report`: a datasheet from runs."""
+
+import json
+from itertools import takewhile
+from pathlib import Path
+from typing import Any
+
+import typer
+from typer.core import TyperCommand
+
+COMPARED = "--compare"
+
+
+class SeveralCompared(TyperCommand):
+    """Lets `--compare` take every path up to the next option, as a shell's pattern gives them."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put the option before each of its paths."""
+        spread: list[str] = []
+        rest = list(args)
+        while rest:
+            word = rest.pop(0)
+            spread.append(word)
+            if word == COMPARED:
+                paths = list(takewhile(lambda one: not one.startswith("-"), rest))
+                del rest[: len(paths)]
+                spread += [part for path in paths for part in (COMPARED, path)][1:]
+        return super().parse_args(ctx, spread)
+
+
+def report(
+    runs: list[Path] = typer.Argument(metavar="RUN...", help="Run files, or folders of them, of any experiments."),
+    html: Path | None = typer.Option(None, "--html", metavar="OUT.html", help="Write the datasheet."),
+    pdf: bool = typer.Option(False, "--pdf", help="Print it to OUT.pdf too, by an installed Chromium."),
+    compare: list[Path] = typer.Option(
+        [], COMPARED, metavar="RUN...", help="Other runs or folders, to stand beside the first."
+    ),
+    settings: list[str] = typer.Option(
+        [], "--set", metavar="NAME=NUMBER", help="What an analysis may be told, such as torque_constant=0.5."
+    ),
+    as_json: bool = typer.Option(False, "--json", help="Print the table as JSON on stdout."),
+) -> None:
+    """Make a datasheet from runs: results with intervals and sources beside the paper's, and the figures."""
+    from leactl.analysis.experiments import numbers
+    from leactl.report.datasheet.make import Wanted, make
+
+    sheet = make(runs, compare, numbers(settings), Wanted(html, pdf, as_json))
+    if as_json:
+        typer.echo(json.dumps(sheet.as_json(), allow_nan=False))

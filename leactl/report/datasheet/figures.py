@@ -1,0 +1,176 @@
+"""The figures of a datasheet: every plot of an analysis, conditions over each other, sets of runs side by side."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.analysis.estimate import Plot, Series
+from leactl.report.chart import Curve, Key, Layer, Points, chart
+from leactl.report.datasheet.rows import Row
+from leactl.report.datasheet.runset import Answer, Entry, RunSet
+from leactl.report.html import Html, joined, tag
+from leactl.report.intervals import Interval, intervals
+
+COLOURS = 6  # that can be told apart; see style.py
+MARKS = ("dot", "ring", "square")
+MOST_KINDS = 2  # of points in a plot, for several conditions to be readable over each other
+MOST_GREY = 2  # names of lines of their own, beyond which each is written on its line: contours
+DENSE = 40  # points of a kind, from which on they are drawn fine, or as a line where no line was fitted to them
+
+Link = Callable[[Sequence[Entry]], Html]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One chart before its axes are known."""
+
+    caption: str
+    plot: Plot  # any of those drawn, for its labels
+    layers: tuple[Layer, ...]
+    keys: tuple[Key, ...]  # of the legend; none for those of the layers
+    entries: tuple[Entry, ...]
+
+
+def figures(sets: Sequence[RunSet], motors: Sequence[str], experiment: str, link: Link) -> Html:
+    """Every plot of one experiment; where there are two sets, each plot of both on the same axes."""
+    every = [
+        [one for one in own.answers if (one.motor, one.experiment) == (motor, experiment)]
+        for own, motor in zip(sets, motors, strict=True)
+    ]
+    count = max((len(answer.result.plots) for own in every for answer in own), default=0)
+    cards = []
+    for index in range(count):
+        drawn = [figures_of(answers, index) for answers in every]
+        for k, own in enumerate(drawn):
+            others = [layer for other in drawn[:k] + drawn[k + 1 :] for one in other for layer in one.layers]
+            whose = f"{sets[k].name}: " if len(sets) > 1 else ""
+            cards += [figure(one, others, whose, link) for one in own]
+    return tag("div", *cards, class_="pair") if cards else Html("")
+
+
+def figure(one: Figure, beside: Sequence[Layer], whose: str, link: Link) -> Html:
+    """A chart with its caption and links to its runs."""
+    said = tag("figcaption", f"{whose}{one.caption}; ", link(one.entries))
+    labels = pretty(one.plot.x_label), pretty(one.plot.y_label)
+    return tag("figure", said, chart(one.layers, *labels, beside, one.keys))
+
+
+def figures_of(answers: Sequence[Answer], index: int) -> list[Figure]:
+    """Plot `index` of each answer: conditions of an actuator over each other where they stay readable."""
+    own = [answer for answer in answers if index < len(answer.result.plots)]
+    colours = {one: f"s{k % COLOURS}" for k, one in enumerate(dict.fromkeys(answer.condition for answer in own))}
+    found = []
+    for actuator in dict.fromkeys(answer.actuator for answer in own):
+        of_it = [answer for answer in own if answer.actuator == actuator]
+        kinds = {series.label for answer in of_it for series in answer.result.plots[index].points}
+        labels = {(answer.result.plots[index].x_label, answer.result.plots[index].y_label) for answer in of_it}
+        together = len(kinds) <= MOST_KINDS and len(labels) == 1 and 1 < len(of_it) <= COLOURS
+        for group in [of_it] if together else [[answer] for answer in of_it]:
+            plots = [answer.result.plots[index] for answer in group]
+            entries = tuple(entry for answer in group for entry in answer.entries)
+            layers, keys = over_each_other(group, plots, colours) if together else (alone(plots[0]), [])
+            said = (subject(plots[0]), actuator, "" if together else group[0].condition)
+            found.append(Figure(", ".join(filter(None, said)), plots[0], tuple(layers), tuple(keys), entries))
+    return found
+
+
+def alone(plot: Plot) -> list[Layer]:
+    """A colour for each kind of points and for the lines through them; lines of their own, as contours, are grey."""
+    colours = {series.label: f"s{k % COLOURS}" for k, series in enumerate(plot.points)}
+    marks = {series.label: MARKS[k % len(MARKS)] for k, series in enumerate(plot.points)}
+    layers: list[Layer] = []
+    told = len({line.label for line in plot.lines if not kind_of(line, colours)}) > MOST_GREY
+    for line in plot.lines:
+        kind = kind_of(line, colours)
+        style = f"line {colours[kind]}" if kind == line.label else f"line thin {colours.get(kind, 'other')}"
+        layers.append(Curve(line.label, style, *arrays(line), whole=True, told=told and not kind))
+    layers += [points(one, one.label, colours[one.label], marks[one.label], plot) for one in plot.points]
+    return points_first(layers)
+
+
+def subject(plot: Plot) -> str:
+    """What is drawn over what, without units."""
+    return f"{plot.y_label.partition(' [')[0]} over {plot.x_label.partition(' [')[0]}"
+
+
+def over_each_other(
+    answers: Sequence[Answer], plots: Sequence[Plot], colours: Mapping[str, str]
+) -> tuple[list[Layer], list[Key]]:
+    """A colour for each condition, the same with every actuator; a mark for each kind of points."""
+    kinds = list(dict.fromkeys(series.label for plot in plots for series in plot.points))
+    layers: list[Layer] = []
+    for answer, plot in zip(answers, plots, strict=True):
+        colour = colours[answer.condition]
+        for line in plot.lines:
+            own = kind_of(line, dict.fromkeys(kinds)) == line.label
+            layers.append(
+                Curve(answer.condition, f"line {colour}" if own else f"line thin {colour}", *arrays(line), whole=True)
+            )
+        marks = [MARKS[kinds.index(one.label)] for one in plot.points]
+        layers += [points(one, one.label, colour, mark, plot) for one, mark in zip(plot.points, marks, strict=True)]
+    keys = [(f"line {colours[answer.condition]}", answer.condition) for answer in answers]
+    keys += [(f"{MARKS[k]} other", kind) for k, kind in enumerate(kinds)] if len(kinds) > 1 else []
+    return points_first(layers), keys
+
+
+def points(series: Series, name: str, colour: str, mark: str, plot: Plot) -> Layer:
+    """Marks, fine ones where a kind of the plot has many, or a line where many follow each other and none was fitted.
+
+    A level line is no fit: it marks a threshold or a mean.
+    """
+    x, y = arrays(series)
+    fitted = any(line.label.startswith(series.label) or len(set(line.y)) > 1 for line in plot.lines)
+    if len(x) > DENSE and not fitted and bool(np.all(np.diff(x) > 0.0)):
+        return Curve(name, f"line {colour}", x, y)
+    dense = max(len(one.x) for one in plot.points) > DENSE
+    return Points(name, f"fine {colour}" if dense else f"{mark} {colour}", x, y)
+
+
+def points_first(layers: Sequence[Layer]) -> list[Layer]:
+    """Points below the lines through them, which fewer of them would hide."""
+    return sorted(layers, key=lambda layer: isinstance(layer, Curve))
+
+
+def kind_of(line: Series, kinds: dict[str, str] | dict[str, None]) -> str:
+    """The kind of points that a line belongs to: the longest that its name begins with; empty where there is none."""
+    return max((kind for kind in kinds if line.label.startswith(kind)), key=len, default="")
+
+
+def arrays(series: Series) -> tuple[np.ndarray, np.ndarray]:
+    """Both columns."""
+    return np.asarray(series.x, np.float64), np.asarray(series.y, np.float64)
+
+
+def over_conditions(rows: Sequence[Row], sets: Sequence[RunSet]) -> Html:
+    """A strip of intervals for each result that has several rows or sets."""
+    charts = []
+    for name in dict.fromkeys(row.name for row in rows):
+        own = [row for row in rows if row.name == name]
+        strips = [
+            Interval(
+                ", ".join(filter(None, (row.condition, row.actuator, sets[k].name if len(sets) > 1 else ""))) or "all",
+                f"dot s{k % COLOURS}",
+                cell.estimate.value,
+                cell.estimate.low,
+                cell.estimate.high,
+                row.paper,
+            )
+            for row in own
+            for k, cell in enumerate(row.cells)
+            if cell.estimate is not None and np.isfinite(cell.estimate.std)
+        ]
+        if len(strips) > 1:
+            label = f"{plain(name)} [{pretty(own[0].units)}]"
+            charts.append(tag("figure", tag("figcaption", plain(name)), intervals(strips, label)))
+    return tag("div", *charts, class_="pair") if charts else joined([])
+
+
+def plain(name: str) -> str:
+    """A name of a result or an experiment as words."""
+    return name.replace("_", " ").replace("-", " ")
+
+
+def pretty(words: str) -> str:
+    """Words with units as they are printed: a dot for a product, raised powers, and none for a ratio."""
+    return words.replace("*", "·").replace("^2", "²").replace(" [1]", "")

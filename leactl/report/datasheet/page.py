@@ -1,0 +1,165 @@
+"""A datasheet as one HTML file: table, figures, runs; nothing is loaded from anywhere, so it can be mailed and printed.
+
+The same runs in the same places give the same page to the byte.
+"""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from urllib.parse import quote
+
+from leactl.analysis.experiments import method_of
+from leactl.report.datasheet.figures import figures, over_conditions, plain, pretty
+from leactl.report.datasheet.motor_file import motor_table
+from leactl.report.datasheet.runset import Answer, Entry, RunSet
+from leactl.report.datasheet.sheet import Section, Sheet
+from leactl.report.datasheet.style import STYLE
+from leactl.report.datasheet.table import links, rows_table
+from leactl.report.html import Html, document, joined, table, tag
+from leactl.report.terminal import figures as paper
+from leactl.report.terminal import interval_text, value_text
+
+
+def page(sheet: Sheet, out: Path) -> str:
+    """The whole datasheet for a file at `out`, from where links to runs begin."""
+    compared = " and ".join(one.name for one in sheet.sets) if len(sheet.sets) > 1 else ""
+    of = ", ".join(section.title for section in sheet.sections)
+    title = f"Datasheet: {of}" + (f", {compared}" if compared else "")
+    body = tag(
+        "main",
+        tag("h1", title),
+        *(facts(own, len(sheet.sets) > 1) for own in sheet.sets),
+        tag("ul", *(tag("li", note) for note in sheet.notes)) if sheet.notes else Html(""),
+        *(motor_section(sheet.sets, section, f"m{k}") for k, section in enumerate(sheet.sections)),
+        tag("section", tag("h2", "Runs"), *(runs_table(own, out, len(sheet.sets) > 1) for own in sheet.sets)),
+    )
+    return document(title, STYLE, body)
+
+
+def facts(own: RunSet, named: bool) -> Html:
+    """Whose runs these are, and when they were made."""
+    days = sorted(entry.about["created"][:10] for entry in own.entries if entry.about.get("created"))
+    told = [
+        ("runs", str(len(own.entries))),
+        *((f"{key}s", ", ".join(values(own, key))) for key in ("actuator", "condition")),
+        ("benches", ", ".join(values(own, "bench"))),
+        ("recorded", " to ".join(dict.fromkeys([days[0], days[-1]])) if days else ""),
+    ]
+    parts = (part for key, what in told if what for part in (tag("dt", key), tag("dd", what)))
+    return joined(([tag("p", tag("strong", own.name))] if named else []) + [tag("dl", *parts, class_="facts")])
+
+
+def values(own: RunSet, key: str) -> list[str]:
+    """What the runs say of themselves, each once."""
+    return list(dict.fromkeys(found for entry in own.entries if (found := entry.about.get(key, ""))))
+
+
+def motor_section(sets: Sequence[RunSet], section: Section, place: str) -> Html:
+    """Table and figures of one motor."""
+    about = "Value ± standard uncertainty, and the 95 % interval. The LEA in the paper as it is printed there."
+    if len(sets) > 1:
+        about += " A difference is strong where its interval does not hold zero."
+    parts = [tag("h2", section.title), tag("p", about, class_="about"), rows_table(sets, section, place)]
+    parts.append(motor_table(sets, section.motors))
+    if section.unlisted:
+        parts.append(tag("p", f"Not measured besides: {', '.join(map(plain, section.unlisted))}.", class_="about"))
+    for experiment in section.rows:
+        answers = [
+            one
+            for own, motor in zip(sets, section.motors, strict=True)
+            for one in own.answers
+            if (one.motor, one.experiment) == (motor, experiment)
+        ]
+        if answers:
+            parts.append(experiment_section(sets, section, experiment, answers, f"{place}-{experiment}"))
+    return tag("section", *parts)
+
+
+def experiment_section(
+    sets: Sequence[RunSet], section: Section, experiment: str, answers: Sequence[Answer], place: str
+) -> Html:
+    """Method, what the conditions do, figures, every result, notes."""
+    parts = [tag("h3", plain(experiment).capitalize()), tag("p", method_of(experiment), class_="method about")]
+    notes: list[str] = []
+    for own, motor in zip(sets, section.motors, strict=True):
+        if (verdict := own.verdicts.get((motor, experiment))) is not None:
+            whose = f"{own.name}: " if len(sets) > 1 else ""
+            tabled = {row.name for row in section.rows[experiment]}
+            parts += [tag("p", f"{whose}{pretty(found.sentence)}") for found in verdict.found if found.name in tabled]
+            notes += [f"{whose}not compared over conditions: {line}" for line in verdict.refused]
+    parts.append(figures(sets, section.motors, experiment, links))
+    parts.append(over_conditions(section.rows[experiment], sets))
+    every = [entry for answer in answers for entry in answer.entries]
+    for answer in answers:
+        notes += [note for note in answer.result.notes if note not in notes]
+    said = [tag("li", with_labels(note, every)) for note in notes]
+    if said:
+        parts.append(tag("details", tag("summary", "Notes"), tag("ul", *said)))
+    parts.append(tag("details", tag("summary", "All results"), *map(results_table, answers)))
+    return tag("section", *parts, id=place)
+
+
+def with_labels(note: str, entries: Sequence[Entry]) -> str:
+    """A note with the short names of runs in place of their paths."""
+    for entry in sorted(entries, key=lambda one: -len(str(one.path))):
+        note = note.replace(str(entry.path), entry.label)
+    return note
+
+
+def results_table(answer: Answer) -> Html:
+    """Every result of one actuator under one condition."""
+    known = paper(answer.experiment, answer.condition)
+    cells = [
+        [
+            plain(item.name),
+            value_text(item),
+            interval_text(item),
+            "" if item.units == "1" else pretty(item.units),
+            known.get(item.name, ""),
+        ]
+        for item in answer.result.results
+    ]
+    of = ", ".join(filter(None, (answer.actuator, answer.condition))) or "unnamed"
+    head = tag("p", tag("strong", of), ", from ", links(answer.entries))
+    headings = ["result", "value ± std", "95 % interval", "units", "LEA in the paper"]
+    return joined([head, table(headings, cells)])
+
+
+def runs_table(own: RunSet, out: Path, named: bool) -> Html:
+    """Every file with what came of it; its name leads to it."""
+    cells = []
+    for entry in own.entries:
+        about = entry.about
+        name = about.get("run_id") or entry.path.name
+        where = "emulated" if entry.simulated else ""
+        cells.append(
+            [
+                tag("span", entry.label, id=entry.label),
+                tag("a", name, href=address(entry.path, out)),
+                plain(entry.experiment),
+                *(about.get(key, "") for key in ("actuator", "condition", "mechanical", "bench")),
+                about.get("status", ""),
+                about.get("created", "").replace("T", " ")[:16],
+                tag("span", ", ".join(filter(None, (where, about.get("software", "")))), class_="wrap"),
+                tag("span", f"not analysed: {entry.fault}" if entry.fault else "analysed", class_="fault"),
+            ]
+        )
+    headings = [
+        "",
+        "file",
+        "experiment",
+        "actuator",
+        "condition",
+        "shaft",
+        "bench",
+        "status",
+        "recorded",
+        "by",
+        "result",
+    ]
+    return joined(([tag("h3", own.name)] if named else []) + [table(headings, cells, "runs")])
+
+
+def address(path: Path, out: Path) -> str:
+    """A link from the page to a file, relative where both can be moved together."""
+    return quote(os.fsencode(os.path.relpath(path.resolve(), out.resolve().parent)))

@@ -1,0 +1,160 @@
+"""The table of a datasheet: a row for each result, condition and actuator, a cell for each set of runs."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from leactl.analysis.conditions.pooled import difference, over_actuators
+from leactl.analysis.estimate import Estimate
+from leactl.analysis.experiments import names
+from leactl.report.datasheet.runset import Answer, Entry, RunSet
+from leactl.report.terminal import figures, printed
+
+NOT_MEASURED = "not measured"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What one set of runs says; without an estimate, `lacks` says why."""
+
+    estimate: Estimate | None
+    entries: tuple[Entry, ...] = ()
+    lacks: str = ""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One result."""
+
+    experiment: str
+    name: str
+    condition: str
+    actuator: str  # or how many were pooled
+    cells: tuple[Cell, ...]
+    paper: str  # its figure of the LEA; empty where it has none
+
+    @property
+    def units(self) -> str:
+        """Of the first that is known."""
+        return next((cell.estimate.units for cell in self.cells if cell.estimate is not None), "")
+
+    @property
+    def difference(self) -> Estimate | None:
+        """The second set less the first; None where either is not known."""
+        known = [cell.estimate for cell in self.cells if cell.estimate is not None]
+        if len(known) < 2 or not all(math.isfinite(one.value) for one in known):
+            return None
+        return difference(known[0], known[1])
+
+    def as_json(self, sets: Sequence[RunSet]) -> dict[str, Any]:
+        """The row for a script; what is not known is null."""
+        found = self.difference if len(self.cells) > 1 else None
+        told = {
+            "experiment": self.experiment,
+            "name": self.name,
+            "condition": self.condition,
+            "actuator": self.actuator,
+            "units": self.units,
+            "paper": self.paper or None,
+            "values": [
+                {"set": one.name, "runs": [entry.label for entry in cell.entries], "lacks": cell.lacks or None}
+                | numbers(cell.estimate)
+                for one, cell in zip(sets, self.cells, strict=True)
+            ],
+        }
+        return told | ({"difference": numbers(found)} if len(self.cells) > 1 else {})
+
+
+def numbers(estimate: Estimate | None) -> dict[str, float | None]:
+    """Value, std and interval as JSON takes them."""
+    row = {} if estimate is None else estimate.as_json()
+    return {key: row.get(key) for key in ("value", "std", "low", "high")}
+
+
+def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list[Row]:
+    """Rows of one experiment; motor k is that of set k.
+
+    One set has a row for each actuator, and one for all where there are several; of two sets only the latter are
+    beside each other.
+    """
+    answers = [
+        [one for one in own.answers if (one.motor, one.experiment) == (motor, experiment)]
+        for own, motor in zip(sets, motors, strict=True)
+    ]
+    faulty = [
+        [one for one in own.entries if one.fault and (one.motor, one.experiment) == (motor, experiment)]
+        for own, motor in zip(sets, motors, strict=True)
+    ]
+    every = [one for own in answers for one in own]
+    found = []
+    for name in result_names(experiment, every):
+        for condition in conditions(experiment, every, name):
+            paper = figures(experiment, condition).get(name, "")
+            cells = [list(cells_of(own, lost, name, condition)) for own, lost in zip(answers, faulty, strict=True)]
+            shown = [list(one) for one in zip(*cells, strict=True)] if len(sets) == 1 else [[own[-1] for own in cells]]
+            found += [
+                Row(experiment, name, condition, who(row), tuple(cell for _, cell in row), paper) for row in shown
+            ]
+    return found
+
+
+def result_names(experiment: str, answers: Sequence[Answer]) -> list[str]:
+    """Results for the table: those that the paper has; of an experiment that it has not, those with an interval.
+
+    A result that is a part of another, such as that of one direction alone, is left to the list of all results.
+    """
+    in_paper = dict.fromkeys(name for figures_ in printed(experiment).values() for name in figures_)
+    if in_paper:
+        return list(in_paper)
+    known: dict[str, None] = {}
+    for answer in answers:
+        parents: list[str] = []
+        for item in answer.result.results:
+            part = any(item.name.startswith(f"{parent}_") for parent in parents)
+            parents += [] if part else [item.name]
+            if not part and not math.isnan(item.low):
+                known[item.name] = None
+    return list(known)
+
+
+def conditions(experiment: str, answers: Sequence[Answer], name: str) -> list[str]:
+    """Conditions of a result: those of the paper in its order, then others; one without a name where there is none."""
+    papers = [label for each in names() for label in printed(each) if label != "any"]
+    own = [label for label, figures_ in printed(experiment).items() if label != "any" and name in figures_]
+    measured = {answer.condition for answer in answers} | set(own)
+    ordered = dict.fromkeys([*papers, *(answer.condition for answer in answers)])
+    return [label for label in ordered if label in measured] or [""]
+
+
+def cells_of(
+    answers: Sequence[Answer], faulty: Sequence[Entry], name: str, condition: str
+) -> Iterator[tuple[str, Cell]]:
+    """Actuator and cell of each that was measured, then of all together; one empty cell where none was."""
+    own = [answer for answer in answers if answer.condition == condition]
+    found = [(answer, item) for answer in own for item in answer.result.results if item.name == name]
+    if not found:
+        lost = tuple(one for one in faulty if condition in ("", one.group[1]))
+        yield "", Cell(None, lost, "not analysed" if lost else NOT_MEASURED)
+        return
+    for answer, item in found:
+        yield answer.actuator, Cell(item, answer.entries)
+    if len(found) > 1:
+        known = [item for _, item in found if math.isfinite(item.value)]
+        entries = tuple(entry for answer, _ in found for entry in answer.entries)
+        if len(known) > 1:
+            yield f"{len(known)} actuators", Cell(over_actuators(known), entries)
+
+
+def who(row: Sequence[tuple[str, Cell]]) -> str:
+    """The actuator of a row, where its cells have the same one."""
+    told = dict.fromkeys(actuator for actuator, cell in row if cell.estimate is not None)
+    return next(iter(told)) if len(told) == 1 else ""
+
+
+def unlisted(sets: Sequence[RunSet], motors: Sequence[str]) -> list[str]:
+    """Experiments without a run and without a figure in the paper."""
+    measured = {
+        one.experiment for own, motor in zip(sets, motors, strict=True) for one in own.entries if one.motor == motor
+    }
+    return [name for name in names() if name not in measured and not printed(name)]

@@ -1,0 +1,251 @@
+"""The runs of a campaign and what they answer: each file is an entry, whether or not anything came of it."""
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from leactl import yamlfile
+from leactl.analysis.conditions.comparison import Comparison, compare_all
+from leactl.analysis.estimate import Result, listed
+from leactl.analysis.experiments import analysis_of, analyze_runs, experiment_of, names
+from leactl.errors import InputError
+from leactl.runfile.catalog import list_runs
+from leactl.runfile.reader import Run
+
+ABOUT = ("run_id", "actuator", "condition", "bench", "operator", "created", "status", "software")
+MOST_NAMED = 3  # folders in the name of a set of runs
+Tell = Callable[[str], None]
+
+
+@dataclass
+class Entry:
+    """One file; `fault` says why nothing came of it, and is empty where something did."""
+
+    path: Path
+    label: str = ""  # short name in the datasheet
+    model: str = ""  # the text that the run carries
+    motor: str = ""  # its name in that model
+    experiment: str = ""
+    about: dict[str, str] = field(default_factory=dict)
+    simulated: bool = False
+    fault: str = ""
+
+    @property
+    def identity(self) -> str:
+        """What tells one run from another, whatever its path."""
+        return self.about.get("run_id", "") or str(self.path.resolve())
+
+    @property
+    def group(self) -> tuple[str, str]:
+        """Actuator and condition."""
+        return self.about.get("actuator", ""), self.about.get("condition", "")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the runs of one experiment, actuator and condition gave."""
+
+    motor: str
+    experiment: str
+    actuator: str
+    condition: str
+    result: Result
+    entries: tuple[Entry, ...]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether the results of an experiment differ between conditions; `refused` says why some were not compared."""
+
+    found: tuple[Comparison, ...]
+    refused: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class RunSet:
+    """Runs that belong together."""
+
+    name: str
+    entries: tuple[Entry, ...]
+    answers: tuple[Answer, ...]
+    verdicts: Mapping[tuple[str, str], Verdict]  # by motor and experiment
+
+    @property
+    def motors(self) -> list[str]:
+        """Motors of its runs, in order; a run that tells none has an empty name."""
+        return list(dict.fromkeys(one.motor for one in self.entries if one.experiment))
+
+
+def read_runs(given: Sequence[Path], prefix: str, options: Mapping[str, float], tell: Tell) -> RunSet:
+    """Read runs and folders of runs and analyse what can be: repeats combined, by actuator and condition.
+
+    Parameters
+    ----------
+    prefix : of the runs' short names.
+    options : of analyses, each for those that take it; see `refuse_untaken`.
+    tell : is called with what begins.
+
+    Raises
+    ------
+    InputError : nothing was given, a path that is not there, or a folder without runs.
+    """
+    tell("reading")
+    entries = [entry_of(path) for path in found_in(given)]
+    entries.sort(key=order)
+    seen: dict[str, Entry] = {}
+    for number, entry in enumerate(entries, start=1):
+        entry.label = f"{prefix}{number}"
+        first = seen.setdefault(entry.identity, entry)
+        if first is not entry and not entry.fault:
+            entry.fault = f"the same run as {first.label}"
+    answers: list[Answer] = []
+    verdicts: dict[tuple[str, str], Verdict] = {}
+    usable = sorted((one for one in entries if not one.fault), key=lambda one: (one.motor, one.experiment))
+    for (motor, experiment), alike in groupby(usable, key=lambda one: (one.motor, one.experiment)):
+        tell(experiment)
+        members = list(alike)
+        own = [answer for group in by_group(members) if (answer := answer_of(group, options)) is not None]
+        answers += own
+        if len({answer.condition for answer in own}) > 1:
+            verdicts[motor, experiment] = compared([one for answer in own for one in answer.entries], options)
+    return RunSet(named(given), tuple(entries), tuple(answers), verdicts)
+
+
+def order(entry: Entry) -> tuple[bool, str, bool, str]:
+    """By time, which a run's identity begins with; files that tell none last, a copy whose recording ended first."""
+    run_id = entry.about.get("run_id", "")
+    return not run_id, run_id, entry.about.get("status") == "recording", str(entry.path)
+
+
+def found_in(given: Sequence[Path]) -> list[Path]:
+    """Run files, those of folders included.
+
+    Raises
+    ------
+    InputError : one line for each path that leads to none.
+    """
+    faults, paths = [], []
+    for path in given:
+        try:
+            own = [one.path for one in list_runs(path)] if path.is_dir() else [path]
+        except OSError as fault:
+            faults.append(f"{path}: cannot be read: {fault.strerror or fault}")
+            continue
+        paths += own
+        if not path.exists():
+            faults.append(f"{path}: no such file or folder")
+        elif not own:
+            faults.append(f"{path}: no run files in this folder")
+    if not given:
+        faults.append("no runs; give run files, or folders of them")
+    if faults:
+        raise InputError(faults)
+    return paths
+
+
+def named(given: Sequence[Path]) -> str:
+    """What to call the runs: by their folders."""
+    folders = dict.fromkeys(path.resolve() if path.is_dir() else path.resolve().parent for path in given)
+    return listed((folder.name for folder in folders), MOST_NAMED)
+
+
+def entry_of(path: Path) -> Entry:
+    """What a file says of itself."""
+    try:
+        with Run.open(path) as run:
+            model = run.source("model") or ""
+            entry = Entry(path, "", model, motor_of(model), experiment_of(run), simulated=is_simulated(run))
+            entry.about = {name: str(run.attributes.get(name, "")) for name in ABOUT}
+            entry.about["mechanical"] = run.mechanical
+    except InputError as fault:
+        return Entry(path, fault=told(fault, path))
+    if entry.experiment not in names():
+        what = f"no analysis '{entry.experiment}' is known" if entry.experiment else "the run names no analysis"
+        entry.fault = f"{what}; known: {', '.join(names())}"
+    return entry
+
+
+def motor_of(model: str) -> str:
+    """Name of the motor in the model that a run carries; empty where it carries none that can be read."""
+    try:
+        data = yamlfile.parse(model).data if model else None
+    except InputError:
+        data = None
+    name = data.get("name") if isinstance(data, dict) else None
+    return name if isinstance(name, str) else ""
+
+
+def is_simulated(run: Run) -> bool:
+    """Whether its bench was emulated."""
+    return str(run.attributes.get("simulated", "")) == "1"
+
+
+def by_group(entries: Sequence[Entry]) -> list[list[Entry]]:
+    """Entries of the same actuator and condition together, each group where its first one stands."""
+    groups: dict[tuple[str, str], list[Entry]] = {}
+    for entry in entries:
+        groups.setdefault(entry.group, []).append(entry)
+    return list(groups.values())
+
+
+def answer_of(entries: Sequence[Entry], options: Mapping[str, float]) -> Answer | None:
+    """What runs of one experiment, actuator and condition give; a run that spoils it is left out with its reason."""
+    first = entries[0]
+    taken = options_of(first.experiment, options)
+    try:
+        result = analyze_runs([one.path for one in entries], **taken)
+    except InputError as together:
+        for one in entries:
+            one.fault = fault_of(one, taken) if len(entries) > 1 else told(together, one.path)
+        good = [one for one in entries if not one.fault]
+        if len(good) == len(entries):
+            for one in entries:
+                one.fault = told(together, one.path)
+            good = []
+        return answer_of(good, options) if good else None
+    return Answer(first.motor, first.experiment, *first.group, result, tuple(entries))
+
+
+def fault_of(entry: Entry, options: Mapping[str, Any]) -> str:
+    """Why a run cannot be analysed by itself; empty where it can."""
+    try:
+        analyze_runs([entry.path], **options)
+    except InputError as fault:
+        return told(fault, entry.path)
+    return ""
+
+
+def told(fault: InputError, path: Path) -> str:
+    """A fault without the path before it."""
+    return "; ".join(line.removeprefix(f"{path}: ") for line in fault.faults)
+
+
+def compared(entries: Sequence[Entry], options: Mapping[str, float]) -> Verdict:
+    """The results of an experiment over its conditions, as `leactl stats` has them."""
+    taken = options_of(entries[0].experiment, options)
+    try:
+        _, found, refused = compare_all([one.path for one in entries], **taken)
+    except InputError as fault:
+        return Verdict((), tuple(fault.faults))
+    return Verdict(tuple(found), tuple(refused))
+
+
+def options_of(experiment: str, options: Mapping[str, float]) -> dict[str, Any]:
+    """Those options that the analysis of an experiment takes."""
+    known = inspect.signature(analysis_of(experiment, experiment)).parameters
+    return {name: value for name, value in options.items() if name in known and name != "runs"}
+
+
+def refuse_untaken(options: Mapping[str, float]) -> None:
+    """Refuse options that no analysis takes.
+
+    Raises
+    ------
+    InputError : one line for each.
+    """
+    taken = {name for experiment in names() for name in options_of(experiment, options)}
+    if left := [name for name in options if name not in taken]:
+        raise InputError([f"--set {name}: no analysis takes it" for name in left])

@@ -1,0 +1,127 @@
+"""What a datasheet says: sections by motor, rows of results, runs; as JSON for scripts."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from leactl.analysis.experiments import names
+from leactl.errors import InputError
+from leactl.report.datasheet.rows import Row, rows, unlisted
+from leactl.report.datasheet.runset import RunSet
+from leactl.report.terminal import printed
+
+NO_MOTOR = "motor not told"
+
+
+@dataclass(frozen=True)
+class Section:
+    """One motor, or two that are compared."""
+
+    motors: tuple[str, ...]  # one for each set
+    rows: dict[str, list[Row]]  # by experiment, those that were not measured among them
+    unlisted: list[str]  # experiments without a run and without a figure in the paper
+
+    @property
+    def title(self) -> str:
+        """Its motors."""
+        return " and ".join(dict.fromkeys(motor or NO_MOTOR for motor in self.motors))
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """One set of runs, or two that are compared."""
+
+    sets: tuple[RunSet, ...]
+
+    @cached_property
+    def sections(self) -> list[Section]:
+        """A section for each motor; two sets of one motor each are compared even where the motors differ."""
+        own = [one.motors for one in self.sets]
+        if all(len(motors) == 1 for motors in own):
+            pairs = [tuple(motors[0] for motors in own)]
+        else:
+            pairs = [(motor,) * len(own) for motor in dict.fromkeys(motor for motors in own for motor in motors)]
+        return [section_of(self.sets, motors) for motors in pairs]
+
+    @property
+    def notes(self) -> list[str]:
+        """What a reader of the whole must know."""
+        found = []
+        motors = list(dict.fromkeys(motor or NO_MOTOR for one in self.sets for motor in one.motors))
+        if len(motors) > 1:
+            found.append(
+                f"runs are of {len(motors)} motors: {', '.join(motors)}; figures of one say nothing of another"
+            )
+        entries = [entry for one in self.sets for entry in one.entries]
+        emulated = sum(entry.simulated for entry in entries)
+        if emulated:
+            found.append(
+                f"{emulated} of {len(entries)} runs are from an emulated bench: no machine was measured in these"
+            )
+        lost = [entry for entry in entries if entry.fault]
+        if lost:
+            found.append(f"nothing came of {', '.join(entry.label for entry in lost)}: see the list of runs")
+        if len(self.sets) > 1:
+            found.append(
+                f"difference: {self.sets[1].name} less {self.sets[0].name}, the two taken as independent; an error that"
+                " their instruments have in common is not in a difference, which is then known better than told here"
+            )
+        return found
+
+    def refuse_empty(self) -> None:
+        """Refuse a sheet without a figure.
+
+        Raises
+        ------
+        InputError : why nothing came of each run, one line each.
+        """
+        if not any(one.answers for one in self.sets):
+            raise InputError([f"{one.path}: {one.fault}" for own in self.sets for one in own.entries])
+
+    def as_json(self) -> dict[str, Any]:
+        """The whole table with runs and notes."""
+        return {
+            "sets": [
+                {
+                    "name": own.name,
+                    "runs": [
+                        {
+                            "label": one.label,
+                            "path": str(one.path),
+                            "motor": one.motor,
+                            "experiment": one.experiment,
+                            "simulated": one.simulated,
+                            **one.about,
+                            "fault": one.fault or None,
+                        }
+                        for one in own.entries
+                    ],
+                }
+                for own in self.sets
+            ],
+            "sections": [
+                {
+                    "motors": list(section.motors),
+                    "rows": [row.as_json(self.sets) for own in section.rows.values() for row in own],
+                    "not_measured": section.unlisted,
+                    "verdicts": [
+                        {"set": own.name, "experiment": experiment, "name": found.name, "sentence": found.sentence}
+                        for own, motor in zip(self.sets, section.motors, strict=True)
+                        for (of, experiment), verdict in own.verdicts.items()
+                        if of == motor
+                        for found in verdict.found
+                    ],
+                }
+                for section in self.sections
+            ],
+            "notes": self.notes,
+        }
+
+
+def section_of(sets: Sequence[RunSet], motors: tuple[str, ...]) -> Section:
+    """Rows of every experiment that was measured or that the paper has; those of the paper come first."""
+    by_experiment = {
+        name: rows(sets, motors, name) for name in sorted(names(), key=lambda one: (not printed(one), one))
+    }
+    return Section(motors, {name: own for name, own in by_experiment.items() if own}, unlisted(sets, motors))

@@ -1,0 +1,71 @@
+"""The table of a datasheet in HTML: experiments below each other, two sets of runs beside each other."""
+
+import math
+from collections.abc import Sequence
+
+from leactl.analysis.estimate import Estimate
+from leactl.report.datasheet.figures import plain, pretty
+from leactl.report.datasheet.rows import Cell, Row
+from leactl.report.datasheet.runset import Entry, RunSet
+from leactl.report.datasheet.sheet import Section
+from leactl.report.html import Html, joined, tag, text
+from leactl.report.terminal import interval_text, value_text
+
+
+def rows_table(sets: Sequence[RunSet], section: Section, place: str) -> Html:
+    """All rows; the name of an experiment that was measured leads to its figures."""
+    several = len(sets) > 1
+    headings = ["quantity", "condition"] + ([] if several else ["actuator"])
+    headings += [*(own.name for own in sets), "difference"] if several else ["value ± std", "95 % interval"]
+    headings += ["units", "LEA in the paper", "from"]
+    head = tag("thead", tag("tr", *(tag("th", heading, scope="col") for heading in headings)))
+    bodies = []
+    for experiment, own_rows in section.rows.items():
+        measured = any(cell.estimate is not None for row in own_rows for cell in row.cells)
+        name = plain(experiment).capitalize()
+        title = tag("a", name, href=f"#{place}-{experiment}") if measured else name
+        opening = tag("tr", tag("th", title, scope="rowgroup", colspan=str(len(headings))), class_="group")
+        bodies.append(tag("tbody", opening, *(row_of(row, several) for row in own_rows)))
+    return tag("div", tag("table", head, *bodies, class_="datasheet"), class_="scroll", tabindex="0")
+
+
+def row_of(row: Row, several: bool) -> Html:
+    """One result."""
+    cells: list[str] = [row.condition] + ([] if several else [row.actuator])
+    if several:
+        cells += [in_one(*shown(cell)) for cell in row.cells]
+        cells.append(difference_cell(row.difference))
+    else:
+        cells += shown(row.cells[0])
+    sources = [entry for cell in row.cells for entry in cell.entries]
+    cells += ["" if row.units == "1" else pretty(row.units), row.paper, links(sources)]
+    lacking = all(cell.estimate is None for cell in row.cells)
+    data = [*(tag("td", cell) for cell in cells[:-2]), *(tag("td", cell, class_="wrap") for cell in cells[-2:])]
+    return tag("tr", tag("th", plain(row.name), scope="row"), *data, class_="lacking" if lacking else "known")
+
+
+def shown(cell: Cell) -> list[str]:
+    """Value and interval, or why there is none."""
+    if cell.estimate is None:
+        return [cell.lacks, ""]
+    return [value_text(cell.estimate), interval_text(cell.estimate)]
+
+
+def in_one(value: str, interval: str) -> Html:
+    """Value and interval below each other, where two sets need the width."""
+    return joined([text(value), tag("span", interval, class_="interval")]) if interval else text(value)
+
+
+def difference_cell(found: Estimate | None) -> Html:
+    """The difference of two sets, strong where its interval does not hold zero; none without an uncertainty."""
+    if found is None or not math.isfinite(found.std):
+        return Html("")
+    cell = in_one(value_text(found), interval_text(found))
+    return tag("strong", cell) if found.low > 0.0 or found.high < 0.0 else cell
+
+
+def links(entries: Sequence[Entry]) -> Html:
+    """Short names of runs, each a link to where it is listed."""
+    return joined(
+        [tag("a", one.label, href=f"#{one.label}", title=one.about.get("run_id", "")) for one in entries], ", "
+    )

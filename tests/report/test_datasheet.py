@@ -1,0 +1,300 @@
+"""The datasheet says what the analyses say, leaves no run out, and leads from each figure to its runs."""
+
+import json
+import re
+from pathlib import Path
+from urllib.parse import unquote
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import leactl.analysis
+from leactl.analysis.estimate import Estimate, Plot, Result, Series
+from leactl.analysis.experiments import analyze_runs
+from leactl.errors import InputError
+from leactl.report.datasheet.make import refuse_shared
+from leactl.report.datasheet.page import page
+from leactl.report.datasheet.runset import Answer, Entry, RunSet, read_runs, refuse_untaken
+from leactl.report.datasheet.sheet import Sheet
+from leactl.report.terminal import interval_text, value_text
+from tests.analysis.synthetic import Bench
+from tests.report.browser import look, needs_chromium
+
+LEA = "0.49\nname: lea"  # the value of a YAML key, and a key more
+COULOMB = {"unloaded": 0.2419, "design": 0.208, "loaded": 0.3037}
+NOVEL = '''"""Shakes: how often the thing shakes.
+
+More of it.
+"""
+
+from leactl.analysis.estimate import Estimate, Plot, Result, Series
+
+
+def analyze(runs, gain=1.0):
+    x = tuple(float(k) for k in range(60))
+    plot = Plot("time [s]", "shake [1]", (Series("shake", x, tuple(k * k for k in x)),), ())
+    rate = Estimate("shake_rate", 3.0 * gain, 0.1, 2.8, 3.2, "Hz")
+    return Result("shakes", tuple(str(run.path) for run in runs), (rate,), ("said once",), (plot,))
+'''
+
+
+def quiet(step):
+    pass
+
+
+def of(*paths, options=None):
+    return Sheet((read_runs(paths, "R", options or {}, quiet),))
+
+
+def tree(sheet, out):
+    return ElementTree.fromstring(page(sheet, out))
+
+
+def words(element):
+    return " ".join(" ".join(element.itertext()).split())
+
+
+def table(root, cls="datasheet"):
+    found = next(one for one in root.iter("table") if one.get("class") == cls)
+    return [[words(cell) for cell in row] for row in found.iter("tr")]
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    """Friction under three conditions, torque of two actuators, and files of which nothing comes."""
+    folder = tmp_path_factory.mktemp("spring")
+    bench = Bench(folder)
+    for condition, f in COULOMB.items():
+        trials = f + bench.rng.normal(0.0, 0.002, 3)
+        bench.friction(f=trials, condition=condition, torque_constant=LEA)
+    bench.torque(kt=0.485, actuator="a1", torque_constant=LEA, scatter=0.01)
+    bench.torque(kt=0.495, actuator="a2", torque_constant=LEA, scatter=0.01)
+    juggled = bench.torque(protocol="name: x\nanalysis: juggling\n", torque_constant=LEA)
+    juggled.rename(folder / 'a "b" <c>&#1?%20é.h5')
+    damaged = bench.torque(torque_constant=LEA)
+    damaged.write_bytes(damaged.read_bytes()[:-2000])
+    (folder / "notes.h5").write_text("no run at all")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def sheet(campaign):
+    return of(campaign)
+
+
+def test_rows_are_the_answers_of_the_analyses_beside_the_paper(campaign, sheet):
+    rows = table(tree(sheet, campaign / "out.html"))
+    paths = sorted(campaign.glob("*friction*.h5"))
+    result = analyze_runs(paths)
+    for number, condition in enumerate(COULOMB, start=1):
+        item = result.find("coulomb_friction", "a1", condition)
+        row = next(row for row in rows if row[:2] == ["coulomb friction", condition])
+        assert row[2:6] == ["a1", value_text(item), interval_text(item), "N·m"]
+        assert row[6].startswith(f"{COULOMB[condition]:.4f} ± ")
+        assert row[7] == sheet.sets[0].entries[number - 1].label
+    assert ["winding capacitance", "", "", "not measured", "", "", "22.9", ""] in rows
+
+
+def test_several_actuators_have_a_row_each_and_one_together(campaign, sheet):
+    rows = [row for row in table(tree(sheet, campaign / "out.html")) if row[0] == "torque constant" and len(row) > 2]
+    assert [row[2] for row in rows] == ["a1", "a2", "2 actuators"]
+    values = [float(row[3].split()[0]) for row in rows]
+    assert values[2] == pytest.approx((values[0] + values[1]) / 2, abs=1e-4)
+    low, high = (float(word) for word in rows[2][4].split(" .. "))
+    half = 12.706 * abs(values[1] - values[0]) / 2.0  # Student's t of one degree of freedom, std over the root of two
+    assert (high - low) / 2.0 == pytest.approx(half, rel=0.01)
+
+
+def test_what_gave_nothing_is_listed_with_its_reason(campaign, sheet):
+    root = tree(sheet, campaign / "out.html")
+    runs = {row[1]: row[-1] for row in table(root, "runs")[1:]}
+    assert len(runs) == 8 == len(list(campaign.glob("*.h5")))
+    assert "not analysed: no analysis 'juggling' is known; known: back-emf" in " ".join(runs.values())
+    assert runs["notes.h5"].startswith("not analysed: not a")
+    lost = [entry.label for entry in sheet.sets[0].entries if entry.fault]
+    assert len(lost) == 3
+    assert f"nothing came of {', '.join(lost)}" in words(root.find("body"))
+
+
+def test_a_run_that_spoils_its_group_is_left_out_alone(tmp_path):
+    bench = Bench(tmp_path)
+    bench.friction(f=0.25)
+    spoilt = bench.run("friction", [(0.6, "")], {"q_axis_current": [0.6]}, mechanical="free")
+    found = of(tmp_path).sets[0]
+    assert [entry.fault for entry in found.entries if entry.path == spoilt] == [
+        "no velocity of test; the run has q_axis_current of test"
+    ]
+    assert found.answers[0].result.find("coulomb_friction").value == pytest.approx(0.25)
+    assert [entry.path for entry in found.answers[0].entries] == [path for path in tmp_path.iterdir() if path != spoilt]
+
+
+def test_values_that_are_not_those_of_their_checksums_give_nothing(tmp_path):
+    import h5py
+
+    path = Bench(tmp_path).torque()
+    with h5py.File(path, "r+") as file:
+        file["streams/loop/torque"][3] = 9.0
+    sheet = of(path)
+    assert "checksum mismatch" in sheet.sets[0].entries[0].fault
+    with pytest.raises(InputError, match=r"torque-constant-0001\.h5: .*checksum mismatch"):
+        sheet.refuse_empty()
+
+
+def test_a_copy_of_a_run_counts_once(tmp_path):
+    path = Bench(tmp_path).torque()
+    (tmp_path / "copy.h5").write_bytes(path.read_bytes())
+    entries = of(tmp_path).sets[0].entries
+    assert [entry.fault for entry in entries] == ["", "the same run as R1"]
+
+
+def test_motors_have_a_section_each_and_the_sheet_says_so(tmp_path):
+    bench = Bench(tmp_path)
+    bench.torque(torque_constant=LEA)
+    bench.torque(torque_constant="0.14\nname: u8", kt=0.14)
+    bench.friction()
+    sheet = of(tmp_path)
+    assert [section.title for section in sheet.sections] == ["motor not told", "lea", "u8"]
+    assert "runs are of 3 motors: motor not told, lea, u8" in sheet.notes[0]
+    values = [section.rows["torque-constant"][0].cells[0].estimate for section in sheet.sections]
+    assert [one and round(one.value, 2) for one in values] == [None, 0.49, 0.14]
+
+
+def test_an_experiment_is_taken_by_what_its_result_says(tmp_path, monkeypatch):
+    (tmp_path / "plugged").mkdir()
+    (tmp_path / "plugged" / "shakes.py").write_text(NOVEL)
+    monkeypatch.setattr(leactl.analysis, "__path__", [*leactl.analysis.__path__, str(tmp_path / "plugged")])
+    path = Bench(tmp_path).torque(protocol="name: x\nanalysis: shakes\n")
+    refuse_untaken({"gain": 2.0})
+    root = tree(of(path, options={"gain": 2.0}), tmp_path / "out.html")
+    row = next(row for row in table(root) if row[0] == "shake rate")
+    assert row == ["shake rate", "design", "a1", "6.00 ± 0.10", "2.80 .. 3.20", "Hz", "", "R1"]
+    section = next(one for one in root.iter("section") if one.get("id") == "m0-shakes")
+    assert [words(one) for one in section.iter("h3")] == ["Shakes"]
+    assert words(section.find("p")) == "Shakes: how often the thing shakes."
+    assert words(section.find(".//figcaption")) == "shake over time, a1, design; R1"
+    with pytest.raises(InputError, match="--set gaim: no analysis takes it"):
+        refuse_untaken({"gaim": 2.0})
+
+
+def test_two_sets_stand_side_by_side_with_their_difference(tmp_path):
+    for name, f in (("spring", 0.20), ("autumn", 0.23)):
+        (tmp_path / name).mkdir()
+        bench = Bench(tmp_path / name, np.random.default_rng(len(name)))
+        bench.count = len(name) + 10 * (name == "autumn")
+        bench.friction(f=f, scatter=0.001, torque_constant=LEA)
+    sets = tuple(read_runs([tmp_path / name], label, {}, quiet) for name, label in (("spring", "A"), ("autumn", "B")))
+    sheet = Sheet(sets)
+    root = tree(sheet, tmp_path / "out.html")
+    head = table(root)[0]
+    assert head[2:5] == ["spring", "autumn", "difference"]
+    row = next(row for row in table(root) if row[:2] == ["coulomb friction", "design"])
+    assert float(row[4].split()[0]) == pytest.approx(0.03, abs=0.003)
+    assert row[-1] == "A1 , B1"
+    found = next(one for one in sheet.sections[0].rows["friction"] if one.name == "coulomb_friction" and one.difference)
+    first, second = (cell.estimate for cell in found.cells)
+    assert found.difference.std == pytest.approx(np.hypot(first.std, second.std))
+    captions = [words(one) for one in root.iter("figcaption")]
+    assert captions[:2] == [
+        "spring: torque of the current over speed, a1, design; A1",
+        "autumn: torque of the current over speed, a1, design; B1",
+    ]
+    charts = [one for one in root.iter("div") if one.get("class") == "chart"][:2]
+    assert len({words(one.find("div[@class='x']")) for one in charts}) == 1
+    assert len({words(one.find("div[@class='y']")) for one in charts}) == 1
+    with pytest.raises(InputError, match=r"the same run as .* of the other set"):
+        refuse_shared((sets[0], sets[0]))
+    json.dumps(sheet.as_json(), allow_nan=False)
+
+
+def test_points_lie_where_the_axes_say_and_captions_name_their_runs(campaign, sheet):
+    root = tree(sheet, campaign / "out.html")
+    section = next(one for one in root.iter("section") if one.get("id") == "m0-friction")
+    figure = section.find(".//figure")
+    assert [one.text for one in figure.findall("figcaption/a")] == ["R1", "R2", "R3"]
+    answers = [one for one in sheet.sets[0].answers if one.experiment == "friction"]
+    drawn = [one for one in figure.iter("path") if one.get("class").startswith("marks dot s")]
+    assert [one.get("class") for one in drawn] == [f"marks dot s{k}" for k in range(3)]
+    shown = np.concatenate([places(one.get("d")) for one in drawn])
+    points = np.concatenate([np.transpose([one.x, one.y]) for a in answers for one in a.result.plots[0].points[:1]])
+    for k, sign in ((0, 1.0), (1, -1.0)):
+        assert np.corrcoef(shown[:, k], points[:, k])[0, 1] == pytest.approx(sign, abs=1e-4)
+    strips = [one for one in section.iter("svg") if one.get("class") == "strip"]
+    assert len(strips) == 6
+    assert strips[0].get("aria-label").startswith("unloaded, a1: 0.0")
+
+
+def places(path):
+    return np.array([[float(v) for v in pair.split()] for pair in re.findall(r"M([\d. ]+)h0", path)])
+
+
+def test_every_link_leads_somewhere_and_nothing_is_fetched(campaign, sheet):
+    out = campaign.parent / "page.html"
+    text = page(sheet, out)
+    root = ElementTree.fromstring(text)
+    ids = [element.get("id") for element in root.iter() if element.get("id")]
+    assert len(ids) == len(set(ids))
+    targets = [element.get("href") for element in root.iter("a")]
+    inside, outside = ([one for one in targets if one.startswith("#") == kind] for kind in (True, False))
+    assert {one[1:] for one in inside} <= set(ids)
+    files = [f"{campaign.name}/{one.name}" for one in campaign.glob("*.h5")]
+    assert sorted(unquote(one) for one in outside) == sorted(files)
+    assert not {"script", "link", "img", "iframe", "object", "embed"} & {element.tag for element in root.iter()}
+    assert not re.search(r"://|url\(|@import|javascript:", text)
+
+
+def test_the_same_runs_give_the_same_page_however_they_are_given(campaign, sheet):
+    files = sorted(campaign.glob("*.h5"), reverse=True)
+    assert page(of(*files), campaign / "out.html") == page(sheet, campaign / "out.html")
+
+
+@given(st.text(st.characters(exclude_characters="\r"), min_size=1))
+def test_every_text_is_escaped(hostile):
+    about = dict.fromkeys(("run_id", "actuator", "condition", "bench", "status", "created", "mechanical"), hostile)
+
+    def made(said, about):
+        entry = Entry(Path("x.h5"), "R1", f"name: {json.dumps(said)}\n", said, "friction", about)
+        lost = Entry(Path(f"{said.replace('/', '').replace(chr(0), '')}.h5"), "R2", fault=said)
+        points = Series(said, (0.0, 1.0), (1.0, 2.0))
+        result = Result(
+            "friction",
+            ("x.h5",),
+            (Estimate(said, 1.0, 0.1, 0.8, 1.2, said),),
+            (said,),
+            (Plot(said, said, (points,), ()),),
+        )
+        own = RunSet(said, (entry, lost), (Answer(said, "friction", said, said, result, (entry,)),), {})
+        return tree(Sheet((own,)), Path("out.html"))
+
+    root = made(hostile, about)
+    plain = made("word", dict.fromkeys(about, "word"))
+    assert {element.tag for element in root.iter()} == {element.tag for element in plain.iter()}
+    shown = re.sub("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]", "\ufffd", hostile)
+    assert root.find("body/main/section/section/details/ul/li").text == shown
+
+
+@needs_chromium
+def test_it_fits_a_telephone_and_a_screen_light_and_dark_and_asks_for_nothing(campaign, sheet, tmp_path):
+    text = page(sheet, campaign / "out.html")
+    said, tags, complaints = look(tmp_path, text, (420, 1400), ("light", "dark"))
+    assert said == "fits"
+    assert complaints == []
+    assert tags == [element.tag for element in ElementTree.fromstring(text).iter()]
+
+
+def test_contours_are_told_on_the_longest_of_their_name_and_fitted_lines_have_no_holes(tmp_path):
+    x = tuple(float(k) for k in range(50))
+    shown = Series("all", x, x)
+    lines = [Series("20%", (0.0, 0.001, 0.002, 40.0), (1.0, 2.0, 3.0, 4.0)), Series("20%", (5.0, 6.0), (1.0, 1.5))]
+    lines += [Series(f"{k}0%", (1.0, 2.0, 3.0), (k, k + 1.0, k)) for k in (4, 6)]
+    entry = Entry(Path("x.h5"), "R1", "", "lea", "friction")
+    result = Result("friction", ("x.h5",), (), (), (Plot("x [1]", "y [1]", (shown,), tuple(lines)),))
+    own = RunSet("s", (entry,), (Answer("lea", "friction", "", "", result, (entry,)),), {})
+    root = tree(Sheet((own,)), tmp_path / "out.html")
+    on_line = [one for one in root.iter("span") if one.get("class") == "on-line"]
+    assert [one.text for one in on_line] == ["20%", "40%", "60%"]
+    assert [words(one) for one in root.iter("div") if one.get("class") == "legend"] == ["all"]
+    drawn = [one.get("d") for one in root.iter("path") if one.get("class") == "curve line thin other"]
+    assert [path.count("M") for path in drawn] == [1, 1, 1, 1]
