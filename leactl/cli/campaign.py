@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -176,7 +176,7 @@ def _read(
     return campaign, folder, entries_of(campaign, Conditions(folder, operator, realtime, served, buses))
 
 
-def _about(entry: "Entry") -> Mapping[str, Any]:
+def _about(entry: "Entry") -> dict[str, Any]:
     cell, request = entry.cell, entry.request
     return {
         "run": cell.key,

@@ -80,11 +80,12 @@ def conduct(campaign: Campaign, entries: Sequence[Entry], folder: Path, manner: 
         expected = previews(pending)
         for moved in place.put_aside([*now.unfinished, *now.damaged], folder):
             manner.tell(f"put aside: {moved}")
-        journal = journal.without(set(now.lost)).model_copy(update={"runs": runs, "underway": None})
         plans = {entry.cell.key: entry.request.plan for entry in entries}
-        for key in now.finished.keys() - journal.finished.keys():
-            file = now.finished[key]
-            journal = journal.ended(key, Finished(run_id=file.run_id, unmet=_unmet(plans[key], file.path)))
+        untold = {
+            key: Finished(run_id=now.finished[key].run_id, unmet=_unmet(plans[key], now.finished[key].path))
+            for key in now.untold(journal)
+        }
+        journal = journal.resumed(runs, untold, now.finished.keys())
         save(journal, folder)
         conductor = _Conductor(len(entries), pending, expected, folder, manner, journal)
         try:
@@ -189,14 +190,12 @@ class _Conductor:
         """Wait until the windings allow a run; where no wait is enough, the run itself is refused."""
         if entry.request.in_process:
             return
-        rest_s = self._windings(entry).rest_before(entry.request.plan)
-        if not rest_s:
-            return
-        self._manner.tell(f"waiting {clock(rest_s)} for the windings to cool, for {entry.cell}")
-        until = time.monotonic() + rest_s
-        while time.monotonic() < until:
-            check()
-            time.sleep(LOOK_EVERY_S)
+        while rest_s := self._windings(entry).rest_before(entry.request.plan):
+            self._manner.tell(f"waiting {clock(rest_s)} for the windings to cool, for {entry.cell}")
+            until = time.monotonic() + rest_s
+            while time.monotonic() < until:
+                check()
+                time.sleep(LOOK_EVERY_S)
 
     def _windings(self, entry: Entry, cold: bool = False) -> Windings:
         request = entry.request

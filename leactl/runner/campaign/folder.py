@@ -1,10 +1,12 @@
 """The folder of a campaign: held by one process at a time, and put in order before anything is added to it."""
 
+import fcntl
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from leactl.errors import DeviceError, InputError
+from leactl.errors import InputError
 from leactl.runfile.publish import move_without_overwriting
 from leactl.runner import exclusive
 from leactl.runner.campaign.campaignfile import Campaign
@@ -37,13 +39,17 @@ def held(folder: Path) -> Iterator[None]:
 
 def busy(folder: Path) -> bool:
     """Whether a process conducts a campaign in the folder."""
-    if not (folder / LOCK).is_file():
+    try:
+        descriptor = os.open(folder / LOCK, os.O_RDONLY)
+    except OSError:
         return False
     try:
-        with exclusive.locked(folder / LOCK, ""):
-            return False
-    except DeviceError:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
         return True
+    finally:
+        os.close(descriptor)
+    return False
 
 
 def found(campaign: Campaign, entries: Sequence[Entry], folder: Path) -> tuple[Journal, Standing]:

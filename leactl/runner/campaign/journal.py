@@ -5,6 +5,7 @@ they say of themselves.
 """
 
 import json
+from collections.abc import Container, Mapping
 from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -57,9 +58,17 @@ class Journal(Block):
         """The journal as a run has come to its end."""
         return self.model_copy(update={"finished": self.finished | {key: finished}, "underway": None})
 
-    def without(self, keys: set[str]) -> "Journal":
-        """The journal without these finished runs, which are to be made again."""
-        return self.model_copy(update={"finished": {k: one for k, one in self.finished.items() if k not in keys}})
+    def resumed(self, runs: dict[str, str], untold: Mapping[str, Finished], finished: Container[str]) -> "Journal":
+        """The journal as a campaign goes on.
+
+        Parameters
+        ----------
+        runs : every run in its order, as they are now.
+        untold : finished runs that it does not know yet, or knows by a file that is lost.
+        finished : keys of all that have their files; any other is to be made again.
+        """
+        kept = {key: one for key, one in {**self.finished, **untold}.items() if key in finished}
+        return self.model_copy(update={"runs": runs, "finished": kept, "underway": None})
 
 
 def fresh(campaign: Campaign, runs: dict[str, str]) -> Journal:
