@@ -5,7 +5,6 @@ import os
 import random
 import signal
 import sys
-import threading
 import time
 from collections import Counter
 
@@ -30,6 +29,21 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture
+def begin():
+    """Start a command that is ended with the test at the latest."""
+    made = []
+
+    def begun(*arguments):
+        made.append(start(*arguments))
+        return made[-1]
+
+    yield begun
+    for process in made:
+        process.kill()
+        process.communicate()
+
+
 def finished(folder):
     """Complete runs by what they are of the campaign; every file has to be readable."""
     found = {}
@@ -50,7 +64,7 @@ def strike(number, after_s):
         line = process.stderr.readline()
     time.sleep(after_s)  # the moment itself, which is drawn
     process.send_signal(number)
-    _out, err = process.communicate(timeout=60)
+    _out, err = process.communicate(timeout=120)
     return process.returncode, err
 
 
@@ -89,18 +103,19 @@ def test_a_campaign_that_is_struck_often(here, seed):
     struck_until_done(here, seed, drawn.choices([signal.SIGKILL, signal.SIGINT, signal.SIGTERM], k=8))
 
 
-def test_a_campaign_under_way_is_seen_and_its_folder_is_taken(here):
-    process = start("campaign", "small.yaml", "--out", "out", "--realtime")
-    assert "[1/8" in process.stderr.readline()
-    told = json.loads(leactl("campaign", "status", "small.yaml", "--out", "out", "--json").stdout)
-    assert (told["under_way"], told["finished"], len(told["runs"])) == (True, 0, 8)
-    second = leactl("campaign", "small.yaml", "--out", "out")
+def test_a_campaign_under_way_is_seen_and_its_folder_is_taken(here, begin):
+    (here / "long.yaml").write_text(SMALL.replace("current_A: 0.5", "hold_s: 3600"))
+    process = begin("campaign", "long.yaml", "--out", "out", "--realtime")
+    assert "[1/4" in process.stderr.readline()
+    told = json.loads(leactl("campaign", "status", "long.yaml", "--out", "out", "--json").stdout)
+    assert (told["under_way"], told["finished"], len(told["runs"])) == (True, 0, 4)
+    second = leactl("campaign", "long.yaml", "--out", "out")
     assert second.returncode == 5
     assert second.stderr.startswith("leactl: out: the campaign is conducted already, process ")
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=120)
     assert (process.returncode, err.splitlines()[-1]) == (4, "leactl: stopped by SIGINT")
-    assert out == "0 of 8 runs are finished in out; the same command goes on\n"
+    assert out == "0 of 4 runs are finished in out; the same command goes on\n"
 
 
 def test_a_prompt_that_nobody_can_answer_ends_the_campaign_with_status_4(here):
@@ -131,19 +146,17 @@ def test_a_prompt_is_asked_at_the_terminal(here):
     assert "stopped by the operator: 'n' in answer to: Mount bench 'testbed'" in told
 
 
-def test_a_campaign_waits_for_windings_to_cool_and_holds_its_bench_meanwhile(here):
-    process = start("campaign", "real.yaml", "--yes", "--out", "one")  # nothing is known of them: they count as hot
-    watched = threading.Timer(60, process.kill)
-    watched.start()
+def test_a_campaign_waits_for_windings_to_cool_and_holds_its_bench_meanwhile(here, begin):
+    (here / "warm.yaml").write_text(ON_TESTBED.replace("current_A: 0.5", "current_A: 20, hold_s: 4"))
+    process = begin("campaign", "warm.yaml", "--yes", "--out", "one")  # nothing is known of them: they count as hot
     line = process.stderr.readline()
-    watched.cancel()
     assert line.startswith("leactl: waiting 0:")
     assert line.endswith(" for the windings to cool, for slow, unloaded, repeat 1\n")
-    second = leactl("campaign", "real.yaml", "--out", "two")
+    second = leactl("campaign", "warm.yaml", "--out", "two")
     assert second.returncode == 5
     assert second.stderr.startswith("leactl: bench 'testbed' has a campaign already, process ")
     process.send_signal(signal.SIGTERM)
-    process.communicate(timeout=30)
+    process.communicate(timeout=120)
     assert process.returncode == 4
 
 
@@ -160,11 +173,6 @@ def test_a_plan_is_printed_and_nothing_is_made(here):
 
 
 def test_unusable_input_is_status_2(here):
-    for arguments, words in (
-        (["no-such"], "campaign 'no-such' is not known; known: "),
-        (["small.yaml", "--variant", "x"], "variant 'x' is not known; known: none"),
-        (["small.yaml", "--seed", "-1"], "Invalid value for '--seed'"),
-    ):
-        done = leactl("campaign", *arguments)
-        assert (done.returncode, done.stdout) == (2, "")
-        assert words in done.stderr
+    done = leactl("campaign", "--variant", "x", "small.yaml")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "leactl: small.yaml:2:1  variants: variant 'x' is not known; known: none\n"
