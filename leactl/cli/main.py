@@ -14,6 +14,7 @@ from leactl.cli import (
     analyze,
     bench,
     bench_by_hand,
+    campaign,
     demo,
     doctor,
     driver,
@@ -43,6 +44,7 @@ app.command("analyze")(analyze.analyze)
 for by_hand in (bench_by_hand.stop, bench_by_hand.read, bench_by_hand.zero, bench_by_hand.jog):
     bench.app.command()(by_hand)
 app.add_typer(bench.app, name="bench")
+app.add_typer(campaign.app, name="campaign")
 app.add_typer(driver.app, name="driver")
 app.add_typer(gap.app, name="gap")
 app.add_typer(motor.app, name="motor")

@@ -48,8 +48,8 @@ def run(
     finish(outcome, unmet)
 
 
-def perform(request: "Request") -> "Outcome":
-    """Execute a request with the live view on stderr and its stop key."""
+def perform(request: "Request", heading: str = "") -> "Outcome":
+    """Execute a request with the live view on stderr and its stop key; the heading opens the view's title."""
     from contextlib import AbstractContextManager
 
     from rich.console import Console
@@ -69,7 +69,7 @@ def perform(request: "Request") -> "Outcome":
     with keyboard(shown=console.is_terminal) as keys:
 
         def watch(progress: Progress) -> AbstractContextManager[object]:
-            progress.hint = keys.hint
+            progress.hint, progress.title = keys.hint, f"{heading}{progress.title}"
             return live_view(progress, console)
 
         return execute(request, granted if emulated else keys.ask, watch, [keys.pressed])

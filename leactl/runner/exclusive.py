@@ -34,13 +34,22 @@ def held(bench: BenchFile, devices: Sequence[CheckedDevice]) -> Iterator[list[in
         places.setdefault(place, f"bus '{name}' ({place})")
     with ExitStack() as stack:
         yield [
-            stack.enter_context(_locked(state_directory() / f"{_file_name(place)}.lock", what))
+            stack.enter_context(
+                locked(state_directory() / f"{_file_name(place)}.lock", f"{what} is driven by another run")
+            )
             for place, what in places.items()
         ]
 
 
 @contextmanager
-def _locked(path: Path, what: str) -> Iterator[int]:
+def locked(path: Path, taken: str) -> Iterator[int]:
+    """Hold a lock file until the block is left; `taken` opens the line that says who holds it.
+
+    Raises
+    ------
+    DeviceError : another process holds it.
+    InputError : there is no place for it.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
@@ -53,9 +62,7 @@ def _locked(path: Path, what: str) -> Iterator[int]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             holder = os.read(descriptor, 20).decode("ascii", "replace").strip() or "unknown"
-            raise DeviceError(
-                f"{what} is driven by another run, process {holder}; wait for its end, or: leactl bench stop"
-            ) from None
+            raise DeviceError(f"{taken}, process {holder}; wait for its end, or: leactl bench stop") from None
         os.ftruncate(descriptor, 0)
         os.write(descriptor, f"{os.getpid()}\n".encode())
         yield descriptor

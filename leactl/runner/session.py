@@ -57,6 +57,8 @@ class Request:
     served: bool = False  # the bench is emulated by another process, on real buses
     cold: bool = False  # a person says that nothing has heated the actuators
     insert_cooldown: bool = False  # wait where a winding would otherwise pass its limit
+    run_id: str = ""  # where it has to be known before the run; else one is made
+    part_of: Mapping[str, str] = field(default_factory=dict)  # its campaign, and its place there
 
     @property
     def in_process(self) -> bool:
@@ -103,15 +105,8 @@ def execute(request: Request, operator: Operator, watch: Watch, stops: Sequence[
             _watched(request, locks) as watchdog,
             underway.announced(*place, needed=not request.in_process) as announcement,
         ):
-            bench = Bench(request.bench, request.devices, _wiring(request))
-            _check_roles(request, bench)
-            _check_needs(request, bench)
-            refuse_blind(bench, request.bench_document)
-            _check_disk(request, bench)
             windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
-            request = replace(request, plan=windings.approved(request.plan, request.insert_cooldown))
-            supervisor = _supervisor(request, bench, windings)
-            _check_supplies(request, supervisor)
+            request, bench, supervisor = _ready(request, windings)
             for source in (announcement.asked, *stops):
                 stop.heed(source)
             with windings.remembered():
@@ -122,6 +117,42 @@ def execute(request: Request, operator: Operator, watch: Watch, stops: Sequence[
                     left = bench.close()
             announcement.tell(status=outcome.status, reason=outcome.reason, run=str(outcome.path.resolve()))
     return replace(outcome, notes=[*outcome.notes, *left])
+
+
+@dataclass(frozen=True)
+class Preview:
+    """What a run would take."""
+
+    duration_s: float  # at the least, with the waits for cooling that it is to insert
+    planned_bytes: float
+
+
+def preview(request: Request) -> Preview:
+    """Refuse what `execute` would refuse before it opens a device, from windings at ambient; nothing is touched.
+
+    Raises
+    ------
+    InputError, SafetyTrip, DeviceError : as `execute`.
+    """
+    _check(request)
+    latch.refuse_latched(request.bench.name)
+    windings = Windings(request.bench, request.devices, request.actuator, request.in_process, cold=True)
+    ready, bench, _supervisor = _ready(request, windings)
+    return Preview(ready.plan.duration_s, _planned_bytes(request.plan, bench))
+
+
+def _ready(request: Request, windings: Windings) -> tuple[Request, Bench, Supervisor]:
+    """The request with the plan that its windings allow, its bench, none of whose devices is open, and supervisor."""
+    bench = Bench(request.bench, request.devices, _wiring(request))
+    _check_roles(request, bench)
+    _check_needs(request, bench)
+    refuse_blind(bench, request.bench_document)
+    planned = _planned_bytes(request.plan, bench)
+    check_room(request.bench.interlocks.disk_space, free_bytes(request.directory), planned)
+    request = replace(request, plan=windings.approved(request.plan, request.insert_cooldown))
+    supervisor = _supervisor(request, bench, windings)
+    _check_supplies(request, supervisor)
+    return request, bench, supervisor
 
 
 def _watched(request: Request, locks: Sequence[int]) -> AbstractContextManager[Unwatched]:
@@ -264,11 +295,9 @@ def _check_supplies(request: Request, supervisor: Supervisor) -> None:
                     )
 
 
-def _check_disk(request: Request, bench: Bench) -> None:
-    plan = request.plan
+def _planned_bytes(plan: Plan, bench: Bench) -> float:
     rates = [plan.record_Hz, *(action.rate_Hz for action in plan.actions if isinstance(action, Record))]
-    planned = planned_bytes(bench.streams(), max(rates), plan.rate_Hz, plan.duration_s, bench.fast_streams)
-    check_room(request.bench.interlocks.disk_space, free_bytes(request.directory), planned)
+    return planned_bytes(bench.streams(), max(rates), plan.rate_Hz, plan.duration_s, bench.fast_streams)
 
 
 def _wiring(request: Request) -> Wiring:
@@ -305,7 +334,7 @@ def _info(request: Request) -> RunInfo:
     plan, bench, now = request.plan, request.bench, datetime.now(UTC)
     motor = load_motor(bench.motors["test"])[1]
     return RunInfo(
-        run_id=new_run_id(plan.name, now),
+        run_id=request.run_id or new_run_id(plan.name, now),
         protocol=plan.name,
         bench=bench.name,
         actuator=request.actuator,
@@ -320,7 +349,9 @@ def _info(request: Request) -> RunInfo:
 
 
 def _introduce(request: Request, windings: Windings, writer: RunWriter, streams: Streams) -> None:
-    """Note what the stored YAML texts do not tell: parameters as resolved, the seed, how warm windings may be."""
+    """Note what the stored YAML texts do not tell: campaign, parameters as resolved, seed, how warm windings may be."""
+    for name, value in request.part_of.items():
+        writer.event(0.0, "info", "campaign", f"{name} = {value}")
     for name, value in request.plan.parameters.items():
         writer.event(0.0, "info", "protocol", f"{name} = {value}")
     measured = {channel.quantity for stream in streams.values() for channel in stream}

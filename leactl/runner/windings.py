@@ -86,6 +86,21 @@ class Windings:
         """What a plan would do to the windings."""
         return self._foresight().forecast(plan)
 
+    def rest_before(self, plan: Plan) -> float | None:
+        """Rest [s] before a plan that keeps it below the limit: 0 where it needs none, None where none is enough."""
+        return self._foresight().rest_before(plan)
+
+    def keep_as_found(self) -> None:
+        """Have the runs to come find the windings as this one did, a person's word that they are cold included.
+
+        Raises
+        ------
+        InputError : there is no place to keep it.
+        """
+        if self.keeper is not None:
+            self.keeper.start()
+            self.keeper.stop()
+
     def approved(self, plan: Plan, insert_cooldown: bool = False) -> Plan:
         """The plan, or one with waits where that was asked for.
 

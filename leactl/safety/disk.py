@@ -56,8 +56,8 @@ def planned_bytes(
     return COPIES * BYTES_A_VALUE * rows
 
 
-def check_room(settings: DiskSpace, free: float, planned: float) -> None:
-    """Refuse a run that the disk may not take.
+def check_room(settings: DiskSpace, free: float, planned: float, what: str = "the run") -> None:
+    """Refuse a run, or whatever else is named, that the disk may not take.
 
     Raises
     ------
@@ -67,5 +67,5 @@ def check_room(settings: DiskSpace, free: float, planned: float) -> None:
     if free < needed:
         raise InputError(
             f"disk: {free / 1e6:.0f} MB are free; {needed / 1e6:.0f} MB were expected, {planned / 1e6:.0f} MB for"
-            f" the run and {settings.trip_MB:g} MB to spare (interlocks.disk_space); free space, or choose --out"
+            f" {what} and {settings.trip_MB:g} MB to spare (interlocks.disk_space); free space, or choose --out"
         )

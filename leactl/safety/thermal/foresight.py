@@ -4,7 +4,7 @@ What a plan asks of the drives is in `demand`; here it is followed as the guard 
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -84,20 +84,23 @@ class Foresight:
                 return plan, found
             plan = longer
 
+    def rest_before(self, plan: Plan) -> float | None:
+        """Rest [s] before a plan that keeps it below the limit: 0 where it needs none, None where none is enough."""
+        if self.forecast(plan).passing is None:
+            return 0.0
+        return _shortest(lambda wait: self.forecast(_waiting(plan, 0, wait)).passing is None)
+
     def _wait_before(self, plan: Plan, passing: Passing) -> Plan | None:
         for place in range(passing.action, -1, -1):
             if not _at_rest(plan, place):
                 continue
-            waits = replace(plan, actions=(*plan.actions[:place], _wait(MOST_WAIT_S), *plan.actions[place:]))
-            if not self._passes_later(waits, passing):
-                continue
-            low, high = 0.0, MOST_WAIT_S
-            while high - low > WAIT_FOUND_TO_S:
-                middle = 0.5 * (low + high)
-                tried = replace(plan, actions=(*plan.actions[:place], _wait(middle), *plan.actions[place:]))
-                low, high = (low, middle) if self._passes_later(tried, passing) else (middle, high)
-            seconds = math.ceil(high / WAIT_ROUNDING_S) * WAIT_ROUNDING_S
-            return replace(plan, actions=(*plan.actions[:place], _wait(seconds), *plan.actions[place:]))
+
+            def enough(wait: float, place: int = place) -> bool:
+                return self._passes_later(_waiting(plan, place, wait), passing)
+
+            seconds = _shortest(enough)
+            if seconds is not None:
+                return _waiting(plan, place, seconds)
         return None
 
     def _passes_later(self, plan: Plan, before: Passing) -> bool:
@@ -228,5 +231,18 @@ def _at_rest(plan: Plan, place: int) -> bool:
     )
 
 
-def _wait(seconds: float) -> Segment:
-    return Segment("cooldown", seconds, seconds, {}, {})
+def _waiting(plan: Plan, place: int, seconds: float) -> Plan:
+    """The plan with a wait before one of its actions."""
+    wait = Segment("cooldown", seconds, seconds, {}, {})
+    return replace(plan, actions=(*plan.actions[:place], wait, *plan.actions[place:]))
+
+
+def _shortest(enough: Callable[[float], bool]) -> float | None:
+    """The shortest wait [s] that is enough, rounded up; None where the longest is not."""
+    if not enough(MOST_WAIT_S):
+        return None
+    low, high = 0.0, MOST_WAIT_S
+    while high - low > WAIT_FOUND_TO_S:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if enough(middle) else (middle, high)
+    return math.ceil(high / WAIT_ROUNDING_S) * WAIT_ROUNDING_S

@@ -1,0 +1,195 @@
+"""`leactl campaign`: many runs in order, gone on with after any interruption."""
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+from typer.core import TyperGroup
+
+from leactl.cli.run import perform
+
+if TYPE_CHECKING:
+    from leactl.runner.campaign.campaignfile import Campaign
+    from leactl.runner.campaign.entries import Entry
+
+
+class RunByDefault(TyperGroup):
+    """`leactl campaign FILE` is `leactl campaign run FILE`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put the command in where none is named."""
+        named = args and args[0] in (*self.commands, "--help")
+        return super().parse_args(ctx, args if named or not args else ["run", *args])
+
+
+app = typer.Typer(
+    cls=RunByDefault,
+    help="Run campaigns: `leactl campaign CAMPAIGN` begins one or goes on with it.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
+CAMPAIGN = typer.Argument(metavar="CAMPAIGN", help="Name of a shipped campaign, or a path to a .yaml.")
+VARIANT = typer.Option("", help="Take the campaign's variant of this name.")
+SEED = typer.Option(None, min=0, max=2**63 - 1, help="Over the campaign's seed.")
+OUT = typer.Option(None, help="Folder of the campaign; runs/NAME or runs/NAME-VARIANT where left out.")
+
+
+@app.command("list")
+def list_campaigns(as_json: bool = AS_JSON) -> None:
+    """List the campaigns that ship with leactl."""
+    from leactl.runner.campaign.campaignfile import load, names
+
+    found = [load(name) for name in names()]
+    if as_json:
+        rows = [{"name": one.name, "title": one.title, "runs": len(one.cells)} for one in found]
+        typer.echo(json.dumps({"campaigns": rows}))
+        return
+    for one in found:
+        typer.echo(f"{one.name}  {len(one.cells)} runs  {one.title}")
+
+
+@app.command()
+def show(name: str = CAMPAIGN) -> None:
+    """Show a campaign's file as it is written, to copy and change."""
+    from leactl.runner.campaign.campaignfile import load
+
+    typer.echo(load(name).text, nl=False)
+
+
+@app.command()
+def status(
+    name: str = CAMPAIGN,
+    variant: str = VARIANT,
+    seed: int | None = SEED,
+    out: Path | None = OUT,
+    as_json: bool = AS_JSON,
+) -> None:
+    """Show which runs of a campaign are finished, which are left, and what is wrong with its folder."""
+    from leactl.report.campaign import standing_text
+    from leactl.runner.campaign.folder import busy, found
+
+    campaign, folder, entries = _read(name, variant, seed, out)
+    journal, now = found(campaign, entries, folder)
+    body = {
+        "campaign": campaign.name,
+        "variant": campaign.variant,
+        "folder": str(folder),
+        "under_way": busy(folder),
+        "finished": len(now.finished.keys() & {entry.cell.key for entry in entries}),
+        "runs": [
+            _about(entry)
+            | {
+                "finished": entry.cell.key in now.finished,
+                "file": str(file.path) if (file := now.finished.get(entry.cell.key)) else None,
+                "unmet": list(done.unmet) if (done := journal.finished.get(entry.cell.key)) else [],
+            }
+            for entry in entries
+        ],
+        "lost": dict(now.lost),
+        "changed": list(now.changed),
+        "unfinished": [str(file.path) for file in now.unfinished],
+    }
+    typer.echo(json.dumps(body) if as_json else standing_text(body))
+
+
+@app.command()
+def run(
+    name: str = CAMPAIGN,
+    variant: str = VARIANT,
+    seed: int | None = SEED,
+    out: Path | None = OUT,
+    dry_run: bool = typer.Option(False, "--dry-run", help="Check everything, print the plan, and move nothing."),
+    operator: str = typer.Option("", help="Who runs the benches."),
+    yes: bool = typer.Option(False, "--yes", help="What the first prompt asks for is mounted; a change asks again."),
+    cold: bool = typer.Option(False, "--cold", help="Nothing has heated the actuators since they were at ambient."),
+    redo_lost: bool = typer.Option(False, "--redo-lost", help="Make runs again whose files are missing or damaged."),
+    accept_changes: bool = typer.Option(
+        False, "--accept-changes", help="Go on where the campaign was changed in runs that are not finished."
+    ),
+    realtime: bool = typer.Option(False, "--realtime", help="Keep wall time on emulated benches."),
+    served: bool = typer.Option(False, "--served", help="Meet emulated benches that another process serves."),
+    bus: list[str] = typer.Option([], metavar="NAME=INTERFACE:CHANNEL", help="Put a bus elsewhere."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Begin a campaign or go on with it; statuses as of `leactl run`, 4 also where a prompt finds nobody to answer."""
+    from leactl.errors import AcceptanceFailed
+    from leactl.report.campaign import plan_text
+    from leactl.runner.campaign.conduct import Manner, conduct
+    from leactl.runner.campaign.entries import previews
+    from leactl.runner.campaign.folder import found
+
+    campaign, folder, entries = _read(name, variant, seed, out, operator, realtime, served, bus)
+    if dry_run:
+        _journal, now = found(campaign, entries, folder)
+        expected = previews(entries)
+        rows = [
+            _about(entry)
+            | {
+                "duration_s": round(expected[entry.cell.step, entry.cell.condition].duration_s, 3),
+                "finished": entry.cell.key in now.finished,
+            }
+            for entry in entries
+        ]
+        body = {"campaign": campaign.name, "variant": variant, "seed": campaign.seed, "folder": str(folder)}
+        typer.echo(json.dumps(body | {"runs": rows}) if as_json else plan_text(campaign.title, body | {"runs": rows}))
+        return
+    attended = sys.stdin is not None and sys.stdin.isatty()
+    manner = Manner(perform, _tell, attended, yes, cold, redo_lost, accept_changes)
+    ended = conduct(campaign, entries, folder, manner)
+    done = len(ended.journal.finished)
+    files = {key: str(folder / f"{one.run_id}.h5") for key, one in ended.journal.finished.items()}
+    if as_json:
+        about = {"campaign": campaign.name, "variant": variant, "folder": str(folder)}
+        reason = str(ended.error).splitlines()[0] if ended.error else ""
+        body = about | {"finished": done, "of": ended.total, "reason": reason, "files": files, "unmet": ended.unmet}
+        typer.echo(json.dumps(body))
+    else:
+        goes_on = "" if done == ended.total else "; the same command goes on"
+        typer.echo(f"{done} of {ended.total} runs are finished in {folder}{goes_on}")
+    if ended.error is not None:
+        for note in getattr(ended.error, "__notes__", ()):
+            _tell(note)
+        raise ended.error
+    if ended.unmet:
+        raise AcceptanceFailed("; ".join(ended.unmet))
+
+
+def _read(
+    name: str,
+    variant: str,
+    seed: int | None,
+    out: Path | None,
+    operator: str = "",
+    realtime: bool = False,
+    served: bool = False,
+    buses: Sequence[str] = (),
+) -> "tuple[Campaign, Path, list[Entry]]":
+    from leactl.runner.campaign.campaignfile import load
+    from leactl.runner.campaign.entries import Conditions, entries_of
+
+    campaign = load(name, variant, seed)
+    folder = out or Path("runs") / "-".join(filter(None, (campaign.name, variant)))
+    return campaign, folder, entries_of(campaign, Conditions(folder, operator, realtime, served, buses))
+
+
+def _about(entry: "Entry") -> dict[str, Any]:
+    cell, request = entry.cell, entry.request
+    return {
+        "run": cell.key,
+        "step": cell.step,
+        "protocol": request.plan.name,
+        "bench": request.bench.name,
+        "setup": request.plan.setup,
+        "actuator": cell.actuator,
+        "condition": cell.condition,
+        "repeat": cell.repeat,
+        "prompt": "" if request.bench.emulated is not None else entry.asks,
+    }
+
+
+def _tell(text: str) -> None:
+    print(f"leactl: {text}", file=sys.stderr, flush=True)

@@ -1,0 +1,1 @@
+"""Campaigns: many runs in order, from a file of protocols and conditions to a folder of run files."""

@@ -1,0 +1,266 @@
+"""Campaign files: find by name or path, and check whole.
+
+name: paper
+title: The experiments of the paper
+bench: emulated                          # a name, or a path from this file
+actuators: [LEA-1]                       # labels; left out, runs carry none
+conditions: [unloaded, design, loaded]   # left out, runs carry none
+order: [actuators, conditions, steps, repeats]  # the default, outermost first
+shuffle: [conditions]                    # levels whose order is drawn by the seed, anew within each outer block
+seed: 1                                  # of the shuffling, and of what emulated benches draw for each run
+steps:
+  - name: friction
+    protocol: friction                   # a name, or a path from this file; the step's name where left out
+    bench: mine.yaml                     # over the campaign's; so are actuators and conditions
+    repeats: 2
+    set: {trials: 3}                     # parameters of the protocol
+    prompt: Take the coupling off        # with what is asked of the operator before it
+    insert_cooldown: true                # waits within a run where a winding would grow too hot
+variants:
+  short:                                 # --variant short: over these keys of these steps
+    friction: {repeats: 1, set: {trials: 1}}
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationError
+
+from leactl import yamlfile
+from leactl.errors import InputError
+from leactl.protocol.schema import Block, Seed
+from leactl.runner.campaign.order import USUAL, Cell, Level, arranged
+
+MOST_RUNS = 10_000
+OWN_COMMANDS = ("list", "run", "show", "status")  # of `leactl campaign`; no shipped campaign has such a name
+
+Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=60)]
+Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._+-]*$", max_length=60)]
+Labels = Annotated[tuple[Label, ...], Field(min_length=1)]
+Repeats = Annotated[int, Field(strict=True, ge=1, le=1000)]
+Place = Annotated[str, Field(min_length=1, max_length=1000)]
+
+
+class StepEntry(Block):
+    """One protocol, under every condition and on every actuator of the campaign where it names none of its own."""
+
+    name: Name
+    protocol: Place | None = None
+    bench: Place | None = None
+    actuators: Labels | None = None
+    conditions: Labels | None = None
+    repeats: Repeats = 1
+    set: dict[str, Any] = {}
+    prompt: Annotated[str, Field(max_length=200)] = ""
+    insert_cooldown: Annotated[bool, Field(strict=True)] = False
+
+
+class Variation(Block):
+    """What a variant changes of a step; `set` goes over the step's own, key by key."""
+
+    actuators: Labels | None = None
+    conditions: Labels | None = None
+    repeats: Repeats | None = None
+    set: dict[str, Any] = {}
+
+
+class CampaignFile(Block):
+    """The whole file."""
+
+    name: Name
+    title: Annotated[str, Field(max_length=200)] = ""
+    bench: Place
+    actuators: Labels | None = None
+    conditions: Labels | None = None
+    order: tuple[Level, ...] = USUAL
+    shuffle: tuple[Level, ...] = ()
+    seed: Seed = 1
+    steps: Annotated[tuple[StepEntry, ...], Field(min_length=1)]
+    variants: dict[Name, dict[str, Variation]] = {}
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step as it is to be made, in one variant of the campaign."""
+
+    name: str
+    protocol: str
+    bench: str
+    actuators: Sequence[str]
+    conditions: Sequence[str]
+    repeats: int
+    settings: Sequence[str]  # `name=value`, as on the command line
+    prompt: str
+    insert_cooldown: bool
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A checked campaign: its steps, and its runs in the order in which they are to be made."""
+
+    name: str
+    title: str
+    variant: str  # "" for the campaign as it is written
+    seed: int
+    steps: Mapping[str, Step]
+    cells: Sequence[Cell]
+    text: str
+
+
+def names() -> list[str]:
+    """Names of the campaigns that ship with leactl."""
+    return sorted(path.stem for path in _shipped().glob("*.yaml"))
+
+
+def locate(name_or_path: str) -> Path:
+    """The file of a shipped campaign, or the path itself.
+
+    Raises
+    ------
+    InputError : no shipped campaign has this name and it is no path to a .yaml.
+    """
+    if name_or_path in names():
+        return _shipped() / f"{name_or_path}.yaml"
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        raise InputError(f"campaign '{name_or_path}' is not known; known: {', '.join(names())}, or a path to a .yaml")
+    return path
+
+
+def load(name_or_path: str, variant: str = "", seed: int | None = None) -> Campaign:
+    """Read and check a campaign, by its shipped name or from a file; its protocols and benches are not read yet.
+
+    Raises
+    ------
+    InputError : no such campaign, or faults in it, all at once with file, line and column.
+    """
+    path = locate(name_or_path)
+    document = yamlfile.load(path)
+    if not isinstance(document.data, dict):
+        raise InputError(
+            document.fault((), f"a mapping with keys of {', '.join(CampaignFile.model_fields)} was expected")
+        )
+    try:
+        file = CampaignFile.model_validate(document.data)
+    except ValidationError as error:
+        raise InputError(document.explain(error)) from None
+    faults = list(_faults(document, file))
+    if variant and variant not in file.variants:
+        known = ", ".join(file.variants) or "none"
+        faults.append(document.fault(("variants",), f"variant '{variant}' is not known; known: {known}"))
+    if faults:
+        raise InputError(faults)
+    steps = {entry.name: _step(file, entry, path.parent) for entry in file.steps}
+    for name, change in file.variants.get(variant, {}).items():
+        steps[name] = _varied(steps[name], change)
+    count = sum(len(step.actuators) * len(step.conditions) * step.repeats for step in steps.values())
+    if count > MOST_RUNS:
+        raise InputError(document.fault(("steps",), f"{count} runs; at most {MOST_RUNS} were expected"))
+    number = file.seed if seed is None else seed
+    cells = _in_order(file, steps, number)
+    return Campaign(file.name, file.title, variant, number, steps, cells, document.text)
+
+
+def _shipped() -> Path:
+    return Path(str(resources.files("leactl_protocols.campaigns")))
+
+
+def _faults(document: yamlfile.Document, file: CampaignFile) -> Iterator[str]:
+    seen: dict[str, int] = {}
+    for index, step in enumerate(file.steps):
+        first = seen.setdefault(step.name, index)
+        if first != index:
+            line = document.places["steps", first, "name"][0]
+            yield document.fault(("steps", index, "name"), f"'{step.name}' is the name of the step in line {line} too")
+        yield from _faults_of_block(document, step, ("steps", index))
+    yield from _doubled(document, ("actuators",), file.actuators or ())
+    yield from _doubled(document, ("conditions",), file.conditions or ())
+    yield from _doubled(document, ("shuffle",), file.shuffle)
+    if sorted(file.order) != sorted(USUAL):
+        yield document.fault(("order",), f"each of {', '.join(USUAL)} was expected once")
+    for name, changes in file.variants.items():
+        for step_name, change in changes.items():
+            place = ("variants", name, step_name)
+            if step_name not in seen:
+                yield document.fault(place, f"there is no such step; there are: {', '.join(seen)}")
+            yield from _faults_of_block(document, change, place)
+
+
+def _faults_of_block(
+    document: yamlfile.Document, block: StepEntry | Variation, place: yamlfile.Location
+) -> Iterator[str]:
+    yield from _doubled(document, (*place, "actuators"), block.actuators or ())
+    yield from _doubled(document, (*place, "conditions"), block.conditions or ())
+    if "seed" in block.set:
+        yield document.fault((*place, "set", "seed"), "the campaign has its own seed, which each run draws its from")
+    for name, value in block.set.items():
+        if isinstance(value, dict) or value is None:
+            yield document.fault((*place, "set", name), "a number, a text or a list of these was expected")
+
+
+def _doubled(document: yamlfile.Document, place: yamlfile.Location, items: Sequence[str]) -> Iterator[str]:
+    for index, item in enumerate(items):
+        if item in items[:index]:
+            yield document.fault((*place, index), f"'{item}' stands twice")
+
+
+def _step(file: CampaignFile, entry: StepEntry, folder: Path) -> Step:
+    return Step(
+        name=entry.name,
+        protocol=_from(folder, entry.protocol or entry.name),
+        bench=_from(folder, entry.bench or file.bench),
+        actuators=entry.actuators or file.actuators or ("",),
+        conditions=entry.conditions or file.conditions or ("",),
+        repeats=entry.repeats,
+        settings=_settings(entry.set),
+        prompt=entry.prompt,
+        insert_cooldown=entry.insert_cooldown,
+    )
+
+
+def _varied(step: Step, change: Variation) -> Step:
+    kept = [setting for setting in step.settings if setting.partition("=")[0] not in change.set]
+    return replace(
+        step,
+        actuators=change.actuators or step.actuators,
+        conditions=change.conditions or step.conditions,
+        repeats=change.repeats or step.repeats,
+        settings=[*kept, *_settings(change.set)],
+    )
+
+
+def _settings(values: Mapping[str, Any]) -> list[str]:
+    return [f"{name}={_word(value)}" for name, value in values.items()]
+
+
+def _word(value: Any) -> str:
+    """A value as it would stand after `--set name=`; a text in a list is quoted there, for it may hold a comma."""
+    if isinstance(value, list):
+        quoted = ["'{}'".format(item.replace("'", "''")) if isinstance(item, str) else _word(item) for item in value]
+        return f"[{', '.join(quoted)}]"
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _from(folder: Path, name: str) -> str:
+    """A name as it is, a path from the campaign's folder."""
+    return str(folder / name) if name.endswith((".yaml", ".yml")) else name
+
+
+def _in_order(file: CampaignFile, steps: Mapping[str, Step], seed: int) -> list[Cell]:
+    cells = [
+        Cell(step.name, actuator, condition, repeat)
+        for step in steps.values()
+        for actuator in step.actuators
+        for condition in step.conditions
+        for repeat in range(1, step.repeats + 1)
+    ]
+    written: dict[Level, list[str | int]] = {
+        "actuators": list(dict.fromkeys([*(file.actuators or ()), *(cell.actuator for cell in cells)])),
+        "conditions": list(dict.fromkeys([*(file.conditions or ()), *(cell.condition for cell in cells)])),
+        "steps": list(steps),
+        "repeats": list(range(1, max(step.repeats for step in steps.values()) + 1)),
+    }
+    return arranged(cells, file.order, written, file.shuffle, seed)

@@ -1,0 +1,127 @@
+"""The folder of a campaign: held by one process at a time, and put in order before anything is added to it."""
+
+import fcntl
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from leactl.errors import InputError
+from leactl.runfile.publish import move_without_overwriting
+from leactl.runner import exclusive
+from leactl.runner.campaign.campaignfile import Campaign
+from leactl.runner.campaign.entries import Entry
+from leactl.runner.campaign.journal import NAME, Journal, fresh, read
+from leactl.runner.campaign.standing import UNFINISHED, RunFile, Standing, files_in, standing
+
+LOCK = ".campaign.lock"
+MOST_NAMED = 3
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Make a campaign's folder where there is none, and hold it until the block is left.
+
+    Raises
+    ------
+    InputError : it cannot be made or written to.
+    DeviceError : another process conducts a campaign in it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made: {error.strerror or error}; choose another --out") from None
+    with exclusive.locked(folder / LOCK, f"{folder}: the campaign is conducted already"):
+        for left in folder.glob(f".{NAME}.*.tmp"):  # by a kill while the journal was replaced
+            left.unlink()
+        yield
+
+
+def busy(folder: Path) -> bool:
+    """Whether a process conducts a campaign in the folder."""
+    try:
+        descriptor = os.open(folder / LOCK, os.O_RDONLY)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
+
+
+def found(campaign: Campaign, entries: Sequence[Entry], folder: Path) -> tuple[Journal, Standing]:
+    """The journal of the folder, a new one where there is none, and how far the campaign is by its run files.
+
+    Raises
+    ------
+    InputError : a journal that is damaged, or not of this campaign.
+    """
+    runs = {entry.cell.key: entry.digest for entry in entries}
+    journal = read(folder, campaign) or fresh(campaign, runs)
+    return journal, standing(campaign.name, runs, journal, files_in(folder))
+
+
+def refuse_changed(campaign: Campaign, journal: Journal, now: Standing, runs: Mapping[str, str], accept: bool) -> None:
+    """Refuse to go on with another campaign than the one that was begun.
+
+    Parameters
+    ----------
+    runs : digests by key, as the campaign is now.
+    accept : go on where only runs are changed that are not finished yet.
+
+    Raises
+    ------
+    InputError : with what was changed.
+    """
+    if now.changed:
+        raise InputError(
+            f"campaign '{campaign.name}': {_named(now.changed)} finished, and campaign, protocol or bench now say"
+            " otherwise; change them back, or choose another --out"
+        )
+    was = journal.runs
+    changes = {
+        "added": runs.keys() - was.keys(),
+        "taken out": was.keys() - runs.keys(),
+        "changed": {key for key in runs.keys() & was.keys() if runs[key] != was[key]},
+    }
+    told = [f"{len(keys)} {how}" for how, keys in changes.items() if keys]
+    if told and not accept:
+        raise InputError(
+            f"campaign '{campaign.name}' was changed after its start: {', '.join(told)} of {len(runs)} runs, none of"
+            " them finished; --accept-changes goes on with it as it is now"
+        )
+
+
+def refuse_lost(now: Standing) -> None:
+    """Refuse to go on where finished runs have lost their files.
+
+    Raises
+    ------
+    InputError : one line for each.
+    """
+    if now.lost:
+        raise InputError(
+            [
+                f"{key} was finished, and {fate}; put its file back, or --redo-lost makes the run again"
+                for key, fate in now.lost.items()
+            ]
+        )
+
+
+def put_aside(files: Sequence[RunFile], folder: Path) -> list[Path]:
+    """Move runs that were cut off to a folder of their own: what stays is what the analyses are to take."""
+    moved = []
+    for file in files:
+        target = folder / UNFINISHED / file.path.name
+        target.parent.mkdir(exist_ok=True)
+        move_without_overwriting(file.path, target)
+        moved.append(target)
+    return moved
+
+
+def _named(keys: Sequence[str]) -> str:
+    more = f" and {len(keys) - MOST_NAMED} more" if len(keys) > MOST_NAMED else ""
+    return f"{', '.join(keys[:MOST_NAMED])}{more} {'is' if len(keys) == 1 else 'are'}"

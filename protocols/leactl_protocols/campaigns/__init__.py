@@ -1,0 +1,1 @@
+"""Campaigns that ship with leactl, as package data: one YAML file each."""
