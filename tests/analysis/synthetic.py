@@ -43,11 +43,13 @@ class Bench:
         protocol="",
         role="test",
         repeats=None,
+        key="current_A",
     ):
         """Write a run and return its path.
 
-        `holds` are (setpoint, direction), `levels` map a quantity to its value in each hold, `noise` is the standard
-        deviation of single readings, one for all or by quantity; `edit` may change the columns before they are written.
+        `holds` are (setpoint, direction), `key` is what their setpoint is told by, `levels` map a quantity to its value
+        in each hold, `noise` is the standard deviation of single readings, one for all or by quantity; `edit` may
+        change the columns before they are written.
         """
         self.count += 1
         specs = [
@@ -83,7 +85,7 @@ class Bench:
         writer = RunWriter(self.directory, info, {"loop": specs})
         writer.append("loop", time, np.column_stack(list(columns.values())))
         for index, (setpoint, direction) in enumerate(holds):
-            told = {"current_A": setpoint, "role": role} | ({"direction": direction} if direction else {})
+            told = {key: setpoint, "role": role} | ({"direction": direction} if direction else {})
             told |= {} if repeats is None else {"repeat": int(repeats[index])}
             writer.step("hold", index * HOLD_S, (index + 1) * HOLD_S, SETTLE_S, told)
         writer.close(status, "" if status == "complete" else "as the test says")

@@ -1,0 +1,51 @@
+"""The experiments a good laboratory adds, on the emulated bench from protocol to result: its truth comes back."""
+
+from importlib import resources
+
+import pytest
+
+from leactl.analysis.experiments import analyze_runs
+from leactl.bench import benchfile
+
+F, B, KT, J = 0.208, 0.0238, 0.49, 0.0024  # the shipped bench's, design preload
+
+
+def text_of(name):
+    return (resources.files("leactl_protocols") / f"{name}.yaml").read_text()
+
+
+@pytest.fixture
+def bench_with(tmp_path):
+    """A copy of the shipped bench with these lines in its `emulated:` block."""
+
+    def write(*lines):
+        text = (benchfile.SHIPPED / "emulated.yaml").read_text().replace("name: emulated", "name: mine", 1)
+        path = tmp_path / "mine.yaml"
+        path.write_text(text.replace("  seed: 1\n", "\n  ".join(["  seed: 1", *lines]) + "\n", 1))
+        return str(path)
+
+    return write
+
+
+def answer(spin, name, *sets, **how):
+    """The result of a run of a shipped protocol."""
+    outcome, _ = spin(text_of(name), sets=("seed=7", *sets), **how)
+    assert outcome.status == "complete", outcome.reason
+    return analyze_runs([outcome.path])
+
+
+def within(estimate, truth, relative):
+    """Whether the truth lies in an interval that is no wider than this share of it on either side."""
+    assert estimate.low <= truth <= estimate.high, estimate
+    assert estimate.high - estimate.value <= relative * abs(truth), estimate
+    return True
+
+
+def test_no_load_loss(spin, bench_with):
+    drag = 0.0008
+    bench = bench_with(f"effects: [{{name: quadratic_drag, coefficient: {drag}}}]")
+    result = answer(spin, "no-load-loss", "hold_s=0.7", "settle_s=0.3", "trials=1", bench=bench)
+    assert within(result.find("coulomb_friction"), F, 0.03)
+    assert within(result.find("viscous_damping"), B, 0.03)
+    assert within(result.find("quadratic_drag"), drag, 0.03)
+    assert within(result.find("no_load_loss"), 35 * (F + 35 * B + 35**2 * drag), 0.005)
