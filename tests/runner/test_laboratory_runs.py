@@ -49,3 +49,11 @@ def test_no_load_loss(spin, bench_with):
     assert within(result.find("viscous_damping"), B, 0.03)
     assert within(result.find("quadratic_drag"), drag, 0.03)
     assert within(result.find("no_load_loss"), 35 * (F + 35 * B + 35**2 * drag), 0.005)
+
+
+def test_coast_down(spin):
+    result = answer(spin, "coast-down", "hold_s=0.8", "trials=3")
+    assert within(result.find("rotor_inertia"), J, 0.01)
+    assert within(result.find("coulomb_friction"), F, 0.01)
+    assert within(result.find("viscous_damping"), B, 0.03)
+    assert within(result.find("damping_over_inertia"), B / J, 0.02)
