@@ -6,6 +6,7 @@ import pytest
 
 from leactl.analysis.experiments import analyze_runs
 from leactl.bench import benchfile
+from leactl.errors import InputError
 
 F, B, KT, J = 0.208, 0.0238, 0.49, 0.0024  # the shipped bench's, design preload
 
@@ -57,3 +58,19 @@ def test_coast_down(spin):
     assert within(result.find("coulomb_friction"), F, 0.01)
     assert within(result.find("viscous_damping"), B, 0.03)
     assert within(result.find("damping_over_inertia"), B / J, 0.02)
+
+
+def test_torque_pulses(spin, bench_with):
+    loss = 0.1  # at 25 A
+    bench = bench_with(f"effects: [{{name: saturation, loss: {loss}}}]")
+    short = ("levels_A=[6, 12, 18, 24, 28]", "rest_s=0.3", "trials=1", "tare_samples=20")
+    result = answer(spin, "torque-pulses", *short, bench=bench)
+    kept = 1.0 / (1.0 + ((1.0 - loss) ** -2 - 1.0) * (28 / 25) ** 2) ** 0.5
+    assert within(result.find("loss_at_peak"), 1.0 - kept, 0.15)
+    assert within(result.find("torque_at_peak"), KT * 28 * kept, 0.01)
+    assert within(result.find("torque_constant"), KT, 0.02)
+
+
+def test_pulses_that_would_heat_a_phase_too_far_are_refused(spin):
+    with pytest.raises(InputError, match=r"may take the test winding to its limit of 130 degC after"):
+        answer(spin, "torque-pulses", "hold_s=8", "levels_A=[28]", "trials=1")
