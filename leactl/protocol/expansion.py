@@ -74,7 +74,7 @@ def _ramp(timeline: Timeline, step: Step, pass_number: int) -> None:
     if before is not None:
         duration_s = content.duration_s or abs(value - before) / rate
         where = {"role": content.role, "repeat": pass_number}
-        timeline.ramp(step, content.role, (before, value), duration_s, where)
+        timeline.ramp(step, content.role, (before, value), duration_s, where, content.name)
 
 
 def _hold(timeline: Timeline, step: Step, pass_number: int) -> None:

@@ -32,6 +32,7 @@ from leactl.protocol.schema import Amount, Block, Count, Driven, Duration, Level
 from leactl.protocol.signals import SIGNALS
 from leactl.yamlfile import Location
 
+Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]*$", max_length=40)]
 Level = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1e4)]
 
 
@@ -64,10 +65,11 @@ class SetStep(Driven):
 
 
 class RampStep(Driven):
-    """Move the setpoint at a constant rate."""
+    """Move the setpoint at a constant rate; `name` tells analyses what the ramp is for."""
 
     needs = ("to_setpoint",)
     takes = ("rate",)
+    name: Name = "ramp"
     role: Role
     to_current_A: Setpoint | None = None
     to_velocity_rad_s: Setpoint | None = None
@@ -83,7 +85,7 @@ class HoldStep(Driven):
     """Stay at a setpoint; `name` tells analyses what the hold is for where it is not a level."""
 
     takes = ("setpoint",)
-    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]*$", max_length=40)] = "hold"
+    name: Name = "hold"
     role: Role | None = None
     current_A: Setpoint | None = None
     velocity_rad_s: Setpoint | None = None

@@ -76,6 +76,7 @@ class Bench:
         status="complete",
         units=None,
         protocol="",
+        model="",
     ):
         """Write columns of the test actuator by quantity, and steps as the run file has them; return its path."""
         self.count += 1
@@ -85,7 +86,7 @@ class Bench:
         ]
         sources = {"protocol": protocol or f"name: x\nanalysis: {experiment}\n"}
         if torque_constant is not None:
-            sources["model"] = f"torque_constant: {torque_constant}\n"
+            sources["model"] = f"torque_constant: {torque_constant}\n{model}"
         info = RunInfo(
             run_id=f"20261120T101530Z-{experiment}-{self.count:04d}",
             protocol=experiment,

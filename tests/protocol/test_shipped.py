@@ -128,3 +128,23 @@ def test_a_trajectory_lies_beside_its_protocol(tmp_path):
         "  - mode: {test: current}\n  - signal: {role: test, kind: csv, path: walk.csv}\n"
     )
     assert protocolfile.load(str(tmp_path / "walk.yaml")).peaks() == {("test", "q_axis_current_reference"): 2.0}
+
+
+def test_back_drive_lets_go_of_every_preload_with_its_drive_off():
+    found = protocolfile.load("back-drive")
+    assert all("test" not in action.modes for action in found.actions if isinstance(action, Engage))
+    ramps = [segment for segment in segments(found) if segment.name == "breakaway"]
+    assert len(ramps) == 6
+    assert sorted({ramp.setpoints["load"].stop for ramp in ramps}) == [-1.3, 1.3]
+    assert 1.3 * KT > 2 * max(friction for _damping, friction in PRELOADS.values())
+
+
+@pytest.mark.parametrize("preload", PRELOADS)
+def test_coast_down_takes_long_enough_to_be_seen(preload):
+    damping, friction = PRELOADS[preload]
+    found = protocolfile.load("coast-down")
+    coasts = [segment for segment in segments(found) if segment.name == "coast"]
+    stands_after = 0.0024 / damping * math.log1p(damping * 30 / friction)
+    assert stands_after * found.rate_Hz > 50
+    assert all(not segment.setpoints for segment in coasts)
+    assert coasts[0].duration_s > stands_after

@@ -74,3 +74,13 @@ def test_torque_pulses(spin, bench_with):
 def test_pulses_that_would_heat_a_phase_too_far_are_refused(spin):
     with pytest.raises(InputError, match=r"may take the test winding to its limit of 130 degC after"):
         answer(spin, "torque-pulses", "hold_s=8", "levels_A=[28]", "trials=1")
+
+
+def test_back_drive(spin, bench_with):
+    bench = bench_with("effects: [{name: cogging, amplitude: 0.03, order: 82}]")
+    result = answer(spin, "back-drive", "trials=2", "hold_s=0.8", "settle_s=0.4", bench=bench)
+    assert within(result.find("coulomb_friction"), F, 0.02)
+    assert within(result.find("viscous_damping"), B, 0.03)
+    assert result.find("cogging_order").value == 82
+    assert within(result.find("cogging_amplitude"), 0.03, 0.05)
+    assert result.find("breakaway_torque").value == pytest.approx(F, abs=0.03)  # cogging is added or taken off
