@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from leactl.driver.contract import Mode
 from leactl.errors import InputError
-from leactl.protocol import sweeps, trajectory
+from leactl.protocol import sweeps, trajectory, weights
 from leactl.protocol.plan import Prompt, Record, Samples, Supply, Tare, WaitUntil
 from leactl.protocol.schema import divides
 from leactl.protocol.setpointkeys import Spelling
@@ -214,4 +214,5 @@ _WRITERS: dict[str, Callable[[Timeline, Step, int], None]] = {
     "tare": _tare,
     "supply": _supply,
     "prompt": _prompt,
+    "weigh": weights.weigh,
 }

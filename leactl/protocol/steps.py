@@ -11,6 +11,7 @@
     tare: {samples: 500}
     supply: {test: {voltage_V: 8, current_A: 9}}      direct current through two leads; off ends it
     prompt: Lock the shaft
+    weigh: {masses_kg: [1, 2], arm_m: 0.5, hold_s: 5, settle_s: 2}      dead weights on the torque sensor
     record: {rate_Hz: 1000}                0 pauses
     repeat: {times: 3, steps: [...]}
 
@@ -186,6 +187,20 @@ class SupplyStep(Block):
         return {role: None if one is None else (one.voltage_V, one.current_A) for role, one in given.items()}
 
 
+class WeighStep(Block):
+    """Have the operator hang weight after weight on an arm of the torque sensor: none, rising, falling, none.
+
+    With `sign: -1` they pull the other way.
+    """
+
+    masses_kg: Annotated[tuple[Level, ...], Field(min_length=1)]
+    arm_m: Level
+    hold_s: Duration
+    settle_s: Rest = 0.0
+    repeats: Count = 1
+    sign: Sign = 1
+
+
 class RecordStep(Block):
     """Record at another rate from here on."""
 
@@ -211,6 +226,7 @@ KINDS: dict[str, TypeAdapter[Any]] = {
     "tare": TypeAdapter(TareStep),
     "supply": TypeAdapter(SupplyStep),
     "prompt": TypeAdapter(Text),
+    "weigh": TypeAdapter(WeighStep),
     "record": TypeAdapter(RecordStep),
     "repeat": TypeAdapter(RepeatStep),
 }

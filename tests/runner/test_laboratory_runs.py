@@ -84,3 +84,12 @@ def test_back_drive(spin, bench_with):
     assert result.find("cogging_order").value == 82
     assert within(result.find("cogging_amplitude"), 0.03, 0.05)
     assert result.find("breakaway_torque").value == pytest.approx(F, abs=0.03)  # cogging is added or taken off
+
+
+def test_torque_sensor_calibration(spin, bench_with):
+    bench = bench_with("effects: [{name: torque_sensor_gain, gain: 1.02}]")
+    result = answer(spin, "torque-sensor-calibration", "hold_s=1", "settle_s=0.2", "repeats=2", bench=bench)
+    assert within(result.find("sensitivity"), 1.02, 0.005)
+    assert result.find("sensitivity").value == pytest.approx(1.02, rel=2e-4)  # the emulated gravity is the standard one
+    assert any("multiply scale_per_V by 0.980" in note for note in result.notes)
+    assert result.find("uncertainty_repeatability").value < 0.002
