@@ -93,3 +93,11 @@ def test_torque_sensor_calibration(spin, bench_with):
     assert result.find("sensitivity").value == pytest.approx(1.02, rel=2e-4)  # the emulated gravity is the standard one
     assert any("multiply scale_per_V by 0.980" in note for note in result.notes)
     assert result.find("uncertainty_repeatability").value < 0.002
+
+
+def test_torque_speed_envelope(spin):
+    result = answer(spin, "torque-speed-envelope", "rest_s=2", "hold_s=0.5", "settle_s=0.2", "tare_samples=20")
+    # |V|^2 = (R i + Kb w)^2 + (n L w i)^2 = (29.6 V)^2 / 2 at 28 A, winding at 25 degC, which the pulses warm by some K
+    assert result.find("corner_speed").value == pytest.approx(26.86, rel=0.03)
+    highest = result.find("highest_torque")
+    assert highest.value == pytest.approx(KT * 28 - F - B * result.find("speed_of_highest_torque").value, rel=0.01)
