@@ -29,13 +29,14 @@ WINDOW = 5.0  # lags summed, in integrated autocorrelation times (Sokal 1997, se
 class Hold:
     """One held setpoint."""
 
-    setpoint: float  # A
+    setpoint: float
     direction: int  # 1 reached by rising, -1 by falling, 0 not said
     start: float  # s, of the settled part
     stop: float  # s
+    unit: str = "A"
 
     def __str__(self) -> str:
-        return f"{self.setpoint:g} A at {self.start:.1f} s"
+        return f"{self.setpoint:g} {self.unit} at {self.start:.1f} s"
 
 
 @dataclass(frozen=True)
@@ -79,16 +80,33 @@ class Levels:
         )
 
 
+@dataclass(frozen=True)
+class Held:
+    """What the holds of an experiment are told by: the key of their setpoint, and whose it is."""
+
+    key: str
+    unit: str
+    role: str = "test"
+
+    def levels(self, run: Run) -> list[Hold]:
+        """Holds of a run, in order: steps named `hold` with this key in their parameters."""
+        found = []
+        for step in run.steps:
+            setpoint = step.parameters.get(self.key)
+            numeric = isinstance(setpoint, int | float) and not isinstance(setpoint, bool) and math.isfinite(setpoint)
+            if step.name == "hold" and numeric and step.parameters.get("role", self.role) == self.role:
+                direction = DIRECTIONS.get(str(step.parameters.get("direction", "")), 0)
+                settled = step.start + step.settle
+                found.append(Hold(float(setpoint), direction, settled, step.stop, self.unit))  # type: ignore[arg-type]
+        return found
+
+
+CURRENT_HELD = Held("current_A", "A")
+
+
 def held_levels(run: Run) -> list[Hold]:
-    """Holds of the test actuator's current, in order: steps named `hold` with `current_A` in their parameters."""
-    found = []
-    for step in run.steps:
-        setpoint = step.parameters.get("current_A")
-        numeric = isinstance(setpoint, int | float) and not isinstance(setpoint, bool) and math.isfinite(setpoint)
-        if step.name == "hold" and numeric and step.parameters.get("role", "test") == "test":
-            direction = DIRECTIONS.get(str(step.parameters.get("direction", "")), 0)
-            found.append(Hold(float(setpoint), direction, step.start + step.settle, step.stop))  # type: ignore[arg-type]
-    return found
+    """Holds of the test actuator's current, in order."""
+    return CURRENT_HELD.levels(run)
 
 
 def gather(
@@ -96,6 +114,7 @@ def gather(
     quantities: Sequence[str],
     notes: list[str],
     read: Callable[[Run, str], Channel] = lambda run, quantity: run.channel(quantity, role="test"),
+    held: Held = CURRENT_HELD,
 ) -> Levels:
     """Settled means of channels of the test actuator over every hold; what is left out goes into the notes.
 
@@ -115,7 +134,7 @@ def gather(
             if units.setdefault(channel.quantity, channel.units) != channel.units:
                 known = units[channel.quantity]
                 raise InputError(f"{run.path}: {channel.quantity} in {channel.units}, in {known} in the runs before")
-        rows += _rows_of(run, number, channels, notes)
+        rows += _rows_of(run, number, channels, held, notes)
     columns = {quantity: [means[index] for _, _, means in rows] for index, quantity in enumerate(quantities)}
     return Levels(
         run=np.array([number for number, _, _ in rows]),
@@ -130,9 +149,9 @@ def gather(
 
 
 def _rows_of(
-    run: Run, number: int, channels: Sequence[Channel], notes: list[str]
+    run: Run, number: int, channels: Sequence[Channel], held: Held, notes: list[str]
 ) -> list[tuple[int, Hold, list[Mean]]]:
-    holds = held_levels(run)
+    holds = held.levels(run)
     left_out: dict[str, list[str]] = {}
     rows = []
     for hold in holds:
@@ -144,7 +163,7 @@ def _rows_of(
             rows.append((number, hold, [mean for mean in means if mean is not None]))
     notes += tally(left_out, f"{run.path}")
     if not rows:
-        what = f"{len(holds)} holds, none with data" if holds else "no step named 'hold' with current_A"
+        what = f"{len(holds)} holds, none with data" if holds else f"no step named 'hold' with {held.key}"
         raise NotIdentifiable(f"{run.path}: found {what}; two held levels or more are needed")
     for index, channel in enumerate(channels):
         missing = sum(means[index].missing for _, _, means in rows)

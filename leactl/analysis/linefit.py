@@ -153,4 +153,4 @@ def _furthest(fit: Fit, levels: Levels) -> str:
     worst = int(np.argmax(np.abs(means)))
     index = int(np.flatnonzero(cells == worst)[0])
     side = {1: " rising", -1: " falling", 0: ""}[int(levels.direction[index])]
-    return f"{levels.setpoint[index]:g} A{side} by {means[worst]:+.2g}"
+    return f"{levels.setpoint[index]:g} {levels.holds[index].unit}{side} by {means[worst]:+.2g}"

@@ -14,7 +14,7 @@ import numpy as np
 from leactl.analysis.carried_model import torque_constant_of_model
 from leactl.analysis.current_convention import named
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
-from leactl.analysis.levels import Levels, gather, held_levels, require_levels, span
+from leactl.analysis.levels import CURRENT_HELD, Held, Levels, gather, require_levels, span
 from leactl.analysis.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
 from leactl.analysis.regression import Array
 from leactl.analysis.repeats import without_repeats
@@ -73,7 +73,7 @@ def analyze(runs: Sequence[Run]) -> Result:
     return Result("torque-constant", paths, tuple(results), tuple(notes), (plot_of(levels, line),))
 
 
-def usable(run: Run, quantity: str, notes: list[str]) -> Channel:
+def usable(run: Run, quantity: str, notes: list[str], held: Held = CURRENT_HELD) -> Channel:
     """A channel of the test actuator; of torque only what is no repeat and no end of range, the rest as missed.
 
     Raises
@@ -83,7 +83,7 @@ def usable(run: Run, quantity: str, notes: list[str]) -> Channel:
     channel = run.channel(quantity, role="test")
     if quantity != TORQUE:
         return channel
-    holds = held_levels(run)
+    holds = held.levels(run)
     value, reached = saturated(channel, holds)
     if reached:
         where = f"torque of test is saturated at {value:g} in {len(reached)} holds ({listed(reached)})"

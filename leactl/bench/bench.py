@@ -21,6 +21,7 @@ class Bench:
 
     def __init__(self, file: BenchFile, devices: Sequence[CheckedDevice], wiring: Wiring) -> None:
         self.file, self.clock, self.wait_for_disk = file, wiring.clock, wiring.wait_for_disk
+        self.hang = wiring.hang
         ports: dict[str, Any] = {name: _port(name, bus, wiring) for name, bus in file.buses.items()}
         self.drivers: dict[str, Driver] = {}
         self.drives: dict[str, Driver] = {}

@@ -36,6 +36,9 @@ class Wiring(Protocol):
     def wait_for_disk(self) -> None:
         """What every write of the run file waits for; a disk that is none of the emulation's takes its own time."""
 
+    def hang(self, torque: float) -> None:
+        """Weights that the operator has hung on the torque sensor act with this torque [N*m] from now on."""
+
     def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
         """How to connect to a serial line."""
 
@@ -76,6 +79,9 @@ class MachineWiring:
 
     def wait_for_disk(self) -> None:
         """Nothing: the disk is this machine's own."""
+
+    def hang(self, torque: float) -> None:
+        """Nothing: the operator has."""
 
     def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
         """Connect to a serial device."""

@@ -139,6 +139,10 @@ class EmulatedBench:
         if self.disk_delay_s:
             time.sleep(self.disk_delay_s)
 
+    def hang(self, torque: float) -> None:
+        """Let weights act on the torque sensor [N*m]."""
+        self.rig.hung_torque = torque
+
     def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
         """How to connect to an emulated serial line."""
         return lambda: EmulatedSerialLine(self.serial_wires[name])

@@ -75,6 +75,7 @@ class Rig:
             raise InputError(f"effect {names}: only the stepped plant has a form for it, the emulated bench has none")
         self.noise = Noise(seed)
         self.heater_current = 0.0  # A, DC through two leads of the test actuator, heated setup only
+        self.hung_torque = 0.0  # N*m, of weights on an arm of the torque sensor
         first, second = test or ActuatorParameters(), load or ActuatorParameters()
         pair = [Actuator(self, k, p, self.bench.ambient_temperature) for k, p in enumerate((first, second))]
         self._pair = pair
@@ -104,7 +105,7 @@ class Rig:
     @property
     def shaft_torque(self) -> float:
         """Torque of the test actuator onto the shaft as the sensor has it [N*m]; positive when it drives."""
-        torque = float(self._point[SHAFT_TORQUE])
+        torque = float(self._point[SHAFT_TORQUE]) + self.hung_torque
         for effect in self.effects:
             torque = effect.sense_torque(torque)
         return torque

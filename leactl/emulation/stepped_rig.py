@@ -41,6 +41,7 @@ class SteppedRig:
         if self.bench.phase_resolved:
             raise InputError("phase_resolved: the stepped plant of these effects has no phases; leave it or them out")
         self.time = 0.0
+        self.hung_torque = 0.0  # N*m, of weights on an arm of the torque sensor
         self._dead_bus: float | None = None  # V, where that is too little for a drive
         lane = Lane(setup, test or ActuatorParameters(), load or ActuatorParameters(), self.bench, tuple(effects))
         refuse_idle_settings(self.bench, lane.test, lane.load)
@@ -53,7 +54,7 @@ class SteppedRig:
     @property
     def shaft_torque(self) -> float:
         """Torque of the test actuator onto the shaft as the sensor has it [N*m]."""
-        torque, angle = self.plant.torque_read.reshape(1, 1), self.plant.angle[:1, :1]
+        torque, angle = self.plant.torque_read.reshape(1, 1) + self.hung_torque, self.plant.angle[:1, :1]
         for effect in self._effects:
             torque = effect.torque_record(torque, angle, np.array([[self.time]]))
         return float(torque[0, 0])

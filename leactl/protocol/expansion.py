@@ -6,7 +6,7 @@ from typing import Any
 
 from leactl.driver.contract import Mode
 from leactl.errors import InputError
-from leactl.protocol import sweeps, trajectory
+from leactl.protocol import sweeps, trajectory, weights
 from leactl.protocol.plan import Prompt, Record, Samples, Supply, Tare, WaitUntil
 from leactl.protocol.schema import divides
 from leactl.protocol.setpointkeys import Spelling
@@ -75,7 +75,7 @@ def _ramp(timeline: Timeline, step: Step, pass_number: int) -> None:
     if before is not None:
         duration_s = content.duration_s or abs(value - before) / rate
         where = {"role": content.role, "repeat": pass_number}
-        timeline.ramp(step, content.role, (before, value), duration_s, where)
+        timeline.ramp(step, content.role, (before, value), duration_s, where, content.name)
 
 
 def _hold(timeline: Timeline, step: Step, pass_number: int) -> None:
@@ -219,4 +219,5 @@ _WRITERS: dict[str, Callable[[Timeline, Step, int], None]] = {
     "tare": _tare,
     "supply": _supply,
     "prompt": _prompt,
+    "weigh": weights.weigh,
 }

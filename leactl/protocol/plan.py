@@ -172,6 +172,13 @@ class Prompt:
 
 
 @dataclass(frozen=True)
+class Hang(Prompt):
+    """Ask the operator to hang a weight on the arm of the torque sensor, or to take all off; then this torque acts."""
+
+    torque: float  # N*m, in the sense of the shaft, by standard gravity
+
+
+@dataclass(frozen=True)
 class Record:
     """Record at this rate from here on; 0 pauses."""
 
@@ -280,6 +287,7 @@ _NAMES: dict[type, str] = {
     WaitUntil: "wait_until",
     Tare: "tare",
     Prompt: "prompt",
+    Hang: "weigh",
     Record: "record",
     Supply: "supply",
 }

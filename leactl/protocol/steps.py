@@ -11,6 +11,7 @@
     tare: {samples: 500}
     supply: {test: {voltage_V: 8, current_A: 9}}      direct current through two leads; off ends it
     prompt: Lock the shaft
+    weigh: {masses_kg: [1, 2], arm_m: 0.5, hold_s: 5, settle_s: 2}      dead weights on the torque sensor
     record: {rate_Hz: 1000}                0 pauses
     repeat: {times: 3, steps: [...]}
 
@@ -32,6 +33,7 @@ from leactl.protocol.schema import Amount, Block, Count, Driven, Duration, Level
 from leactl.protocol.signals import SIGNALS
 from leactl.yamlfile import Location
 
+Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]*$", max_length=40)]
 Level = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1e4)]
 
 
@@ -64,10 +66,11 @@ class SetStep(Driven):
 
 
 class RampStep(Driven):
-    """Move the setpoint at a constant rate."""
+    """Move the setpoint at a constant rate; `name` tells analyses what the ramp is for."""
 
     needs = ("to_setpoint",)
     takes = ("rate",)
+    name: Name = "ramp"
     role: Role
     to_current_A: Setpoint | None = None
     to_velocity_rad_s: Setpoint | None = None
@@ -83,7 +86,7 @@ class HoldStep(Driven):
     """Stay at a setpoint; `name` tells analyses what the hold is for where it is not a level."""
 
     takes = ("setpoint",)
-    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]*$", max_length=40)] = "hold"
+    name: Name = "hold"
     role: Role | None = None
     current_A: Setpoint | None = None
     velocity_rad_s: Setpoint | None = None
@@ -184,6 +187,20 @@ class SupplyStep(Block):
         return {role: None if one is None else (one.voltage_V, one.current_A) for role, one in given.items()}
 
 
+class WeighStep(Block):
+    """Have the operator hang weight after weight on an arm of the torque sensor: none, rising, falling, none.
+
+    With `sign: -1` they pull the other way.
+    """
+
+    masses_kg: Annotated[tuple[Level, ...], Field(min_length=1)]
+    arm_m: Level
+    hold_s: Duration
+    settle_s: Rest = 0.0
+    repeats: Count = 1
+    sign: Sign = 1
+
+
 class RecordStep(Block):
     """Record at another rate from here on."""
 
@@ -209,6 +226,7 @@ KINDS: dict[str, TypeAdapter[Any]] = {
     "tare": TypeAdapter(TareStep),
     "supply": TypeAdapter(SupplyStep),
     "prompt": TypeAdapter(Text),
+    "weigh": TypeAdapter(WeighStep),
     "record": TypeAdapter(RecordStep),
     "repeat": TypeAdapter(RepeatStep),
 }

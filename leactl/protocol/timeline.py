@@ -182,10 +182,11 @@ class Timeline:
         ends: tuple[float, float],
         duration_s: float,
         parameters: Mapping[str, float | str],
+        name: str = "ramp",
     ) -> None:
         """Keep a ramp from one setpoint to another."""
         self.roles[role].goes_to(ends[1])
-        self.segment(step, "ramp", duration_s, {role: Ramp(*ends, duration_s)}, parameters)
+        self.segment(step, name, duration_s, {role: Ramp(*ends, duration_s)}, parameters)
 
     def approach(
         self, step: Step, role: str, value: float, rate: float | None, parameters: Mapping[str, float | str]

@@ -135,7 +135,7 @@ def interval_text(item: Estimate) -> str:
 
 def number(value: float, std: float) -> str:
     """A value to the second significant digit of its uncertainty."""
-    if std <= 0.0 or not math.isfinite(value):
+    if not (0.0 < std < math.inf and math.isfinite(value)):
         return f"{value:.6g}"
     exponent = math.floor(math.log10(float(f"{std:.1e}")))
     if exponent < -8:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from leactl.bench.bench import Bench
 from leactl.driver.contract import AnalogInput, Block, Mode
 from leactl.errors import DeviceError, InputError
-from leactl.protocol.plan import Action, Engage, Plan, Profile, Prompt, Record, Segment, Supply, Tare, WaitUntil
+from leactl.protocol.plan import Action, Engage, Hang, Plan, Profile, Prompt, Record, Segment, Supply, Tare, WaitUntil
 from leactl.runfile.writer import RunWriter
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import Flush
@@ -95,6 +95,9 @@ class Loop:
                 self._wait_until(action)
             case Tare():
                 self._tare(action.samples)
+            case Hang():
+                self._prompt(action.text)
+                self._bench.hang(action.torque)
             case Prompt():
                 self._prompt(action.text)
             case Record():

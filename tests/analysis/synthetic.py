@@ -33,27 +33,18 @@ class Bench:
         *,
         rate_Hz=50,  # noqa: N803
         noise=0.0,
-        mechanical="coupled",
-        actuator="a1",
-        condition="design",
-        torque_constant=0.49,
-        status="complete",
         edit=None,
-        units=None,
-        protocol="",
         role="test",
         repeats=None,
+        key="current_A",
+        **how,
     ):
         """Write a run and return its path.
 
-        `holds` are (setpoint, direction), `levels` map a quantity to its value in each hold, `noise` is the standard
-        deviation of single readings, one for all or by quantity; `edit` may change the columns before they are written.
+        `holds` are (setpoint, direction), `key` is what their setpoint is told by, `levels` map a quantity to its value
+        in each hold, `noise` is the standard deviation of single readings, one for all or by quantity; `edit` may
+        change the columns before they are written.
         """
-        self.count += 1
-        specs = [
-            ChannelSpec(name, name, "test", "d", units=(units or {}).get(name, UNITS[name]), dtype="f8")
-            for name in levels
-        ]
         per_hold = round(HOLD_S * rate_Hz)
         time = np.arange(len(holds) * per_hold) / rate_Hz
         columns = {}
@@ -64,9 +55,38 @@ class Bench:
             columns[name] = column
         if edit is not None:
             edit(time, columns)
+        steps = []
+        for index, (setpoint, direction) in enumerate(holds):
+            told = {key: setpoint, "role": role} | ({"direction": direction} if direction else {})
+            told |= {} if repeats is None else {"repeat": int(repeats[index])}
+            steps.append(("hold", index * HOLD_S, (index + 1) * HOLD_S, SETTLE_S, told))
+        return self.write(experiment, time, columns, steps, **how)
+
+    def write(
+        self,
+        experiment,
+        time,
+        columns,
+        steps,
+        *,
+        mechanical="coupled",
+        actuator="a1",
+        condition="design",
+        torque_constant=0.49,
+        status="complete",
+        units=None,
+        protocol="",
+        model="",
+    ):
+        """Write columns of the test actuator by quantity, and steps as the run file has them; return its path."""
+        self.count += 1
+        specs = [
+            ChannelSpec(name, name, "test", "d", units=(units or {}).get(name, UNITS[name]), dtype="f8")
+            for name in columns
+        ]
         sources = {"protocol": protocol or f"name: x\nanalysis: {experiment}\n"}
         if torque_constant is not None:
-            sources["model"] = f"torque_constant: {torque_constant}\n"
+            sources["model"] = f"torque_constant: {torque_constant}\n{model}"
         info = RunInfo(
             run_id=f"20261120T101530Z-{experiment}-{self.count:04d}",
             protocol=experiment,
@@ -82,10 +102,8 @@ class Bench:
         )
         writer = RunWriter(self.directory, info, {"loop": specs})
         writer.append("loop", time, np.column_stack(list(columns.values())))
-        for index, (setpoint, direction) in enumerate(holds):
-            told = {"current_A": setpoint, "role": role} | ({"direction": direction} if direction else {})
-            told |= {} if repeats is None else {"repeat": int(repeats[index])}
-            writer.step("hold", index * HOLD_S, (index + 1) * HOLD_S, SETTLE_S, told)
+        for step in steps:
+            writer.step(*step)
         writer.close(status, "" if status == "complete" else "as the test says")
         return writer.path
 

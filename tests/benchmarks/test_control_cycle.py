@@ -73,6 +73,9 @@ class Rehearsal:
 
         return connect
 
+    def hang(self, torque: float) -> None:
+        """Nothing."""
+
     def wait_for_disk(self) -> None:
         return
 

@@ -284,7 +284,7 @@ def test_a_file_that_is_absent_or_not_known(tmp_path):
     with pytest.raises(InputError, match=r"nowhere\.yaml: No such file"):
         protocolfile.load(str(tmp_path / "nowhere.yaml"))
     with pytest.raises(
-        InputError, match=r"protocol 'torque' is not known; known: back-emf, .*friction, .*torque-constant.*, or"
+        InputError, match=r"protocol 'torque' is not known; known: .*back-emf, .*friction, .*torque-constant.*, or"
     ):
         protocolfile.load("torque")
 

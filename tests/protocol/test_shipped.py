@@ -160,3 +160,23 @@ def test_noise_reaches_as_far_as_in_the_paper_and_is_never_the_same(name, cutoff
     asked = [segment for segment in segments(protocolfile.load(name)) if segment.name == "noise"]
     assert {(s.parameters["cutoff_Hz"], s.parameters["order"]) for s in asked} == {(cutoff, order)}
     assert len({segment.parameters["seed"] for segment in asked}) == len(asked)
+
+
+def test_back_drive_lets_go_of_every_preload_with_its_drive_off():
+    found = protocolfile.load("back-drive")
+    assert all("test" not in action.modes for action in found.actions if isinstance(action, Engage))
+    ramps = [segment for segment in segments(found) if segment.name == "breakaway"]
+    assert len(ramps) == 6
+    assert sorted({ramp.setpoints["load"].stop for ramp in ramps}) == [-1.3, 1.3]
+    assert 2 * max(friction for _damping, friction in PRELOADS.values()) < 1.3 * KT
+
+
+@pytest.mark.parametrize("preload", PRELOADS)
+def test_coast_down_takes_long_enough_to_be_seen(preload):
+    damping, friction = PRELOADS[preload]
+    found = protocolfile.load("coast-down")
+    coasts = [segment for segment in segments(found) if segment.name == "coast"]
+    stands_after = 0.0024 / damping * math.log1p(damping * 30 / friction)
+    assert stands_after * found.rate_Hz > 50
+    assert all(not segment.setpoints for segment in coasts)
+    assert coasts[0].duration_s > stands_after

@@ -75,6 +75,9 @@ class Wiring:
 
     serial = i2c
 
+    def hang(self, torque):
+        """Nothing."""
+
     def wait_for_disk(self):
         return
 

@@ -1,0 +1,235 @@
+"""Calibration of the torque sensor by dead weights on an arm, with an uncertainty budget (GUM, JCGM 100:2008).
+
+reading = S m g l + zero: what the weights do is known but for mass, gravity and arm, so S is the factor by which the
+bench's scale is off. What a straight line does not tell is a part of the budget each: type A from the scatter of
+repeats, type B as a rectangle of half the width that was seen (GUM, 4.3.7). The coverage factor is by Welch and
+Satterthwaite.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
+from leactl.analysis.levels import Held, Levels, gather
+from leactl.analysis.linefit import LineFit, cells_of, fit_lines, place_of, remarks
+from leactl.analysis.regression import Array, t_quantile
+from leactl.analysis.torque_constant import TORQUE, usable
+from leactl.errors import InputError, NotIdentifiable
+from leactl.runfile.reader import Run
+
+HELD = Held("weight_Nm", "N*m", "bench")
+WEIGHED_BY = 9.80665  # m/s^2, in the torque that the holds tell
+GRAVITY_STD = 0.026 / math.sqrt(3.0)  # m/s^2: 9.780 at the equator to 9.832 at the poles
+MASS_STD = 5e-4 / math.sqrt(3.0)  # relative: OIML R 111, class M3
+ARM_STD_M = 0.2e-3 / math.sqrt(3.0)  # a drawing's tolerance
+FEWEST_WEIGHTS = 3
+FOLLOWS = 10.0  # standard errors that the sensitivity must differ from zero by
+OFF = 0.005  # from one: a factor of which a note says what to do
+SWINGS = 0.002  # of the highest torque, between the quarters of a hold
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What the torque of the weights is known to."""
+
+    factor: float  # gravity at the place over the one that the holds tell
+    relative_std: float
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of the budget: its standard uncertainty [N*m] at the highest torque, and what that rests on."""
+
+    name: str
+    std: float
+    dof: float = math.inf  # infinite for type B
+
+
+def analyze(
+    runs: Sequence[Run],
+    *,
+    gravity: float | None = None,
+    gravity_std: float | None = None,
+    mass_relative_std: float | None = None,
+    arm_std_m: float | None = None,
+) -> Result:
+    """The factor that the bench's torque is off by, its zero, and the budget of a torque that is measured with it.
+
+    `sensitivity` (reading over torque), `zero` [N*m], `highest_torque` [N*m] that weights made; standard uncertainties
+    there [N*m]: `uncertainty_repeatability`, `_sensitivity`, `_linearity`, `_hysteresis`, `_resolution`, `_zero_drift`,
+    `_reference`; `combined_uncertainty` [N*m], `coverage_factor`, `expanded_uncertainty` [N*m] at 95 %.
+
+    Parameters
+    ----------
+    runs : of one sensor, whose steps `hold` weights at three torques or more.
+    gravity, gravity_std : [m/s^2] at the place, and its standard uncertainty.
+    mass_relative_std : standard uncertainty of the masses over their mass.
+    arm_std_m : [m], standard uncertainty of the arm's length.
+
+    Raises
+    ------
+    MissingChannel : a run has no torque.
+    NotIdentifiable : fewer than three weights, or a sensor that does not follow them.
+    InputError : a given number that makes no sense.
+    """
+    place = f"{place_of(runs)}: torque sensor calibration"
+    notes: list[str] = []
+    reference = reference_of(runs, gravity, gravity_std, mass_relative_std, arm_std_m, notes)
+    levels = gather(runs, (TORQUE,), notes, lambda run, name: usable(run, name, notes, HELD), HELD)
+    weights = np.unique(np.round(levels.setpoint, 9))
+    if len(weights) < FEWEST_WEIGHTS:
+        raise NotIdentifiable(
+            f"{place}: found {len(weights)} torques of weights; {FEWEST_WEIGHTS} or more are needed to see whether the"
+            " sensor is straight"
+        )
+    applied = levels.setpoint * reference.factor
+    line = fit_lines({"sensitivity": applied}, levels.value[TORQUE], levels, place)
+    factor = line.slope("sensitivity")
+    highest = float(np.max(np.abs(applied)))
+    notes += remarks(line, levels.std[TORQUE], "N*m")
+    own = line.estimate("sensitivity", "sensitivity", "1")
+    if abs(factor) < FOLLOWS * own.std:
+        raise NotIdentifiable(
+            f"{place}: the readings do not follow the weights: {factor:.2g} of {highest:.3g} N*m is seen"
+        )
+    notes += judged(line, levels, factor, highest)
+    parts = budget(runs, levels, line, own.std, highest, notes)
+    parts.append(Part("reference", highest * reference.relative_std))
+    results = [
+        line.estimate("sensitivity", "sensitivity", "1", reference.relative_std),
+        line.fit.estimate("zero", "N*m", line.mean_intercept),
+        Estimate("highest_torque", highest, NAN, NAN, NAN, "N*m"),
+        *(Estimate(f"uncertainty_{part.name}", part.std, NAN, NAN, NAN, "N*m") for part in parts),
+        *combined(parts),
+    ]
+    paths = tuple(str(run.path) for run in runs)
+    return Result("torque-sensor-calibration", paths, tuple(results), tuple(notes), (plot_of(levels, line, applied),))
+
+
+def reference_of(
+    runs: Sequence[Run],
+    gravity: float | None,
+    gravity_std: float | None,
+    mass_relative_std: float | None,
+    arm_std_m: float | None,
+    notes: list[str],
+) -> Reference:
+    """What is known of gravity, masses and arm; what is not given is taken wide, and said.
+
+    Raises
+    ------
+    InputError : a gravity that is none of this planet's, a negative uncertainty, or an arm of no length.
+    """
+    if gravity is not None and not 9.7 < gravity < 9.9:
+        raise InputError(f"gravity {gravity:g}: 9.7 to 9.9 m/s^2 was expected")
+    stds = {"gravity_std": gravity_std, "mass_relative_std": mass_relative_std, "arm_std_m": arm_std_m}
+    for name, number in stds.items():
+        if number is not None and not (math.isfinite(number) and number >= 0.0):
+            raise InputError(f"{name} {number:g}: zero or more was expected")
+    arms = {float(arm) for run in runs for step in run.steps if (arm := step.parameters.get("arm_m")) is not None}
+    if not arms or min(arms) <= 0.0:
+        raise NotIdentifiable(f"{place_of(runs)}: no hold tells the arm of its weights (arm_m)")
+    taken = {
+        "gravity_std": GRAVITY_STD if gravity is None else 0.0,
+        "mass_relative_std": MASS_STD,
+        "arm_std_m": ARM_STD_M,
+    }
+    lacking = [f"{name} {taken[name]:.2g}" for name, number in stds.items() if number is None and taken[name]]
+    if lacking:
+        notes.append(f"not given and taken: {listed(lacking)}; gravity {gravity or WEIGHED_BY:g} m/s^2")
+    own = {name: taken[name] if number is None else number for name, number in stds.items()}
+    at_place = gravity or WEIGHED_BY
+    relative = math.hypot(own["gravity_std"] / at_place, own["mass_relative_std"], own["arm_std_m"] / min(arms))
+    return Reference(at_place / WEIGHED_BY, relative)
+
+
+def judged(line: LineFit, levels: Levels, factor: float, highest: float) -> list[str]:
+    """What the sensor's owner should do or look at."""
+    notes = []
+    if factor < 0.0:
+        notes.append("the reading falls as the torque rises: the sensor's sign is the other one; change `sign`")
+    elif abs(factor - 1.0) > OFF:
+        notes.append(f"the reading is {factor:.4f} times the torque: multiply scale_per_V by {1.0 / factor:.5g}")
+    quarters = levels.quarters[TORQUE]
+    swing = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1)
+    swinging = swing > SWINGS * highest
+    if swinging.any():
+        where = [str(hold) for hold, applies in zip(levels.holds, swinging, strict=True) if applies]
+        notes.append(
+            f"the weight swung or crept in {len(where)} holds ({listed(where)}): wait longer before confirming"
+        )
+    if len(np.unique(np.sign(levels.setpoint))) < 3 and not (levels.setpoint == 0.0).all():
+        notes.append("weights in one sense only: whether the sensor reads alike in the other is not known")
+    return notes
+
+
+def budget(
+    runs: Sequence[Run], levels: Levels, line: LineFit, slope_std: float, highest: float, notes: list[str]
+) -> list[Part]:
+    """What a straight line does not tell, as standard uncertainties of a torque [N*m]; NaN where it was not seen."""
+    factor = abs(line.slope("sensitivity"))
+    residuals = line.fit.residuals / factor
+    cells = np.unique(np.column_stack([cells_of(levels), levels.run]), axis=0, return_inverse=True)[1].reshape(-1)
+    counts = np.bincount(cells)
+    within = residuals - (np.bincount(cells, residuals) / counts)[cells]
+    dof = float(len(residuals) - len(counts))
+    repeat = math.sqrt(float(within @ within) / dof) if dof else NAN
+    if not dof:
+        notes.append("no weight was hung twice: repeatability is not known, and not in the combined uncertainty")
+    means = {
+        side: {value: float(residuals[of_it & (levels.setpoint == value)].mean()) for value in levels.setpoint[of_it]}
+        for side in (1, -1)
+        if (of_it := levels.direction == side).any()
+    }
+    both = [abs(means[1][value] - means[-1][value]) for value in means.get(1, {}) if value in means.get(-1, {})]
+    if not both:
+        notes.append("weights were not hung rising and falling: hysteresis is not known, and not in the combined one")
+    straight = [abs(float(residuals[levels.setpoint == value].mean())) for value in np.unique(levels.setpoint)]
+    zeros = levels.value[TORQUE][levels.setpoint == 0.0] / factor
+    steps = [resolution_of(run) / factor for run in runs]
+    return [
+        Part("repeatability", repeat, dof or math.inf),
+        Part("sensitivity", highest * slope_std / factor, line.fit.dof),
+        Part("linearity", max(straight) / math.sqrt(3.0)),
+        Part("hysteresis", 0.5 * max(both) / math.sqrt(3.0) if both else NAN),
+        Part("resolution", math.sqrt(2.0) * max(steps) / math.sqrt(12.0)),  # of a reading and of its zero
+        Part("zero_drift", 0.5 * float(np.ptp(zeros)) / math.sqrt(3.0) if len(zeros) > 1 else NAN),
+    ]
+
+
+def resolution_of(run: Run) -> float:
+    """The least step between two readings [N*m]; 0 where there is none."""
+    values = run.channel(TORQUE).values
+    steps = np.diff(np.unique(values[np.isfinite(values)]))
+    clear = steps[steps > 1e-9]
+    return float(clear.min()) if len(clear) else 0.0
+
+
+def combined(parts: Sequence[Part]) -> list[Estimate]:
+    """Root of the sum of squares, its coverage factor and the expanded uncertainty; unknown parts are left out."""
+    known = [part for part in parts if math.isfinite(part.std)]
+    std = math.sqrt(sum(part.std**2 for part in known))
+    spread = sum(part.std**4 / part.dof for part in known)
+    factor = t_quantile(std**4 / spread if spread > 0.0 else math.inf)
+    return [
+        Estimate("combined_uncertainty", std, NAN, NAN, NAN, "N*m"),
+        Estimate("coverage_factor", factor, NAN, NAN, NAN, "1"),
+        Estimate("expanded_uncertainty", factor * std, NAN, NAN, NAN, "N*m"),
+    ]
+
+
+def plot_of(levels: Levels, line: LineFit, applied: Array) -> Plot:
+    """What readings depart from the straight line, over the torque of the weights."""
+    points = []
+    for label, side in (("rising", 1), ("falling", -1), ("weights", 0)):
+        of_it = levels.direction == side
+        if of_it.any():
+            shown = line.fit.residuals[of_it]
+            points.append(Series(label, tuple(applied[of_it].tolist()), tuple(shown.tolist())))
+    ends = (float(applied.min()), float(applied.max()))
+    return Plot(
+        "torque of the weights [N*m]", "reading less the line [N*m]", tuple(points), (Series("line", ends, (0.0, 0.0)),)
+    )

@@ -1,0 +1,115 @@
+"""The envelope of a machine whose voltage equation is solved by itself."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from leactl.analysis.torque_speed_envelope import analyze
+from leactl.errors import MissingChannel, NotIdentifiable
+
+from .synthetic import analyzed, covered
+
+R, KT, L, POLES, F, B, BUS, ASKED = 0.264, 0.49, 128e-6, 41, 0.208, 0.0238, 29.6, 28.0
+SPEEDS = (5.0, 10.0, 15.0, 20.0, 24.0, 28.0, 30.0, 32.0, 34.0, 36.0)
+
+
+def current_at(speed, bus=BUS):
+    """What the voltage leaves [A], at most what is asked for."""
+
+    def over(current):
+        return math.hypot(R * current + KT * speed, POLES * speed * L * current) - bus / math.sqrt(2)
+
+    return ASKED if over(ASKED) < 0 else brentq(over, 0.0, ASKED)
+
+
+def driven(bench, *, speeds=SPEEDS, trials=3, scatter=0.0, bus=BUS, sag=0.0, asked=ASKED, edit=None, **how):
+    holds = [(asked, "") for _ in range(trials) for _ in speeds]
+    speed = np.array([value for _ in range(trials) for value in speeds]) + bench.rng.normal(0.0, 1e-3, len(holds))
+    current = np.array([current_at(abs(value), bus) for value in speed]) * asked / ASKED
+    torque = KT * current - F - B * np.abs(speed) + bench.rng.normal(0.0, scatter, len(holds))
+    columns = {
+        "torque": torque,
+        "velocity": speed,
+        "q_axis_current": current,
+        "bus_voltage": bus - sag * np.abs(torque),
+    }
+    return bench.run("torque-speed-envelope", holds, columns, rate_Hz=10, edit=edit, **how)
+
+
+def true_corner():
+    return brentq(
+        lambda speed: math.hypot(R * ASKED + KT * speed, POLES * speed * L * ASKED) - BUS / math.sqrt(2), 1, 60
+    )
+
+
+def test_highest_torque_power_and_corner_come_back(bench):
+    result = analyzed(analyze, driven(bench, scatter=0.005))
+    assert result.find("highest_torque").value == pytest.approx(KT * ASKED - F - 5 * B, abs=0.02)
+    assert result.find("speed_of_highest_torque").value == pytest.approx(5.0, abs=0.01)
+    powers = {speed: speed * (KT * current_at(speed) - F - B * speed) for speed in SPEEDS}
+    fastest = max(powers, key=powers.get)
+    assert result.find("highest_power").value == pytest.approx(powers[fastest], rel=0.002)
+    assert result.find("speed_of_highest_power").value == pytest.approx(fastest, abs=0.01)
+    assert result.find("corner_speed").value == pytest.approx(true_corner(), rel=0.01)
+    assert result.find("current_limit").value == ASKED
+
+
+def test_intervals_hold_the_truth_in_95_of_100_times(bench):
+    held = 0
+    for _ in range(20):
+        found = analyzed(analyze, driven(bench, scatter=0.05, trials=2)).find("highest_torque")
+        held += covered(found, KT * ASKED - F - 5 * B)
+    assert held >= 16  # three standard deviations below 19 of 20
+
+
+@pytest.mark.parametrize(
+    ("speeds", "ends", "words"),
+    [
+        ((5.0, 10.0, 20.0), (20.0, math.inf), "the corner lies above"),
+        ((30.0, 33.0), (0.0, 30.0), "the corner lies below"),
+        ((20.0, 34.0), (20.0, 34.0), "3 holds beyond the corner"),
+    ],
+)
+def test_a_corner_that_was_not_driven_through_has_bounds_and_no_value(bench, speeds, ends, words):
+    result = analyzed(analyze, driven(bench, speeds=speeds))
+    found = result.find("corner_speed")
+    assert math.isnan(found.value)
+    assert (found.low, found.high) == pytest.approx(ends, abs=0.02)
+    assert any(words in note for note in result.notes)
+
+
+def test_a_supply_that_sags_and_levels_that_brake_are_named(bench):
+    def brake(_time, columns):
+        columns["torque"][columns["velocity"] < 7] *= -1
+
+    result = analyzed(analyze, driven(bench, sag=0.1, edit=brake))
+    assert any("the supply sagged from" in note for note in result.notes)
+    assert any("left out 3: the actuator gave no power" in note for note in result.notes)
+    assert result.find("speed_of_highest_torque").value == pytest.approx(10.0, abs=0.01)
+
+
+def test_without_repeats_no_interval_is_given(bench):
+    result = analyzed(analyze, driven(bench, trials=1))
+    assert math.isnan(result.find("highest_torque").std)
+    assert any("highest_torque without a repeat" in note for note in result.notes)
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (lambda _time, columns: columns["torque"].__imul__(-1), "found no hold in which the actuator drove"),
+        (None, "one current was expected"),
+    ],
+)
+def test_a_run_that_cannot_answer_says_why_in_one_line(bench, edit, words):
+    paths = [driven(bench, edit=edit), *([] if edit else [driven(bench, asked=20.0)])]
+    with pytest.raises(NotIdentifiable, match=words) as caught:
+        analyzed(analyze, *paths)
+    assert len(caught.value.faults) == 1
+
+
+def test_a_run_without_torque_is_refused(bench):
+    with pytest.raises(MissingChannel, match="no torque of test"):
+        analyzed(analyze, bench.friction())
