@@ -24,6 +24,7 @@ BUS = "bus_voltage"
 MISSING = 0.02  # of the current asked for: more, and the voltage is the limit
 FEWEST_LIMITED = 4  # holds beyond the corner: one more than its fit has unknowns
 SAG = 0.01  # of the bus voltage at its highest
+STEADY_RAD_S = 0.1  # between the quarters of a hold
 SAME_SPEED = 0.1  # rad/s, of holds that count as repeats; their load settles alike
 Mask = npt.NDArray[np.bool_]
 
@@ -57,6 +58,13 @@ def analyze(runs: Sequence[Run]) -> Result:
     speed, torque = np.abs(levels.value[VELOCITY]), np.abs(levels.value[TORQUE])
     flowing = np.abs(levels.value[CURRENT])
     limited = flowing < (1.0 - MISSING) * limit
+    quarters = levels.quarters[VELOCITY]
+    drifted = float(np.max(np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1)))
+    if drifted > STEADY_RAD_S:
+        notes.append(
+            f"the speed changed by up to {drifted:.2g} rad/s within a hold: the rotor's inertia is in its torque, and"
+            " in no interval; settle longer"
+        )
     results = [
         *best("torque", torque, levels, "N*m", notes),
         *best("power", torque * speed, levels, "W", notes),

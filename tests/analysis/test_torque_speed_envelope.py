@@ -90,6 +90,16 @@ def test_a_supply_that_sags_and_levels_that_brake_are_named(bench):
     assert result.find("speed_of_highest_torque").value == pytest.approx(10.0, abs=0.01)
 
 
+def test_a_speed_that_drifts_within_a_hold_is_named(bench):
+    def drift(time, columns):
+        columns["velocity"] += 0.2 * (time % 2.5)
+
+    assert any(
+        "the rotor's inertia is in its torque" in note for note in analyzed(analyze, driven(bench, edit=drift)).notes
+    )
+    assert not any("inertia is in its torque" in note for note in analyzed(analyze, driven(bench)).notes)
+
+
 def test_without_repeats_no_interval_is_given(bench):
     result = analyzed(analyze, driven(bench, trials=1))
     assert math.isnan(result.find("highest_torque").std)
