@@ -13,6 +13,7 @@ from leactl.runfile.reader import Run
 
 MOST_WRONG = 0.5  # of the points, whose signs contradict the roles: above this they are swapped
 FEWEST = 12  # points, for a drift to be told from what speed and torque do
+ALONE = 0.5  # of the spread of time, that speed and torque must leave unexplained
 CLEAR = 4.0  # standard errors
 SHARE = 0.005  # of the largest torque: a smaller drift is not worth a note
 GAIN_OFF = 0.02  # that torque sensor and currents may disagree by
@@ -69,8 +70,11 @@ def drift_of(points: Points, runs: Sequence[Run], told: Calibration, notes: list
         if good.sum() < FEWEST:
             continue
         over = (time - time[good].mean()) / max(float(np.ptp(time[good])), 1e-9)
-        design = np.column_stack([over, torque, speed, np.ones_like(over)])[good]
-        design = design[:, [k for k in range(4) if k != 2 or np.ptp(speed[good]) > 0.0]]
+        others = np.column_stack([torque, speed, np.ones_like(over)])[good]
+        left = over[good] - others @ np.linalg.lstsq(others, over[good], rcond=None)[0]
+        if np.std(left) < ALONE * np.std(over[good]):  # levels visited in order go with time
+            continue
+        design = np.column_stack([over[good], others])
         try:
             fit = least_squares(design, (torque - by_current)[good], design, str(run.path))
         except NotIdentifiable:  # a grid of one level leaves nothing to compare
@@ -81,7 +85,7 @@ def drift_of(points: Points, runs: Sequence[Run], told: Calibration, notes: list
                 f"{run.path}: torque drifts by {drift:.2g} N*m over the run against the currents; its zero is taken as"
                 " uncertain as that"
             )
-            zero_std[number] = np.hypot(zero_std[number], abs(drift) / np.sqrt(12.0))
+            zero_std[number] = np.hypot(zero_std[number], abs(drift) / np.sqrt(3.0))  # root mean square of 0 to all
         gain, std = fit.combined(np.eye(design.shape[1])[1])
         if abs(gain) > GAIN_OFF and abs(gain) > CLEAR * std:
             notes.append(

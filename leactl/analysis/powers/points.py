@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.analysis.estimate import NAN, tally
-from leactl.analysis.levels import Hold, settled_mean, span
+from leactl.analysis.levels import Hold, Mean, settled_mean, span
 from leactl.analysis.regression import Array
 from leactl.analysis.repeats import without_repeats
 from leactl.analysis.saturation import saturated
@@ -22,7 +22,7 @@ from leactl.runfile.reader import Channel, Run
 OTHER = {"test": "load", "load": "test"}
 HELD = 0.02  # of the setpoint: how far a mean may be off it
 STEADY = 0.02  # of the mean: how far the means of the quarters of a settled part may lie apart
-NOISE = 8.0  # standard errors that either may take on top; a quarter's mean has two
+SMALL = 0.1  # of the channel's largest mean: what lies below counts as that much, for a voltage may go through zero
 Place = tuple[str, str]  # quantity and role
 
 
@@ -90,8 +90,7 @@ def gather(runs: Sequence[Run], notes: list[str]) -> Points:
         zero, zero_std = zero_of(run, channels["torque", "test"], notes)
         zeros.append(zero_std)
         reasons: dict[str, list[str]] = {}
-        for one in own:
-            found = means_of(one, channels, reasons)
+        for one, found in zip(own, means_of(own, channels, reasons), strict=True):
             torque, std = found["torque", "test"]
             found["torque", "test"] = torque - zero, std
             for place in set(columns) | set(found):
@@ -149,25 +148,43 @@ def channels_of(run: Run, holds: Sequence[GridHold], notes: list[str]) -> dict[P
 
 
 def means_of(
-    one: GridHold, channels: Mapping[Place, Channel], reasons: dict[str, list[str]]
-) -> dict[Place, tuple[float, float]]:
-    """Mean and standard error of each channel in one hold, NaN throughout where it was not held."""
-    means = {place: settled_mean(channel, one.hold.start, one.hold.stop) for place, channel in channels.items()}
+    holds: Sequence[GridHold], channels: Mapping[Place, Channel], reasons: dict[str, list[str]]
+) -> list[dict[Place, tuple[float, float]]]:
+    """Mean and standard error of each channel in each hold, NaN throughout where it was not held."""
+    every = [
+        {place: settled_mean(channel, one.hold.start, one.hold.stop) for place, channel in channels.items()}
+        for one in holds
+    ]
+    largest = {
+        place: max((abs(mean.value) for row in every if (mean := row[place])), default=0.0) for place in channels
+    }
+    found = []
+    for one, means in zip(holds, every, strict=True):
+        why = fault_of(one, means, largest)
+        if why:
+            reasons.setdefault(why, []).append(str(one))
+        found.append(
+            {place: (NAN, NAN) if why or mean is None else (mean.value, mean.std) for place, mean in means.items()}
+        )
+    return found
+
+
+def fault_of(one: GridHold, means: Mapping[Place, Mean | None], largest: Mapping[Place, float]) -> str:
+    """Why a hold does not count; empty where it does."""
     lacking = sorted({place[0] for place, mean in means.items() if mean is None})
-    why = f"too little {' and '.join(lacking)} in the settled part" if lacking else ""
-    for place, mean in means.items():
-        if why or mean is None:
-            break
-        room = NOISE * mean.std
+    if lacking:
+        return f"too little {' and '.join(lacking)} in the settled part"
+    there = {place: mean for place, mean in means.items() if mean is not None}
+    for place, mean in there.items():
         asked = one.speed if place[0] == "velocity" else one.current
         follows = place[0] == "velocity" or place == ("q_axis_current", OTHER[one.driving])
-        if follows and abs(mean.value - asked) > HELD * abs(asked) + room:
-            why = f"{place[0]} was not reached"
-        elif np.nanmax(mean.quarters) - np.nanmin(mean.quarters) > STEADY * abs(mean.value) + room:
-            why = f"{place[0]} was not steady"
-    if why:
-        reasons.setdefault(why, []).append(str(one))
-    return {place: (NAN, NAN) if why or mean is None else (mean.value, mean.std) for place, mean in means.items()}
+        if follows and abs(mean.value - asked) > HELD * abs(asked):
+            return f"{place[0]} was not reached"
+    for place, mean in there.items():
+        size = max(abs(mean.value), SMALL * largest[place])
+        if not np.nanmax(mean.quarters) - np.nanmin(mean.quarters) <= STEADY * size:
+            return f"{place[0]} was not steady"
+    return ""
 
 
 def zero_of(run: Run, torque: Channel, notes: list[str]) -> tuple[float, float]:
