@@ -34,6 +34,9 @@ def refuse_swapped(points: Points, place: str) -> None:
         current = points.value.get(("q_axis_current", role))
         if current is not None and speed is not None and _wrong(wanted * current * speed):
             faults.append(f"current and velocity of the {role} actuator")
+        voltage = points.value.get(("q_axis_voltage", role))
+        if current is not None and voltage is not None and _wrong((voltage * current)[driving == role]):
+            faults.append(f"voltage and current of the {role} actuator")
     turned = next(points.value["velocity", role] for role in OTHER if ("velocity", role) in points.value)
     if _wrong(np.where(driving == "test", 1.0, -1.0) * points.value["torque", "test"] * turned):
         faults.append("torque and velocity")
