@@ -1,7 +1,7 @@
 """`python -m tests.coverage_of_intervals.efficiency`: efficiency maps of many seeds; status 1 where a limit is not met.
 
 Each seed runs a grid on the emulated bench. `noise`: the bench is as its files say. `instruments`: torque sensor and
-windings are off by what the analysis is told of their uncertainty.
+the resistance that the analysis is told are off by what it is told of their uncertainty.
 """
 
 import argparse
@@ -65,11 +65,11 @@ def answered(wanted: tuple[str, int]) -> Result:
     told = CASES[case]
     rng = np.random.default_rng([seed, sorted(CASES).index(case)])
     text = (benchfile.SHIPPED / "emulated.yaml").read_text().replace("name: emulated", "name: mine", 1)
+    resistance = Truth().r
     if told:
         gain = 1.0 + rng.normal(0.0, told["torque_gain_std"])
-        resistance = Truth().r * (1.0 + rng.normal(0.0, told["resistance_std"]))
         text += f"  effects: [{{name: torque_sensor_gain, gain: {gain!r}}}]\n"
-        text += f"  test: {{phase_resistance: {resistance!r}}}\n  load: {{phase_resistance: {resistance!r}}}\n"
+        resistance *= 1.0 + rng.normal(0.0, told["resistance_std"])
     with tempfile.TemporaryDirectory() as folder:
         os.environ["LEACTL_STATE"] = f"{folder}/state"
         bench = Path(folder) / "mine.yaml"
@@ -79,12 +79,11 @@ def answered(wanted: tuple[str, int]) -> Result:
         outcome = execute(request, granted, lambda _progress: nullcontext())
         if outcome.error is not None:
             raise outcome.error
-        # the model says what the windings were thought to be; what they are is off by the told uncertainty
-        return analyze_runs([outcome.path], **told)
+        return analyze_runs([outcome.path], phase_resistance=float(resistance), **told)
 
 
 def true_values() -> dict[str, float]:
-    """Closed form, by the name of the result; powers at the resistance of the model."""
+    """Closed form, by the name of the result; powers at 25 degC."""
     truth = Truth()
     w, i = np.meshgrid(SPEEDS, CURRENTS, indexing="ij")
     own, taken, given = truth.driving(w, i)
