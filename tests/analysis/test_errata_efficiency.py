@@ -58,7 +58,7 @@ def test_the_corner_of_the_grid_takes_23_to_26_volts_and_10_to_30_points_are_out
 
 
 def warmest(parts):
-    """Hottest winding [degC] by the two-node network and Euler, over (duration [s], current of the one that drives [A])."""
+    """Hottest winding [degC] by the two-node network, over (duration [s], current of the one that drives [A])."""
     net, step = LEA.thermal, 0.1  # s, a 65th of the winding's time constant
     winding = housing = most = 0.0
     for duration, own in parts:
