@@ -5,6 +5,7 @@ the resistance that the analysis is told are off by what it is told of their unc
 """
 
 import argparse
+import math
 import os
 import sys
 import tempfile
@@ -39,7 +40,7 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     asked = parser.parse_args()
-    print(HEAD)
+    print(HEAD, flush=True)
     faults = []
     for case in CASES:
         with Pool(asked.processes) as pool:
@@ -85,7 +86,8 @@ def answered(wanted: tuple[str, int]) -> Result:
 def true_values() -> dict[str, float]:
     """Closed form, by the name of the result; powers at 25 degC."""
     truth = Truth()
-    w, i = np.meshgrid(SPEEDS, CURRENTS, indexing="ij")
+    step = 11186e-6 * math.sqrt(1.5)  # A, a thousandth of the drive's rated current, in which it takes its demand
+    w, i = np.meshgrid(SPEEDS, step * np.round(np.array(CURRENTS) / step), indexing="ij")
     own, taken, given = truth.driving(w, i)
     _, back, brought = truth.driven(w, i)
     return {
