@@ -29,7 +29,14 @@ from .__main__ import HEAD
 from .judgement import LEAST_COVERED, MOST_COVERED, judge
 
 SPEEDS, CURRENTS = (2.62, 26.18, 13.09), (18.0, 1.2, 12.0, 6.0)
-SETS = (f"speeds_rad_s={list(SPEEDS)}", f"currents_A={[-i for i in CURRENTS]}", "hold_s=2.5", "rest_s=5")
+# the true values are those at the asked speed: at 18 A and 2.62 rad/s it is still off by 0.2 % after 1.5 s
+SETS = (
+    f"speeds_rad_s={list(SPEEDS)}",
+    f"currents_A={[-i for i in CURRENTS]}",
+    "hold_s=3.5",
+    "settle_s=2.5",
+    "rest_s=5",
+)
 CASES = {"noise": {}, "instruments": {"torque_gain_std": 0.01, "resistance_std": 0.02}}
 MOST_POINTS, MOST_LOSS = 0.02, 0.02  # efficiency off by, and relative error of losses, any seed, with noise alone
 
