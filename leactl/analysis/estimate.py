@@ -69,6 +69,26 @@ class Covariance:
 
 
 @dataclass(frozen=True)
+class Grid:
+    """Values over the setpoints of two axes; NaN where the experiment did not get."""
+
+    name: str
+    axes: Mapping[str, tuple[float, ...]]  # by name with unit, the outer one first
+    values: Mapping[str, tuple[tuple[float, ...], ...]]  # by name with unit: a row for each setpoint of the outer axis
+    actuator: str = ""
+    condition: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """Axes and rows as JSON takes them: what is not finite becomes null."""
+        rows = {
+            name: [[value if math.isfinite(value) else None for value in row] for row in table]
+            for name, table in self.values.items()
+        }
+        axes = {name: list(setpoints) for name, setpoints in self.axes.items()}
+        return {"name": self.name, "axes": axes, "values": rows, "actuator": self.actuator, "condition": self.condition}
+
+
+@dataclass(frozen=True)
 class Result:
     """Answer of one experiment, from one run or several."""
 
@@ -78,6 +98,7 @@ class Result:
     notes: tuple[str, ...] = ()
     plots: tuple[Plot, ...] = ()
     covariances: tuple[Covariance, ...] = ()
+    grids: tuple[Grid, ...] = ()
 
     @property
     def groups(self) -> list[tuple[str, str]]:
@@ -112,7 +133,8 @@ class Result:
             "results": [item.as_json(several) for item in self.results],
             "notes": list(self.notes),
         }
-        return told | ({"covariances": [one.as_json() for one in self.covariances]} if self.covariances else {})
+        told |= {"covariances": [one.as_json() for one in self.covariances]} if self.covariances else {}
+        return told | ({"grids": [one.as_json() for one in self.grids]} if self.grids else {})
 
     def _asked(self, actuator: str | None, condition: str | None) -> str:
         asked = " of ".join(repr(part) for part in (condition, actuator) if part is not None)

@@ -15,7 +15,7 @@ from typing import Any
 
 import leactl.analysis
 from leactl import yamlfile
-from leactl.analysis.estimate import Covariance, Estimate, Plot, Result
+from leactl.analysis.estimate import Covariance, Estimate, Grid, Plot, Result
 from leactl.errors import InputError
 from leactl.runfile.integrity import altered
 from leactl.runfile.reader import Run
@@ -127,6 +127,7 @@ def combined(experiment: str, runs: Sequence[Run], answers: dict[tuple[str, str]
     results: list[Estimate] = []
     plots: list[Plot] = []
     covariances: list[Covariance] = []
+    grids: list[Grid] = []
     notes = [note for run in runs for note in remarks_on(run)]
     shared = set.intersection(*(set(answer.notes) for answer in answers.values()))
     notes += [note for note in next(iter(answers.values())).notes if note in shared]
@@ -135,9 +136,10 @@ def combined(experiment: str, runs: Sequence[Run], answers: dict[tuple[str, str]
         results += [replace(item, actuator=actuator, condition=condition) for item in answer.results]
         plots += [replace(item, actuator=actuator, condition=condition) for item in answer.plots]
         covariances += [replace(item, actuator=actuator, condition=condition) for item in answer.covariances]
+        grids += [replace(item, actuator=actuator, condition=condition) for item in answer.grids]
         notes += [whose + note for note in answer.notes if note not in shared]
     paths = tuple(str(run.path) for run in runs)
-    return Result(experiment, paths, tuple(results), tuple(notes), tuple(plots), tuple(covariances))
+    return Result(experiment, paths, tuple(results), tuple(notes), tuple(plots), tuple(covariances), tuple(grids))
 
 
 def remarks_on(run: Run) -> list[str]:

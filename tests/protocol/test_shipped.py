@@ -180,3 +180,23 @@ def test_coast_down_takes_long_enough_to_be_seen(preload):
     assert stands_after * found.rate_Hz > 50
     assert all(not segment.setpoints for segment in coasts)
     assert coasts[0].duration_s > stands_after
+
+
+@pytest.mark.parametrize(
+    ("name", "driver", "driven"), [("efficiency", "test", "load"), ("efficiency-driven", "load", "test")]
+)
+def test_efficiency(name, driver, driven):
+    found = protocolfile.load(name)
+    assert found.setup == "coupled"
+    assert found.analysis == "efficiency"
+    assert Engage({driver: Mode.VELOCITY, driven: Mode.CURRENT}) in found.actions
+    holds = [s for s in segments(found) if s.name == "hold"]
+    points = {(s.parameters["velocity_rad_s"], s.parameters["current_A"]) for s in holds}
+    assert len(holds) == len(points) == 240
+    speeds, currents = ({point[k] for point in points} for k in (0, 1))
+    assert sorted(speeds) == pytest.approx([2.6183 * n for n in range(1, 13)], abs=0.01)
+    assert sorted(currents) == pytest.approx([-1.2 * n for n in range(20, 0, -1)])
+    assert {s.parameters["role"] for s in holds} == {driven}
+    assert {(s.duration_s, s.settle_s) for s in holds} == {(3.5, 1.5)}
+    zero = next(s for s in segments(found) if s.name == "zero")
+    assert found.actions.index(zero) < next(k for k, a in enumerate(found.actions) if isinstance(a, Engage))

@@ -81,7 +81,7 @@ class ElmoCan(Driver):
         self.state = State.NOT_READY
         self.statusword = 0
         self._shown_mode = 0
-        self._fresh = [False, False]  # status, motion
+        self._fresh = [False, False, True]  # status, motion, voltage where it comes
         self._emergency = ""
         self._heard = -math.inf
         self._fed = -math.inf
@@ -269,9 +269,10 @@ class ElmoCan(Driver):
                 self._value = self._counts  # hold where the shaft is at the moment operation begins
         values = self.values
         values[3] = values[4] = values[5] = values[6] = NAN
+        self._fresh[0] = self._fresh[1] = False
         if len(values) > 7:
             values[7] = NAN
-        self._fresh[0] = self._fresh[1] = False
+            self._fresh[2] = False
         self._send_demand(word)
 
     def _towards_enabled(self) -> int:
@@ -292,7 +293,7 @@ class ElmoCan(Driver):
         NoAnswer : the drive's own heartbeat stayed away, or it did not enter operation in time.
         """
         fresh, values, port = self._fresh, self.values, self._port
-        while not (fresh[0] and fresh[1]) and port.pump_before(deadline):
+        while not (fresh[0] and fresh[1] and fresh[2]) and port.pump_before(deadline):
             pass
         mode, engaged = self._mode, self.engaged
         values[0], values[1], values[2] = self._followed  # until the SYNC at which the drive sampled
@@ -409,6 +410,7 @@ class ElmoCan(Driver):
         voltage = self.settings.q_axis_voltage
         if voltage is not None and len(data) == (2 if voltage.type == "i16" else 4):
             self.values[7] = int.from_bytes(data, "little", signed=True) * voltage.scale_V
+            self._fresh[2] = True
 
     def _on_sdo(self, data: bytearray, timestamp: float) -> None:
         if data[:4] == b"\x43\x79\x60\x00":

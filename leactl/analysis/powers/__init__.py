@@ -1,0 +1,1 @@
+"""Operating points of two coupled actuators, what power goes in and out there, and contours over them."""
