@@ -69,21 +69,21 @@ def _name_and_duration(plan: Plan, action: Action) -> tuple[str, float]:
 
 
 @dataclass(frozen=True)
-class _Held:
+class Held:
     """Bounds of the torque with which a drive holds its shaft [N*m], and the setpoint at which it does."""
 
     low: float
     high: float
     told: float
 
-    def strained(self, balance: float, least: float, most: float) -> "_Held":
+    def strained(self, balance: float, least: float, most: float) -> "Held":
         """Of a shaft at rest, where the other drive asks for `balance` and friction carries from `least` to `most`.
 
         A torque stays as it is while friction can carry the difference, and follows at that distance where it cannot.
         """
         low = min(balance + least, max(self.low, balance - most))
         high = max(balance - least, min(self.high, balance + most))
-        return _Held(low, high, self.told)
+        return Held(low, high, self.told)
 
 
 class Demand:
@@ -91,31 +91,25 @@ class Demand:
 
     def __init__(self, motors: Mapping[str, Motor], settings: GuardSettings) -> None:
         self._motors, self._settings, self._roles = dict(motors), settings, tuple(motors)
-        self._held: dict[int, _Held] = {}
-
-    def begin(self) -> None:
-        """Follow a plan from its start: no shaft is strained yet."""
-        self._held = {}
+        self.held: Mapping[int, Held] = {}  # by place among the roles, as the latest moment left them
 
     def heats(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array]:
         """Mean square currents, electrical speeds at the least [rad/s], and speeds at the most, of all roles.
 
         The next call goes on from the last of these moments.
         """
-        squares, turned, speeds, self._held = self._followed(plan, state, at)
+        squares, turned, speeds, self.held = self._followed(plan, state, at)
         return np.mean(squares, axis=1), turned, speeds
 
     def squares(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array]:
         """Square currents at these moments, and both speeds as of `heats`."""
         return self._followed(plan, state, at)[:3]
 
-    def _followed(
-        self, plan: Plan, state: State, at: Sequence[float]
-    ) -> tuple[Array, Array, Array, dict[int, "_Held"]]:
+    def _followed(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array, dict[int, Held]]:
         currents, most = np.zeros((len(self._roles), len(at))), self._settings.most_current
         speeds, planned = self._speeds(plan, state, at)
         accelerations = self._accelerations(plan, state, at)
-        helds: dict[int, _Held] = {}
+        helds: dict[int, Held] = {}
         for k, role in enumerate(self._roles):
             if state.modes.get(role) in CURRENT_MODES:
                 currents[k] = [state.setpoints[role].at(t) for t in at]
@@ -142,7 +136,7 @@ class Demand:
         at: Sequence[float],
         speeds: Array,
         accelerations: Array,
-    ) -> tuple[Array, "_Held"]:
+    ) -> tuple[Array, Held]:
         """What a drive that follows a speed or an angle needs at the most: the other's torque, friction and inertia.
 
         Friction helps to hold what drives a shaft onward and adds to what drives it back. One that hardly turns may
@@ -163,18 +157,18 @@ class Demand:
                     driving += motor.torque_constant * currents[k]
         turning = np.sign(velocities) * (np.abs(velocities) >= TURNING_RAD_S)
         resting = velocities == 0.0 if mode is Mode.VELOCITY else np.full(len(told), profile.low == profile.high)
-        held = self._held.get(place, _Held(-most, most, 0.0))  # engaged at no current
+        held = self.held.get(place, Held(-most, most, 0.0))  # engaged at no current
         if mode is Mode.ANGLE and held.told != told[0]:
-            held = _Held(-math.inf, math.inf, told[0])
+            held = Held(-math.inf, math.inf, told[0])
         torques = np.empty(len(told))
         for n, (balance, low) in enumerate(zip((-driving).tolist(), least.tolist(), strict=True)):
             if turning[n]:
                 ends = balance + turning[n] * low, balance + turning[n] * most
-                held = _Held(min(ends), max(ends), told[n])
+                held = Held(min(ends), max(ends), told[n])
             elif resting[n]:
                 held = held.strained(balance, low, most)
             else:
-                held = _Held(balance - most, balance + most, told[n])
+                held = Held(balance - most, balance + most, told[n])
             torques[n] = max(abs(held.low), abs(held.high))
         return torques + inertia, held
 

@@ -6,6 +6,7 @@ What a plan asks of the drives is in `demand`; here it is followed as the guard 
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from leactl.model.motor import Motor
 from leactl.protocol.plan import Plan, Segment
 from leactl.safety.thermal.bound import LONGEST_STEP_S, ThermalBound, lateness
 from leactl.safety.thermal.box import Array, Box
-from leactl.safety.thermal.demand import Demand, State, states
+from leactl.safety.thermal.demand import Demand, Held, State, states
 from leactl.safety.thermal.guard import LOOK_S, MARGIN_K, STEP_S, TURN_S, Budgets, GuardSettings
 from leactl.safety.thermal.turning import LED_ALIGNED
 
@@ -63,26 +64,25 @@ class Foresight:
         self._bound, self._budgets = ThermalBound(boxes, settings.ambient), Budgets(boxes, settings)
         self._bound.set(np.stack([start[role] for role in self._roles], axis=1))
         self._start = self._bound.state
+        self._marks: list[_Mark] = []  # of the latest plan, as its actions begin
 
     def forecast(self, plan: Plan) -> Forecast:
         """Follow a plan from its start until its end, or until a winding may pass its limit."""
         self._bound.state = self._start
-        self._demand.begin()
-        return self._follow(plan, states(plan), 0.0)
+        peaks = dict(zip(self._roles, self._bound.hottest().tolist(), strict=True))
+        self._marks = [_Mark(self._start, {}, 0.0, peaks)]
+        return self._go_on(plan, 0)
 
     def with_waits(self, plan: Plan) -> tuple[Plan, Forecast]:
         """The plan with a wait wherever it would pass the limit and one can help; the forecast is of that plan.
 
         A wait stands before an action at which no current is asked for, as near as there is one before the hot step.
         """
-        while True:
-            found = self.forecast(plan)
-            if found.passing is None:
-                return plan, found
-            longer = self._wait_before(plan, found.passing)
-            if longer is None:
-                return plan, found
-            plan = longer
+        found = self.forecast(plan)
+        while found.passing is not None and (waiting := self._wait_before(plan, found.passing)) is not None:
+            plan, place = waiting
+            found = self._go_on(plan, place)
+        return plan, found
 
     def rest_before(self, plan: Plan) -> float | None:
         """Rest [s] before a plan that keeps it below the limit: 0 where it needs none, None where none is enough."""
@@ -90,38 +90,35 @@ class Foresight:
             return 0.0
         return _shortest(lambda wait: self.forecast(_waiting(plan, 0, wait)).passing is None)
 
-    def _wait_before(self, plan: Plan, passing: Passing) -> Plan | None:
-        for place in range(passing.action, -1, -1):
-            if not _at_rest(plan, place):
-                continue
+    def _wait_before(self, plan: Plan, passing: Passing) -> tuple[Plan, int] | None:
+        """The plan with a wait, and where it stands; where the nearest place is of no use an earlier one is of less."""
+        place = _last_at_rest(plan, passing.action)
 
-            def enough(wait: float, place: int = place) -> bool:
-                return self._passes_later(_waiting(plan, place, wait), passing)
+        def enough(wait: float) -> bool:
+            until = passing.action + 2  # the plan is longer by one action
+            return self._go_on(_waiting(plan, place, wait), place, until).passing is None
 
-            seconds = _shortest(enough)
-            if seconds is not None:
-                return _waiting(plan, place, seconds)
-        return None
+        seconds = _shortest(enough)
+        return None if seconds is None else (_waiting(plan, place, seconds), place)
 
-    def _passes_later(self, plan: Plan, before: Passing) -> bool:
-        """Whether a plan that is longer by one action gets beyond the step that was too hot."""
-        found = self.forecast(replace(plan, actions=plan.actions[: before.action + 2]))
-        return found.passing is None
-
-    def _follow(self, plan: Plan, states: Iterator[State], time: float) -> Forecast:
-        peaks = dict(zip(self._roles, self._bound.hottest().tolist(), strict=True))
+    def _go_on(self, plan: Plan, place: int, until: int | None = None) -> Forecast:
+        """Follow a plan from one of its actions, which a former one has come to, until another or its end."""
+        del self._marks[place + 1 :]
+        mark, bound = self._marks[place], self._bound
+        bound.state, self._demand.held, time, peaks = mark.state, mark.held, mark.time, dict(mark.peaks)
         limit = self._settings.limit - MARGIN_K
-        for index, state in enumerate(states):
+        for index, state in islice(enumerate(states(plan)), place, until):
             for piece in self._pieces(plan, state):
-                before = self._bound.hottest().tolist()
+                before = bound.hottest().tolist()
                 heat = piece.squares, piece.aligned, piece.speeds
-                self._bound.step(piece.duration, *heat, self._settings.ambient, piece.late)
+                bound.step(piece.duration, *heat, self._settings.ambient, piece.late)
                 time += piece.duration
-                after = self._bound.hottest().tolist()
+                after = bound.hottest().tolist()
                 for role, was, hottest in zip(self._roles, before, after, strict=True):
                     peaks[role] = max(peaks[role], hottest)
                     if not (hottest < limit or hottest < was):
                         return Forecast(peaks, Passing(index, state.name, time, role))
+            self._marks.append(_Mark(bound.state, self._demand.held, time, dict(peaks)))
         return Forecast(peaks, None)
 
     def _pieces(self, plan: Plan, state: State) -> Iterator["_Piece"]:
@@ -201,6 +198,15 @@ class Foresight:
         return lateness(behind, np.asarray(own) if durations is None else durations, unseen, self._bound.decay_s)
 
 
+class _Mark(NamedTuple):
+    """How everything stands as an action begins."""
+
+    state: Array
+    held: Mapping[int, Held]
+    time: float  # s
+    peaks: Mapping[str, float]  # degC, until then
+
+
 class _Piece(NamedTuple):
     """Part of an action, and the heat in it: arguments of `ThermalBound.step`."""
 
@@ -216,19 +222,16 @@ def _aligned(turned: Array) -> Array:
     return np.asarray(1.0 / np.maximum(turned, 1.0), np.float64)
 
 
-def _at_rest(plan: Plan, place: int) -> bool:
-    """Whether no current is asked for, from drive or supply, and no speed, as an action begins."""
-    last = None
-    for index, state in enumerate(states(plan)):
-        if index == place:
-            break
-        last = state
-    if last is None:
-        return True
-    return not last.leads and all(
-        last.modes.get(role, Mode.OFF) in (Mode.OFF, Mode.ANGLE) or profile.at(math.inf) == 0.0
-        for role, profile in last.setpoints.items()
-    )
+def _last_at_rest(plan: Plan, before: int) -> int:
+    """The last action, up to one, as which begins no current is asked for, from drive or supply, and no speed."""
+    place = 0
+    for index, state in enumerate(islice(states(plan), before), start=1):
+        resting = not state.leads and all(
+            state.modes.get(role, Mode.OFF) in (Mode.OFF, Mode.ANGLE) or profile.at(state.duration) == 0.0
+            for role, profile in state.setpoints.items()
+        )
+        place = index if resting else place
+    return place
 
 
 def _waiting(plan: Plan, place: int, seconds: float) -> Plan:
