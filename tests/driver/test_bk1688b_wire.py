@@ -434,7 +434,7 @@ def test_a_connection_that_is_dead_is_replaced(bench):
 STALE = ["000000000\rOK\r", "OK\r", "010000\rOK\r", "012090\rOK\r", "\r", "\xff", "000000000\r"]
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.lists(st.sampled_from(STALE), max_size=6), st.booleans())
 def test_stale_and_spoilt_answers_never_make_a_stuck_supply_safe(stale, asking):
     bench = Bk1688bBench()
