@@ -11,6 +11,7 @@ from tests.monte_carlo.plants import ROLES, Truth
 TICK_S = 0.01
 PEAK_A = 45.0  # true current of a drive at the most
 POSITION_GAIN, SERVO_SPEED = 38.0, 40.0  # 1/s, rad/s
+ROUNDING_RAD_S = 1e-9  # below which a rotor stands, or friction would change sides with the last digit
 CONSUMER_S = 0.2  # that a drive goes on for without its host
 
 
@@ -91,7 +92,8 @@ class Rotors:
                 servo.current = min(max(wanted / servo.torque_constant, -PEAK_A), PEAK_A)
                 torque += servo.torque_constant * servo.current
             after = velocity + (torque - friction) * TICK_S / self._inertia
-            if (velocity == 0.0 and abs(torque) <= self._coulomb) or (velocity * after < 0.0 and servo is None):
+            stuck = velocity == 0.0 and abs(torque) <= self._coulomb
+            if stuck or (velocity * after < 0.0 and servo is None) or abs(after) < ROUNDING_RAD_S:
                 after = 0.0
         self._sense(test, velocity, after)
         self.currents[0].append(test.current)

@@ -50,9 +50,10 @@ class Plant:
 
 
 def advance(plant, state, current, angle, speed, tref=25.0, poles=41):
-    """State after one fine step: three phases and the housing [degC]; angle in rad of the rotor."""
-    electrical = poles * angle + plant.offset + 2.0 * np.pi / 3.0 * np.arange(3)
-    share = 2.0 / 3.0 * np.cos(electrical) ** 2
+    """State after one fine step: three phases and the housing [degC]; angle in rad of the rotor as the step begins."""
+    turned = poles * speed * STEP_S
+    middle = poles * angle + 0.5 * turned + plant.offset + 2.0 * np.pi / 3.0 * np.arange(3)
+    share = (1.0 + np.sinc(turned / np.pi) * np.cos(2.0 * middle)) / 3.0  # mean of 2/3 cos^2 over the step
     phases, housing = state[:3], state[3]
     resistance = plant.phase_resistance * (1.0 + plant.resistance_coefficient * (phases - tref))
     heat = share * resistance * (current * plant.current_gain) ** 2

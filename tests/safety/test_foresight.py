@@ -150,7 +150,9 @@ def warmed(plan, role="test", motors=BOTH):
 def squares(plan, motors=BOTH):
     """Mean square currents of both roles in the last action, as foresight takes them to be."""
     sight = foresight(motors=motors)
-    *_before, state = states(plan)
+    *before, state = states(plan)
+    for earlier in before:
+        list(sight._pieces(plan, earlier))
     found = next(sight._pieces(plan, state)).squares
     return dict(zip(motors, found.tolist(), strict=True))
 
@@ -183,9 +185,25 @@ def test_a_coupled_drive_at_speed_bears_the_other_one_s_torque_and_the_friction_
     assert squares(plan)["test"] == pytest.approx(driving**2)
 
 
-def test_a_coupled_drive_that_holds_an_angle_needs_the_other_one_s_torque():
+@pytest.mark.parametrize("mode", [Mode.ANGLE, Mode.VELOCITY])
+def test_a_shaft_at_rest_keeps_its_strain_until_the_other_drive_overcomes_friction(mode):
+    """Pushed from 0 to 9 A friction carries its part; let go to 8 A, less than twice friction, all stays as it is."""
+    modes, least = Engage({"test": Mode.CURRENT, "load": mode}), 2.0 * friction(0.0, "low") / 0.49
+    pushed = [modes, held(0.0, test=-9.0), held(5.0, test=-9.0)]
+    assert squares(made(*pushed, setup="coupled"))["load"] == pytest.approx((9.0 - least) ** 2)
+    eased = [*pushed, held(0.0, test=-8.5), held(5.0, test=-8.5)]
+    assert squares(made(*eased, setup="coupled"))["load"] == pytest.approx((9.0 - least) ** 2)
+    let_go = [*pushed, held(0.0, test=-2.0), held(5.0, test=-2.0)]
+    assert squares(made(*let_go, setup="coupled"))["load"] == pytest.approx((2.0 + 2.0 * friction(0.0) / 0.49) ** 2)
+
+
+def test_a_shaft_that_comes_to_rest_may_stick_either_way():
     modes = Engage({"test": Mode.CURRENT, "load": Mode.ANGLE})
-    plan = made(modes, held(0.0, test=-9.0), held(5.0, test=-9.0), setup="coupled")
+    plan = made(modes, held(0.0, test=-9.0), held(1.0, test=-9.0, load=0.5), held(5.0, test=-9.0), setup="coupled")
+    assert squares(plan)["load"] == pytest.approx((9.0 + 2.0 * friction(0.0) / 0.49) ** 2)
+    modes = Engage({"test": Mode.CURRENT, "load": Mode.VELOCITY})
+    turning = [held(0.0, test=-9.0, load=20.0), held(1.0, test=-9.0, load=20.0)]
+    plan = made(modes, *turning, held(0.0, test=-9.0, load=0.0), held(5.0, test=-9.0, load=0.0), setup="coupled")
     assert squares(plan)["load"] == pytest.approx((9.0 + 2.0 * friction(0.0) / 0.49) ** 2)
 
 
@@ -288,7 +306,7 @@ steps:
 """
 
 
-@pytest.mark.parametrize(("text", "above"), [(LOCKED, 60.0), (CRAWLING, 40.0), (SPINNING, 33.0)])
+@pytest.mark.parametrize(("text", "above"), [(LOCKED, 60.0), (CRAWLING, 38.0), (SPINNING, 33.0)])
 def test_no_forecast_is_cooler_than_what_the_guard_of_the_run_finds(at_the_bench, monkeypatch, text, above):
     found = []
 

@@ -86,8 +86,8 @@ class Unsupervised(RuleBasedStateMachine):
     @rule()
     def go_on_after_all(self):
         """A loop that takes no notice of the trip."""
-        for row in self.rig.supply.take():
-            with suppress(SafetyTrip):
+        with suppress(SafetyTrip, DeviceError):
+            for row in self.rig.supply.take():
                 self.rig.supervisor.receive(row)
         self.rig.clock.sleep_until(self.rig.clock.now() + 0.1)
         self.judge()

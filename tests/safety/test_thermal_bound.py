@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 from leactl.errors import InputError
 from leactl.safety.thermal.bound import ThermalBound, lateness
 from leactl.safety.thermal.box import Box
+from leactl.safety.thermal.turning import Rotor
 from tests.safety.phases import LEA, STEP_S, Plant, advance, follow
 
 GUARD_S = 0.1
@@ -21,17 +22,18 @@ ONE = np.ones(1)
 
 def bounded(currents, speeds, box=None, start=28.0):
     """Bounds at the end of every guard's step, shape (3, n)."""
-    bound = ThermalBound([box or Box.of(LEA)], start)
-    angles = 41.0 * np.concatenate([[0.0], np.cumsum(speeds * STEP_S)[:-1]])
+    bound, rotor = ThermalBound([box or Box.of(LEA)], start), Rotor(41, 40.0)
+    angles = np.concatenate([[0.0], np.cumsum(speeds * STEP_S)])
     found = []
     for begin in range(0, len(currents) - FINE + 1, FINE):
-        part = slice(begin, begin + FINE)
-        square = np.mean(currents[part] ** 2)
-        turned = abs(np.mean(currents[part] ** 2 * np.exp(2j * angles[part])))
-        aligned = turned / square if square > 0 else 0.0
-        looks = np.mean(currents[part].reshape(-1, LOOK) ** 2, axis=1)
-        late = lateness(GUARD_S, square / looks.max() if square > 0 else 1.0, aligned, LOOK * STEP_S)
-        bound.step(GUARD_S, square * ONE, aligned * ONE, np.max(np.abs(speeds[part])) * ONE, 25.0, late * ONE)
+        heat = 0.0
+        for look in range(begin, begin + FINE, LOOK):
+            heat += float(np.sum(currents[look : look + LOOK] ** 2)) * STEP_S
+            rotor.look(angles[look + LOOK], speeds[look + LOOK - 1], heat, LOOK * STEP_S, 0.0)
+        span = rotor.take()
+        fastest = np.max(np.abs(speeds[begin : begin + FINE])) * ONE
+        heats = span.square / GUARD_S * ONE, span.aligned * ONE, fastest
+        bound.step(GUARD_S, *heats, 25.0, span.late(bound.decay_s) * ONE)
         found.append(bound.nodes()[:, 0])
     return np.array(found).T
 
@@ -48,7 +50,7 @@ course = st.lists(
 )
 
 
-@settings(max_examples=30)
+@settings(max_examples=40)
 @given(places=st.tuples(*[corner] * 11), offset=st.floats(0.0, np.pi), course=course)
 def test_no_plant_of_the_box_is_hotter_than_its_bound(places, offset, course):
     currents = np.concatenate([np.full(n, i) for n, i, _ in course])
@@ -64,10 +66,12 @@ def test_no_plant_of_the_box_is_hotter_than_its_bound(places, offset, course):
     heat=st.lists(st.floats(0.0, 30.0), min_size=2, max_size=40).filter(lambda heat: max(heat) > 0.1),
 )
 def test_heat_that_comes_late_leaves_no_more_behind_than_its_lateness_says(duration, rate, heat):
-    """Any heat of equal parts against an even one, both as they have decayed by the end of the step."""
-    edges = np.exp(-rate * np.linspace(duration, 0.0, len(heat) + 1))
-    left, even = np.dot(np.diff(edges), heat), (1.0 - edges[0]) * np.mean(heat)
-    late = lateness(duration, np.mean(heat) / max(heat), 1.0, 0.0)
+    """Any heat that is even within equal parts against an even one, both as they decay until the end of the step."""
+    at = np.linspace(0.0, duration, len(heat) + 1)
+    edges = np.exp(-rate * (duration - at))
+    left, even = np.dot(np.diff(edges), heat) / np.diff(at)[0], (1.0 - edges[0]) / duration * np.sum(heat)
+    behind = np.average(0.5 * (at[1:] + at[:-1]), weights=heat) - 0.5 * duration
+    late = lateness(max(behind, 0.0), duration, 0.0, 1.0 / rate)
     assert left <= even * (1.0 + rate * late) * (1.0 + 1e-9)
     assert late <= duration
 

@@ -6,20 +6,22 @@ commutation, the mean of the phases, and the housing. Heat flows from node to no
 but the own one (a cooperative system), so that an upper bound of each node follows from upper bounds of the others
 (Mueller, 1927; Walter, Differential and Integral Inequalities, 1970): each equation is maximised over the box, a
 capacitance low where its node heats up and high where it cools. What leaves the winding through the resistance to the
-housing enters the housing: maximised by itself at either end it would make heat of nothing, and is therefore split into
-cells, each of which is bounded by itself.
+housing enters the housing: maximised by itself at either end it would make heat of nothing. A winding that heats with
+its lowest and cools with its highest capacitance is none either. Both are therefore split into cells, each of which is
+bounded by itself.
 
 A step is order-preserving: neighbours are held at a bound that they keep over the whole step, and each node's own
 equation, linear then, is solved exactly. The bound on the neighbours is tried first and widened until it holds.
 """
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 
 from leactl.safety.thermal.box import Array, Box
 
-CELLS = 16
+CELLS, CAPACITANCE_CELLS = 12, 4  # of the resistance to the housing and of the winding's capacitance
 LONGEST_STEP_S = 2.0
 OTHER_PHASES = 0.55  # weight of the hottest phase in the winding's resistance: half where phases heat alike, see docs
 AHEAD = 1.5  # times what a node would gain in a step at its present rate, that it is taken to gain at most
@@ -31,6 +33,7 @@ RUNAWAY = 20.0  # time constants of a growing temperature within a step
 BURNT = 1e4  # degC, above which a bound is not worked out any further
 
 HOTTEST, MEAN, HOUSING = range(3)
+Seconds = TypeVar("Seconds", float, Array)
 ACROSS = [HOUSING, HOUSING, MEAN]  # the node that each of them gives to and takes from
 
 
@@ -38,13 +41,12 @@ class ThermalBound:
     """Bounds of several actuators side by side, one lane for each cell of each box; a box without width has one."""
 
     def __init__(self, boxes: Sequence[Box], start: float) -> None:
-        across = [box.winding_housing_resistance for box in boxes]
-        lanes = [CELLS if one.high > one.low else 1 for one in across]
+        grids = [_cells(box) for box in boxes]
+        lanes = [grid.shape[1] for grid in grids]
         self.count = len(boxes)
         self._of = np.repeat(np.arange(self.count), lanes)
         self._first = np.concatenate([[0], np.cumsum(lanes)[:-1]])
-        edges = [one.cells(n) for one, n in zip(across, lanes, strict=True)]
-        across_low, across_high = (np.concatenate([edge[side] for edge in edges]) for side in (0, 1))
+        across_low, across_high, winding_low, winding_high = np.concatenate(grids, axis=1)
 
         def low(name: str) -> Array:
             return np.array([getattr(box, name).low for box in boxes])[self._of]
@@ -60,7 +62,7 @@ class ThermalBound:
         to_air = 1.0 / high("winding_ambient_resistance"), 1.0 / low("winding_ambient_resistance")
         from_housing = 1.0 / high("housing_ambient_resistance"), 1.0 / low("housing_ambient_resistance")
         self._to_air = tuple(np.stack([w, w, h]) for w, h in zip(to_air, from_housing, strict=True))
-        winding = low("winding_capacitance"), high("winding_capacitance")
+        winding = winding_low, winding_high
         housing = low("housing_capacitance"), high("housing_capacitance")
         self._capacitance = tuple(np.stack([w, w, h]) for w, h in zip(winding, housing, strict=True))
         self._resistance, self._tref = high("phase_resistance"), plain("reference_temperature")
@@ -201,22 +203,32 @@ class ThermalBound:
         self.state = np.ascontiguousarray(nodes[:, self._of])
 
 
-def lateness(duration: float, evenness: float, aligned: float, unseen: float) -> float:
-    """How much later than evenly the heat of a phase may have come in a step, as heat [s].
+def _cells(box: Box) -> Array:
+    """Edges of what a box is split into: low and high resistances to the housing, low and high winding capacitances."""
+    across, winding = box.winding_housing_resistance, box.winding_capacitance
+    sides = across.cells(CELLS if across.high > across.low else 1)
+    heats = winding.cells(CAPACITANCE_CELLS if winding.high > winding.low else 1)
+    pairs = [np.meshgrid(side, heat) for side in sides for heat in heats]
+    (low, light), (_, heavy), (high, _), _ = pairs
+    return np.stack([low.ravel(), high.ravel(), light.ravel(), heavy.ravel()])
 
-    Heat leaves at a rate r at the most. Of one that is never above M and has the mean m, most is left at the end where
-    all of it comes last, at M: (1 - exp(-r d m/M)) / (m/M (1 - exp(-r d))) times what is left of an even one. That is
-    convex in m/M and 1 at m = M, thereby no more than 1 + r d (1 - m/M). A phase may take twice the winding's mean
-    heat, and takes 1 + `aligned` of it over the step.
+
+def lateness(behind: Seconds, duration: Seconds, unseen: float, decay: float) -> Seconds:
+    """How much later than evenly the heat of a phase may count as having come in a step [s].
+
+    Heat leaves at a rate r at the most, so that exp(-r (d - t)) of what comes at t is left at the end of a step. That
+    is convex in t: of all heats with one mean time most is left of what comes at both ends of the step alone, which is
+    (r d/2) coth(r d/2) + r s times what is left of an even one, where s is how far the mean time lies behind the
+    middle; and x coth x is no more than 1 + x^2 / 3.
 
     Parameters
     ----------
+    behind : how far the mean time of a phase's heat lies behind the middle of the step [s].
     duration : of the step [s].
-    evenness : the mean square current of the step over the largest of any look within it.
-    aligned : as of `ThermalBound.step`.
-    unseen : the longest time from look to look [s], within which nothing is known.
+    unseen : the longest time from look to look [s], of which the middle is taken, whatever is within.
+    decay : 1/r [s].
     """
-    return min(duration, duration * (1.0 - 0.5 * (1.0 + aligned) * evenness) + unseen)
+    return behind + 0.5 * unseen + duration * duration / (12.0 * decay)
 
 
 def inflow(source: Array, ceiling: Array, floor: Array, low: Array, high: Array) -> tuple[Array, Array]:

@@ -4,6 +4,7 @@ A drive that follows a speed or an angle takes what friction, inertia and the ot
 current is planned the speed may be anything up to the bench's limit, or none at all.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -67,30 +68,62 @@ def _name_and_duration(plan: Plan, action: Action) -> tuple[str, float]:
     return type(action).__name__.lower(), action.samples / plan.rate_Hz if isinstance(action, Tare) else 0.0
 
 
+@dataclass(frozen=True)
+class _Held:
+    """Bounds of the torque with which a drive holds its shaft [N*m], and the setpoint at which it does."""
+
+    low: float
+    high: float
+    told: float
+
+    def strained(self, balance: float, least: float, most: float) -> "_Held":
+        """Of a shaft at rest, where the other drive asks for `balance` and friction carries from `least` to `most`.
+
+        A torque stays as it is while friction can carry the difference, and follows at that distance where it cannot.
+        """
+        low = min(balance + least, max(self.low, balance - most))
+        high = max(balance - least, min(self.high, balance + most))
+        return _Held(low, high, self.told)
+
+
 class Demand:
-    """Currents and speeds of all actuators of a bench under its plans."""
+    """Currents and speeds of all actuators of a bench under its plans, from one moment to the next."""
 
     def __init__(self, motors: Mapping[str, Motor], settings: GuardSettings) -> None:
         self._motors, self._settings, self._roles = dict(motors), settings, tuple(motors)
+        self._held: dict[int, _Held] = {}
+
+    def begin(self) -> None:
+        """Follow a plan from its start: no shaft is strained yet."""
+        self._held = {}
 
     def heats(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array]:
-        """Mean square currents, electrical speeds at the least [rad/s], and speeds at the most, of all roles."""
-        squares, turned, speeds = self.squares(plan, state, at)
+        """Mean square currents, electrical speeds at the least [rad/s], and speeds at the most, of all roles.
+
+        The next call goes on from the last of these moments.
+        """
+        squares, turned, speeds, self._held = self._followed(plan, state, at)
         return np.mean(squares, axis=1), turned, speeds
 
     def squares(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array]:
         """Square currents at these moments, and both speeds as of `heats`."""
+        return self._followed(plan, state, at)[:3]
+
+    def _followed(
+        self, plan: Plan, state: State, at: Sequence[float]
+    ) -> tuple[Array, Array, Array, dict[int, "_Held"]]:
         currents, most = np.zeros((len(self._roles), len(at))), self._settings.most_current
         speeds, planned = self._speeds(plan, state, at)
         accelerations = self._accelerations(plan, state, at)
+        helds: dict[int, _Held] = {}
         for k, role in enumerate(self._roles):
             if state.modes.get(role) in CURRENT_MODES:
                 currents[k] = [state.setpoints[role].at(t) for t in at]
         squares = currents**2
         for k, role in enumerate(self._roles):
-            if (mode := state.modes.get(role)) in (Mode.VELOCITY, Mode.ANGLE):
-                told = [state.setpoints[role].at(t) if mode is Mode.VELOCITY else 0.0 for t in at]
-                wanted = self._held_current(plan, k, currents, np.array(told), speeds, accelerations)
+            if state.modes.get(role) in (Mode.VELOCITY, Mode.ANGLE):
+                torques, helds[k] = self._held_torques(plan, state, k, currents, at, speeds, accelerations)
+                wanted = torques / self._motors[role].torque_constant
                 currents[k] = np.minimum(wanted, most)
                 # what asks for more than may flow takes the longer: the same impulse at the most that may
                 longer = wanted * currents[k]
@@ -98,18 +131,28 @@ class Demand:
             if role in state.leads:  # where no drive stands beside the supply, which a heated set-up has none of
                 squares[k] = LEADS * state.leads[role] ** 2
         turned = np.array([self._motors[role].pole_pairs for role in self._roles]) * planned
-        return squares, turned, speeds
+        return squares, turned, speeds, helds
 
-    def _held_current(
-        self, plan: Plan, place: int, currents: Array, velocities: Array, speeds: Array, accelerations: Array
-    ) -> Array:
-        """What a drive that follows a speed needs at the most: the other's torque, friction and inertia of both.
+    def _held_torques(
+        self,
+        plan: Plan,
+        state: State,
+        place: int,
+        currents: Array,
+        at: Sequence[float],
+        speeds: Array,
+        accelerations: Array,
+    ) -> tuple[Array, "_Held"]:
+        """What a drive that follows a speed or an angle needs at the most: the other's torque, friction and inertia.
 
-        Friction helps to hold what drives a rotor onward and adds to what drives it back; one that hardly turns may
-        stick either way.
+        Friction helps to hold what drives a shaft onward and adds to what drives it back. One that hardly turns may
+        stick either way; one at rest keeps its strain until the other drive's torque overcomes friction.
         """
+        mode, profile = state.modes[self._roles[place]], state.setpoints[self._roles[place]]
+        told = np.array([profile.at(t) for t in at])
+        velocities = told if mode is Mode.VELOCITY else np.zeros(len(told))
         most = 0.0
-        least, driving, inertia = (np.zeros(currents.shape[1]) for _ in range(3))
+        least, driving, inertia = (np.zeros(len(told)) for _ in range(3))
         for k, role in enumerate(self._roles):
             if k == place or plan.setup == "coupled":
                 motor, box = self._motors[role], Box.of(self._motors[role])
@@ -118,10 +161,22 @@ class Demand:
                 inertia += motor.rotor_inertia * accelerations[place]
                 if k != place:
                     driving += motor.torque_constant * currents[k]
-        onward = driving * np.sign(velocities)
-        known = np.maximum(np.abs(onward - least), np.abs(onward - most))
-        torque = np.where(np.abs(velocities) >= TURNING_RAD_S, known, np.abs(driving) + most)
-        return np.asarray((torque + inertia) / self._motors[self._roles[place]].torque_constant, np.float64)
+        turning = np.sign(velocities) * (np.abs(velocities) >= TURNING_RAD_S)
+        resting = velocities == 0.0 if mode is Mode.VELOCITY else np.full(len(told), profile.low == profile.high)
+        held = self._held.get(place, _Held(-most, most, 0.0))  # engaged at no current
+        if mode is Mode.ANGLE and held.told != told[0]:
+            held = _Held(-math.inf, math.inf, told[0])
+        torques = np.empty(len(told))
+        for n, (balance, low) in enumerate(zip((-driving).tolist(), least.tolist(), strict=True)):
+            if turning[n]:
+                ends = balance + turning[n] * low, balance + turning[n] * most
+                held = _Held(min(ends), max(ends), told[n])
+            elif resting[n]:
+                held = held.strained(balance, low, most)
+            else:
+                held = _Held(balance - most, balance + most, told[n])
+            torques[n] = max(abs(held.low), abs(held.high))
+        return torques + inertia, held
 
     def _speeds(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array]:
         """Of each role: the speed at the most, and the speed that it keeps at the least."""

@@ -20,12 +20,13 @@ from leactl.safety.thermal.guard import LOOK_S, MARGIN_K, STEP_S, TURN_S, Budget
 from leactl.safety.thermal.turning import LED_ALIGNED
 
 PARTS = 10  # samples of a step, where setpoints vary along a line
+KEPT_TO = np.array([0.95, 1.0, 1.05])  # of a planned speed
 COARSE_K = 2.0  # that a node may rise by in one step, where they do not
 LONGEST_S = 2.0
 LEAST_S = 1e-6  # rounding of a sum of steps, which is no step of its own
 MOST_WAIT_S = 4 * 3600.0
 WAIT_ROUNDING_S, WAIT_FOUND_TO_S = 5.0, 1.0
-FAST = 3.0  # rad of electrical angle in a step, from which on it shares its heat among the phases by itself
+FAST = 3.0  # rad of electrical angle in a step, from which on it shares its heat among the phases evenly
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,7 @@ class Foresight:
     def forecast(self, plan: Plan) -> Forecast:
         """Follow a plan from its start until its end, or until a winding may pass its limit."""
         self._bound.state = self._start
+        self._demand.begin()
         return self._follow(plan, states(plan), 0.0)
 
     def with_waits(self, plan: Plan) -> tuple[Plan, Forecast]:
@@ -129,13 +131,13 @@ class Foresight:
             own = self._budgets.step(self._budgets.left(self._bound.hottest().tolist()))
             if state.constant:
                 squares, turned, speeds = self._demand.heats(plan, state, [0.0])
-                aligned, late = self._shared(turned, own, np.ones((len(turned), round(LONGEST_STEP_S / own))))
+                aligned, late = self._shared(turned, own, np.ones((len(turned), PARTS * round(LONGEST_STEP_S / own))))
                 rate = self._bound.fastest(squares, aligned, speeds, self._settings.ambient)
                 step = min(left, LONGEST_S, max(COARSE_K / rate if rate > 0.0 else LONGEST_S, 0.01))
                 if time < own - LEAST_S or left <= own + LEAST_S:
                     # the guard's step that sees a current begin or end counts it as late: most where that is its middle
                     step, aligned = min(step, own), _aligned(turned * own)
-                    late = np.full(len(aligned), max(0.25 * own, own - state.duration) + TURN_S)
+                    late = self._late(np.full(len(aligned), max(0.25 * own, 0.5 * (own - state.duration))), own)
                 else:
                     step = min(step, left - own)
             else:
@@ -144,33 +146,56 @@ class Foresight:
                 parts = max(PARTS, math.ceil(step * plan.rate_Hz - 1e-6)) if state.listed else PARTS
                 at = [time + step * (k + 0.5) / parts for k in range(parts)]
                 squares, turned, speeds = self._demand.heats(plan, state, at)
-                aligned, late = _aligned(turned * STEP_S), np.full(len(squares), own)
-                if left > own and np.any((turned * own < FAST) & (turned * LONGEST_STEP_S > 1.0)):
-                    aligned, late = self._shared(turned, own, self._evenness(plan, state, time, own))
+                aligned, late = _aligned(turned * step), self._late(np.full(len(squares), 0.25 * own), own)
+                if left > own:
+                    count = PARTS * int(min(LONGEST_STEP_S, left) / own + LEAST_S)
+                    ahead = [time + own / PARTS * (k + 0.5) for k in range(count)]
+                    later, kept, _ = self._demand.squares(plan, state, ahead)
+                    shared, lag = self._shared(kept, own, later)
+                    better = self._kept(shared, lag) < self._kept(aligned, late)
+                    aligned, late = np.where(better, shared, aligned), np.where(better, lag, late)
             aligned[[role in state.leads for role in self._roles]] = LED_ALIGNED
             yield _Piece(step, squares, aligned, speeds, late)
             time += step
 
-    def _evenness(self, plan: Plan, state: State, time: float, own: float) -> Array:
-        """Mean over largest square current of spans of 1, 2, .. guard's steps from a moment on, within the action."""
-        count = int(min(LONGEST_STEP_S, state.duration - time) / own + LEAST_S)
-        at = [time + 0.5 * own * k for k in range(2 * count + 1)]
-        squares = self._demand.squares(plan, state, at)[0]
-        ends = range(3, 2 * count + 2, 2)
-        most = np.stack([squares[:, :end].max(axis=1) for end in ends], axis=1)
-        mean = np.stack([squares[:, :end].mean(axis=1) for end in ends], axis=1)
-        return np.asarray(np.divide(mean, most, out=np.ones_like(mean), where=most > 0.0), np.float64)
+    def _shared(self, turned: Array, own: float, squares: Array) -> tuple[Array, Array]:
+        """Alignments and latenesses over the span that serves best to bound each, of 1, 2, .. guard's steps.
 
-    def _shared(self, turned: Array, own: float, evenness: Array) -> tuple[Array, Array]:
-        """Alignments and latenesses over the span that serves best to bound each, of 1, 2, .. guard's steps."""
-        best: list[tuple[float, float, float]] = []
+        Parameters
+        ----------
+        turned : electrical speeds [rad/s], shape (roles,), kept to 5 %.
+        own : of the guard's steps [s].
+        squares : square currents in as many `PARTS` of as many steps [A^2], shape (roles, parts).
+        """
+        turned = np.minimum(turned, FAST / own)
+        times = own / PARTS * (np.arange(squares.shape[1]) + 0.5)
+        ends = slice(PARTS - 1, None, PARTS)
+        durations = own * np.arange(1, squares.shape[1] // PARTS + 1)
+        turns = np.exp(2j * turned[:, None, None] * KEPT_TO[:, None] * times)
+        heat, turning = squares[:, None, :], squares[:, None, :] * turns
+        whole, moment, stood, moved = (
+            np.cumsum(one, axis=2)[:, :, ends] for one in (heat, heat * times, turning, turning * times)
+        )
+        middle = 0.5 * durations
+        behind = np.maximum(moment - middle * whole, 0.0) + np.abs(moved - middle * stood)
+        none = whole <= 0.0
+        aligned = np.where(none, 1.0, np.abs(stood) / np.where(none, 1.0, whole))
+        late = self._late(behind / np.where(none, 1.0, whole * (1.0 + aligned)), own, durations)
+        kept = self._kept(aligned, late)
+        worst = np.argmax(kept, axis=1)
+        span = np.argmin(np.take_along_axis(kept, worst[:, None, :], axis=1)[:, 0, :], axis=1)
+        roles = np.arange(len(turned))
+        at = roles, worst[roles, span], span
+        return aligned[at], late[at]
+
+    def _kept(self, aligned: Array, late: Array) -> Array:
+        """What a hottest phase keeps of its heat, but for a factor."""
+        return (1.0 + aligned) * (1.0 + late / self._bound.decay_s)
+
+    def _late(self, behind: Array, own: float, durations: Array | None = None) -> Array:
+        """Lateness of spans of these durations [s], or of single steps, of a guard that takes steps of `own`."""
         unseen = LOOK_S if own == STEP_S else TURN_S
-        for speed, evens in zip(turned.tolist(), evenness.tolist(), strict=True):
-            spans = [own * (k + 1) for k in range(len(evens))]
-            shares = [(span, _envelope(speed * span), even) for span, even in zip(spans, evens, strict=True)]
-            found = [(share, lateness(span, even, share, unseen)) for span, share, even in shares]
-            best.append(min(((1.0 + a) * (1.0 + late / self._bound.decay_s), a, late) for a, late in found))
-        return np.array([one[1] for one in best]), np.array([one[2] for one in best])
+        return lateness(behind, np.asarray(own) if durations is None else durations, unseen, self._bound.decay_s)
 
 
 class _Piece(NamedTuple):
@@ -181,11 +206,6 @@ class _Piece(NamedTuple):
     aligned: Array
     speeds: Array
     late: Array
-
-
-def _envelope(turned: float) -> float:
-    """|sin x / x| at the most, where a speed is kept to 5 %."""
-    return max(abs(math.sin(x) / x) if x > 0.0 else 1.0 for x in (0.95 * turned, turned, 1.05 * turned))
 
 
 def _aligned(turned: Array) -> Array:

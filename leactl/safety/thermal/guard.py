@@ -94,7 +94,7 @@ class ThermalGuard:
         self._advanced = self._looked = 0.0
         self._step = STEP_S
         # the bound as it stood when the span began that is looked at as one step, and what that span leaves of a phase
-        self._anchor, self._spans, self._spanned = self._bound.state, [Span() for _ in boxes], 0.0
+        self._anchor, self._spans = self._bound.state, [Span() for _ in boxes]
         self._motion: Motion = lambda index: (math.nan, math.nan)
         self._forgotten: Callable[[], str] = str
         self._budgets = [-math.inf] * len(boxes)
@@ -171,36 +171,37 @@ class ThermalGuard:
             self._look(now)
         fresh = [rotor.take() for rotor in self._rotors]
         speeds = [span.speed for span in fresh]
-        self._follow(fresh, duration)
+        self._follow(fresh)
         self._advanced = now
         self.squares[:] = [0.0] * len(self.squares)
         return self._judge(speeds) or self._forgotten()
 
-    def _follow(self, fresh: list[Span], duration: float) -> None:
+    def _follow(self, fresh: list[Span]) -> None:
         """One step of the bound: from where the last one ended, or over again from where the span began.
 
         Either is a bound. The longer one is taken where it leaves less of the same heat in a phase: where rotors crawl.
         """
-        bound, whole = self._bound, self._spanned + duration
+        bound, decay = self._bound, self._bound.decay_s
         joined = [before.joined(after) for before, after in zip(self._spans, fresh, strict=True)]
-        longer = self._spanned > 0.0 and whole <= LONGEST_STEP_S
-        if longer and self._left(joined, whole, joined) < self._left(self._spans, self._spanned, joined):
-            self._spans, self._spanned = joined, whole
+        longer = self._spans[0].duration > 0.0 and joined[0].duration <= LONGEST_STEP_S
+        if longer and self._left(joined, joined) < self._left(self._spans, joined):
+            self._spans = joined
             bound.state = self._anchor
         else:
-            self._anchor, self._spans, self._spanned = bound.state, fresh, duration
-        spans, whole = self._spans, self._spanned
+            self._anchor, self._spans = bound.state, fresh
+        spans = self._spans
+        whole = spans[0].duration
         heat = self._twice(
             [span.square / whole for span in spans], [s.aligned for s in spans], [s.speed for s in spans]
         )
-        late = [span.late(whole) for span in spans]
+        late = [span.late(decay) for span in spans]
         bound.step(whole, *heat, self._settings.ambient, np.array(late + late))
 
-    def _left(self, spans: list[Span], duration: float, heat: list[Span]) -> float:
+    def _left(self, spans: list[Span], heat: list[Span]) -> float:
         """Of some heat, what the hottest phases keep if it is shared as in these spans."""
         decay = self._bound.decay_s
         return sum(
-            one.square * (1.0 + span.aligned) * (1.0 + span.late(duration) / decay)
+            one.square * (1.0 + span.aligned) * (1.0 + span.late(decay) / decay)
             for one, span in zip(heat, spans, strict=True)
         )
 

@@ -14,14 +14,18 @@ LED_ALIGNED = 0.5  # of heat that two phases take in halves, which leaves (1 + 0
 
 @dataclass(slots=True)
 class Span:
-    """Heat of one actuator over some time."""
+    """Heat of one actuator over some time, with its moments about the span's beginning."""
 
+    duration: float = 0.0  # s
     square: float = 0.0  # A^2 s
     cos: float = 0.0  # of it at twice the electrical angle
     sin: float = 0.0
     led: float = 0.0  # A^2 s, of a direct current through two leads
+    square_moment: float = 0.0  # A^2 s^2, and so on
+    cos_moment: float = 0.0
+    sin_moment: float = 0.0
+    led_moment: float = 0.0
     speed: float = 0.0  # rad/s, at the most
-    most: float = 0.0  # A^2, the largest mean square current from one look to the next
     unseen: float = 0.0  # s, from one look to the next at the longest
 
     @property
@@ -30,21 +34,30 @@ class Span:
         stood = math.hypot(self.cos, self.sin) + LED_ALIGNED * self.led
         return min(1.0, stood / self.square) if self.square > 0.0 else 0.0
 
-    def late(self, duration: float) -> float:
-        """How much later than evenly a phase's heat may have come [s], of the seconds that the span lasted."""
-        even = self.square / (duration * self.most) if self.most > 0.0 else 1.0
-        # what leads bring keeps its share of a phase, as what stands at one angle does
-        return lateness(duration, even, 1.0 if self.led == self.square else self.aligned, self.unseen)
+    def late(self, decay: float) -> float:
+        """How much later than evenly a phase's heat may have come [s]; see `lateness`."""
+        if not self.square > 0.0:
+            return 0.0
+        half = 0.5 * self.duration
+        whole = self.square_moment - half * self.square
+        turning = math.hypot(self.cos_moment - half * self.cos, self.sin_moment - half * self.sin)
+        behind = max(0.0, whole) + turning + LED_ALIGNED * abs(self.led_moment - half * self.led)
+        return lateness(behind / (self.square * (1.0 + self.aligned)), self.duration, self.unseen, decay)
 
     def joined(self, after: "Span") -> "Span":
         """This one and the next."""
+        before = self.duration
         return Span(
+            before + after.duration,
             self.square + after.square,
             self.cos + after.cos,
             self.sin + after.sin,
             self.led + after.led,
+            self.square_moment + after.square_moment + before * after.square,
+            self.cos_moment + after.cos_moment + before * after.cos,
+            self.sin_moment + after.sin_moment + before * after.sin,
+            self.led_moment + after.led_moment + before * after.led,
             max(self.speed, after.speed),
-            max(self.most, after.most),
             max(self.unseen, after.unseen),
         )
 
@@ -72,6 +85,8 @@ class Rotor:
         led : what of it has come by a direct current through two leads since the last look [A^2 s].
         """
         span, speed = self.span, abs(velocity)
+        when = span.duration + 0.5 * since
+        span.duration += since
         if speed != speed:
             speed, velocity = self._most_speed, 0.0
         if speed > span.speed:
@@ -81,9 +96,9 @@ class Rotor:
         before = self._angle
         self._angle = angle = angle if angle == angle else before + velocity * since
         fresh, span.square = square - span.square, square
-        if fresh > span.most * since:
-            span.most = fresh / since
+        span.square_moment += fresh * when
         span.led += led
+        span.led_moment += led * when
         fresh -= led
         evenly = min(abs(velocity), self._velocity) * since
         self._velocity = abs(velocity)
@@ -91,8 +106,11 @@ class Rotor:
         if passed > 1.0:
             fresh /= passed
         turned = self._poles * angle
-        span.cos += fresh * math.cos(turned)
-        span.sin += fresh * math.sin(turned)
+        cos, sin = fresh * math.cos(turned), fresh * math.sin(turned)
+        span.cos += cos
+        span.sin += sin
+        span.cos_moment += cos * when
+        span.sin_moment += sin * when
 
     def take(self) -> Span:
         """What has been gathered; the next span begins."""

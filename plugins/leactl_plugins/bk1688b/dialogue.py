@@ -47,8 +47,8 @@ class Bk1688bDialogue:
     def output_off(self, progress: Progress) -> Script[Confirmation]:
         """Switch off until nothing is measured at the terminals, however often that takes.
 
-        A voltage that was not set before is set and read back each time: any answer before it was given earlier, and
-        an output that does not switch off is turned down.
+        A voltage that the last nine tries did not set is set and read back each time: any answer before it was given
+        earlier, and an output that does not switch off is turned down.
         """
         while True:
             yield b"\r"
