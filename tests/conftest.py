@@ -1,10 +1,11 @@
-"""What every test starts from: processes that heed Ctrl-C, and one that holds a bench for whoever wants it held."""
+"""What every test starts from: processes that heed Ctrl-C, examples that take what they take, a bench that is held."""
 
 import signal
 import subprocess
 import sys
 
 import pytest
+from hypothesis import settings
 
 HOLD = """
 import sys, time
@@ -20,6 +21,8 @@ with exclusive.held(file, devices):
 def pytest_configure():
     # a script's background job begins with SIGINT ignored, and so would every process that a test starts
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    settings.register_profile("untimed", deadline=None)  # how long an example takes says how busy the machine is
+    settings.load_profile("untimed")
 
 
 WALL_CLOCK = {"driver", "kills"}

@@ -10,7 +10,7 @@ from leactl.errors import InputError, MissingChannel, NotIdentifiable
 
 from .synthetic import HOLD_S, Bench, analyzed, covered
 
-SLOW = settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+SLOW = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @SLOW

@@ -435,7 +435,7 @@ def test_a_connection_that_is_dead_is_replaced(bench):
 STALE = ["000000000\rOK\r", "OK\r", "010000\rOK\r", "011000\rOK\r", "080090\rOK\r", "\r", "\xff", "000000000\r"]
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.lists(st.sampled_from(STALE), max_size=6), st.booleans())
 def test_stale_and_spoilt_answers_never_make_a_stuck_supply_safe(stale, asking):
     bench = Bk1688bBench()

@@ -122,7 +122,7 @@ class Turning:
         return 3.0 * math.sin(20 * self.time), 5.0 * self.time, 2.5 * self.time**2
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     st.sampled_from([(",", "."), (";", ","), ("\t", "."), ("\t", ","), (";", ".")]),
     st.sampled_from(["amplitude", "rms", "power_invariant"]),

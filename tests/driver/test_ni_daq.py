@@ -73,7 +73,7 @@ def test_each_input_is_sampled_at_its_stamp_and_skew():
 
 
 @given(st.floats(0.5, 40000.0), st.integers(1, 3))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_no_stamp_is_ahead_of_the_clock_and_none_is_made_up(rate, inputs):
     daq = Daq(pairs=PAIRS[:inputs], rate_Hz=rate)
     daq.driver.open()

@@ -472,7 +472,7 @@ def test_another_instrument_s_word_is_not_taken(here):
     assert "HEWLETT-PACKARD 34401A answers; E3633A was expected" in confirmed.detail
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.lists(st.sampled_from(["0", "1", "+0.00000000E+00", "", None, "\xff"]), max_size=6), st.booleans())
 def test_stale_and_spoilt_answers_never_make_a_stuck_supply_safe(spoilt, asking):
     bench = SupplyBench()

@@ -380,7 +380,7 @@ def test_a_last_frame_cut_short_is_left_out(tmp_path):
     assert "cut short: left out" in told(record)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.binary(max_size=300) | st.text(max_size=200).map(str.encode))
 def test_no_bytes_whatever_end_in_anything_but_values_or_one_line_faults(tmp_path_factory, raw):
     path = tmp_path_factory.getbasetemp() / "any.csv"

@@ -79,7 +79,7 @@ def read_back(path, table, unit, **told):
     return np.vectorize(FROM_CELSIUS[unit])(record.values)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(tables(), dialects(), st.sampled_from(["degC", "degF", "K"]))
 def test_nothing_told_gives_the_same_values_or_a_refusal(tmp_path_factory, table, dialect, unit):
     try:
@@ -96,7 +96,7 @@ def test_nothing_told_gives_the_same_values_or_a_refusal(tmp_path_factory, table
         np.testing.assert_allclose(found, as_written(table[1], dialect, unit), atol=1e-9)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(tables(), dialects(), st.sampled_from(["degC", "degF", "K"]))
 def test_everything_told_gives_the_same_values(tmp_path_factory, table, dialect, unit):
     try:
@@ -112,7 +112,7 @@ def test_everything_told_gives_the_same_values(tmp_path_factory, table, dialect,
     np.testing.assert_allclose(found, as_written(table[1], dialect, unit), atol=1e-9)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(dialects(), st.lists(st.floats(-40, 1500), min_size=12, max_size=12), st.integers(1, 3))
 def test_frames_of_pixels_in_any_dialect(tmp_path_factory, dialect, pixels, frames):
     dialect = Dialect(**(vars(dialect) | {"missing": "NaN"}))

@@ -124,7 +124,7 @@ def test_a_lossy_transmission_costs_the_motor_going_out_and_the_joint_coming_bac
     assert found.transmission == pytest.approx(-found.joint_work * (1.0 - 0.8))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     motor=st.sampled_from([LEA, U8, MAXON]),
     amplitude=st.floats(0.05, 1.5),

@@ -192,7 +192,7 @@ def likely(draw):
     return {kind: content}
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(
     st.lists(st.one_of(likely(), likely(), anything), max_size=4),
     st.one_of(

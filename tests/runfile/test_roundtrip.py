@@ -86,7 +86,7 @@ def test_the_protocol_text_has_the_checksum_of_its_file(complete: Path):
 finite = st.floats(allow_nan=True, allow_infinity=True, width=64)
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     gaps=st.lists(st.integers(1, 10**6), max_size=60),
     values=arrays("f8", (60, 3), elements=finite),

@@ -224,7 +224,7 @@ def misfortunes(draw):
     return ", ".join(entry.replace("at_s: 2", draw(moments)) for entry in chosen)
 
 
-@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(misfortunes())
 def test_no_drive_is_called_safe_that_is_not(rehearse, faults):
     latch.release("emulated")

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from leactl.driver.contract import Block, Row, StreamSpec
@@ -50,7 +50,6 @@ def judged(interlocks, feed):
     return due, warnings, str(list(panel.values))
 
 
-@settings(deadline=None)
 @given(st.sampled_from(list(INTERLOCKS)), rows_of, st.sets(st.integers(1, 12), max_size=5))
 @example("rate", [(0.0, 0.0, 0.0), (-9.0, 0.0, 0.0), (9.0, 0.0, 0.0)], {1})
 def test_blocks_and_rows_are_judged_alike(name, rows, cut):

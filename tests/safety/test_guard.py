@@ -229,7 +229,7 @@ pieces = st.tuples(
 
 
 @pytest.mark.parametrize(("period", "share"), [(0.01, 1.0), (0.001, 0.4)])
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     places=st.tuples(*[corner] * 11) | st.just(WORST),
     offset=st.floats(0.0, math.pi),

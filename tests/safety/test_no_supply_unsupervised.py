@@ -121,5 +121,5 @@ class Unsupervised(RuleBasedStateMachine):
 
 
 def test_no_call_sequence_reaches_a_supply_unsupervised():
-    Unsupervised.TestCase.settings = settings(max_examples=60, stateful_step_count=20, deadline=None)
+    Unsupervised.TestCase.settings = settings(max_examples=60, stateful_step_count=20)
     Unsupervised.TestCase().runTest()

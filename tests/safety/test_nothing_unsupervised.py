@@ -242,5 +242,5 @@ def test_no_call_sequence_reaches_a_drive_unsupervised(tmp_path):
     path = tmp_path / "pair.yaml"
     path.write_text(BENCH)
     Unsupervised.file = load(str(path))[:2]
-    Unsupervised.TestCase.settings = settings(max_examples=100, stateful_step_count=25, deadline=None)
+    Unsupervised.TestCase.settings = settings(max_examples=100, stateful_step_count=25)
     Unsupervised.TestCase().runTest()

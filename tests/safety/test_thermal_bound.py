@@ -50,7 +50,7 @@ course = st.lists(
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(places=st.tuples(*[corner] * 11), offset=st.floats(0.0, np.pi), course=course)
 def test_no_plant_of_the_box_is_hotter_than_its_bound(places, offset, course):
     currents = np.concatenate([np.full(n, i) for n, i, _ in course])
@@ -76,7 +76,7 @@ def test_heat_that_comes_late_leaves_no_more_behind_than_its_lateness_says(durat
     assert late <= duration
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_plant_that_wanders_through_its_box_stays_below_as_well(seed):
     draw = np.random.default_rng(seed)

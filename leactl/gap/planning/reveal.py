@@ -102,9 +102,19 @@ class Projected:
         self.place = {int(column): k for k, column in enumerate(self.columns)}
 
     def block(self, candidate: Candidate) -> list[int]:
-        """Where a candidate's columns stand; empty where nothing of them is left."""
-        found = [self.place[int(c)] for c in self.evidence.columns(candidate) if int(c) in self.place]
-        return found if found and all(self.kept[found]) else []
+        """Where a candidate's columns stand; empty where nothing is left of one of them."""
+        found = []
+        for column in self.evidence.columns(candidate):
+            place = self.place.get(int(column))
+            if place is not None and self.kept[place]:
+                found.append(place)
+            elif place is not None or not self.own(int(column)):
+                return []
+        return found
+
+    def own(self, column: int) -> bool:
+        """Whether a column belongs to a single run, which need not be among these."""
+        return self.evidence.coefficient(column).startswith("start of")
 
     def needed(self, candidate: Candidate) -> float | None:
         """Size from which on one form of an effect stands above its floor and uncertainty; None where it cannot."""
@@ -149,7 +159,7 @@ class Projected:
 
     def _directions(self, block: list[int]) -> Array:
         """Combinations of all columns, a unit each, that span a candidate beyond what belongs to single runs."""
-        own = [k for k in block if self.evidence.coefficient(int(self.columns[k])).startswith("start of")]
+        own = [k for k in block if self.own(int(self.columns[k]))]
         kept = [k for k in block if k not in own]
         spanned = np.zeros((len(kept), len(self.columns)))
         spanned[np.arange(len(kept)), kept] = 1.0
