@@ -63,7 +63,7 @@ def coasting(bench, *, j=J, f=F, b=B, c=C, signs=(1, -1), trials=3, zero_A=0.0, 
     return bench.write("coast-down", time, columns, steps, **{"mechanical": "free"} | how)
 
 
-@settings(deadline=None, max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(j=st.floats(0.001, 0.05), f=st.floats(0.05, 0.4), b=st.floats(0.001, 0.05), zero=st.floats(-0.02, 0.02))
 def test_without_noise_inertia_and_drag_come_back_whatever_the_zero_of_the_current(tmp_path_factory, j, f, b, zero):
     result = analyzed(analyze, coasting(Bench(tmp_path_factory.mktemp("run")), j=j, f=f, b=b, trials=2, zero_A=zero))

@@ -16,7 +16,7 @@ from .coupled import CURRENTS, SPEEDS, CoupledBench, Truth
 from .synthetic import analyzed, covered
 
 TURNS = {"speeds": (5.0, 25.0, 15.0), "currents": (14.0, 2.0, 20.0, 8.0)}  # so that time is neither
-SLOW = settings(deadline=None, max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+SLOW = settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.fixture

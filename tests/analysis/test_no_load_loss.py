@@ -26,7 +26,7 @@ def turned(bench, *, f=F, b=B, c=C, zero_A=0.0, speeds=SPEEDS, signs=(1, -1), tr
     return bench.run("no-load-loss", [(value, "") for value in velocity], levels, **how)
 
 
-@settings(deadline=None, max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(f=st.floats(0.0, 0.4), b=st.floats(0.001, 0.2), c=st.floats(0.0, 0.01), zero=st.floats(-0.05, 0.05))
 def test_without_noise_every_part_and_the_loss_come_back(tmp_path_factory, f, b, c, zero):
     path = turned(Bench(tmp_path_factory.mktemp("run")), f=f, b=b, c=c, zero_A=zero)

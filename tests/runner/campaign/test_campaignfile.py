@@ -107,7 +107,7 @@ WRITTEN = {"steps": "pqr", "actuators": "xy", "conditions": "abc", "repeats": (1
 
 
 @given(cells=CELLS, order=st.permutations(USUAL), shuffled=st.sets(st.sampled_from(USUAL)), seed=st.integers(0, 99))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_an_order_holds_every_run_once_and_its_outer_levels_together(cells, order, shuffled, seed):
     found = arranged(cells, order, WRITTEN, shuffled, seed)
     assert Counter(found) == Counter(cells)

@@ -37,7 +37,7 @@ def test_a_folder_without_a_journal_has_none(tmp_path):
 
 
 @given(place=st.floats(0, 1, exclude_max=True), what=st.one_of(st.none(), st.binary(min_size=0, max_size=3)))
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_no_other_bytes_pass_for_it(written, place, what):
     folder, data = written
     at = int(place * len(data))

@@ -118,6 +118,6 @@ class Campaign(RuleBasedStateMachine):
 
 
 Campaign.TestCase.settings = settings(
-    max_examples=60, stateful_step_count=12, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+    max_examples=60, stateful_step_count=12, suppress_health_check=[HealthCheck.too_slow]
 )
 TestCampaign = Campaign.TestCase
