@@ -128,8 +128,8 @@ def collect(drivers: Mapping[str, Driver], document: yamlfile.Document, run: Pat
         files = exports.fresh()
         try:
             if not files:
-                found = "there is no folder" if exports.absent else "no export has come into"
-                raise InputError(f"{found} {exports.folder}")
+                absent = ", which is no folder that can be looked into" * exports.absent
+                raise InputError(f"no export has come into {exports.folder}{absent}")
             device = RecordDevice(document, name)
             device.attach(device.join(device.read(files), run), run)
         except LeactlError as fault:
