@@ -1,5 +1,6 @@
 """Bench files: devices on buses in roles, their limits, and what an emulated bench is made of."""
 
+import os
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -8,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from leactl import yamlfile
 from leactl.driver import registry
+from leactl.driver.batch import RecordSettings
 from leactl.driver.contract import SAFE_STATE_S, DriverSettings
 from leactl.errors import InputError
 from leactl.model.motor import load_motor
@@ -70,7 +72,7 @@ class Device(BaseModel):
     bus: Name | None = None
     role: Literal["test", "load", "bench"]
     settings: dict[str, Any] = {}
-    on_demand: bool = False  # left alone by protocols that need nothing it measures
+    on_demand: bool = False  # left alone by protocols that neither need nor want what it measures
 
 
 class Harmonic(BaseModel):
@@ -99,6 +101,8 @@ class Emulated(BaseModel):
     terminal_noise_V: Fraction = 0.005  # noqa: N815 (between two leads, as a converter there picks it up)
     back_emf_harmonics: tuple[Harmonic, ...] = ()  # of either actuator
     temperature_noise_K: Fraction = 0.05  # noqa: N815
+    temperature_offset_K: Annotated[float, Field(ge=-20, le=20)] = 0.0  # noqa: N815 (of every sensor's zero)
+    temperature_gain: Annotated[float, Field(ge=0.5, le=2)] = 1.0  # of the rise above ambient, as a sensor shows it
 
 
 class BenchFile(BaseModel):
@@ -157,18 +161,19 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
     usable = [device for device in checked if device is not None]
     faults += _shared_addresses(document, bench.buses, usable)
     faults += _false_signs_of_life(document, usable)
+    faults += _shared_folders(document, usable)
     faults += [document.fault(("interlocks", *place), text) for place, text in bench.interlocks.beyond(bench.limits)]
     if faults:
         raise InputError(faults)
     return bench, usable, document
 
 
-def asked_for(devices: Sequence[CheckedDevice], needs: Collection[str]) -> list[CheckedDevice]:
-    """The devices of a run: those that are `on_demand` only where they tell a quantity that it needs."""
+def asked_for(devices: Sequence[CheckedDevice], asked: Collection[str]) -> list[CheckedDevice]:
+    """The devices of a run: those that are `on_demand` only where they tell a quantity that it asks for."""
     return [
         device
         for device in devices
-        if not device.entry.on_demand or any(shown.quantity in needs for shown in device.settings.shown())
+        if not device.entry.on_demand or any(shown.quantity in asked for shown in device.settings.shown())
     ]
 
 
@@ -260,6 +265,20 @@ def _false_signs_of_life(document: yamlfile.Document, devices: Sequence[CheckedD
             if host is not None and other.entry.bus == device.entry.bus and other.settings.bus_address == host:
                 message = f"the host's address {host} is that of {other.name}, which would keep {device.name} going"
                 faults.append(document.fault(("devices", device.name, "settings"), f"{message} without the host"))
+    return faults
+
+
+def _shared_folders(document: yamlfile.Document, devices: Sequence[CheckedDevice]) -> list[str]:
+    """Two programs that leave files in one folder: nobody could tell whose they are."""
+    first: dict[Path, str] = {}
+    faults = []
+    for device in devices:
+        settings = device.settings
+        if isinstance(settings, RecordSettings) and settings.exports_folder is not None:
+            holder = first.setdefault(Path(os.path.normpath(settings.exports_folder)), device.name)
+            if holder != device.name:
+                message = f"{settings.exports_folder} is that of {holder}; a folder of its own was expected"
+                faults.append(document.fault(("devices", device.name, "settings", "exports_folder"), message))
     return faults
 
 

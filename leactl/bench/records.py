@@ -1,15 +1,15 @@
 """Devices of a bench whose readings come in files: found in a bench file, and made ready to read."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
 from pydantic import ValidationError
 
 from leactl import yamlfile
-from leactl.bench.benchfile import Device
+from leactl.bench.benchfile import CheckedDevice, Device
 from leactl.driver import registry
-from leactl.driver.batch import BatchSource, Record
+from leactl.driver.batch import BatchSource, Record, RecordSettings
 from leactl.driver.clock import MonotonicClock
 from leactl.driver.contract import Driver, DriverSettings
 from leactl.errors import InputError, LeactlError
@@ -96,19 +96,40 @@ def bench_of_run(run: Path) -> yamlfile.Document:
     return yamlfile.parse(text, f"{run}: bench")
 
 
+def placed(devices: Sequence[CheckedDevice], runs: Path, run_id: str = "") -> list[CheckedDevice]:
+    """Devices with the folders of their exports as a run has them; a relative one lies in the directory of the runs.
+
+    Emulated runs may go on at once: with `run_id` each has a folder of its own below, so that none finds another's.
+    """
+    found = []
+    for device in devices:
+        settings = device.settings
+        if isinstance(settings, RecordSettings) and settings.exports_folder is not None:
+            folder = {"exports_folder": str(runs / settings.exports_folder / run_id)}
+            device = device.model_copy(update={"settings": settings.model_copy(update=folder)})
+        found.append(device)
+    return found
+
+
+def awaited(drivers: Mapping[str, Driver]) -> dict[str, BatchSource]:
+    """Those devices of a bench, by name, whose exports join a run at its end."""
+    sources = {name: driver for name, driver in drivers.items() if isinstance(driver, BatchSource)}
+    return {name: source for name, source in sources.items() if source.exports.folder is not None}
+
+
 def collect(drivers: Mapping[str, Driver], document: yamlfile.Document, run: Path) -> list[str]:
     """Attach what the programs of a bench's devices have exported since it was opened; a line for each that did not.
 
     Nothing here is an error of the run, which is closed and whole: whatever is told can be mended and attached by hand.
     """
     told = []
-    for name, driver in drivers.items():
-        if not isinstance(driver, BatchSource) or driver.exports.folder is None:
-            continue
-        files = driver.exports.fresh()
+    for name, source in awaited(drivers).items():
+        exports = source.exports
+        files = exports.fresh()
         try:
             if not files:
-                raise InputError(f"no export has come into {driver.exports.folder}")
+                absent = ", which is no folder that can be looked into" * exports.absent
+                raise InputError(f"no export has come into {exports.folder}{absent}")
             device = RecordDevice(document, name)
             device.attach(device.join(device.read(files), run), run)
         except LeactlError as fault:

@@ -2,12 +2,14 @@
 
 import json
 import sys
+from pathlib import Path
 
 import typer
 
 app = typer.Typer(
     help="Bench files, and what is done at a bench beside a protocol.", no_args_is_help=True, rich_markup_mode=None
 )
+RUNS = Path("runs")  # where `leactl run` puts its own, unless told otherwise
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 
 
@@ -108,6 +110,7 @@ def serve(
 ) -> None:
     """Serve an emulated bench on real buses, by the wall clock, until Ctrl-C."""
     from leactl.bench.benchfile import load, put_elsewhere
+    from leactl.bench.records import placed
     from leactl.emulation.emulated_bench import EmulatedBench
     from leactl.emulation.faults import check_faults
     from leactl.emulation.serving import bridged, stub_chips
@@ -117,7 +120,7 @@ def serve(
     file, devices, document = load(bench)
     check_faults(file, devices, document)
     file = file.model_copy(update={"buses": file.buses | put_elsewhere(file, bus)})
-    emulated = EmulatedBench(file, devices, setup, condition, seed)
+    emulated = EmulatedBench(file, placed(devices, RUNS), setup, condition, seed)
     with listening() as stop, bridged(file, emulated.wires, emulated.serial_wires) as bridges:
         chips = stub_chips(file, emulated)
         for name, bridge in bridges.items():

@@ -5,7 +5,9 @@ part in the control loop: its stamps mean nothing on the run's clock until the w
 that is in a run file is never moved again. The record joins the run after its end (`leactl runs attach`).
 """
 
+import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Protocol, Self, runtime_checkable
@@ -14,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
+from leactl.driver.contract import DriverSettings
 from leactl.quantities import ChannelSpec
 
 Array = npt.NDArray[np.float64]
@@ -82,12 +85,25 @@ class RecordClock(BaseModel):
         return self
 
 
+class RecordSettings(DriverSettings):
+    """What every device has whose readings come in files."""
+
+    clock: RecordClock | None = None
+    # Where its program leaves files; what comes there during a run joins it. A relative one lies where the runs do.
+    exports_folder: Annotated[str, Field(min_length=1)] | None = None
+
+
 class ExportFolder:
     """Where a program leaves its exports; those of a run are the files that were not there before it."""
 
     def __init__(self, folder: str | None) -> None:
         self.folder = Path(folder) if folder else None
         self._before: dict[Path, int] = {}
+
+    @property
+    def absent(self) -> bool:
+        """Whether there is no such folder, or none that may be looked into."""
+        return not (self.folder and os.path.isdir(self.folder))  # noqa: PTH112 (is_dir raises where it may not look)
 
     def look(self) -> None:
         """Remember what is there now."""
@@ -98,9 +114,13 @@ class ExportFolder:
         return sorted(path for path, changed in self._files().items() if self._before.get(path) != changed)
 
     def _files(self) -> dict[Path, int]:
-        if self.folder is None or not self.folder.is_dir():
-            return {}
-        return {path: path.stat().st_mtime_ns for path in self.folder.iterdir() if path.is_file()}
+        found: dict[Path, int] = {}
+        with suppress(OSError):  # no such folder, or none that can be read: nothing comes from there
+            for path in self.folder.iterdir() if self.folder else ():
+                with suppress(FileNotFoundError):  # gone since it was listed
+                    if path.is_file():
+                        found[path] = path.stat().st_mtime_ns
+        return found
 
 
 @runtime_checkable
@@ -110,6 +130,10 @@ class BatchSource(Protocol):
     @property
     def clock(self) -> RecordClock | None:
         """How its records are tied to a run, as the settings say; None where whoever attaches one has to say."""
+
+    @property
+    def channels(self) -> tuple[ChannelSpec, ...]:
+        """What its records hold."""
 
     @property
     def exports(self) -> ExportFolder:

@@ -163,8 +163,11 @@ class Physics(Protocol):
     def machine(self, role: str) -> Machine:
         """What the drive of this role turns."""
 
-    def reading(self, quantity: str, role: str) -> Callable[[], float]:
+    def reading(self, quantity: str, role: str, location: str = "") -> Callable[[], float]:
         """A function that gives this quantity as the bench has it now, sensor noise included.
+
+        `location` tells places apart that are not alike: `active_...` windings carry a direct current through two
+        leads, `inactive_...` ones do not.
 
         Raises
         ------

@@ -25,9 +25,7 @@ class Dialect:
         """A number in this dialect; what is no number is the missing mark."""
         if math.isnan(value):
             return self.missing
-        text = f"{value:,.{self.decimals}f}"
-        marks = {",": self.thousands, ".": self.decimal}
-        return "".join(marks.get(character, character) for character in text)
+        return f"{value:,.{self.decimals}f}".translate({ord(","): self.thousands, ord("."): self.decimal})
 
     def cell(self, text: str) -> str:
         """A cell, quoted where it would be cut."""

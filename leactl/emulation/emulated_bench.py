@@ -23,6 +23,7 @@ from leactl.emulation.faults.schedule import Schedule
 from leactl.emulation.noise import Noise
 from leactl.emulation.parameters import ActuatorParameters, BenchParameters
 from leactl.emulation.rig import Rig
+from leactl.emulation.rig_phases import PARTS
 from leactl.emulation.serial_wire import EmulatedSerialLine, SerialWire
 from leactl.emulation.signals import Signals
 from leactl.emulation.stepped_rig import SteppedActuator, SteppedRig
@@ -31,6 +32,8 @@ from leactl.emulation.terminals import MotorTerminals
 from leactl.emulation.wires import CanWire, EmulatedCanBus, EmulatedI2cBus
 from leactl.errors import InputError
 from leactl.model.motor import load_motor
+
+TEMPERATURES = ("winding_temperature", "housing_temperature", "ambient_temperature")
 
 
 class EmulatedMachine:
@@ -173,15 +176,14 @@ class EmulatedBench:
             raise InputError(f"an emulated drive turns 'test' or 'load', not '{role}'")
         return self.machines[role]
 
-    def reading(self, quantity: str, role: str) -> Callable[[], float]:
+    def reading(self, quantity: str, role: str, location: str = "") -> Callable[[], float]:
         """A function that gives this quantity as its sensor has it now."""
         rig, noise = self.rig, self._fresh_noise()
         if quantity == "torque" and role == "test":
             spread = self._settings.torque_noise_Nm
             return lambda: rig.shaft_torque + spread * noise()
-        if quantity in ("winding_temperature", "housing_temperature"):
-            actuator, spread = rig.actuators[role], self._settings.temperature_noise_K
-            return lambda: getattr(actuator, quantity) + spread * noise()
+        if quantity.endswith("_temperature"):
+            return self._thermometer(quantity, role, location, noise)
         plain: Mapping[str, Callable[[], float]] = {
             "line_current": lambda: rig.line_current,
             "line_voltage": lambda: rig.line_voltage,
@@ -190,6 +192,19 @@ class EmulatedBench:
         if quantity not in plain:
             raise InputError(f"the emulated bench has no {quantity} of '{role}' for an analogue sensor")
         return plain[quantity]
+
+    def _thermometer(self, quantity: str, role: str, location: str, noise: Noise) -> Callable[[], float]:
+        """What a sensor of temperatures shows, with the bench file's errors of its zero and of the rise."""
+        rig, settings, place = self.rig, self._settings, f"{quantity} of '{role}'"
+        if role not in rig.actuators or quantity not in TEMPERATURES:
+            raise InputError(f"the emulated bench has no {place}; it has {', '.join(TEMPERATURES)} of test and load")
+        actuator, air, part = rig.actuators[role], rig.bench.ambient_temperature, location.partition("_")[0]
+        spread, zero, gain = settings.temperature_noise_K, settings.temperature_offset_K, settings.temperature_gain
+        if quantity == "ambient_temperature":
+            return lambda: air + zero + spread * noise()
+        if quantity == "winding_temperature" and part in PARTS:
+            return lambda: air + zero + gain * (rig.part_of_winding(role, part) - air) + spread * noise()
+        return lambda: air + zero + gain * (getattr(actuator, quantity) - air) + spread * noise()
 
     def _fresh_noise(self) -> Noise:
         self._streams_of_noise += 1

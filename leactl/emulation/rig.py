@@ -147,6 +147,16 @@ class Rig:
         self._phases.hold(self._friction_heat)
         return self._phases.hottest(ROLES.index(role))
 
+    def part_of_winding(self, role: str, part: str) -> float:
+        """Temperature of the `active` phases, which two leads feed, or the `inactive` one [degC].
+
+        That of the whole winding where phases are not resolved.
+        """
+        if self._phases is None:
+            return self.actuators[role].winding_temperature
+        self._phases.hold(self._friction_heat)
+        return self._phases.part(ROLES.index(role), part)
+
     def state(self, index: int) -> float:
         """One number of the state, by its place in regime.py."""
         return float(self._point[index])

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 HELD_S = 0.01  # heat is gathered this long while nobody asks: 45 A at rest warm a phase by 0.5 K
 LEAST_S = 1e-9  # rounding of the moments that a host asks for; less than this is no step
+PARTS = {"active": slice(0, 2), "inactive": slice(2, 3)}  # of the phases, by whether two leads feed them
 LONGEST_S = 0.05  # of a step under direct current, 1/130 of a phase's time constant
 
 
@@ -43,6 +44,7 @@ class RigPhases:
         self.network = PhaseNetwork(actuators, [ambient] * len(pair))
         self._shown = [actuator.thermal for actuator in pair]
         self._highest = np.full(len(pair), ambient)
+        self._phases: list[list[float]] = self.network.temperatures.T.tolist()  # degC, of each actuator
         self._turns = np.array([float(p.pole_pairs) for p in actuators])
         self._offsets = np.array([p.phases.commutation_offset for p in actuators])
         self._steps: list[float] = []
@@ -57,6 +59,11 @@ class RigPhases:
     def hottest(self, place: int) -> HottestPhase:
         """Hottest phase of one actuator, now and at its highest."""
         return HottestPhase(float(self.network.hottest[place]), float(self._highest[place]))
+
+    def part(self, place: int, part: str) -> float:
+        """Mean of the phases that two leads feed, or of the one that they do not, of one actuator [degC]."""
+        phases = self._phases[place][PARTS[part]]
+        return sum(phases) / len(phases)
 
     def take(self, step: float, before: Array, after: Array, friction: list[float]) -> None:
         """Take one step of the rig [s] between two states, and the friction heat [J] of all steps since it was zero."""
@@ -96,6 +103,7 @@ class RigPhases:
         np.maximum(self._highest, self.network.hottest, out=self._highest)
 
     def _show(self) -> None:
+        self._phases = self.network.temperatures.T.tolist()
         means = zip(self._shown, self.network.winding.tolist(), self.network.housing.tolist(), strict=True)
         for nodes, winding, housing in means:
             nodes.winding, nodes.housing = winding, housing

@@ -27,9 +27,9 @@ class Signals:
         """What the drive of this role turns."""
         return _ReadMachine(self._physics.machine(role), self)
 
-    def reading(self, quantity: str, role: str) -> Callable[[], float]:
+    def reading(self, quantity: str, role: str, location: str = "") -> Callable[[], float]:
         """A function that gives this quantity as the device reads it now."""
-        return self.changed(quantity, self._physics.reading(quantity, role))
+        return self.changed(quantity, self._physics.reading(quantity, role, location))
 
     def at_supply(self, feeds: str, role: str) -> SupplyLoad:
         """What a power supply feeds; its own meters read what it feeds, faults and all."""
@@ -112,7 +112,7 @@ class _Still:
     def read(self) -> tuple[float, float, float]:
         return 0.0, 0.0, 0.0
 
-    def reading(self, quantity: str, role: str) -> Callable[[], Any]:
+    def reading(self, quantity: str, role: str, location: str = "") -> Callable[[], Any]:
         return float
 
     def terminals(self, role: str) -> "_Still":

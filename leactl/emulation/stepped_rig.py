@@ -107,6 +107,10 @@ class SteppedRig:
             resistance *= float(effect.resistance_share(self.plant.thermal.winding[0], self.time))
         return resistance
 
+    def part_of_winding(self, role: str, part: str) -> float:
+        """Temperature of the `active` or `inactive` phases [degC]: that of the winding, which has one node here."""
+        return self.actuators[role].winding_temperature
+
     # ---------------------------------------------------------------- time
 
     def advance(self, to_time: float) -> None:

@@ -3,14 +3,20 @@
 A current is switched on, and a winding grows warm: they do not measure the same, and still have a moment in common.
 """
 
+import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
+from leactl.errors import InputError
 from leactl.runfile.alignment import Array, Tie, autocorrelated
 
 FEWEST_AROUND = 8  # samples on either side of an onset
 ONSET_SIGNIFICANCE = 5.0  # standard deviations that the slope behind an onset must be away from zero
+
+MOST_APART = 10.0  # standard deviations: ties that differ by more are of events that do not belong together
+GAINED = 1e-3  # of the time between two ties, far above what any clock gains
 
 
 def jumps(time: Array, values: Array, least: float) -> list[Tie]:
@@ -26,7 +32,9 @@ def jumps(time: Array, values: Array, least: float) -> list[Tie]:
     ]
 
 
-def onset(time: Array, values: Array, near: float, within: float, fit_s: float) -> tuple[float, float] | None:
+def onset(
+    time: Array, values: Array, near: float, within: float, fit_s: float, rising: float
+) -> tuple[float, float] | None:
     """Where a channel leaves a straight line for another curve, and the standard deviation of that; None where nowhere.
 
     Before the onset a line, behind it a parabola from where the line ends: what a body shows that a constant heat
@@ -36,6 +44,7 @@ def onset(time: Array, values: Array, near: float, within: float, fit_s: float) 
     ----------
     near, within : s on the channel's clock, where the onset is sought.
     fit_s : how much of the channel counts before and after.
+    rising : above zero for the strongest bend upwards, below zero for the strongest downwards.
     """
     good = np.isfinite(values) & (time > near - within - fit_s) & (time < near + within + fit_s)
     time, values = time[good], values[good]
@@ -45,8 +54,9 @@ def onset(time: Array, values: Array, near: float, within: float, fit_s: float) 
     best: tuple[float, float] | None = None
     for at in np.arange(near - within, near + within, max(interval, within / 400.0)):
         found = hinge(time, values, float(at), fit_s)
-        if found is not None and abs(found[1]) >= ONSET_SIGNIFICANCE and (best is None or abs(found[1]) > best[0]):
-            best = abs(found[1]), float(at)
+        strength = math.copysign(1.0, rising) * found[1] if found is not None else 0.0
+        if strength >= ONSET_SIGNIFICANCE and (best is None or strength > best[0]):
+            best = strength, float(at)
     if best is None:
         return None
     at = best[1]
@@ -103,10 +113,57 @@ def ties_by_onset(
     within: float,
     fit_s: float,
 ) -> list[Tie]:
-    """Ties of a channel that begins to change where the reference jumps."""
+    """Ties of a channel that begins to change where the reference jumps.
+
+    A current warms what is measured, or cools it, whenever it is switched on, and the other way where it is switched
+    off: of both senses, where the onsets lie as far apart as the jumps, the one that ties more of them and finds
+    sharper ones.
+
+    Raises
+    ------
+    InputError : the onsets do not lie as far apart as the jumps.
+    """
+    senses = [_paired(time, values, base, reference, least, near, within, fit_s, sense) for sense in (1.0, -1.0)]
+    sound = [ties for ties in senses if ties and _apart(ties) <= MOST_APART]
+    ties = min(sound or senses, key=lambda ties: (-len(ties), sum(tie.sd for tie in ties)))
+    if ties and not sound:
+        offsets = ", ".join(f"{tie.run - tie.own:.1f}" for tie in ties)
+        raise InputError(
+            f"onsets do not lie as far apart as the jumps do: offsets of {offsets} s; near_s and a lower within_s tell"
+            " which belong together"
+        )
+    return ties
+
+
+def _paired(
+    time: Array,
+    values: Array,
+    base: Array,
+    reference: Array,
+    least: float,
+    near: float,
+    within: float,
+    fit_s: float,
+    sense: float,
+) -> list[Tie]:
+    """The strongest onset near each jump, upwards (`sense` above zero) where the reference grows in size."""
     ties = []
+    good = np.isfinite(reference)
+    size, stamps = np.abs(reference[good]), base[good]
     for jump in jumps(base, reference, least):
-        found = onset(time, values, jump.run - near, within, fit_s)
+        behind = int(np.searchsorted(stamps, jump.run))
+        grows = float(size[behind] - size[behind - 1])
+        found = onset(time, values, jump.run - near, within, fit_s, sense * grows)
         if found is not None:
             ties.append(Tie(found[0], jump.run, math.hypot(jump.sd, found[1])))
     return ties
+
+
+def _apart(ties: Sequence[Tie]) -> float:
+    """How far two ties disagree at the most, in their standard deviations and what a clock may gain meanwhile."""
+    disagreements = (
+        abs((one.run - one.own) - (other.run - other.own))
+        / (math.hypot(one.sd, other.sd) + GAINED * abs(one.run - other.run))
+        for one, other in itertools.combinations(ties, 2)
+    )
+    return max(disagreements, default=0.0)

@@ -1,4 +1,4 @@
-"""One run at a time on a bench: a lock for its name and one for each of its buses, held for the whole run.
+"""One run at a time on a bench: a lock for its name and each of its buses and export folders, for the whole run.
 
 The kernel holds the locks for the process, so that they end with it whatever ended it. A lock on the bus as the machine
 knows it keeps two bench files apart that reach the same devices.
@@ -12,6 +12,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from leactl.bench.benchfile import BenchFile, Bus, CheckedDevice, I2cBus, SerialBus
+from leactl.driver.batch import RecordSettings
 from leactl.errors import DeviceError, InputError
 from leactl.runner.latch import state_directory
 
@@ -32,6 +33,11 @@ def held(bench: BenchFile, devices: Sequence[CheckedDevice]) -> Iterator[list[in
     for name in used:
         place = _place(bench.buses[name])
         places.setdefault(place, f"bus '{name}' ({place})")
+    for device in devices:
+        settings = device.settings
+        if isinstance(settings, RecordSettings) and settings.exports_folder is not None:
+            folder = str(Path(settings.exports_folder).resolve())
+            places.setdefault(folder, f"the folder {folder} of '{device.name}'")
     with ExitStack() as stack:
         yield [
             stack.enter_context(

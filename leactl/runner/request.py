@@ -80,7 +80,7 @@ def _request(
     plan: Plan, placed: Placed, directory: Path, realtime: bool, served: bool, everything: bool = False
 ) -> Request:
     file, every, document = placed
-    devices = every if everything else benchfile.asked_for(every, plan.needs)
+    devices = every if everything else benchfile.asked_for(every, {*plan.needs, *plan.wants})
     check_rate(plan.rate_Hz, benchfile.host_silences(devices))
     return Request(
         plan=plan,

@@ -14,14 +14,13 @@ from pathlib import Path
 from leactl import __version__, yamlfile
 from leactl.bench.bench import Bench, refuse_blind
 from leactl.bench.benchfile import BenchFile, CheckedDevice
-from leactl.bench.records import collect
+from leactl.bench.records import awaited, collect, placed
 from leactl.bench.wiring import MachineWiring, Wiring
 from leactl.driver.contract import Confirmation, MotionDevice
 from leactl.driver.stopping import doubt
 from leactl.errors import DeviceError, InputError, SafetyTrip, Stopped
 from leactl.model.motor import load_motor
 from leactl.protocol.plan import Engage, Plan, Record, Supply
-from leactl.quantities import ChannelSpec
 from leactl.runfile.writer import RunInfo, RunWriter, new_run_id
 from leactl.runner import exclusive, latch, underway
 from leactl.runner.loop import Loop, Operator
@@ -37,7 +36,6 @@ from leactl.safety.refusals import check_setpoints
 from leactl.safety.supervisor import Axis, Supervisor
 
 SENSED_SETUPS = ("coupled", "locked")  # where the torque sensor sees what the test actuator gives
-Streams = Mapping[str, Sequence[ChannelSpec]]
 Watch = Callable[[Progress], AbstractContextManager[object]]
 
 
@@ -96,6 +94,9 @@ def execute(request: Request, operator: Operator, watch: Watch, stops: Sequence[
     RecordingFailed : the run file could not be made.
     """
     _check(request)
+    run_id = request.run_id or new_run_id(request.plan.name, datetime.now(UTC))
+    devices = placed(request.devices, request.directory, run_id if request.in_process else "")
+    request = replace(request, run_id=run_id, devices=devices)
     alone: AbstractContextManager[list[int]]
     alone = nullcontext([]) if request.in_process else exclusive.held(request.bench, request.devices)
     with alone as locks, listening() as stop:
@@ -188,7 +189,11 @@ def _run(
     with _shown(watch, progress):
         error: BaseException | None = None
         try:
-            _introduce(request, windings, writer, bench.streams())
+            _introduce(request, windings, writer, bench)
+            for name, source in awaited(bench.drivers).items() if not request.in_process else ():
+                if source.exports.absent:
+                    progress.warnings.append(f"{name}: there is no folder {source.exports.folder} for its exports yet")
+                    writer.event(0.0, "warning", name, progress.warnings[-1])
             if announcement.fault:
                 writer.event(0.0, "warning", "runner", announcement.fault)
             loop.run()
@@ -334,7 +339,7 @@ def _info(request: Request) -> RunInfo:
     plan, bench, now = request.plan, request.bench, datetime.now(UTC)
     motor = load_motor(bench.motors["test"])[1]
     return RunInfo(
-        run_id=request.run_id or new_run_id(plan.name, now),
+        run_id=request.run_id,
         protocol=plan.name,
         bench=bench.name,
         actuator=request.actuator,
@@ -348,13 +353,14 @@ def _info(request: Request) -> RunInfo:
     )
 
 
-def _introduce(request: Request, windings: Windings, writer: RunWriter, streams: Streams) -> None:
+def _introduce(request: Request, windings: Windings, writer: RunWriter, bench: Bench) -> None:
     """Note what the stored YAML texts do not tell: campaign, parameters as resolved, seed, how warm windings may be."""
     for name, value in request.part_of.items():
         writer.event(0.0, "info", "campaign", f"{name} = {value}")
     for name, value in request.plan.parameters.items():
         writer.event(0.0, "info", "protocol", f"{name} = {value}")
-    measured = {channel.quantity for stream in streams.values() for channel in stream}
+    channels = [*bench.streams().values(), *(source.channels for source in awaited(bench.drivers).values())]
+    measured = {channel.quantity for several in channels for channel in several}
     for quantity in request.plan.wants:
         if quantity not in measured:
             text = f"no device measures {quantity}: its record has to come from elsewhere"

@@ -7,15 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from leactl.analysis.heating.record import ACTIVE_SHARE
 from leactl.bench import benchfile
 from leactl.emulation.effects import make_effect
 from leactl.emulation.emulated_bench import EmulatedBench
 from leactl.emulation.parameters import ActuatorParameters, BenchParameters, PhaseParameters, ThermalParameters
 from leactl.emulation.phase_lanes import PhaseLane, PhaseLanes
+from leactl.emulation.phases import lead_squares
 from leactl.emulation.rig import Rig
-from leactl.emulation.rig_phases import HottestPhase
+from leactl.emulation.rig_phases import PARTS, HottestPhase
 from leactl.emulation.stepped_rig import SteppedRig
 from leactl.errors import InputError
+from leactl.safety.thermal.turning import LED_ALIGNED
 from tests.emulation.five_nodes import AT_REST, TWO_LEADS, settled
 
 LEA = ActuatorParameters()
@@ -84,6 +87,30 @@ def test_direct_current_through_two_leads_settles_at_the_closed_form():
     assert rig.hottest_phase("test").now == pytest.approx(expected[0], abs=1e-4)
     assert rig.actuators["test"].housing_temperature == pytest.approx(expected[3], abs=1e-4)
     assert rig.line_voltage == pytest.approx(9.0 * 2.0 * LEA.resistance(expected[0]), rel=1e-6)
+    assert rig.part_of_winding("test", "active") == pytest.approx(expected[0], abs=1e-4)
+    assert rig.part_of_winding("test", "inactive") == pytest.approx(expected[2], abs=1e-4)
+
+
+def test_parts_of_the_winding_are_those_of_analysis_and_guard():
+    rig = Rig("heated", bench=RESOLVED)
+    rig.heater_current = 9.0
+    run(rig, 20.0, 1.0)
+    active, inactive = (rig.part_of_winding("test", part) for part in ("active", "inactive"))
+    assert active - inactive > 15.0
+    winding = ACTIVE_SHARE * active + (1.0 - ACTIVE_SHARE) * inactive
+    assert winding == pytest.approx(rig.actuators["test"].winding_temperature, abs=1e-9)
+    squares = lead_squares(np.array(81.0))
+    assert squares.max() / squares.sum() == pytest.approx((1.0 + LED_ALIGNED) / 3.0)
+
+
+@pytest.mark.parametrize("plant", [Rig, SteppedRig])
+def test_a_winding_whose_phases_are_not_resolved_has_no_parts(plant):
+    rig = plant("heated")
+    rig.heater_current = 9.0
+    run(rig, 20.0, 1.0)
+    actuator = rig.actuators["test"]
+    assert actuator.winding_temperature > 35.0
+    assert {rig.part_of_winding("test", part) for part in PARTS} == {actuator.winding_temperature}
 
 
 def test_rig_and_lanes_are_one_plant():

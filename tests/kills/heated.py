@@ -15,7 +15,7 @@ FLOWING_A = 0.05
 
 def main():
     file, devices, _document = benchfile.load("emulated-heated")
-    bench = EmulatedBench(file, devices, "heated", "")
+    bench = EmulatedBench(file, benchfile.asked_for(devices, ()), "heated", "")
     flowing = False
 
     def look(_now):

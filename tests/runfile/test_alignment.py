@@ -119,11 +119,34 @@ def test_onsets_of_heating_and_cooling_tie_a_camera_with_its_drift():
     assert np.median(claims) < 0.06
 
 
+def pulses(*edges):
+    """Camera and current of pulses that begin and end at these moments, the camera's clock 7 s ahead of the run's."""
+    base, own = np.arange(0, edges[-1] + 10, 1 / 30), np.arange(0, edges[-1] + 17, 1 / 30)
+    rng = np.random.default_rng(5)
+    pairs = list(zip(edges[::2], edges[1::2], strict=True))
+    current = sum(np.where((base >= one) & (base < other), 9.0, 0.0) for one, other in pairs)
+    seen = sum(heating(own - 7.0, one, other) - 25.0 for one, other in pairs)
+    return own, 25.0 + seen + 0.1 * rng.normal(size=len(own)), base, current
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("leads", [1.0, -1.0])
+def test_heat_that_lasts_shorter_than_the_search_reaches_is_not_mistaken_for_cooling(sign, leads):
+    own, seen, base, current = pulses(8.1, 20.2)
+    ties = ties_by_onset(own, 50.0 + sign * seen, base, leads * current, 4.0, 0.0, 60.0, 5.0)
+    assert [tie.run - tie.own for tie in ties] == pytest.approx([-7.0, -7.0], abs=0.15)
+
+
+def test_onsets_that_do_not_belong_together_are_refused():
+    with pytest.raises(InputError, match=r"onsets do not lie as far apart as the jumps do: offsets of .* near_s"):
+        ties_by_onset(*pulses(8.1, 20.2, 31.3, 35.4), 4.0, 0.0, 60.0, 5.0)
+
+
 def test_a_camera_that_sees_nothing_has_no_onset():
     rng = np.random.default_rng(3)
     time = np.arange(0, 200, 1 / 30)
-    assert onset(time, 25 + 0.05 * rng.normal(size=len(time)), 100.0, 60.0, 5.0) is None
-    assert onset(time[:10], np.full(10, 25.0), 0.0, 60.0, 5.0) is None
+    assert onset(time, 25 + 0.05 * rng.normal(size=len(time)), 100.0, 60.0, 5.0, 1.0) is None
+    assert onset(time[:10], np.full(10, 25.0), 0.0, 60.0, 5.0, 1.0) is None
 
 
 def test_a_jump_over_two_samples_is_one_and_a_missing_sample_is_none():

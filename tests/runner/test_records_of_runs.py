@@ -1,10 +1,15 @@
 """Devices that leave files behind, on the emulated bench: their exports join the run at its end."""
 
+import hashlib
+import os
+
 import numpy as np
 import pytest
 import yaml
+from leactl_plugins.thermal_csv.emulator import BEFORE_S
 
 from leactl.bench import benchfile
+from leactl.driver.batch import ExportFolder
 from leactl.runfile.integrity import verify
 from leactl.runfile.reader import Run
 from tests.runner.conftest import SPIN
@@ -73,7 +78,7 @@ def test_the_drives_recording_joins_the_run_where_it_was_made(spin, tmp_path):
 
 
 def test_a_camera_looks_at_the_actuator_and_its_export_joins(spin, tmp_path):
-    clock = {"offset_s": 0.0, "offset_within_s": 0.5}
+    clock = {"offset_s": -BEFORE_S, "offset_within_s": 0.5}
     bench = bench_with(tmp_path, camera=camera(tmp_path, clock=clock, decimal=",", delimiter=";", unit="degF"))
     outcome, _ = spin(SPIN.replace("$hold_s", "3.0"), bench=bench)
     assert not outcome.notes, "\n".join(outcome.notes)
@@ -95,10 +100,24 @@ def test_a_record_that_cannot_join_is_told_and_the_run_is_whole(spin, tmp_path):
     assert "leactl runs attach" in told
 
 
-def test_files_of_earlier_runs_are_not_taken_for_this_ones(spin, tmp_path):
-    clock = {"offset_s": 0.0, "offset_within_s": 0.5}
-    bench = bench_with(tmp_path, camera=camera(tmp_path, clock=clock))
-    spin(SPIN.replace("$hold_s", "2.0"), bench=bench)
-    outcome, _ = spin(SPIN.replace("$hold_s", "2.5"), bench=bench)
-    with Run.open(outcome.path) as run:
-        assert run.attached("camera")["record_files"] == "camera-2.csv"
+def test_every_emulated_run_has_a_folder_of_its_own_below_the_one_that_is_set(spin, tmp_path):
+    clock = {"offset_s": -BEFORE_S, "offset_within_s": 0.5}
+    for folder in ("camera", str(tmp_path / "elsewhere")):  # the first where the runs lie
+        bench = bench_with(tmp_path, camera=camera(tmp_path, clock=clock, exports_folder=folder))
+        for _ in range(2):
+            outcome, _bench = spin(SPIN.replace("$hold_s", "2.0"), bench=bench)
+            assert not outcome.notes, "\n".join(outcome.notes)
+            (export,) = (outcome.path.parent / folder / outcome.path.stem).iterdir()
+            with Run.open(outcome.path) as run:
+                assert run.attached("camera")["record_sha256"] == hashlib.sha256(export.read_bytes()).hexdigest()
+
+
+def test_files_that_were_there_before_a_run_are_not_taken_for_its_own(tmp_path):
+    folder = ExportFolder(str(tmp_path))
+    (tmp_path / "earlier.csv").write_text("1")
+    (tmp_path / "goes_on.csv").write_text("1")
+    os.utime(tmp_path / "goes_on.csv", (1.0, 1.0))
+    folder.look()
+    (tmp_path / "goes_on.csv").write_text("12")
+    (tmp_path / "later.csv").write_text("1")
+    assert [path.name for path in folder.fresh()] == ["goes_on.csv", "later.csv"]

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, StringConstraints, model_validator
 
-from leactl.driver.batch import RecordClock
+from leactl.driver.batch import RecordSettings
 from leactl.driver.text_form import TextForm
 from leactl.units import converter
 from leactl_plugins.elmo_can.settings import CurrentConvention
@@ -51,7 +51,7 @@ class Signal(BaseModel):
         return units in self.counted or converter(units, self.quantity) is not None
 
 
-class ElmoRecorderCsvSettings(TextForm):
+class ElmoRecorderCsvSettings(TextForm, RecordSettings):
     """The recordings of one drive."""
 
     signals: Annotated[dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], Signal], Field(min_length=1)]
@@ -61,8 +61,6 @@ class ElmoRecorderCsvSettings(TextForm):
     current_convention: CurrentConvention = CurrentConvention.AMPLITUDE
     counts_per_turn: PositiveInt | None = None
     sign: Literal[-1, 1] = 1
-    clock: RecordClock | None = None
-    exports_folder: str | None = None  # where the tool leaves its files; what comes there during a run joins it
 
     @model_validator(mode="after")
     def _has_time(self) -> Self:

@@ -58,7 +58,7 @@ class ThermalCsv(Driver):
             raise InputError("exports_folder: an emulated camera needs a folder that its program exports to")
         if settings.matrix:
             raise InputError("regions: an emulated camera exports a series of columns, no frames")
-        regions = {name: physics.reading(region.quantity, role) for name, region in settings.regions.items()}
+        regions = {name: physics.reading(region.quantity, role, name) for name, region in settings.regions.items()}
         return CameraEmulator(Path(settings.exports_folder), "camera", settings, regions)
 
     @property

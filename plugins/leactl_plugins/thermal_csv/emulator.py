@@ -15,6 +15,8 @@ FROM_CELSIUS: dict[str, Callable[[float], float]] = {
     "K": lambda value: value + 273.15,
 }
 FRAME_RATE_HZ = 30.0
+BEFORE_S = 7.3  # by which the program records before the bench begins
+FAST_PPM = 40.0  # by which the camera's clock gains
 BLOCK_S = 1.0  # the program writes once a second
 DAY = datetime(2026, 1, 1)  # of a camera whose clock was never set
 
@@ -60,7 +62,10 @@ def matrix(
 
 
 class CameraEmulator:
-    """A camera that looks at a bench, and whose program writes a series into a folder while it runs."""
+    """A camera that looks at a bench, and whose program writes a series into a folder while it runs.
+
+    The program records before the bench begins, by a clock of the camera's own.
+    """
 
     def __init__(self, folder: Path, name: str, settings: ThermalCsvSettings, regions: dict[str, Callable[[], float]]):
         self._folder, self._name, self._settings, self._regions = folder, name, settings, regions
@@ -70,25 +75,23 @@ class CameraEmulator:
             decimal=settings.decimal or ".",
             thousands=settings.thousands or "",
         )
-        self._period = 1.0 / (settings.time.frame_rate_Hz or FRAME_RATE_HZ)
+        self._period = 1.0 / (settings.time.frame_rate_Hz or FRAME_RATE_HZ)  # s on the camera's clock
         self._file: Path | None = None
-        self._frame, self._began = 0, 0.0
+        self._frame = 0
         self._pending: list[str] = []
+        self._fails = False
 
     @property
     def due(self) -> float:
         """When the next frame is taken."""
-        return self._began + self._frame * self._period
+        return self._frame * self._period / (1.0 + 1e-6 * FAST_PPM) - BEFORE_S
 
     def tick(self, now: float) -> None:
-        """Take a frame; write those of a second at once."""
-        if now < self.due - 1e-9:
-            return
-        if self._frame == 0:
-            self._began = now
-        self._frame += 1
-        cells = [self._dialect.number(FROM_CELSIUS[self._unit](read())) for read in self._regions.values()]
-        self._pending.append(self._dialect.row([self._stamp(), *cells]))
+        """Take the frames up to now; write those of a second at once."""
+        while self.due <= now + 1e-9:
+            self._frame += 1
+            cells = [self._dialect.number(FROM_CELSIUS[self._unit](read())) for read in self._regions.values()]
+            self._pending.append(self._dialect.row([self._stamp(), *cells]))
         if len(self._pending) * self._period >= BLOCK_S:
             self._write()
 
@@ -107,13 +110,22 @@ class CameraEmulator:
         return Dialect(decimal=self._dialect.decimal, decimals=3).number(since)
 
     def _write(self) -> None:
+        """Write what is pending; a program whose disk fails it writes no more, and the bench goes on without it."""
         text = "".join(self._pending)
         self._pending.clear()
-        if self._file is None:
-            self._file = new_export(self._folder, self._name)
-            named = self._settings.time.column or "Time"
-            head = f"{named} (s)" if self._settings.time.kind in (None, "elapsed") else named
-            columns = [str(region.column) for region in self._settings.regions.values()]
-            text = heading(columns, self._dialect, self._unit, head) + text
-        with self._file.open("ab") as file:
-            file.write(self._dialect.encoded(text, begins=False))
+        if self._fails:
+            return
+        try:
+            if self._file is None:
+                self._file = new_export(self._folder, self._name)
+                text = self._head() + text
+            with self._file.open("ab") as file:
+                file.write(self._dialect.encoded(text, begins=False))
+        except OSError:
+            self._fails = True
+
+    def _head(self) -> str:
+        named = self._settings.time.column or "Time"
+        told = f"{named} (s)" if self._settings.time.kind in (None, "elapsed") else named
+        columns = [str(region.column) for region in self._settings.regions.values()]
+        return heading(columns, self._dialect, self._unit, told)

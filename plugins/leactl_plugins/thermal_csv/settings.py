@@ -1,13 +1,15 @@
 """Settings of one thermal camera: which columns or pixels are which places, and what its files do not say."""
 # ruff: noqa: N815 (a unit keeps its letter)
 
+import math
 from datetime import date, timedelta, timezone
 from typing import Annotated, Literal, Self
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator, model_validator
 
-from leactl.driver.batch import RecordClock
+from leactl.driver.batch import RecordSettings
+from leactl.driver.contract import Shown
 from leactl.driver.text_form import TextForm
 from leactl.units import known_units
 
@@ -70,14 +72,12 @@ class TimeOf(BaseModel):
         return value
 
 
-class ThermalCsvSettings(TextForm):
+class ThermalCsvSettings(TextForm, RecordSettings):
     """One camera and the regions that its exports have."""
 
     regions: Annotated[dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], Region], Field(min_length=1)]
     time: TimeOf = TimeOf()
     unit: Literal["degC", "degF", "K"] | None = None
-    clock: RecordClock | None = None
-    exports_folder: str | None = None  # where the program leaves its files; what comes there during a run joins it
 
     @model_validator(mode="after")
     def _one_form_of_file(self) -> Self:
@@ -87,6 +87,13 @@ class ThermalCsvSettings(TextForm):
         if (self.time.line if self.matrix else self.time.column) is None and self.time.frame_rate_Hz is None:
             raise ValueError(f"time: {needed} or time.frame_rate_Hz is needed")
         return self
+
+    def shown(self) -> list[Shown]:
+        """Every region; a record of another program trips no limit, so that none has to lie within a range."""
+        return [
+            Shown(("regions", name, "quantity"), region.quantity, -math.inf, math.inf)
+            for name, region in self.regions.items()
+        ]
 
     @property
     def matrix(self) -> bool:
