@@ -52,7 +52,7 @@ def test_limits_fit_80_columns_and_say_the_same(here):
     done = leactl("thermal", "limits", COLUMNS="80")
     assert done.returncode == 0
     assert max(map(len, done.stdout.splitlines())) <= 80
-    assert "continuous, slowly [A]             11.89       13.79       16.09" in done.stdout
+    assert "continuous, slowly [A]             11.87       13.79       16.09" in done.stdout
 
 
 def test_warmer_air_and_further_speeds(here):

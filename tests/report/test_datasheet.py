@@ -112,7 +112,7 @@ def test_what_gave_nothing_is_listed_with_its_reason(campaign, sheet):
     root = tree(sheet, campaign / "out.html")
     runs = {row[1]: row[-1] for row in table(root, "runs")[1:]}
     assert len(runs) == 8 == len(list(campaign.glob("*.h5")))
-    assert "not analysed: no analysis 'juggling' is known; known: back-emf" in " ".join(runs.values())
+    assert "not analysed: no analysis 'juggling' is known; known: back-" in " ".join(runs.values())
     assert runs["notes.h5"].startswith("not analysed: not a")
     lost = [entry.label for entry in sheet.sets[0].entries if entry.fault]
     assert len(lost) == 3
@@ -256,7 +256,8 @@ def test_every_text_is_escaped(hostile):
 
     def made(said, about):
         entry = Entry(Path("x.h5"), "R1", f"name: {json.dumps(said)}\n", said, "friction", about)
-        lost = Entry(Path(f"{said.replace('/', '').replace(chr(0), '')}.h5"), "R2", fault=said)
+        name = re.sub("[/\0\ud800-\udfff]", "", said)  # what no name of a file can hold
+        lost = Entry(Path(f"{name}.h5"), "R2", fault=said)
         points = Series(said, (0.0, 1.0), (1.0, 2.0))
         result = Result(
             "friction",
