@@ -109,6 +109,7 @@ class Supervisor:
         leads = Leads(guard)
         self._measured = Measured(guard, streams, self.trip, leads)
         self.supplies = Supplies(others, limits, guard, leads, self.refuse_latched, self.trip)
+        self._heating_streams = self._measured.streams | self.supplies.streams
         guard.undriven = frozenset(place for place, role in enumerate(guard.roles) if role not in self._axes)
         panels = [*[guarded.panel for guarded in self._axes.values()], *self._own.values()]
         self._stuck = Stuck(panels, interlocks)
@@ -321,8 +322,9 @@ class Supervisor:
         if row.fault:
             self.trip(row.fault)
         self._own[row.stream].look(row.values, row.time)
-        self._measured.look(row)
-        self.supplies.look(row)
+        if row.stream in self._heating_streams:
+            self._measured.look(row)
+            self.supplies.look(row)
 
     def free_space(self, free_bytes: float) -> None:
         """Judge what is left on the disk that takes the recording.

@@ -66,6 +66,11 @@ class Supplies:
         self._by_stream = {fed.stream: fed for fed in self._fed.values()}
 
     @property
+    def streams(self) -> frozenset[str]:
+        """Names of those that tell what a supply gives."""
+        return frozenset(self._by_stream)
+
+    @property
     def most(self) -> Mapping[str, tuple[float, float]]:
         """Highest voltage [V] and current [A] of each role's supply."""
         return {role: fed.device.most for role, fed in self._fed.items()}

@@ -44,6 +44,11 @@ class Measured:
         self._guard, self._trip, self._currents = guard, trip, leads or Leads(guard)
         self._looks = {stream.name: looks for stream in streams if (looks := list(self._looks_at(stream)))}
 
+    @property
+    def streams(self) -> frozenset[str]:
+        """Names of those that measure anything for the guard."""
+        return frozenset(self._looks)
+
     def look(self, row: Row) -> None:
         """Hold a row against the guard; a value that is no number is a matter of its age."""
         for look in self._looks.get(row.stream, ()):
