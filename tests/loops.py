@@ -61,36 +61,41 @@ def current_bandwidth(bandwidth, lead, lead_time):
     return brentq(lambda f: abs(current_response(f, bandwidth, lead, lead_time)) - math.sqrt(0.5), 20, 5000)
 
 
-def position_step(angle, motor, bench, duration=2.0):
-    """Time and angle [rad] of a free servo that rests and is asked for an angle, friction that sticks and all."""
+def position_step(angle, motor, bench, duration=2.0, start=0.0, rest=0.0):
+    """Time and angle [rad] of a free servo that rests and is asked for an angle, friction that sticks and all.
+
+    It rests at `start` and is asked for zero for the time `rest` before the jump, from an empty integrator on.
+    """
     gain = motor.rotor_inertia / motor.torque_constant
     fast = 2 * math.pi * bench.current_loop_bandwidth
 
-    def slope(_time, state, slip):
+    def slope(_time, state, slip, asked):
         current, velocity, at, integral = state
-        speed = np.clip(bench.position_gain * (angle - at), -bench.speed_limit, bench.speed_limit)
+        speed = np.clip(bench.position_gain * (asked - at), -bench.speed_limit, bench.speed_limit)
         wanted = gain * bench.velocity_gain * (speed - velocity) + integral
         net = motor.torque_constant * current - motor.viscous_damping * velocity - slip * motor.coulomb_friction
         pace = (fast * (wanted - current), gain * bench.velocity_integral * (speed - velocity))
         return [pace[0], net / motor.rotor_inertia if slip else 0.0, velocity, pace[1]]
 
-    def breaks_loose(_time, state, _slip):
+    def breaks_loose(_time, state, _slip, _asked):
         return motor.coulomb_friction - motor.torque_constant * abs(state[0])
 
-    def rests(_time, state, slip):
+    def rests(_time, state, slip, _asked):
         return slip * state[1]
 
     breaks_loose.terminal, rests.terminal, rests.direction = True, True, -1
-    now, state, slip, fine = 0.0, np.zeros(4), 0, np.arange(0, duration, 5e-5)
-    angles = np.zeros(len(fine))
+    now, state, slip, fine = -rest, np.array([0.0, 0.0, start, 0.0]), 0, np.arange(0, duration, 5e-5)
+    angles = np.full(len(fine), float(start))
     settings = {"method": "LSODA", "rtol": 1e-9, "atol": 1e-11, "max_step": 1e-3, "dense_output": True}
     while now < duration:
-        part = solve_ivp(
-            slope, (now, duration), state, events=rests if slip else breaks_loose, args=(slip,), **settings
-        )
+        end, asked = (duration, angle) if now >= 0.0 else (0.0, 0.0)
+        event = rests if slip else breaks_loose
+        part = solve_ivp(slope, (now, end), state, events=event, args=(slip, asked), **settings)
         here = (fine >= now) & (fine <= part.t[-1])
         angles[here] = part.sol(fine[here])[2]
         now, state = part.t[-1], part.y[:, -1]
+        if part.status == 0:  # the end of a setpoint, no event
+            continue
         pull = motor.torque_constant * state[0]
         free = not slip or abs(pull) > motor.coulomb_friction
         slip = int(math.copysign(1, pull)) if free else 0

@@ -29,9 +29,10 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--only", choices=EXPERIMENTS, action="append", help="an experiment; without it, all of them")
+    parser.add_argument("--condition", choices=CONDITIONS, action="append", help="a preload; without it, all of them")
     asked = parser.parse_args()
     asked.directory.mkdir(parents=True, exist_ok=True)
-    rehearsals = wanted(asked.directory, asked.seeds, asked.only or EXPERIMENTS)
+    rehearsals = wanted(asked.directory, asked.seeds, asked.only or EXPERIMENTS, asked.condition or CONDITIONS)
     for count, made in enumerate(rehearse(rehearsals, asked.processes), start=1):
         print(f"{count}: {made.path.name}", file=sys.stderr)
     judgements = judged(rehearsals)

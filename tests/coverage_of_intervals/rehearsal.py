@@ -34,10 +34,12 @@ class Rehearsal(NamedTuple):
         return self.directory / f"{self.experiment}_{self.condition}_{self.seed:04}.h5"
 
 
-def wanted(directory: Path, seeds: int, experiments: Sequence[str] = EXPERIMENTS) -> list[Rehearsal]:
+def wanted(
+    directory: Path, seeds: int, experiments: Sequence[str] = EXPERIMENTS, conditions: Sequence[str] = CONDITIONS
+) -> list[Rehearsal]:
     """All runs, seed by seed, so that those of an interrupted rehearsal are evenly spread."""
     numbers = range(1, seeds + 1)
-    return [Rehearsal(directory, name, label, seed) for seed in numbers for label in CONDITIONS for name in experiments]
+    return [Rehearsal(directory, name, label, seed) for seed in numbers for label in conditions for name in experiments]
 
 
 def rehearse(rehearsals: Sequence[Rehearsal], processes: int) -> Iterator[Rehearsal]:

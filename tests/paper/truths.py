@@ -1,21 +1,20 @@
 """What is true of the shipped emulated benches, by experiment and result: closed forms and other solvers."""
 
-import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from leactl.analysis.estimate import Grid, Result
 from leactl.bench import benchfile
 from leactl.emulation.parameters import ActuatorParameters, BenchParameters
+from leactl.runfile.reader import Run
 from tests.analysis.coupled import Truth
 from tests.analysis.heated import Plant
 from tests.coverage_of_intervals.__main__ import true_values
 from tests.coverage_of_intervals.plant import current_loop_bandwidth, position_bandwidth
 from tests.coverage_of_intervals.thermal import currents
-from tests.loops import current_figures, figures, position_step
+from tests.loops import StepFigures, current_figures, figures, position_step
 
-STEPS_RAD = (math.pi / 4, math.pi / 2, 3 * math.pi / 4)
 NOISE_RAD = 0.06  # standard deviation, on which the position's bandwidth depends
 
 
@@ -31,37 +30,55 @@ def truths(experiment: str, condition: str, result: Result) -> Mapping[str, floa
         case "current-noise":
             return {"bandwidth": current_loop_bandwidth(loops)}
         case "position-step":
-            return position_steps(ActuatorParameters.from_mapping(file.emulated.conditions[condition]), loops)
+            return position_steps(ActuatorParameters.from_mapping(file.emulated.conditions[condition]), loops, result)
         case "position-noise":
             return {"bandwidth": position_bandwidth(loops, condition, NOISE_RAD, 1)}
         case "thermal":
             return Plant().known | currents(Plant())
         case "efficiency":
-            return efficiencies(result.grids)
+            motor = file.emulated.conditions[condition]
+            drag = motor["viscous_damping"], motor["coulomb_friction"]
+            return efficiencies(
+                Truth(b=drag[0], f=drag[1]), [grid for grid in result.grids if grid.condition == condition]
+            )
     return true_values(condition)
 
 
-def position_steps(motor: ActuatorParameters, loops: Mapping[str, float]) -> dict[str, float]:
-    """Means over the three angles of steps from rest at zero with an empty integrator.
+def position_steps(motor: ActuatorParameters, loops: Mapping[str, float], result: Result) -> dict[str, float]:
+    """Means over the trials, each from where friction stopped the one before, as the encoder has it.
 
-    Without the overshoot: a thousandth of the step, it depends on where friction stopped the trial before.
+    That moves the overshoot, a thousandth of a step, by a tenth of itself.
     """
     bench = BenchParameters.from_mapping(loops)
-    found = []
-    for angle in STEPS_RAD:
-        time, turned = position_step(angle, motor, bench)
-        found.append(figures(time, turned / turned[-1]))
-    return {name: float(np.mean([getattr(one, name) for one in found])) for name in ("rise_time", "settling_time")}
+    by_level: dict[float, list[StepFigures]] = {}
+    for jump, start, rest in trials(result):
+        time, turned = position_step(jump, motor, bench, start=start, rest=rest)
+        by_level.setdefault(jump, []).append(figures(time, (turned - start) / (turned[-1] - start)))
+    names = ("rise_time", "overshoot", "settling_time")
+    levels = [[np.mean([getattr(one, name) for one in found]) for name in names] for found in by_level.values()]
+    return dict(zip(names, np.mean(levels, axis=0).tolist(), strict=True))
 
 
-def efficiencies(grids: tuple[Grid, ...]) -> dict[str, float]:
+def trials(result: Result) -> Iterator[tuple[float, float, float]]:
+    """Of each trial the angle asked for, the angle it began at, and for how long it had been asked for zero."""
+    for path in result.runs:
+        with Run.open(path) as run:
+            angle = run.channel("angle", role="test")
+            for step in run.steps:
+                if step.name == "step":
+                    rest = float(step.parameters["at_s"])
+                    resting = (angle.time > step.start) & (angle.time < step.start + rest)
+                    yield float(step.parameters["to_angle_rad"]), float(np.median(angle.values[resting])), rest
+
+
+def efficiencies(truth: Truth, grids: Sequence[Grid]) -> dict[str, float]:
     """Closed form at the setpoints of the points that were held, powers at 25 degC."""
     found = {}
     for grid in grids:
         speeds, levels = grid.axes.values()
         held = np.isfinite(np.array(grid.values["efficiency_1"]))
         w, i = np.meshgrid(np.abs(speeds), np.abs(levels), indexing="ij")
-        truth, driving = Truth(), grid.name.endswith("driving")
+        driving = grid.name.endswith("driving")
         own, electrical, mechanical = truth.driving(w, i) if driving else truth.driven(w, i)
         share = mechanical / electrical if driving else electrical / mechanical
         lost = electrical - mechanical if driving else mechanical - electrical
