@@ -81,6 +81,9 @@ def climb(records: Sequence[Record], held_out: Sequence[Record], model: Model, p
         smaller = [frozenset(one) for size in range(len(base) + 1) for one in combinations(sorted(base), size)]
         found = fit(runs, [sets[one].parameters | starts[effect][0] for one in smaller], tuple(fixed))
         sets |= {one | {effect}: fitted for one, fitted in zip(smaller, found, strict=True)}
+        # a search that ends lower by a luckier way is no gain of the effect: without it, from there, as low again?
+        again = fit(runs, [without(fitted.parameters, frozenset({effect})) for fitted in found], tuple(fixed))
+        sets |= {one: new for one, new in zip(smaller, again, strict=True) if new.cost < sets[one].cost}
         members = base = prune(sets, base | {effect}, runs)
     unseen = side_by_side(held_out, model)
     standing = standing_of(sets, members, runs, servo_runs(unseen, model) if unseen else None)
