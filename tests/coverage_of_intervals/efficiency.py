@@ -9,6 +9,7 @@ import math
 import os
 import sys
 import tempfile
+from collections.abc import Sequence
 from contextlib import nullcontext
 from multiprocessing import Pool
 from pathlib import Path
@@ -17,7 +18,7 @@ import numpy as np
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes share the cores already
 
-from leactl.analysis.estimate import Result
+from leactl.analysis.estimate import Grid, Result
 from leactl.analysis.experiments import analyze_runs
 from leactl.bench import benchfile
 from leactl.runner.operators import granted
@@ -37,6 +38,7 @@ SETS = (
     "settle_s=2.5",
     "rest_s=5",
 )
+STEP_A = 11186e-6 * math.sqrt(1.5)  # a thousandth of the drive's rated current, in which it takes its demand
 CASES = {"noise": {}, "instruments": {"torque_gain_std": 0.01, "resistance_std": 0.02}}
 MOST_POINTS, MOST_LOSS = 0.02, 0.02  # efficiency off by, and relative error of losses, any seed, with noise alone
 
@@ -52,14 +54,16 @@ def main() -> int:
     for case in CASES:
         with Pool(asked.processes) as pool:
             answers = pool.map(answered, [(case, seed) for seed in range(1, asked.seeds + 1)], chunksize=1)
-        for name, value in true_values().items():
-            found = judge(name, case, value, [result.find(name) for result in answers])
+        truths = [true_values(Truth(), result.grids) for result in answers]
+        for name in truths[0]:
+            values = [truth[name] for truth in truths]
+            found = judge(name, case, values, [result.find(name) for result in answers])
             errors = (found.mean_error, found.worst_error, found.bias, found.scatter, found.printed)
             shown = "".join(f"{error:10.4%}" for error in errors)
             print(f"{name:34}{case:12}{found.seeds:6}{found.covered:10.1%}{shown}", flush=True)
             if not LEAST_COVERED <= found.covered <= MOST_COVERED:
                 faults.append(f"{name}, {case}: the interval holds the true value in {found.covered:.1%} of seeds")
-            most = MOST_LOSS if "loss" in name else MOST_POINTS / abs(value)
+            most = MOST_LOSS if "loss" in name else MOST_POINTS / min(map(abs, values))
             if case == "noise" and not found.worst_error <= most:
                 faults.append(f"{name}, {case}: the worst seed is off by {found.worst_error:.2%}")
     for fault in faults:
@@ -90,23 +94,25 @@ def answered(wanted: tuple[str, int]) -> Result:
         return analyze_runs([outcome.path], phase_resistance=float(resistance), **told)
 
 
-def true_values() -> dict[str, float]:
-    """Closed form, by the name of the result; powers at 25 degC."""
-    truth = Truth()
-    step = 11186e-6 * math.sqrt(1.5)  # A, a thousandth of the drive's rated current, in which it takes its demand
-    w, i = np.meshgrid(SPEEDS, step * np.round(np.array(CURRENTS) / step), indexing="ij")
-    own, taken, given = truth.driving(w, i)
-    _, back, brought = truth.driven(w, i)
-    return {
-        "driving_efficiency": float((given / taken).mean()),
-        "driving_loss": float((taken - given).mean()),
-        "driving_loss_copper": float((truth.r * own**2).mean()),
-        "driving_loss_friction": float((truth.drag(w) * w).mean()),
-        "load_driven_efficiency": float((back / brought).mean()),
-        "load_driven_loss": float((brought - back).mean()),
-        "load_driven_loss_copper": float((truth.r * i**2).mean()),
-        "load_driven_loss_friction": float((truth.drag(w) * w).mean()),
-    }
+def true_values(truth: Truth, grids: Sequence[Grid]) -> dict[str, float]:
+    """Closed form at the points of the maps that were held, by the name of the result; powers at 25 degC."""
+    found = {}
+    for grid in grids:
+        speeds, levels = grid.axes.values()
+        held = np.isfinite(np.array(grid.values["efficiency_1"]))
+        w, i = np.meshgrid(np.abs(speeds), STEP_A * np.round(np.abs(levels) / STEP_A), indexing="ij")
+        driving = grid.name.endswith("driving")
+        own, electrical, mechanical = truth.driving(w, i) if driving else truth.driven(w, i)
+        share = mechanical / electrical if driving else electrical / mechanical
+        lost = electrical - mechanical if driving else mechanical - electrical
+        found |= {
+            f"{grid.name}_efficiency": float(share[held].mean()),
+            f"{grid.name}_efficiency_highest": float(share[held].max()),
+            f"{grid.name}_loss": float(lost[held].mean()),
+            f"{grid.name}_loss_copper": float((truth.r * own**2)[held].mean()),
+            f"{grid.name}_loss_friction": float((truth.drag(w) * w)[held].mean()),
+        }
+    return found
 
 
 if __name__ == "__main__":

@@ -1,15 +1,16 @@
 """What is true of the shipped emulated benches, by experiment and result: closed forms and other solvers."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from leactl.analysis.estimate import Grid, Result
+from leactl.analysis.estimate import Result
 from leactl.bench import benchfile
 from leactl.emulation.parameters import ActuatorParameters, BenchParameters
 from leactl.runfile.reader import Run
 from tests.analysis.coupled import Truth
 from tests.analysis.heated import Plant
+from tests.coverage_of_intervals import efficiency as efficiencies
 from tests.coverage_of_intervals.__main__ import true_values
 from tests.coverage_of_intervals.plant import current_loop_bandwidth, position_bandwidth
 from tests.coverage_of_intervals.thermal import currents
@@ -69,24 +70,3 @@ def trials(result: Result) -> Iterator[tuple[float, float, float]]:
                     rest = float(step.parameters["at_s"])
                     resting = (angle.time > step.start) & (angle.time < step.start + rest)
                     yield float(step.parameters["to_angle_rad"]), float(np.median(angle.values[resting])), rest
-
-
-def efficiencies(truth: Truth, grids: Sequence[Grid]) -> dict[str, float]:
-    """Closed form at the setpoints of the points that were held, powers at 25 degC."""
-    found = {}
-    for grid in grids:
-        speeds, levels = grid.axes.values()
-        held = np.isfinite(np.array(grid.values["efficiency_1"]))
-        w, i = np.meshgrid(np.abs(speeds), np.abs(levels), indexing="ij")
-        driving = grid.name.endswith("driving")
-        own, electrical, mechanical = truth.driving(w, i) if driving else truth.driven(w, i)
-        share = mechanical / electrical if driving else electrical / mechanical
-        lost = electrical - mechanical if driving else mechanical - electrical
-        found |= {
-            f"{grid.name}_efficiency": float(share[held].mean()),
-            f"{grid.name}_efficiency_highest": float(share[held].max()),
-            f"{grid.name}_loss": float(lost[held].mean()),
-            f"{grid.name}_loss_copper": float((truth.r * own**2)[held].mean()),
-            f"{grid.name}_loss_friction": float((truth.drag(w) * w)[held].mean()),
-        }
-    return found
