@@ -95,14 +95,18 @@ def answered(wanted: tuple[str, int]) -> Result:
 
 
 def true_values(truth: Truth, grids: Sequence[Grid]) -> dict[str, float]:
-    """Closed form at the points of the maps that were held, by the name of the result; powers at 25 degC."""
+    """Closed form at the points of the maps that were held, by the name of the result; powers at 25 degC.
+
+    Speeds are those that the encoder saw: near the voltage's limit and soon after a step they are not quite the asked.
+    """
     found = {}
     for grid in grids:
-        speeds, levels = grid.axes.values()
-        held = np.isfinite(np.array(grid.values["efficiency_1"]))
-        w, i = np.meshgrid(np.abs(speeds), STEP_A * np.round(np.abs(levels) / STEP_A), indexing="ij")
+        w = np.abs(np.array(grid.values["velocity_rad_s"]))
+        held = np.isfinite(w)
+        i = STEP_A * np.round(np.abs(grid.axes["current_A"]) / STEP_A)
         driving = grid.name.endswith("driving")
-        own, electrical, mechanical = truth.driving(w, i) if driving else truth.driven(w, i)
+        powers = truth.driving(w, i) if driving else truth.driven(w, i)
+        own, electrical, mechanical = np.broadcast_arrays(*powers)
         share = mechanical / electrical if driving else electrical / mechanical
         lost = electrical - mechanical if driving else mechanical - electrical
         found |= {

@@ -12,7 +12,7 @@ from tests.analysis.coupled import Truth
 from tests.analysis.heated import Plant
 from tests.coverage_of_intervals import efficiency as efficiencies
 from tests.coverage_of_intervals.__main__ import true_values
-from tests.coverage_of_intervals.plant import current_loop_bandwidth, position_bandwidth
+from tests.coverage_of_intervals.plant import STEADY_S, current_loop_bandwidth, position_bandwidth
 from tests.coverage_of_intervals.thermal import currents
 from tests.loops import StepFigures, current_figures, figures, position_step
 
@@ -39,7 +39,7 @@ def truths(experiment: str, condition: str, result: Result) -> Mapping[str, floa
         case "efficiency":
             motor = file.emulated.conditions[condition]
             drag = motor["viscous_damping"], motor["coulomb_friction"]
-            return efficiencies(
+            return efficiencies.true_values(
                 Truth(b=drag[0], f=drag[1]), [grid for grid in result.grids if grid.condition == condition]
             )
     return true_values(condition)
@@ -54,7 +54,8 @@ def position_steps(motor: ActuatorParameters, loops: Mapping[str, float], result
     by_level: dict[float, list[StepFigures]] = {}
     for jump, start, rest in trials(result):
         time, turned = position_step(jump, motor, bench, start=start, rest=rest)
-        by_level.setdefault(jump, []).append(figures(time, (turned - start) / (turned[-1] - start)))
+        made = turned[time > STEADY_S].mean() - start  # friction may let go of it within the steady part
+        by_level.setdefault(jump, []).append(figures(time, (turned - start) / made))
     names = ("rise_time", "overshoot", "settling_time")
     levels = [[np.mean([getattr(one, name) for one in found]) for name in names] for found in by_level.values()]
     return dict(zip(names, np.mean(levels, axis=0).tolist(), strict=True))

@@ -58,7 +58,9 @@ def test_a_fault_is_told_with_its_place(written, text, words):
 
 
 def test_unknown_campaigns_and_variants_are_answered_with_the_known_ones(written):
-    with pytest.raises(InputError, match=r"campaign 'papr' is not known; known: laboratory, paper, or a path to a \.yaml"):
+    with pytest.raises(
+        InputError, match=r"campaign 'papr' is not known; known: laboratory, paper, or a path to a \.yaml"
+    ):
         load("papr")
     with pytest.raises(InputError, match="variant 'long' is not known; known: short"):
         load("paper", "long")
