@@ -1,5 +1,6 @@
 """What is true of the shipped emulated benches, by experiment and result: closed forms and other solvers."""
 
+import math
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -35,7 +36,7 @@ def truths(experiment: str, condition: str, result: Result) -> Mapping[str, floa
         case "position-noise":
             return {"bandwidth": position_bandwidth(loops, condition, NOISE_RAD, 1)}
         case "thermal":
-            return Plant().known | currents(Plant())
+            return Plant().known | currents(Plant()) | {"rmse": camera_noise()}
         case "efficiency":
             motor = file.emulated.conditions[condition]
             drag = motor["viscous_damping"], motor["coulomb_friction"]
@@ -43,6 +44,14 @@ def truths(experiment: str, condition: str, result: Result) -> Mapping[str, floa
                 Truth(b=drag[0], f=drag[1]), [grid for grid in result.grids if grid.condition == condition]
             )
     return true_values(condition)
+
+
+def camera_noise() -> float:
+    """What a fit without fault leaves of the camera's noise [K]: means of three places, windings two thirds active."""
+    file, _, _ = benchfile.load("emulated-heated")
+    assert file.emulated is not None
+    places = file.emulated.temperature_noise_K / math.sqrt(3.0)
+    return math.sqrt(0.5 * (places**2 * (4 / 9 + 1 / 9) + places**2))
 
 
 def position_steps(motor: ActuatorParameters, loops: Mapping[str, float], result: Result) -> dict[str, float]:
