@@ -75,7 +75,8 @@ def read_cycle(
             raise InputError(f"{path}: {name} is 0 throughout")
     if columns[2] == "torque_Nm_per_kg":
         if body_mass is None or not 1.0 <= body_mass <= 500.0:
-            raise InputError(f"{path}: torque_Nm_per_kg needs --body-mass, from 1 to 500 kg")
+            found = "none" if body_mass is None else f"{body_mass:g} kg"
+            raise InputError(f"{path}: torque_Nm_per_kg needs --body-mass, from 1 to 500 kg; found {found}")
         torque = torque * body_mass
     if columns[1] == "angle_deg":
         angle = np.radians(angle)
@@ -170,6 +171,11 @@ def _table(path: Path) -> tuple[tuple[str, str, str], Array]:
             raise InputError(f"{path}:1: one column {expected} was expected for {what}; found {there}")
         names += found
     rows = lines[1:]
+    for line, row in rows:
+        if len(row) > len(header):  # cells moved to the right would be read as another column's
+            raise InputError(
+                f"{path}:{line}: {len(row)} cells, {len(header)} were expected as in the header; decimals need a point"
+            )
     if not FEWEST_ROWS <= len(rows) <= MOST_ROWS:
         raise InputError(f"{path}: {len(rows)} rows below the header; from {FEWEST_ROWS} to {MOST_ROWS} were expected")
     values = np.array([[_number(path, line, row, header.index(name), name) for name in names] for line, row in rows])

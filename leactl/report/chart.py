@@ -61,9 +61,13 @@ class Points:
         return self.x[finite], self.y[finite]
 
     def drawn(self, x: Axis, y: Axis) -> Html:
-        """Strokes without a length: their ends are the marks, and keep their shape in a drawing that is stretched."""
-        places = (f"M{across(x, a)} {down(y, b)}h0" for a, b in zip(*map(np.ndarray.tolist, self.reach()), strict=True))
-        d = "".join(places)
+        """Strokes of next to no length: their ends are the marks, and keep their shape in a drawing that is stretched.
+
+        A PDF paints a stroke of no length with round ends alone (ISO 32000, 8.5.3.2): one with square ends has a tenth.
+        """
+        stroke = "h0.1" if "square" in self.style.split() else "h0"
+        pairs = zip(*map(np.ndarray.tolist, self.reach()), strict=True)
+        d = "".join(f"M{across(x, a)} {down(y, b)}{stroke}" for a, b in pairs)
         marks = tag("path", d=d, class_=f"marks {self.style}")
         return joined([marks, tag("path", d=d, class_="marks hole")]) if "ring" in self.style.split() else marks
 

@@ -117,6 +117,13 @@ def printed(experiment: str) -> Mapping[str, Mapping[str, str]]:
     return yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data  # type: ignore[no-any-return]
 
 
+@cache
+def units_in_paper() -> Mapping[str, str]:
+    """Units of the paper's figures, by the names of results."""
+    entry = resources.files("leactl.report") / "units_in_paper.yaml"
+    return yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data  # type: ignore[no-any-return]
+
+
 def value_text(item: Estimate) -> str:
     """Value and standard uncertainty, both to the second significant digit of the uncertainty (GUM, 7.2.6)."""
     if not math.isfinite(item.std):

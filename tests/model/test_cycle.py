@@ -99,7 +99,16 @@ def test_what_is_no_cycle_is_refused(written, how, options, message):
 
 def test_torque_per_mass_needs_a_mass(written):
     path = written("cycle_percent,angle_deg,torque_Nm_per_kg", edit=lambda table: table / [1, 1, 80])
-    with pytest.raises(InputError, match="needs --body-mass"):
+    with pytest.raises(InputError, match="needs --body-mass, from 1 to 500 kg; found none"):
+        read_cycle(path, stride_time=1.0)
+    with pytest.raises(InputError, match="from 1 to 500 kg; found -1 kg"):
+        read_cycle(path, stride_time=1.0, body_mass=-1.0)
+
+
+def test_cells_that_decimal_commas_have_moved_are_refused(written):
+    path = written()
+    path.write_text(path.read_text().replace("\n", ",0\n").replace(",0\n", "\n", 1))
+    with pytest.raises(InputError, match=r":2: 4 cells, 3 were expected as in the header; decimals need a point"):
         read_cycle(path, stride_time=1.0)
 
 

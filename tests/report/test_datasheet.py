@@ -12,14 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import leactl.analysis
-from leactl.analysis.estimate import Estimate, Plot, Result, Series
+from leactl.analysis.estimate import Estimate, Grid, Plot, Result, Series
 from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.experiments import names as experiments
 from leactl.errors import InputError
 from leactl.report.datasheet.make import refuse_shared
 from leactl.report.datasheet.page import page
 from leactl.report.datasheet.runset import Answer, Entry, RunSet, read_runs, refuse_untaken
 from leactl.report.datasheet.sheet import Sheet
-from leactl.report.terminal import interval_text, value_text
+from leactl.report.terminal import interval_text, printed, units_in_paper, value_text
 from tests.analysis.synthetic import Bench
 from tests.report.browser import look, needs_chromium
 
@@ -95,7 +96,7 @@ def test_rows_are_the_answers_of_the_analyses_beside_the_paper(campaign, sheet):
         assert row[2:6] == ["a1", value_text(item), interval_text(item), "N·m"]
         assert row[6].startswith(f"{COULOMB[condition]:.4f} ± ")
         assert row[7] == sheet.sets[0].entries[number - 1].label
-    assert ["winding capacitance", "", "", "not measured", "", "", "22.9", ""] in rows
+    assert ["winding capacitance", "", "", "not measured", "", "J/K", "22.9", ""] in rows
 
 
 def test_several_actuators_have_a_row_each_and_one_together(campaign, sheet):
@@ -299,3 +300,64 @@ def test_contours_are_told_on_the_longest_of_their_name_and_fitted_lines_have_no
     assert [words(one) for one in root.iter("div") if one.get("class") == "legend"] == ["all"]
     drawn = [one.get("d") for one in root.iter("path") if one.get("class") == "curve line thin other"]
     assert [path.count("M") for path in drawn] == [1, 1, 1, 1]
+
+
+def test_a_condition_has_one_colour_however_the_order_of_its_runs_was_drawn(tmp_path):
+    orders = {"spring": ("loaded", "design", "unloaded"), "autumn": ("design", "unloaded", "loaded")}
+    for number, (name, order) in enumerate(orders.items()):
+        (tmp_path / name).mkdir()
+        bench = Bench(tmp_path / name)
+        bench.count = 10 * number
+        for condition in order:
+            bench.friction(f=COULOMB[condition], condition=condition, scatter=0.001, torque_constant=LEA)
+    sets = tuple(read_runs([tmp_path / name], label, {}, quiet) for name, label in (("spring", "A"), ("autumn", "B")))
+    root = tree(Sheet(sets), tmp_path / "out.html")
+    legends = [one for one in root.iter("div") if one.get("class") == "legend"][:2]
+    keys = [[(key.find("i").get("class"), words(key)) for key in one][:3] for one in legends]
+    assert keys[0] == keys[1] == [(f"swatch line s{k}", name) for k, name in enumerate(COULOMB)]
+
+
+def test_a_sentence_comes_with_what_it_holds_for_in_words(campaign, sheet):
+    section = next(one for one in tree(sheet, campaign / "out.html").iter("section") if one.get("id") == "m0-friction")
+    said = [words(one) for one in section.findall("p")]
+    assert any(one.startswith("coulomb friction differs between conditions (F(2, 6) = ") for one in said)
+    remarks = [words(one) for one in section.findall("ul/li")]
+    assert remarks.count("one actuator ('a1'): no random factor; what is found holds for it and for no other") == 1
+    assert any(one.startswith("each condition was set once an actuator") for one in remarks)
+    assert "_" not in " ".join(said)
+
+
+def test_every_figure_of_the_paper_has_the_unit_that_a_measured_one_has(sheet):
+    of_paper = {name for each in experiments() for figures in printed(each).values() for name in figures}
+    assert of_paper == units_in_paper().keys()
+    for one in (one for own in sheet.sections[0].rows.values() for one in own if one.name in of_paper):
+        for item in (cell.estimate for cell in one.cells if cell.estimate is not None):
+            assert item.units == units_in_paper()[one.name]
+
+
+def test_a_map_has_a_folded_table_with_a_row_for_each_setpoint(tmp_path):
+    nan = float("nan")
+    grid = Grid(
+        "driving_map",
+        {"velocity_rad_s": (5.0, 10.0), "current_A": (3.0, 6.0)},
+        {"efficiency_1": ((0.51234567, 0.4), (0.6, nan)), "torque_Nm": ((1.5, -1e-12 * 0.0), (1.4, nan))},
+    )
+    square = Plot("x [1]", "y [1]", tuple(Series(name, (1.0, 2.0), (3.0, 4.0)) for name in "abc"), ())
+    entry = Entry(Path("x.h5"), "R1", "", "lea", "efficiency")
+    result = Result("efficiency", ("x.h5",), (), (), (square,), (), (grid,))
+    own = RunSet("s", (entry,), (Answer("lea", "efficiency", "LEA-1", "design", result, (entry,)),), {})
+    root = tree(Sheet((own,)), tmp_path / "out.html")
+    folded = next(one for one in root.iter("details") if words(one.find("summary")).startswith("Values of"))
+    assert words(folded.find("summary")) == "Values of driving map: LEA-1, design"
+    assert folded.get("open") is None
+    assert [one.get("href") for one in folded.findall("p/a")] == ["#R1"]
+    assert table(root, "map") == [
+        ["set velocity [rad/s]", "set current [A]", "efficiency", "torque [N·m]"],
+        ["5", "3", "0.5123", "1.5"],
+        ["5", "6", "0.4", "0"],
+        ["10", "3", "0.6", "1.4"],
+        ["10", "6", "-", "-"],
+    ]
+    marks = next(one.get("d") for one in root.iter("path") if one.get("class") == "marks square s2")
+    assert "h0M" not in marks  # a PDF paints no stroke without a length and with square ends
+    assert not marks.endswith("h0")

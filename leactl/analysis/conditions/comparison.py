@@ -110,7 +110,8 @@ class Comparison:
     def _ordered(self, pair: Pair) -> str:
         low, high = sorted((abs(pair.low), abs(pair.high)))
         over, under = (pair.second, pair.first) if pair.difference > 0.0 else (pair.first, pair.second)
-        return f"{over} is above {under} by {abs(pair.difference):.3g} [{low:.2g}, {high:.2g}] {self.units}"
+        limits = f"[{_digits(low, 2)}, {_digits(high, 2)}]"
+        return f"{over} is above {under} by {_digits(abs(pair.difference), 3)} {limits} {self.units}"
 
     def _seen(self, among: "tuple[Pair, ...] | list[Pair]") -> str:
         least = max(pair.smallest_seen for pair in among)
@@ -218,6 +219,11 @@ def _broken(checked: list[Check]) -> list[str]:
         for one in checked
         if one.doubtful and one.p is not None
     ]
+
+
+def _digits(value: float, count: int) -> str:
+    """A value with so many digits, zeros at its end among them."""
+    return f"{value:#.{count}g}".rstrip(".")
 
 
 def _test_json(test: FTest | None) -> dict[str, float] | None:

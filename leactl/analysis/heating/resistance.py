@@ -22,6 +22,7 @@ SETTLING_S = 30.0  # after it is switched on: the surface that a camera sees is 
 SWITCHING_S = 2.0  # before it is switched off
 PACE_S, READINGS = 1.0, 3  # means that the line goes through: over so long, and over so many readings and frames
 FEWEST = 30  # means
+LEAST_ON_S = SETTLING_S + (FEWEST + 2) * PACE_S + SWITCHING_S  # each mean lies between two others
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,7 @@ def resistance_line(fit: NetworkFit, place: str) -> ResistanceLine:
     if len(time) < FEWEST or np.ptp(around) <= 0.0:
         raise NotIdentifiable(
             f"{place}: the current was on, and the active windings seen, for too short a time to tell their resistance;"
-            f" {SETTLING_S + FEWEST * PACE_S:g} s are needed"
+            f" {LEAST_ON_S:g} s are needed"
         )
     design = np.column_stack([np.ones(len(time)), temperature - REFERENCE])
     instruments = np.column_stack([np.ones(len(time)), around - REFERENCE])

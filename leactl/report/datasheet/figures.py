@@ -7,7 +7,7 @@ import numpy as np
 
 from leactl.analysis.estimate import Plot, Series
 from leactl.report.chart import Curve, Key, Layer, Points, chart
-from leactl.report.datasheet.rows import Row
+from leactl.report.datasheet.rows import Row, ordered_conditions
 from leactl.report.datasheet.runset import Answer, Entry, RunSet
 from leactl.report.html import Html, joined, tag
 from leactl.report.intervals import Interval, intervals
@@ -38,10 +38,14 @@ def figures(sets: Sequence[RunSet], motors: Sequence[str], experiment: str, link
         [one for one in own.answers if (one.motor, one.experiment) == (motor, experiment)]
         for own, motor in zip(sets, motors, strict=True)
     ]
+    measured = {one.condition for own in every for one in own}
+    order = [one for one in ordered_conditions([one for own in every for one in own]) if one in measured]
+    colours = {condition: f"s{k % COLOURS}" for k, condition in enumerate(order)}
+    every = [sorted(own, key=lambda one: order.index(one.condition)) for own in every]
     count = max((len(answer.result.plots) for own in every for answer in own), default=0)
     cards = []
     for index in range(count):
-        drawn = [figures_of(answers, index) for answers in every]
+        drawn = [figures_of(answers, index, colours) for answers in every]
         for k, own in enumerate(drawn):
             others = [layer for other in drawn[:k] + drawn[k + 1 :] for one in other for layer in one.layers]
             whose = f"{sets[k].name}: " if len(sets) > 1 else ""
@@ -56,10 +60,9 @@ def figure(one: Figure, beside: Sequence[Layer], whose: str, link: Link) -> Html
     return tag("figure", said, chart(one.layers, *labels, beside, one.keys))
 
 
-def figures_of(answers: Sequence[Answer], index: int) -> list[Figure]:
+def figures_of(answers: Sequence[Answer], index: int, colours: Mapping[str, str]) -> list[Figure]:
     """Plot `index` of each answer: conditions of an actuator over each other where they stay readable."""
     own = [answer for answer in answers if index < len(answer.result.plots)]
-    colours = {one: f"s{k % COLOURS}" for k, one in enumerate(dict.fromkeys(answer.condition for answer in own))}
     found = []
     for actuator in dict.fromkeys(answer.actuator for answer in own):
         of_it = [answer for answer in own if answer.actuator == actuator]
@@ -161,7 +164,7 @@ def over_conditions(rows: Sequence[Row], sets: Sequence[RunSet]) -> Html:
             if cell.estimate is not None and np.isfinite(cell.estimate.std)
         ]
         if len(strips) > 1:
-            label = f"{plain(name)} [{pretty(own[0].units)}]"
+            label = pretty(f"{plain(name)} [{own[0].units}]")
             charts.append(tag("figure", tag("figcaption", plain(name)), intervals(strips, label)))
     return tag("div", *charts, class_="pair") if charts else joined([])
 

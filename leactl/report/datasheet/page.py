@@ -8,13 +8,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import quote
 
+from leactl.analysis.conditions.comparison import Comparison
 from leactl.analysis.experiments import method_of
 from leactl.report.datasheet.figures import figures, over_conditions, plain, pretty
+from leactl.report.datasheet.maps import map_of
 from leactl.report.datasheet.motor_file import motor_table
 from leactl.report.datasheet.runset import Answer, Entry, RunSet
 from leactl.report.datasheet.sheet import Section, Sheet
 from leactl.report.datasheet.style import STYLE
-from leactl.report.datasheet.table import links, rows_table
+from leactl.report.datasheet.table import links, rows_table, two_lines
 from leactl.report.html import Html, document, joined, table, tag
 from leactl.report.terminal import figures as paper
 from leactl.report.terminal import interval_text, value_text
@@ -56,7 +58,10 @@ def values(own: RunSet, key: str) -> list[str]:
 
 def motor_section(sets: Sequence[RunSet], section: Section, place: str) -> Html:
     """Table and figures of one motor."""
-    about = "Value ± standard uncertainty, and the 95 % interval. The LEA in the paper as it is printed there."
+    about = (
+        "Value ± standard uncertainty, and the 95 % interval. What these hold, and what they leave out, is in the notes"
+        " of each experiment. The LEA in the paper as it is printed there."
+    )
     if len(sets) > 1:
         about += " A difference is strong where its interval does not hold zero."
     parts = [tag("h2", section.title), tag("p", about, class_="about"), rows_table(sets, section, place)]
@@ -85,7 +90,7 @@ def experiment_section(
         if (verdict := own.verdicts.get((motor, experiment))) is not None:
             whose = f"{own.name}: " if len(sets) > 1 else ""
             tabled = {row.name for row in section.rows[experiment]}
-            parts += [tag("p", f"{whose}{pretty(found.sentence)}") for found in verdict.found if found.name in tabled]
+            parts += sentences([one for one in verdict.found if one.name in tabled], whose, own.entries)
             notes += [f"{whose}not compared over conditions: {line}" for line in verdict.refused]
     parts.append(figures(sets, section.motors, experiment, links))
     parts.append(over_conditions(section.rows[experiment], sets))
@@ -96,7 +101,19 @@ def experiment_section(
     if said:
         parts.append(tag("details", tag("summary", "Notes"), tag("ul", *said)))
     parts.append(tag("details", tag("summary", "All results"), *map(results_table, answers)))
+    parts += [map_of(grid, answer) for answer in answers for grid in answer.result.grids]
     return tag("section", *parts, id=place)
+
+
+def sentences(found: Sequence[Comparison], whose: str, entries: Sequence[Entry]) -> list[Html]:
+    """What the data support, and below it what that holds for and what is doubtful; a remark on all results once."""
+    of: dict[str, list[str]] = {}
+    for one in found:
+        for note in one.notes:
+            of.setdefault(with_labels(note, entries), []).append(plain(one.name))
+    remarks = [note if len(named) == len(found) else f"{', '.join(named)}: {note}" for note, named in of.items()]
+    said = [tag("p", f"{whose}{pretty(one.sentence.replace(one.name, plain(one.name)))}") for one in found]
+    return said + ([tag("ul", *(tag("li", f"{whose}{pretty(one)}") for one in remarks), class_="about")] if of else [])
 
 
 def with_labels(note: str, entries: Sequence[Entry]) -> str:
@@ -131,32 +148,18 @@ def runs_table(own: RunSet, out: Path, named: bool) -> Html:
     for entry in own.entries:
         about = entry.about
         name = about.get("run_id") or entry.path.name
-        where = "emulated" if entry.simulated else ""
+        by = ", ".join(filter(None, ("emulated" if entry.simulated else "", about.get("software", ""))))
         cells.append(
             [
                 tag("span", entry.label, id=entry.label),
-                tag("a", name, href=address(entry.path, out)),
-                plain(entry.experiment),
-                *(about.get(key, "") for key in ("actuator", "condition", "mechanical", "bench")),
-                about.get("status", ""),
-                about.get("created", "").replace("T", " ")[:16],
-                tag("span", ", ".join(filter(None, (where, about.get("software", "")))), class_="wrap"),
+                two_lines(tag("a", name, href=address(entry.path, out)), plain(entry.experiment)),
+                *(about.get(key, "") for key in ("actuator", "condition", "mechanical")),
+                two_lines(about.get("bench", ""), by),
+                two_lines(about.get("created", "").replace("T", " ")[:16], about.get("status", "")),
                 tag("span", f"not analysed: {entry.fault}" if entry.fault else "analysed", class_="fault"),
             ]
         )
-    headings = [
-        "",
-        "file",
-        "experiment",
-        "actuator",
-        "condition",
-        "shaft",
-        "bench",
-        "status",
-        "recorded",
-        "by",
-        "result",
-    ]
+    headings = ["", "file", "actuator", "condition", "shaft", "bench", "recorded", "result"]
     return joined(([tag("h3", own.name)] if named else []) + [table(headings, cells, "runs")])
 
 

@@ -9,7 +9,7 @@ from leactl.analysis.conditions.pooled import difference, over_actuators
 from leactl.analysis.estimate import Estimate
 from leactl.analysis.experiments import names
 from leactl.report.datasheet.runset import Answer, Entry, RunSet
-from leactl.report.terminal import figures, printed
+from leactl.report.terminal import figures, printed, units_in_paper
 
 NOT_MEASURED = "not measured"
 
@@ -36,8 +36,9 @@ class Row:
 
     @property
     def units(self) -> str:
-        """Of the first that is known."""
-        return next((cell.estimate.units for cell in self.cells if cell.estimate is not None), "")
+        """Of the first that is known, of the paper's figure where none is."""
+        measured = (cell.estimate.units for cell in self.cells if cell.estimate is not None)
+        return next(measured, units_in_paper().get(self.name, ""))
 
     @property
     def difference(self) -> Estimate | None:
@@ -120,11 +121,15 @@ def result_names(experiment: str, answers: Sequence[Answer]) -> list[str]:
 
 def conditions(experiment: str, answers: Sequence[Answer], name: str) -> list[str]:
     """Conditions of a result: those of the paper in its order, then others; one without a name where there is none."""
-    papers = [label for each in names() for label in printed(each) if label != "any"]
     own = [label for label, figures_ in printed(experiment).items() if label != "any" and name in figures_]
     measured = {answer.condition for answer in answers} | set(own)
-    ordered = dict.fromkeys([*papers, *(answer.condition for answer in answers)])
-    return [label for label in ordered if label in measured] or [""]
+    return [label for label in ordered_conditions(answers) if label in measured] or [""]
+
+
+def ordered_conditions(answers: Sequence[Answer]) -> list[str]:
+    """Conditions of the paper in its order, then others: the same for every set of runs, however theirs was drawn."""
+    papers = [label for each in names() for label in printed(each) if label != "any"]
+    return list(dict.fromkeys([*papers, *(answer.condition for answer in answers)]))
 
 
 def cells_of(

@@ -40,8 +40,9 @@ path.paper { stroke: currentcolor; stroke-width: 1.5; stroke-dasharray: 3 2; }
 .strip { display: block; width: 100%; height: 1.6rem; border-left: 1px solid var(--line); }
 .lacking td, .lacking th { color: var(--faint); }
 .wrap { white-space: normal; min-width: 8rem; }
-.interval { display: block; color: var(--faint); }
-.fault { white-space: normal; min-width: 14rem; }
+.second { display: block; color: var(--faint); }
+.fault { display: block; white-space: normal; min-width: 14rem; }
+ul.about { margin: 0.25rem 0; max-width: 75ch; }
 .facts { display: grid; grid-template-columns: max-content minmax(0, 1fr); gap: 0 1rem; margin: 0.25rem 0; }
 .facts dt { color: var(--faint); }
 .facts dd { margin: 0; }

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from leactl.analysis.heating.resistance import LEAST_ON_S
 from leactl.errors import InputError
 from leactl.protocol.protocolfile import names as protocols
 from leactl.runner.campaign.campaignfile import OWN_COMMANDS, load, names
@@ -148,3 +149,9 @@ def test_a_shipped_campaign_is_whole_and_every_run_of_it_may_be_made(name, tmp_p
     for variant in ("", "short"):
         entries = entries_of(load(name, variant), Conditions(tmp_path / "out"))
         assert len(previews(entries)) == len({(entry.cell.step, entry.cell.condition) for entry in entries})
+
+
+@pytest.mark.parametrize("variant", ["", "short"])
+def test_the_heated_record_of_the_paper_is_long_enough_to_tell_the_resistance(variant):
+    told = dict(setting.split("=") for setting in load("paper", variant).steps["thermal"].settings)
+    assert float(told.get("heating_s", "inf")) > 1.2 * LEAST_ON_S

@@ -1,0 +1,40 @@
+"""The values behind an efficiency map, a row for each setpoint; folded on a screen, open on paper."""
+
+import itertools
+import math
+import re
+from collections.abc import Sequence
+
+from leactl.analysis.estimate import Grid
+from leactl.report.datasheet.figures import plain, pretty
+from leactl.report.datasheet.runset import Answer
+from leactl.report.datasheet.table import links
+from leactl.report.html import Html, table, tag
+
+UNITS = {"_rad_s": "rad/s", "_Nm": "N*m", "_V": "V", "_A": "A", "_W": "W", "_1": "1"}  # of a name's end
+NOT_HELD = "-"
+
+
+def map_of(grid: Grid, answer: Answer) -> Html:
+    """One map: both setpoints, then every quantity that was measured there."""
+    setpoints = list(itertools.product(*grid.axes.values()))
+    columns = [[value for row in rows for value in row] for rows in grid.values.values()]
+    cells = [[*map(cell, point), *map(cell, values)] for point, *values in zip(setpoints, *columns, strict=True)]
+    headings = [f"set {heading(name)}" for name in grid.axes] + [heading(name) for name in grid.values]
+    whose: Sequence[str] = [one for one in (answer.actuator, answer.condition) if one]
+    title = tag("summary", f"Values of {plain(grid.name)}: {', '.join(whose) or 'unnamed'}")
+    said = tag("p", f"Means at {len(setpoints)} setpoints, from ", links(answer.entries), class_="about")
+    return tag("details", title, said, table(headings, cells, "map"))
+
+
+def heading(name: str) -> str:
+    """A quantity with its unit, from a name that ends in it."""
+    end = next((one for one in UNITS if name.endswith(one)), "")
+    return pretty(f"{plain(name.removesuffix(end))} [{UNITS[end]}]") if end else plain(name)
+
+
+def cell(value: float) -> str:
+    """Four digits; a dash where the bench did not hold the setpoint."""
+    if not math.isfinite(value):
+        return NOT_HELD
+    return re.sub(r"^-(?=[0.]+$)", "", f"{value:.4g}")
