@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from leactl.analysis.conditions.comparison import Comparison, in_words
+from leactl.analysis.estimate import listed
 from leactl.report.terminal import aligned, number, wrapped
 
 WIDTH = 80
@@ -12,7 +13,7 @@ def comparisons_text(experiment: str, found: Sequence[Comparison], refused: Sequ
     """One part a result: the sentence first, then means, pairs, assumptions and notes."""
     parts = [f"{experiment}: {len(found)} results over conditions"]
     parts += [_one(each) for each in found]
-    parts += [wrapped("not compared:", [line], WIDTH) for line in refused]
+    parts += [wrapped("not compared:", [line], WIDTH) for line in by_reason(refused)]
     return "\n\n".join(parts)
 
 
@@ -41,3 +42,12 @@ def _one(found: Comparison) -> str:
     told = [f"{one.name} {'not checked' if one.p is None else f'p = {one.p:.2g}'}" for one in found.checks]
     lines.append(wrapped("  assumptions:", told, WIDTH))
     return "\n".join([*lines, *(wrapped("  note:", [note], WIDTH) for note in found.notes)])
+
+
+def by_reason(refused: Sequence[str]) -> list[str]:
+    """Lines `result: reason` with the results that share a reason in one."""
+    reasons: dict[str, list[str]] = {}
+    for line in refused:
+        name, _, reason = line.partition(": ")
+        reasons.setdefault(reason, []).append(name)
+    return [f"{listed(names)}: {reason}" for reason, names in reasons.items()]

@@ -10,6 +10,7 @@ from urllib.parse import quote
 
 from leactl.analysis.conditions.comparison import Comparison
 from leactl.analysis.experiments import method_of
+from leactl.report.conditions import by_reason
 from leactl.report.datasheet.figures import figures, over_conditions, plain, pretty
 from leactl.report.datasheet.maps import map_of
 from leactl.report.datasheet.motor_file import motor_table
@@ -91,7 +92,7 @@ def experiment_section(
             whose = f"{own.name}: " if len(sets) > 1 else ""
             tabled = {row.name for row in section.rows[experiment]}
             parts += sentences([one for one in verdict.found if one.name in tabled], whose, own.entries)
-            notes += [f"{whose}not compared over conditions: {line}" for line in verdict.refused]
+            notes += [f"{whose}not compared over conditions: {line}" for line in by_reason(verdict.refused)]
     parts.append(figures(sets, section.motors, experiment, links))
     parts.append(over_conditions(section.rows[experiment], sets))
     every = [entry for answer in answers for entry in answer.entries]
