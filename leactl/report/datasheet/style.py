@@ -47,7 +47,8 @@ ul.about { margin: 0.25rem 0; max-width: 75ch; }
 .facts dt { color: var(--faint); }
 .facts dd { margin: 0; }
 @page { size: A4; margin: 14mm; }
-@media print { :root { --card: #ffffff; } main { max-width: none; padding: 0; } h2, h3, .method { break-after: avoid; break-inside: avoid; }
+@media print { :root { --card: #ffffff; } main { max-width: none; padding: 0; }
+  h2, h3, .method { break-after: avoid; break-inside: avoid; }
   tr, figure { break-inside: avoid; } th, .wrap { white-space: normal; min-width: 0; }
   th, td { padding-right: 0.4rem; } table { font-size: 8pt; }
   .drawing { height: 5cm; } .pair { grid-template-columns: 1fr 1fr; gap: 1rem; }
