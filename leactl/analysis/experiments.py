@@ -97,14 +97,14 @@ def analyze_runs(paths: Sequence[Path | str], **options: Any) -> Result:
         return combined(first, runs, answers)
 
 
-def numbers(settings: Sequence[str]) -> dict[str, float]:
-    """What an analysis is told, from `name=number` each.
+def numbers(settings: Sequence[str], **given: float | None) -> dict[str, float]:
+    """What an analysis is told, from `name=number` each and from options of their own, which are None if not given.
 
     Raises
     ------
     InputError : one line for each that is not so, or is there twice.
     """
-    faults, found = [], {}
+    faults, found = [], {name: value for name, value in given.items() if value is not None}
     for setting in settings:
         name, _, text = (part.strip() for part in setting.partition("="))
         try:

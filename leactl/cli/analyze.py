@@ -22,7 +22,7 @@ def analyze(
     """Fit the parameters that runs were made for, with 95 % intervals, by actuator and condition."""
     from leactl.analysis.experiments import analyze_runs, numbers
 
-    told = {"torque_constant": torque_constant, "torque_constant_std": torque_constant_std} | numbers(settings)
+    told = numbers(settings, torque_constant=torque_constant, torque_constant_std=torque_constant_std)
     result = analyze_runs(runs, **told)
     if as_json:
         typer.echo(json.dumps(result.as_json(), allow_nan=False))

@@ -6,12 +6,13 @@ import typer
 
 
 def doctor(as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout.")) -> None:
-    """Check Python, packages, plug-ins, buses, permissions and disk; status 2 where something needed is missing."""
+    """Check Python, packages, plug-ins, buses, browser and disk; status 2 where something needed is missing."""
     from dataclasses import asdict
 
     from leactl.bench.machine import examine
+    from leactl.report import pdf
 
-    findings = examine()
+    findings = [*examine(), pdf.examine()]
     wrong = [finding for finding in findings if finding.needed and not finding.fine]
     if as_json:
         typer.echo(json.dumps({"fine": not wrong, "findings": [asdict(finding) for finding in findings]}))

@@ -1,5 +1,6 @@
 """The entry point: commands found by noun, errors as one line each on stderr, the documented exit statuses."""
 
+import errno
 import os
 import sys
 from typing import NoReturn
@@ -81,7 +82,7 @@ def main() -> None:
     except LeactlError as error:
         _end([str(error)], error.exit_status)
     except BrokenPipeError:  # whoever read stdout has gone; a second attempt at exit would only repeat the complaint
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _let_go_of_stdout()
         sys.exit(LeactlError.exit_status)
     except KeyboardInterrupt:
         _end(["stopped"], Stopped.exit_status)
@@ -92,7 +93,15 @@ def main() -> None:
     except Exception as error:
         if os.environ.get("LEACTL_TRACE"):
             raise
+        if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+            _let_go_of_stdout()
+            _end([f"{error.filename or 'stdout'}: cannot be written: {error.strerror}"], InputError.exit_status)
         _end([f"internal error: {type(error).__name__}: {error}; LEACTL_TRACE=1 shows where"], LeactlError.exit_status)
+
+
+def _let_go_of_stdout() -> None:
+    """What is left in its buffer goes nowhere, and no second complaint comes at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _end(lines: list[str], status: int) -> NoReturn:

@@ -8,6 +8,8 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
+from leactl.errors import InputError
+
 COMPARED = "--compare"
 
 
@@ -24,6 +26,8 @@ class SeveralCompared(TyperCommand):
             if word == COMPARED:
                 paths = list(takewhile(lambda one: not one.startswith("-"), rest))
                 del rest[: len(paths)]
+                if not paths:
+                    raise InputError(f"{COMPARED}: no runs after it; give run files, or folders of them")
                 spread += [part for path in paths for part in (COMPARED, path)][1:]
         return super().parse_args(ctx, spread)
 

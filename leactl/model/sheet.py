@@ -4,14 +4,17 @@ SI throughout, temperatures in degC; q axis, power-invariant transform, in the w
 `Motor` asks for what moving one needs, `Model` adds the bench around it.
 """
 
-from typing import Annotated, Literal
+import math
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Percent = Annotated[float, Field(ge=0, le=1000)]
 Tolerance = Annotated[float, Field(ge=0, le=0.5)]
+Length = Annotated[float, Field(gt=0, le=10)]
+DENSEST = 2e4  # kg/m^3: tungsten
 STRICT = ConfigDict(frozen=True, extra="forbid")
 
 
@@ -84,13 +87,24 @@ class MotorLimits(LimitsSheet):
 
 
 class Body(BaseModel):
-    """Mass and size."""
+    """Mass and size, of what may be: a figure in g or mm is told from one in kg or m."""
 
     model_config = STRICT
     mass: Positive | None = None  # kg
-    outer_diameter: Positive | None = None  # m
-    inner_diameter: Positive | None = None  # m
-    length: Positive | None = None  # m
+    outer_diameter: Length | None = None  # m
+    inner_diameter: Length | None = None  # m
+    length: Length | None = None  # m
+
+    @model_validator(mode="after")
+    def _no_denser_than_metal(self) -> Self:
+        if self.mass is not None and self.outer_diameter is not None and self.length is not None:
+            density = self.mass / (0.25 * math.pi * self.outer_diameter**2 * self.length)
+            if density > DENSEST:
+                raise ValueError(
+                    f"mass {self.mass:g} in the room of its diameter and length is {density:.3g} kg/m^3, at most"
+                    f" {DENSEST:g} was expected; are they in kg and m?"
+                )
+        return self
 
 
 class LoopFigures(BaseModel):
@@ -139,7 +153,7 @@ class MotorSheet(BaseModel):
     """One actuator as far as it is known."""
 
     model_config = STRICT
-    name: str
+    name: Annotated[str, Field(min_length=1)]
     winding: Literal["wye", "delta"]
     pole_pairs: Annotated[int, Field(ge=1, le=500)] | None = None
     phase_resistance: Positive | None = None  # ohm, at reference_temperature: R_ll / 2 (wye), 3/2 R_ll (delta)

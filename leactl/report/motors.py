@@ -14,6 +14,7 @@ from leactl.report.terminal import aligned, wrapped
 from leactl.safety.thermal.capability import Nominal, nominal
 
 PEAK_S = 20.0  # as the paper tells it
+TWINS_WITHIN = 0.1  # saturation and the current's convention account for a few per cent, a unit for far more
 WIDTH = 80
 
 
@@ -115,8 +116,18 @@ def remarks(motors: Sequence[Known]) -> list[str]:
         if one.lacks
     ]
     for one in motors:
-        found += [f"{one.sheet.name}: {note}" for note in against_print(one)]
-    return found
+        found += [f"{one.sheet.name}: {note}" for note in (*against_print(one), *against_itself(one.sheet))]
+    return list(dict.fromkeys(found))
+
+
+def against_itself(sheet: MotorSheet) -> list[str]:
+    """Where two values of one file cannot both be: what a winding takes of electrical power it gives as mechanical."""
+    torque, voltage = sheet.torque_constant, sheet.back_emf_constant
+    if torque is None or voltage is None or abs(voltage / torque - 1.0) <= TWINS_WITHIN:
+        return []
+    return [
+        f"torque constant {torque:.3g} N*m/A and back-EMF constant {voltage:.3g} V*s/rad: they are one number in SI"
+    ]
 
 
 def against_print(one: Known) -> list[str]:

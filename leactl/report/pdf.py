@@ -6,6 +6,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
+from leactl.bench.machine import Finding
 from leactl.errors import DeviceError, InputError
 from leactl.runfile.publish import replacement
 
@@ -25,6 +26,18 @@ FLAGS = (
 LONGEST_S = 120.0
 
 
+def examine() -> Finding:
+    """Whether a page can be printed on this machine."""
+    found = installed()
+    told = found or "none in PATH; `leactl report --pdf` prints by one"
+    return Finding("Chromium", found is not None, False, told, "" if found else "sudo apt install chromium")
+
+
+def installed() -> str | None:
+    """Path of the first browser that is installed; None where there is none."""
+    return next(filter(None, map(shutil.which, BROWSERS)), None)
+
+
 def browser() -> str:
     """Path of the first browser that is installed.
 
@@ -32,7 +45,7 @@ def browser() -> str:
     ------
     InputError : there is none.
     """
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    found = installed()
     if found is None:
         raise InputError(
             f"--pdf: needs a Chromium to print with, and none of {', '.join(BROWSERS)} is in PATH; install one"

@@ -23,6 +23,8 @@ def open_run_file(path: Path) -> tuple[Any, bool]:
     try:
         with path.open("rb") as raw:
             head = raw.read(FLAGS_AT + 1)
+    except IsADirectoryError:
+        raise InputError(f"{path}: a folder; run files were expected, such as {path / '*.h5'}") from None
     except OSError as fault:
         raise InputError(f"{path}: cannot be read: {fault.strerror}") from fault
     flags = head[FLAGS_AT] if head.startswith(SIGNATURE) and len(head) > FLAGS_AT and head[8] >= 3 else 0

@@ -90,7 +90,7 @@ def test_a_torque_constant_of_ones_own(bench):
     [
         (["absent.h5"], "absent.h5: cannot be read: No such file or directory"),
         (["text.h5"], "text.h5: not an HDF5 file"),
-        (["."], ".: cannot be read: Is a directory"),
+        (["."], ".: a folder; run files were expected, such as *.h5"),
         (
             ["torque.h5", "friction.h5"],
             "friction.h5: its analysis is 'friction', that of torque.h5 is 'torque",
@@ -98,6 +98,10 @@ def test_a_torque_constant_of_ones_own(bench):
         (["torque.h5", "./torque.h5"], "torque.h5: the same run as torque.h5; give each run once"),
         (["torque.h5", "--torque-constant", "1"], "torque-constant has no option --torque-constant"),
         (["friction.h5", "--torque-constant", "0"], "torque constant 0: a positive number in N*m/A was expected"),
+        (
+            ["friction.h5", "--torque-constant", "0.5", "--set", "torque_constant=0.6"],
+            "--set torque_constant: given twice",
+        ),
         (["still.h5"], "still.h5: friction: found 0 levels of current at which the rotor turned steadily"),
         (["one.h5"], "one.h5: torque constant: found one level of current (4.9 A in 6 holds)"),
     ],

@@ -34,6 +34,16 @@ def test_what_is_absent_comes_with_the_command_that_mends_it():
     assert all(lines[number + 1].startswith("        mend: ") for number in absent)
 
 
+def test_a_browser_that_prints_is_looked_for(tmp_path):
+    (tmp_path / "chromium").write_text("#!/bin/sh\n")
+    without = leactl("doctor", PATH=str(tmp_path))
+    assert "absent  Chromium: none in PATH; `leactl report --pdf` prints by one\n        mend: sudo" in without.stdout
+    (tmp_path / "chromium").chmod(0o755)
+    there = leactl("doctor", PATH=str(tmp_path))
+    assert f"ok      Chromium: {tmp_path / 'chromium'}\n" in there.stdout
+    assert (without.returncode, there.returncode) == (0, 0)
+
+
 def test_json_is_pure_and_holds_every_finding():
     done = leactl("doctor", "--json")
     answer = json.loads(done.stdout)

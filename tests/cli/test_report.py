@@ -74,6 +74,12 @@ def test_what_cannot_be_done_is_one_line_each_and_writes_nothing(here, given, ho
     assert not (here / "out.html").exists()
 
 
+def test_compare_without_runs_is_said_as_such(here):
+    done = leactl("report", "spring", "--compare", "--html", "out.html")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "leactl: --compare: no runs after it; give run files, or folders of them\n"
+
+
 def test_without_a_chromium_a_pdf_is_refused_before_any_analysis(here):
     done = leactl("report", "spring", "--html", "out.html", "--pdf", PATH=str(here))
     assert done.returncode == 2

@@ -1,16 +1,19 @@
 """`leactl stats` on run files and answers, as a shell sees it."""
 
 import json
+import re
+import subprocess
 
 import h5py
 import numpy as np
 import pytest
 
-from leactl.analysis.conditions.comparison import compare_all
+from leactl.analysis.conditions.comparison import compare, compare_all
+from leactl.analysis.conditions.values import Values
 from leactl.analysis.experiments import analyze_runs
 from leactl.errors import InputError, NotIdentifiable
 from tests.analysis.synthetic import Bench
-from tests.cli.terminal import leactl
+from tests.cli.terminal import COMMAND, leactl
 
 FRICTION = {"unloaded": 0.24, "design": 0.21, "loaded": 0.26}
 
@@ -93,8 +96,9 @@ def test_answers_of_analyze_are_repeats(bench, tmp_path):
 
 
 def test_what_cannot_be_compared_is_refused_in_a_line(bench, tmp_path):
-    with pytest.raises(NotIdentifiable, match="found one condition, 'design'"):
+    with pytest.raises(NotIdentifiable, match="found one condition, 'design'") as alone:
         compare_all(runs(bench, conditions=("design",)))
+    assert len(alone.value.faults) == 1
     with pytest.raises(InputError, match=r"different experiments: .* is 'friction', .* is 'torque-constant'"):
         compare_all([*runs(bench), bench.torque()])
     with pytest.raises(NotIdentifiable, match="3 values of 3 conditions give no scatter"):
@@ -134,3 +138,21 @@ def test_unusable_input_is_status_2(tmp_path):
     done = leactl("stats", tmp_path / "absent.h5")
     assert (done.returncode, done.stdout) == (2, "")
     assert "absent.h5: cannot be read" in done.stderr
+
+
+def test_a_full_disk_behind_stdout_is_said_as_such(bench, tmp_path):
+    paths = [str(path) for path in runs(bench)]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([*COMMAND, "stats", *paths], stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "leactl: stdout: cannot be written: No space left on device\n"
+
+
+def test_limits_of_a_difference_keep_their_digits():
+    names = np.repeat(["unloaded", "loaded"], 5)
+    for seed in range(30):
+        drawn = np.random.default_rng(seed).normal(np.where(names == "loaded", 0.3, 0.2), 0.01)
+        alone, number = np.full(10, "LEA-1"), np.arange(10)
+        sentence = compare(Values("coulomb_friction", "N*m", drawn, alone, names, number, ())).sentence
+        difference, low, high = re.search(r"by ([\d.]+) \[([\d.]+), ([\d.]+)\] N", sentence).groups()
+        assert [len(one.lstrip("0.")) for one in (difference, low, high)] == [3, 2, 2]

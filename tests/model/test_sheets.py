@@ -69,6 +69,12 @@ def test_little_is_enough_for_a_sheet(tmp_path):
     ("text", "message"),
     [
         (SPARSE + "body: {mass: -1}\n", "body.mass: -1: "),
+        (SPARSE + "body: {mass: 894, outer_diameter: 0.182, length: 0.04}\n", "mass 894 in the room of its diameter"),
+        (
+            SPARSE + "body: {outer_diameter: 182}\n",
+            "body.outer_diameter: 182: input should be less than or",
+        ),
+        ("name: ''\nwinding: wye\n", "name: '': "),
         (SPARSE + "body: {weight: 1}\n", "body.weight: unknown key"),
         (SPARSE + "thermal: {winding_capacitance: 0}\n", "thermal.winding_capacitance: 0: "),
         (SPARSE + "encoder_lines: 0.5\n", "encoder_lines: 0.5: "),

@@ -166,6 +166,9 @@ def compare_all(
     for name in names:
         if name not in known:
             raise InputError(f"{experiment} has no result '{name}' to compare; it has {', '.join(known) or 'none'}")
+    held = {condition for one in every for condition in one.condition.tolist()}
+    if len(held) == 1:
+        raise NotIdentifiable(f"{experiment}: found one condition, '{held.pop()}'; two conditions or more are needed")
     found, refused = [], []
     for values in every:
         if not names or values.name in names:
