@@ -335,12 +335,12 @@ def test_every_figure_of_the_paper_has_the_unit_that_a_measured_one_has(sheet):
             assert item.units == units_in_paper()[one.name]
 
 
-def test_a_map_has_a_folded_table_with_a_row_for_each_setpoint(tmp_path):
+def test_a_map_has_a_folded_table_with_the_longer_axis_downwards(tmp_path):
     nan = float("nan")
     grid = Grid(
         "driving_map",
-        {"velocity_rad_s": (5.0, 10.0), "current_A": (3.0, 6.0)},
-        {"efficiency_1": ((0.51234567, 0.4), (0.6, nan)), "torque_Nm": ((1.5, -1e-12 * 0.0), (1.4, nan))},
+        {"velocity_rad_s": (5.0, 10.0), "current_A": (3.0, 6.0, 9.5)},
+        {"efficiency_1": ((0.51234567, 0.4, -0.0), (0.6, nan, -1.5)), "torque_Nm": ((1.5, 0.0, 1.0), (1.4, nan, 2.0))},
     )
     square = Plot("x [1]", "y [1]", tuple(Series(name, (1.0, 2.0), (3.0, 4.0)) for name in "abc"), ())
     entry = Entry(Path("x.h5"), "R1", "", "lea", "efficiency")
@@ -352,11 +352,10 @@ def test_a_map_has_a_folded_table_with_a_row_for_each_setpoint(tmp_path):
     assert folded.get("open") is None
     assert [one.get("href") for one in folded.findall("p/a")] == ["#R1"]
     assert table(root, "map") == [
-        ["set velocity [rad/s]", "set current [A]", "efficiency", "torque [N·m]"],
-        ["5", "3", "0.5123", "1.5"],
-        ["5", "6", "0.4", "0"],
-        ["10", "3", "0.6", "1.4"],
-        ["10", "6", "-", "-"],
+        ["current [A] \\ velocity [rad/s]", "5", "10"],
+        ["3", "0.512", "0.6"],
+        ["6", "0.4", "-"],
+        ["9.5", "0", "-1.5"],
     ]
     marks = next(one.get("d") for one in root.iter("path") if one.get("class") == "marks square s2")
     assert "h0M" not in marks  # a PDF paints no stroke without a length and with square ends

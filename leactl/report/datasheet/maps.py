@@ -1,9 +1,10 @@
-"""The values behind an efficiency map, a row for each setpoint; folded on a screen, open on paper."""
+"""What a map says at each setpoint, a row for each of one axis; folded on a screen, open on paper."""
 
-import itertools
 import math
 import re
 from collections.abc import Sequence
+
+import numpy as np
 
 from leactl.analysis.estimate import Grid
 from leactl.report.datasheet.figures import plain, pretty
@@ -16,15 +17,18 @@ NOT_HELD = "-"
 
 
 def map_of(grid: Grid, answer: Answer) -> Html:
-    """One map: both setpoints, then every quantity that was measured there."""
-    setpoints = list(itertools.product(*grid.axes.values()))
-    columns = [[value for row in rows for value in row] for rows in grid.values.values()]
-    cells = [[*map(cell, point), *map(cell, values)] for point, *values in zip(setpoints, *columns, strict=True)]
-    headings = [f"set {heading(name)}" for name in grid.axes] + [heading(name) for name in grid.values]
+    """One map by its first quantity, the axis with more setpoints downwards; the others are for `analyze --json`."""
+    (quantity, rows), axes = next(iter(grid.values.items())), list(grid.axes.items())
+    cells = np.array(rows)
+    if len(axes[1][1]) > len(axes[0][1]):
+        cells, axes = cells.T, axes[::-1]
+    (down, setpoints), (across, others) = axes
+    headings = [f"{heading(down)} \\ {heading(across)}", *(f"{one:.4g}" for one in others)]
+    body = [[f"{one:.4g}", *map(cell, row)] for one, row in zip(setpoints, cells.tolist(), strict=True)]
     whose: Sequence[str] = [one for one in (answer.actuator, answer.condition) if one]
     title = tag("summary", f"Values of {plain(grid.name)}: {', '.join(whose) or 'unnamed'}")
-    said = tag("p", f"Means at {len(setpoints)} setpoints, from ", links(answer.entries), class_="about")
-    return tag("details", title, said, table(headings, cells, "map"))
+    said = tag("p", f"{heading(quantity).capitalize()} at {cells.size} setpoints, from ", links(answer.entries))
+    return tag("details", title, said, table(headings, body, "map"))
 
 
 def heading(name: str) -> str:
@@ -34,7 +38,7 @@ def heading(name: str) -> str:
 
 
 def cell(value: float) -> str:
-    """Four digits; a dash where the bench did not hold the setpoint."""
+    """Three digits; a dash where the bench did not hold the setpoint."""
     if not math.isfinite(value):
         return NOT_HELD
-    return re.sub(r"^-(?=[0.]+$)", "", f"{value:.4g}")
+    return re.sub(r"^-(?=[0.]+$)", "", f"{value:.3g}")
