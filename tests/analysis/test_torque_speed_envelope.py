@@ -2,46 +2,13 @@
 
 import math
 
-import numpy as np
 import pytest
-from scipy.optimize import brentq
 
 from leactl.analysis.torque_speed_envelope import analyze
 from leactl.errors import MissingChannel, NotIdentifiable
 
+from .envelopes import ASKED, KT, SPEEDS, B, F, current_at, driven, true_corner
 from .synthetic import analyzed, covered
-
-R, KT, L, POLES, F, B, BUS, ASKED = 0.264, 0.49, 128e-6, 41, 0.208, 0.0238, 29.6, 28.0
-SPEEDS = (5.0, 10.0, 15.0, 20.0, 24.0, 28.0, 30.0, 32.0, 34.0, 36.0)
-
-
-def current_at(speed, bus=BUS):
-    """What the voltage leaves [A], at most what is asked for."""
-
-    def over(current):
-        return math.hypot(R * current + KT * speed, POLES * speed * L * current) - bus / math.sqrt(2)
-
-    return ASKED if over(ASKED) < 0 else brentq(over, 0.0, ASKED)
-
-
-def driven(bench, *, speeds=SPEEDS, trials=3, scatter=0.0, bus=BUS, sag=0.0, asked=ASKED, edit=None, **how):
-    holds = [(asked, "") for _ in range(trials) for _ in speeds]
-    speed = np.array([value for _ in range(trials) for value in speeds]) + bench.rng.normal(0.0, 1e-3, len(holds))
-    current = np.array([current_at(abs(value), bus) for value in speed]) * asked / ASKED
-    torque = KT * current - F - B * np.abs(speed) + bench.rng.normal(0.0, scatter, len(holds))
-    columns = {
-        "torque": torque,
-        "velocity": speed,
-        "q_axis_current": current,
-        "bus_voltage": bus - sag * np.abs(torque),
-    }
-    return bench.run("torque-speed-envelope", holds, columns, rate_Hz=10, edit=edit, **how)
-
-
-def true_corner():
-    return brentq(
-        lambda speed: math.hypot(R * ASKED + KT * speed, POLES * speed * L * ASKED) - BUS / math.sqrt(2), 1, 60
-    )
 
 
 def test_highest_torque_power_and_corner_come_back(bench):
