@@ -14,14 +14,14 @@ class Record:
     """Columns that grow part by part; the test actuator's angle goes on from part to part."""
 
     def __init__(self):
-        self.parts, self.steps, self.now, self.angle = [], [], 0.0, 0.3
+        self.parts, self.steps, self.count, self.angle = [], [], 0, 0.3
 
     def add(self, name, speed, torque, settle=0.0, **told):
         """One step: speed [rad/s] at every sample, and torque onto the shaft by angle and speed."""
         angle = self.angle + np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))]) / RATE
         self.parts.append((speed, angle, torque(angle)))
-        self.steps.append((name, self.now, self.now + len(speed) / RATE, settle, {"role": "load"} | told))
-        self.now += len(speed) / RATE
+        start, self.count = self.count, self.count + len(speed)
+        self.steps.append((name, start / RATE, self.count / RATE, settle, {"role": "load"} | told))
         self.angle = angle[-1] + speed[-1] / RATE
 
 

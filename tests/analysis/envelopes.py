@@ -25,6 +25,10 @@ def current_at(speed, bus=BUS, warmed=lambda _current: 0.0):
     return ASKED if over(ASKED) < 0 else brentq(over, 0.0, ASKED)
 
 
+def model_of(inertia=J, inductance=L):
+    return f"rotor_inertia: {inertia}\npole_pairs: {POLES}\nphase_inductance: {inductance}\nback_emf_constant: {KT}\n"
+
+
 def true_corner(kelvin=0.0):
     return brentq(lambda speed: short_of(speed, ASKED, kelvin=kelvin), 1, 60)
 
@@ -55,10 +59,10 @@ def driven(bench, *, speeds=SPEEDS, trials=3, scatter=0.0, bus=BUS, sag=0.0, ask
 
     def slow_down(time, columns):
         into = (time - how.get("before_s", 0.0)) % hold_s
-        columns["velocity"] -= slowing * (into - 0.5 * (settle_s + hold_s))
+        columns["velocity"] -= slowing * (into - 0.5 * (settle_s + hold_s - 1.0 / how["rate_Hz"]))
         if edit is not None:
             edit(time, columns)
 
     hold_s, settle_s = how.get("hold_s", 2.5), how.get("settle_s", 0.5)
-    how = {"rate_Hz": 10, "model": f"rotor_inertia: {J}\n" if slowing else model} | how
+    how = {"rate_Hz": 10, "model": model or model_of()} | how
     return bench.run("torque-speed-envelope", holds, columns, edit=slow_down, **how)

@@ -29,7 +29,7 @@ def coasting(bench, *, j=J, f=F, b=B, c=C, signs=(1, -1), trials=3, zero_A=0.0, 
     """
     held = np.arange(round(held_s * RATE)) / RATE
     coast = np.arange(round(COAST_S * RATE)) / RATE
-    velocity, current, on, steps, start = [], [], [], [], 0.0
+    velocity, current, on, steps, start = [], [], [], [], 0
     for sign in [sign for _ in range(trials) for sign in signs]:
         own = f + bench.rng.normal(0.0, scatter)
         falling = run_out(coast, j, own, b, c, SPEED)
@@ -42,11 +42,13 @@ def coasting(bench, *, j=J, f=F, b=B, c=C, signs=(1, -1), trials=3, zero_A=0.0, 
             falling = np.interp(coast, fine, follow)
         velocity += [sign * np.full(len(held), SPEED), sign * falling]
         drive = sign * gain * (own + b * SPEED + c * SPEED**2) / KT + zero_A
-        current += [np.full(len(held), drive), np.full(len(coast), zero_A)]
+        current += [drive * (1.0 - np.exp(-held / 0.02)), np.full(len(coast), zero_A)]
         on += [np.ones(len(held)), np.full(len(coast), enabled)]
-        steps.append(("hold", start, start + held_s, 0.2, {"velocity_rad_s": sign * SPEED, "role": "test"}))
-        steps.append(("coast", start + held_s, start + held_s + COAST_S, 0.01, {}))
-        start += held_s + COAST_S
+        let_go, stop = start + len(held), start + len(held) + len(coast)
+        told = {"velocity_rad_s": sign * SPEED, "role": "test"}
+        steps.append(("hold", start / RATE, let_go / RATE, 0.5, told))  # as the stamps have them
+        steps.append(("coast", let_go / RATE, stop / RATE, 0.01, {}))
+        start = stop
     columns = {"velocity": velocity, "q_axis_current": current, "drive_enabled": on}
     columns = {name: np.concatenate(parts) for name, parts in columns.items()}
     for name, std in (("velocity", noise), ("q_axis_current", current_noise)):

@@ -64,8 +64,8 @@ class Bench:
         for index, (setpoint, direction) in enumerate(holds):
             told = {key: setpoint, "role": role} | ({"direction": direction} if direction else {})
             told |= {} if repeats is None else {"repeat": int(repeats[index])}
-            start = before_s + index * hold_s
-            steps.append(("hold", start, start + hold_s, settle_s, told))
+            start, stop = ((before + (index + k) * per_hold) / rate_Hz for k in (0, 1))  # as the stamps have them
+            steps.append(("hold", start, stop, settle_s, told))
         return self.write(experiment, time, columns, steps, **how)
 
     def write(

@@ -14,7 +14,7 @@ from .synthetic import Bench, analyzed, covered
 
 
 @settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(j=st.floats(0.001, 0.05), f=st.floats(0.05, 0.4), b=st.floats(0.001, 0.05), zero=st.floats(-0.02, 0.02))
+@given(j=st.floats(0.003, 0.05), f=st.floats(0.05, 0.4), b=st.floats(0.001, 0.05), zero=st.floats(-0.02, 0.02))
 def test_without_noise_inertia_and_drag_come_back_whatever_the_zero_of_the_current(tmp_path_factory, j, f, b, zero):
     result = analyzed(analyze, coasting(Bench(tmp_path_factory.mktemp("run")), j=j, f=f, b=b, trials=2, zero_A=zero))
     assert result.find("rotor_inertia").value == pytest.approx(j, rel=2e-4)

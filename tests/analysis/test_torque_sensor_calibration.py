@@ -9,9 +9,9 @@ from leactl.analysis.torque_sensor_calibration import analyze
 from leactl.errors import InputError, NotIdentifiable
 
 from .synthetic import analyzed, covered
-from .weights import weighed
+from .weights import GRAVITY, KNOWN_STDS, weighed
 
-KNOWN = {"gravity": 9.81, "gravity_std": 1e-4, "mass_relative_std": 1e-5, "arm_std_m": 5e-6}
+KNOWN = {"gravity": GRAVITY, **KNOWN_STDS}
 
 
 @pytest.mark.parametrize("gain", [1.0, 1.02, 0.37])

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from leactl.analysis.torque_speed_envelope import analyze
@@ -61,10 +62,29 @@ def test_a_speed_that_drifts_within_a_hold_is_named(bench):
     def drift(time, columns):
         columns["velocity"] += 0.2 * (time % 2.5)
 
-    assert any(
-        "the rotor's inertia is in its torque" in note for note in analyzed(analyze, driven(bench, edit=drift)).notes
-    )
-    assert not any("inertia is in its torque" in note for note in analyzed(analyze, driven(bench)).notes)
+    silent = analyzed(analyze, driven(bench, edit=drift, model="name: x\n"))
+    assert any("the rotor's inertia is in its torque, and in no interval" in note for note in silent.notes)
+    assert not any("inertia" in note for note in analyzed(analyze, driven(bench)).notes)
+
+
+def test_what_the_inertia_gives_while_the_speed_falls_is_no_torque_of_the_current(bench):
+    """2.4 g m^2 at 10 rad/s^2 are 24 mN m."""
+    result = analyzed(analyze, driven(bench, slowing=10.0, speeds=(20.0, 24.0), before_s=2.0, noise=1e-4))
+    assert result.find("highest_torque").value == pytest.approx(KT * ASKED - F - 20 * B, abs=0.001)
+    assert any("the rotor's inertia is put back" in note for note in result.notes)
+    assert covered(result.find("highest_torque"), KT * ASKED - F - 20 * B)
+
+
+def test_the_error_of_the_sensor_s_zero_is_in_the_interval(bench):
+    told, silent = (analyzed(analyze, driven(bench, before_s=before, noise={"torque": 0.1})) for before in (2.0, 0.0))
+    assert any("how well its zero is known is not told" in note for note in silent.notes)
+    assert told.find("highest_torque").std > 0.02 > silent.find("highest_torque").std
+
+
+def test_repeats_that_find_the_winding_warmer_are_no_scatter_of_the_corner(bench):
+    found = analyzed(analyze, driven(bench, warmed=[(0.0, 0.0), (10.0, 0.0), (20.0, 0.0)])).find("corner_speed")
+    assert found.value == pytest.approx(np.mean([true_corner(kelvin) for kelvin in (0, 10, 20)]), abs=0.01)
+    assert found.high - found.low < 0.1
 
 
 def test_without_repeats_no_interval_is_given(bench):

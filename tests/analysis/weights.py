@@ -6,6 +6,7 @@ from leactl.analysis.torque_sensor_calibration import WEIGHED_BY
 
 MASSES, ARM = (0.7, 1.4, 2.1, 2.8), 0.5
 GRAVITY = 9.81
+KNOWN_STDS = {"gravity_std": 1e-4, "mass_relative_std": 1e-5, "arm_std_m": 5e-6}
 HOLD_S, RATE = 2.0, 10
 
 
