@@ -13,6 +13,7 @@ from leactl.analysis.breakaway import LettingGo, lettings_go
 from leactl.analysis.cogging import cogging_of, turns_of
 from leactl.analysis.drag import VELOCITY, both_ways, coefficients, drag_at, fit_drag, reached
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
+from leactl.analysis.gains import doubt, gain_std
 from leactl.analysis.levels import Held, Levels, gather
 from leactl.analysis.linefit import LineFit, expect_setup, place_of, remarks
 from leactl.analysis.torque_constant import TORQUE, usable
@@ -25,7 +26,7 @@ ENABLED = "drive_enabled"
 DRAWN = 40  # speeds of a line in the figure
 
 
-def analyze(runs: Sequence[Run]) -> Result:
+def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Result:
     """Breakaway torque, drag by speed and cogging of an unpowered actuator.
 
     `breakaway_torque` [N*m], `coulomb_friction` [N*m], `viscous_damping` [N*m*s/rad], `quadratic_drag`
@@ -35,14 +36,17 @@ def analyze(runs: Sequence[Run]) -> Result:
     Parameters
     ----------
     runs : of one actuator under one condition, coupled, its drive off, whose steps `hold` a velocity of the load.
+    torque_gain_std : relative standard uncertainty of the torque's calibration; the channel's own unless told.
 
     Raises
     ------
     MissingChannel : a run has no torque, velocity or angle of the test actuator.
     NotIdentifiable : the test drive was on, or fewer than four speeds at which the shaft turned steadily.
+    InputError : an uncertainty below zero.
     """
     place = f"{place_of(runs)}: back-drive"
     notes = expect_setup(runs, ("coupled",), "another machine has to turn the shaft")
+    gain = gain_std(runs, TORQUE, torque_gain_std)
     for run in runs:
         refuse_powered(run)
     channels = [usable(run, TORQUE, notes, HELD) for run in runs]
@@ -64,17 +68,17 @@ def analyze(runs: Sequence[Run]) -> Result:
     released = [one for number, (run, torque) in numbered for one in lettings_go(run, number, torque, notes)]
     damping = line.slope("viscous_damping")
     turns = [one for number, (run, torque) in numbered for one in turns_of(run, number, torque, damping, notes)]
-    results = [breakaway(released, notes)] if released else []
-    results += coefficients(line)
+    results = [breakaway(released, gain, notes)] if released else []
+    results += coefficients(line, gain)
     plots = [plot_of_drag(levels, line)]
     if turns:
         try:
-            found, plot = cogging_of(turns, notes)
+            found, plot = cogging_of(turns, gain, notes)
             results += found
             plots += [plot] if plot is not None else []
         except NotIdentifiable as fault:
             notes.append(str(fault))
-    notes.append("uncertainties are of scatter; an error in the calibration of the torque sensor is a factor on top")
+    notes.append(doubt("the torque sensor", gain, "all torques"))
     paths = tuple(str(run.path) for run in runs)
     return Result("back-drive", paths, tuple(results), tuple(notes), tuple(plots))
 
@@ -95,13 +99,13 @@ def refuse_powered(run: Run) -> None:
             raise NotIdentifiable(f"{run.path}: the test drive was on at {hold.start:.1f} s; back-drive is unpowered")
 
 
-def breakaway(released: Sequence[LettingGo], notes: list[str]) -> Estimate:
+def breakaway(released: Sequence[LettingGo], gain: float, notes: list[str]) -> Estimate:
     """Mean breakaway torque over both directions; without an interval where there is no repeat."""
     trials, values = [one.trial for one in released], [one.torque for one in released]
     if len({trial.side for trial in trials}) == 1:
         notes.append("breakaway in one direction only: the zero of the torque sensor is part of it")
     try:
-        return mean_of(values, trials, "breakaway_torque", "N*m")
+        return mean_of(values, trials, "breakaway_torque", "N*m", gain)
     except NotIdentifiable:
         notes.append("breakaway without a repeat: how it scatters is not known")
         return Estimate("breakaway_torque", float(np.mean(values)), NAN, NAN, NAN, "N*m")

@@ -1,5 +1,6 @@
 """What the model that a run carries says: the parameters that its bench was set up with."""
 
+import math
 from typing import Any
 
 from leactl import yamlfile
@@ -17,6 +18,17 @@ def model_of(run: Run) -> dict[str, Any]:
     text = run.source("model")
     data = yamlfile.parse(text, f"{run.path}:/model/source").data if text is not None else None
     return data if isinstance(data, dict) else {}
+
+
+def rotor_inertia_of_model(run: Run) -> float:
+    """The rotor inertia in the model that a run carries [kg*m^2]; NaN where there is none."""
+    return positive(model_of(run).get("rotor_inertia"))
+
+
+def positive(found: object) -> float:
+    """A number above zero as it stands in a model; NaN where it is none."""
+    number = isinstance(found, int | float) and not isinstance(found, bool) and found > 0
+    return float(found) if number else math.nan  # type: ignore[arg-type]
 
 
 def torque_constant_of_model(run: Run) -> float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.carried_model import model_of
+from leactl.analysis.carried_model import rotor_inertia_of_model
 from leactl.analysis.estimate import NAN, Estimate, Plot, Series
 from leactl.analysis.regression import Array
 from leactl.analysis.trials import Trial, mean_of
@@ -77,9 +77,9 @@ def turns_of(run: Run, number: int, torque: Channel, damping: float, notes: list
 
 def inertia_of(run: Run, notes: list[str]) -> float:
     """Rotor inertia in the model that a run carries [kg*m^2]; zero and a note where there is none."""
-    found = model_of(run).get("rotor_inertia")
-    if isinstance(found, int | float) and not isinstance(found, bool) and found > 0:
-        return float(found)
+    found = rotor_inertia_of_model(run)
+    if math.isfinite(found):
+        return found
     notes.append(f"{run.path}: no rotor_inertia in its model: what it takes of the cogging is not put back")
     return 0.0
 
@@ -99,8 +99,10 @@ def taken_apart(angle: Array, speed: Array, signals: Array) -> Parts:
     return found
 
 
-def cogging_of(turns: Sequence[Turn], notes: list[str]) -> tuple[list[Estimate], Plot | None]:
+def cogging_of(turns: Sequence[Turn], gain: float, notes: list[str]) -> tuple[list[Estimate], Plot | None]:
     """Periods a turn and amplitude of the largest part, and peak to peak of all parts that count.
+
+    `gain` is the relative standard uncertainty of the torque's calibration.
 
     Raises
     ------
@@ -137,8 +139,8 @@ def cogging_of(turns: Sequence[Turn], notes: list[str]) -> tuple[list[Estimate],
     )
     results = [
         Estimate("cogging_order", float(largest), NAN, NAN, NAN, "1"),
-        mean_of(own.tolist(), trials, "cogging_amplitude", "N*m", put_back(own, unmended)),
-        mean_of(each.tolist(), trials, "cogging_peak_to_peak", "N*m", put_back(each, unmended_each)),
+        mean_of(own.tolist(), trials, "cogging_amplitude", "N*m", math.hypot(gain, put_back(own, unmended))),
+        mean_of(each.tolist(), trials, "cogging_peak_to_peak", "N*m", math.hypot(gain, put_back(each, unmended_each))),
     ]
     told = ", ".join(f"{order} ({abs(mean[order]):.2g} N*m)" for order in orders[np.argsort(-np.abs(mean[orders]))][:6])
     notes.append(f"cogging, by periods a turn: {told}")

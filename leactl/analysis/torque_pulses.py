@@ -1,20 +1,22 @@
 """Torque pulses to peak current: how the torque falls behind the current as the iron saturates.
 
-    torque = K i (1 - p (i/I)^2 - q (i/I)^4) + s d + e sgn(i) + c
+    torque = K i / sqrt(1 + p (i/I)^2 + q (i/I)^4) + s d + e sgn(i) + c
 
-for currents up to I: an odd function of the current, since iron has no sign of its own. s is what a rotor that sticks
-keeps from the sensor, by the side d that a level was reached from (torque_constant.py); e is what of it does not turn
-with d, since a rotor that a fast ramp stops rings first. A gain error of sensor or current is a factor on K and in no
-loss.
+for currents up to I: an odd function of the current, since iron has no sign of its own, that bends as knees do. s is
+what a rotor that sticks keeps from the sensor, by the side d that a level was reached from (torque_constant.py): no
+more than its Coulomb friction, less where it rings before it stops. e is what of it does not turn with d, and no torque
+of the current. A gain error of sensor or current is a factor on K and in no loss.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
+from leactl.analysis.gains import doubt, gain_std
 from leactl.analysis.levels import Levels, gather, require_levels
 from leactl.analysis.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
 from leactl.analysis.regression import Array, t_quantile
@@ -23,7 +25,10 @@ from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
 
 FEWEST_LEVELS = 5  # magnitudes of current: one more than K, p, q and e need
-BENDS = ("third_order", "fifth_order")
+BENDS = {"second_power": 2, "fourth_power": 4}
+LEAST_UNDER = 0.1  # of the root's argument, on the way to the fit
+SETTLED = 1e-9
+ROUNDS = 20  # Gauss-Newton; it converges in four
 STRAIGHT = 0.02  # of the torque: a loss up to which a current counts as within the straight part
 
 
@@ -42,33 +47,43 @@ class Bent:
     def loss(self, current: float) -> tuple[float, Array]:
         """Share of the torque that is missing at a current, and its gradient by the fit's coefficients."""
         ratio = current / self.peak
-        powers = dict(zip(BENDS, (ratio**2, ratio**4), strict=True))
-        value = -sum(self.line.slope(name) * power for name, power in powers.items()) / self.constant
-        gradient = np.zeros(len(self.line.fit.coefficients))
-        for index, name in enumerate(self.line.slopes):
-            gradient[index] = -powers.get(name, 0.0) / self.constant
-        gradient[self.line.slopes.index("torque_constant")] = -value / self.constant
-        return value, gradient
+        kept = kept_at(ratio, [self.line.slope(name) for name in BENDS])
+        of = {name: 0.5 * kept**3 * ratio**power for name, power in BENDS.items()}
+        return 1.0 - kept, weights(self.line, of)
 
 
-def analyze(runs: Sequence[Run]) -> Result:
+def kept_at(ratio: Array | float, bends: Sequence[float]) -> Any:
+    """Share of the torque that is left at a current over the peak."""
+    under = 1.0 + sum(bend * ratio**power for bend, power in zip(bends, BENDS.values(), strict=True))
+    return 1.0 / np.sqrt(np.maximum(under, LEAST_UNDER))
+
+
+def analyze(
+    runs: Sequence[Run], *, torque_gain_std: float | None = None, current_gain_std: float | None = None
+) -> Result:
     """Fit torque over current up to the peak, both signs, and tell how much of it saturation takes there.
 
-    `torque_constant` [N*m/A] at small currents, `peak_current` [A], `torque_at_peak` [N*m] (halfway between both
-    sides), `loss_at_peak` (share of the torque missing there), `straight_up_to` [A] (where 2 % are missing; without a
-    value, above the peak, where they are not), `sticking_torque` [N*m].
+    `torque_constant` [N*m/A] at small currents, `peak_current` [A], `torque_at_peak` [N*m] (without what sticking
+    hides), `loss_at_peak` (share of the torque missing there), `straight_up_to` [A] (where 2 % are missing; without a
+    value, above the peak, where they are not), `sticking_torque` [N*m] (half the way between both sides of a level, a
+    lower bound of the Coulomb friction).
 
     Parameters
     ----------
     runs : of one actuator under one condition, locked, whose steps `hold` its current at five magnitudes or more.
+    torque_gain_std, current_gain_std : relative standard uncertainties of the readings' calibration; those of the
+        channels unless told.
 
     Raises
     ------
     MissingChannel : a run has no torque or no q-axis current of the test actuator.
     NotIdentifiable : fewer than five magnitudes of current within the sensor's range, or too few points.
+    InputError : an uncertainty below zero.
     """
     place = f"{place_of(runs)}: torque pulses"
     notes = expect_setup(runs, ("locked", "coupled"), "a shaft that turns takes torque past the sensor")
+    torque_std = gain_std(runs, TORQUE, torque_gain_std)
+    both_stds = math.hypot(torque_std, gain_std(runs, CURRENT, current_gain_std))
     levels = of_one_kind(gather(runs, (CURRENT, TORQUE), notes, lambda run, name: usable(run, name, notes)), notes)
     current, torque = levels.value[CURRENT], levels.value[TORQUE]
     require_levels(place, "current", levels.setpoint, current, levels.std[CURRENT])
@@ -79,8 +94,7 @@ def analyze(runs: Sequence[Run]) -> Result:
             " from sticking"
         )
     peak = float(magnitudes[-1])
-    columns = {"torque_constant": current}
-    columns |= {name: current * (current / peak) ** power for name, power in zip(BENDS, (2, 4), strict=True)}
+    columns: dict[str, Array] = {}
     if len(np.unique(np.sign(levels.setpoint))) == 2:
         columns["remainder"] = np.sign(levels.setpoint)
     else:
@@ -89,27 +103,48 @@ def analyze(runs: Sequence[Run]) -> Result:
         columns["sticking_torque"] = levels.direction.astype(np.float64)
     else:
         notes.append("all levels were reached from one side or none is said: sticking friction is not told apart")
-    line = fit_lines(columns, torque, levels, place)
+    line = fitted(current / peak, peak, torque, columns, levels, place)
     bent = Bent(line, peak)
     expected = np.hypot(levels.std[TORQUE], bent.constant * levels.std[CURRENT])
     notes += remarks(line, expected, levels.units[TORQUE])
     notes += [f"{run.path}: {what}" for run in runs for what in convention(run, bent.constant)]
-    notes.append("a gain error of torque or current is a factor on top, and in no loss; a sensor that bends is in both")
+    notes.append(doubt("torque or current", both_stds, "torques and torque_constant, and in no loss"))
+    notes.append("a torque sensor that bends is in the loss")
 
     unit = levels.units[TORQUE]
     results = [
-        line.estimate("torque_constant", "torque_constant", f"{unit}/A"),
+        line.estimate("torque_constant", "torque_constant", f"{unit}/A", both_stds),
         Estimate("peak_current", peak, NAN, NAN, NAN, "A"),
-        at_peak(bent, unit),
+        at_peak(bent, unit, both_stds),
         loss_at_peak(bent),
         straight_up_to(bent, notes),
     ]
     if "sticking_torque" in line.slopes:
-        found = line.fit.estimate("sticking_torque", unit, -weights(line, {"sticking_torque": 1.0}))
+        found = line.fit.estimate("sticking_torque", unit, -weights(line, {"sticking_torque": 1.0}), torque_std)
         results.append(found)
+        notes.append("sticking_torque is what the rotor kept from the sensor: a lower bound of its Coulomb friction")
     paths = tuple(str(run.path) for run in runs)
     plot = plot_of(levels, bent)
     return Result("torque-pulses", paths, tuple(results), tuple(notes), (plot,))
+
+
+def fitted(ratio: Array, peak: float, torque: Array, others: dict[str, Array], levels: Levels, place: str) -> LineFit:
+    """The curve through the levels, by straight lines along its slopes until they do not move."""
+    constant, bends = 0.0, [0.0] * len(BENDS)
+    for _ in range(ROUNDS):
+        kept = kept_at(ratio, bends)
+        along = {"torque_constant": peak * ratio * kept}
+        pull = constant or float(along["torque_constant"] @ torque) / float(
+            along["torque_constant"] @ along["torque_constant"]
+        )
+        along |= {name: -0.5 * pull * peak * ratio ** (1 + power) * kept**3 for name, power in BENDS.items()}
+        shift = sum(bend * along[name] for bend, name in zip(bends, BENDS, strict=True))
+        line = fit_lines(along | others, torque + shift, levels, place)
+        before, bends = bends, [line.slope(name) for name in BENDS]
+        constant = line.slope("torque_constant")
+        if max(abs(new - old) for new, old in zip(bends, before, strict=True)) < SETTLED:
+            break
+    return line
 
 
 def weights(line: LineFit, of: dict[str, float]) -> Array:
@@ -120,16 +155,16 @@ def weights(line: LineFit, of: dict[str, float]) -> Array:
     return found
 
 
-def at_peak(bent: Bent, unit: str) -> Estimate:
-    """Torque at the peak current, halfway between both sides of it; what of the sticking remains is evenly spread."""
-    line, half_way = bent.line, dict.fromkeys(("torque_constant", *BENDS), bent.peak)
-    remainder = 0.0
-    if "remainder" in line.slopes:
-        half_way["remainder"] = 1.0
-        remainder = abs(line.slope("remainder"))
-    share = weights(line, half_way)
-    value = line.fit.combined(share)[0]
-    return line.fit.estimate("torque_at_peak", unit, share, remainder / math.sqrt(3.0) / abs(value))
+def at_peak(bent: Bent, unit: str, relative_std: float) -> Estimate:
+    """Torque of the peak current; what of the sticking does not turn with the side is none of it."""
+    fit, (loss, gradient) = bent.line.fit, bent.loss(bent.peak)
+    full = bent.constant * bent.peak
+    own = weights(bent.line, {"torque_constant": bent.peak * (1.0 - loss)}) - full * gradient
+    value = full * (1.0 - loss)
+    std = math.sqrt(fit.variance * float(own @ fit.unscaled @ own))
+    whole = math.hypot(std, relative_std * value)
+    half = t_quantile(fit.dof * (whole / std) ** 4 if std > 1e-9 * whole else math.inf) * whole
+    return Estimate("torque_at_peak", value, whole, value - half, value + half, unit)
 
 
 def loss_at_peak(bent: Bent) -> Estimate:

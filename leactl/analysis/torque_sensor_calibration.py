@@ -1,9 +1,10 @@
 """Calibration of the torque sensor by dead weights on an arm, with an uncertainty budget (GUM, JCGM 100:2008).
 
 reading = S m g l + zero: what the weights do is known but for mass, gravity and arm, so S is the factor by which the
-bench's scale is off. What a straight line does not tell is a part of the budget each: type A from the scatter of
-repeats, type B as a rectangle of half the width that was seen (GUM, 4.3.7). The coverage factor is by Welch and
-Satterthwaite.
+bench's scale is off. The zero may drift along a straight line: weights of one sense all come before those of the other,
+and a drift would be taken for a part of S. What a straight line does not tell is a part of the budget each: type A from
+the scatter of repeats, type B as a rectangle of half the width that was seen (GUM, 4.3.7). The coverage factor is by
+Welch and Satterthwaite.
 """
 
 import math
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
+from leactl.analysis.intervals import half_width, step_of
 from leactl.analysis.levels import Held, Levels, gather
 from leactl.analysis.linefit import LineFit, cells_of, fit_lines, place_of, remarks
 from leactl.analysis.regression import Array, t_quantile
@@ -22,10 +24,11 @@ from leactl.runfile.reader import Run
 
 HELD = Held("weight_Nm", "N*m", "bench")
 WEIGHED_BY = 9.80665  # m/s^2, in the torque that the holds tell
-GRAVITY_STD = 0.026 / math.sqrt(3.0)  # m/s^2: 9.780 at the equator to 9.832 at the poles
+GRAVITY_WITHIN = 0.026  # m/s^2: 9.780 at the equator to 9.832 at the poles
 MASS_STD = 5e-4 / math.sqrt(3.0)  # relative: OIML R 111, class M3
 ARM_STD_M = 0.2e-3 / math.sqrt(3.0)  # a drawing's tolerance
 FEWEST_WEIGHTS = 3
+LOOP = "hysteresis"
 FOLLOWS = 10.0  # standard errors that the sensitivity must differ from zero by
 OFF = 0.005  # from one: a factor of which a note says what to do
 SWINGS = 0.002  # of the highest torque, between the quarters of a hold
@@ -36,7 +39,13 @@ class Reference:
     """What the torque of the weights is known to."""
 
     factor: float  # gravity at the place over the one that the holds tell
-    relative_std: float
+    relative_std: float  # of mass, arm and gravity, as far as what is told of them goes
+    within: float  # relative; gravity lies anywhere between as much less and as much more where none is told
+
+    @property
+    def whole_std(self) -> float:
+        """Relative standard uncertainty."""
+        return math.hypot(self.relative_std, self.within / math.sqrt(3.0))
 
 
 @dataclass(frozen=True)
@@ -58,9 +67,10 @@ def analyze(
 ) -> Result:
     """The factor that the bench's torque is off by, its zero, and the budget of a torque that is measured with it.
 
-    `sensitivity` (reading over torque), `zero` [N*m], `highest_torque` [N*m] that weights made; standard uncertainties
-    there [N*m]: `uncertainty_repeatability`, `_sensitivity`, `_linearity`, `_hysteresis`, `_resolution`, `_zero_drift`,
-    `_reference`; `combined_uncertainty` [N*m], `coverage_factor`, `expanded_uncertainty` [N*m] at 95 %.
+    `sensitivity` (reading over torque), `zero` [N*m] halfway through the run, `highest_torque` [N*m] that weights made;
+    standard uncertainties there [N*m]: `uncertainty_repeatability`, `_sensitivity`, `_linearity`, `_hysteresis`,
+    `_resolution`, `_zero_drift`, `_reference`; `combined_uncertainty` [N*m], `coverage_factor`, `expanded_uncertainty`
+    [N*m] at 95 %.
 
     Parameters
     ----------
@@ -86,7 +96,7 @@ def analyze(
             " sensor is straight"
         )
     applied = levels.setpoint * reference.factor
-    line = fit_lines({"sensitivity": applied}, levels.value[TORQUE], levels, place)
+    line = fitted(applied, levels, place)
     factor = line.slope("sensitivity")
     highest = float(np.max(np.abs(applied)))
     notes += remarks(line, levels.std[TORQUE], "N*m")
@@ -97,9 +107,9 @@ def analyze(
         )
     notes += judged(line, levels, factor, highest)
     parts = budget(runs, levels, line, own.std, highest, notes)
-    parts.append(Part("reference", highest * reference.relative_std))
+    parts.append(Part("reference", highest * reference.whole_std))
     results = [
-        line.estimate("sensitivity", "sensitivity", "1", reference.relative_std),
+        sensitivity(line, reference),
         line.fit.estimate("zero", "N*m", line.mean_intercept),
         Estimate("highest_torque", highest, NAN, NAN, NAN, "N*m"),
         *(Estimate(f"uncertainty_{part.name}", part.std, NAN, NAN, NAN, "N*m") for part in parts),
@@ -132,8 +142,9 @@ def reference_of(
     arms = {float(arm) for run in runs for step in run.steps if (arm := step.parameters.get("arm_m")) is not None}
     if not arms or min(arms) <= 0.0:
         raise NotIdentifiable(f"{place_of(runs)}: no hold tells the arm of its weights (arm_m)")
+    somewhere = gravity is None and gravity_std is None
     taken = {
-        "gravity_std": GRAVITY_STD if gravity is None else 0.0,
+        "gravity_std": GRAVITY_WITHIN / math.sqrt(3.0) if somewhere else 0.0,
         "mass_relative_std": MASS_STD,
         "arm_std_m": ARM_STD_M,
     }
@@ -142,8 +153,42 @@ def reference_of(
         notes.append(f"not given and taken: {listed(lacking)}; gravity {gravity or WEIGHED_BY:g} m/s^2")
     own = {name: taken[name] if number is None else number for name, number in stds.items()}
     at_place = gravity or WEIGHED_BY
-    relative = math.hypot(own["gravity_std"] / at_place, own["mass_relative_std"], own["arm_std_m"] / min(arms))
-    return Reference(at_place / WEIGHED_BY, relative)
+    known = 0.0 if somewhere else own["gravity_std"] / at_place
+    relative = math.hypot(known, own["mass_relative_std"], own["arm_std_m"] / min(arms))
+    return Reference(at_place / WEIGHED_BY, relative, GRAVITY_WITHIN / at_place if somewhere else 0.0)
+
+
+def fitted(applied: Array, levels: Levels, place: str) -> LineFit:
+    """Reading over torque, with what goes with time or side as far as the holds tell it.
+
+    Each run's zero drifts by itself; hysteresis opens a loop between rising and falling weights, closed at both ends.
+    """
+    time = np.array([0.5 * (hold.start + hold.stop) for hold in levels.holds])
+    columns = {"sensitivity": applied}
+    for number in np.unique(levels.run):
+        of_it = levels.run == number
+        middle = 0.5 * (time[of_it].min() + time[of_it].max())
+        columns[f"drift_{number}"] = np.where(of_it, time - middle, 0.0) / max(float(np.ptp(time[of_it])), 1e-9)
+    if {1, -1} <= set(levels.direction.tolist()):
+        columns[LOOP] = -np.sign(applied) * levels.direction * loop_at(applied)
+    try:
+        return fit_lines(columns, levels.value[TORQUE], levels, place)
+    except NotIdentifiable:
+        return fit_lines({"sensitivity": applied}, levels.value[TORQUE], levels, place)
+
+
+def loop_at(applied: Array) -> Array:
+    """Half the width of a loop over its greatest."""
+    share = np.abs(applied) / float(np.max(np.abs(applied)))
+    return np.asarray(4.0 * share * (1.0 - share))
+
+
+def sensitivity(line: LineFit, reference: Reference) -> Estimate:
+    """The factor, with what the weights' torque is known to."""
+    own = line.estimate("sensitivity", "sensitivity", "1", reference.relative_std)
+    half = half_width((own.high - own.value) / t_quantile(math.inf), math.inf, reference.within * own.value)
+    std = math.hypot(own.std, reference.within / math.sqrt(3.0) * own.value)
+    return Estimate(own.name, own.value, std, own.value - half, own.value + half, own.units)
 
 
 def judged(line: LineFit, levels: Levels, factor: float, highest: float) -> list[str]:
@@ -172,6 +217,8 @@ def budget(
     """What a straight line does not tell, as standard uncertainties of a torque [N*m]; NaN where it was not seen."""
     factor = abs(line.slope("sensitivity"))
     residuals = line.fit.residuals / factor
+    if LOOP in line.slopes:  # the loop is a part of the budget
+        residuals = residuals + line.slope(LOOP) / factor * line.fit.projected[:, line.slopes.index(LOOP)]
     cells = np.unique(np.column_stack([cells_of(levels), levels.run]), axis=0, return_inverse=True)[1].reshape(-1)
     counts = np.bincount(cells)
     within = residuals - (np.bincount(cells, residuals) / counts)[cells]
@@ -189,7 +236,7 @@ def budget(
         notes.append("weights were not hung rising and falling: hysteresis is not known, and not in the combined one")
     straight = [abs(float(residuals[levels.setpoint == value].mean())) for value in np.unique(levels.setpoint)]
     zeros = levels.value[TORQUE][levels.setpoint == 0.0] / factor
-    steps = [resolution_of(run) / factor for run in runs]
+    steps = [step_of(run.channel(TORQUE).values) / factor for run in runs]
     return [
         Part("repeatability", repeat, dof or math.inf),
         Part("sensitivity", highest * slope_std / factor, line.fit.dof),
@@ -198,14 +245,6 @@ def budget(
         Part("resolution", math.sqrt(2.0) * max(steps) / math.sqrt(12.0)),  # of a reading and of its zero
         Part("zero_drift", 0.5 * float(np.ptp(zeros)) / math.sqrt(3.0) if len(zeros) > 1 else NAN),
     ]
-
-
-def resolution_of(run: Run) -> float:
-    """The least step between two readings [N*m]; 0 where there is none."""
-    values = run.channel(TORQUE).values
-    steps = np.diff(np.unique(values[np.isfinite(values)]))
-    clear = steps[steps > 1e-9]
-    return float(clear.min()) if len(clear) else 0.0
 
 
 def combined(parts: Sequence[Part]) -> list[Estimate]:

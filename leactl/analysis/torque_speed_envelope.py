@@ -1,49 +1,59 @@
 """Torque-speed envelope: the torque that drive, supply and winding give at each speed, driving.
 
 Up to the corner the current limit is what the drive holds. Beyond it back-EMF, resistance and inductance leave the bus
-voltage too little for that current, and what flows falls with the speed. The corner is where the fitted speed over the
-missing current comes to none missing; nothing is extrapolated beyond the speeds that were driven.
+voltage too little for that current, and what flows falls with the speed (corner.py). Where the speed still changes
+within a hold, what the rotor's inertia takes or gives is put back. The error of the sensor's zero is in every torque
+alike, since all of them have one sign.
 """
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from leactl.analysis.carried_model import rotor_inertia_of_model
+from leactl.analysis.corner import Limited, Mask, corner, groups_of
 from leactl.analysis.drag import VELOCITY
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
+from leactl.analysis.gains import doubt, gain_std
+from leactl.analysis.intervals import step_of
 from leactl.analysis.levels import Levels, gather
 from leactl.analysis.linefit import expect_setup, place_of
-from leactl.analysis.regression import Array, least_squares
+from leactl.analysis.regression import Array, departure, judged_by, least_squares, one_column_each
 from leactl.analysis.torque_constant import CURRENT, TORQUE, usable
-from leactl.analysis.trials import Trial, mean_of
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
 
 BUS = "bus_voltage"
 MISSING = 0.02  # of the current asked for: more, and the voltage is the limit
-FEWEST_LIMITED = 4  # holds beyond the corner: one more than its fit has unknowns
+HELD = 0.002  # of it: less, and the drive had all of it
+CLEAR = 4.0  # standard errors of a mean current, within which it is as asked for
 SAG = 0.01  # of the bus voltage at its highest
 STEADY_RAD_S = 0.1  # between the quarters of a hold
-SAME_SPEED = 0.1  # rad/s, of holds that count as repeats; their load settles alike
-Mask = npt.NDArray[np.bool_]
+INERTIA_STD = 0.1  # relative standard uncertainty of the inertia: it may be one of a drawing
+FEWEST_AT_REST = 20  # readings of torque before the first step, that tell how well its zero is known
+QUARTILE = 0.6745  # of a normal distribution, in standard deviations
 
 
-def analyze(runs: Sequence[Run]) -> Result:
+def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Result:
     """Highest torque and power that were driven, and the speed at which the voltage begins to fail.
 
     `highest_torque` [N*m] and `highest_power` [W] with `speed_of_highest_torque` and `speed_of_highest_power` [rad/s];
-    `corner_speed` [rad/s], without a value where all levels are on one side of it; `current_limit` [A] as asked for;
+    `corner_speed` [rad/s] of the winding as warm as its holds left it, without a value where all levels are on one side
+    of it; `current_limit` [A] as asked for;
     `bus_voltage` [V] at its lowest.
 
     Parameters
     ----------
     runs : of one actuator under one condition, coupled, whose steps `hold` its current at speeds of the load.
+    torque_gain_std : relative standard uncertainty of the torque's calibration; the channel's own unless told.
 
     Raises
     ------
     MissingChannel : a run has no torque, velocity or q-axis current of the test actuator.
     NotIdentifiable : no hold in which the actuator drove, or holds that ask for different currents.
+    InputError : an uncertainty below zero.
     """
     place = f"{place_of(runs)}: torque-speed envelope"
     notes = expect_setup(runs, ("coupled",), "another machine has to hold the speed")
@@ -55,24 +65,22 @@ def analyze(runs: Sequence[Run]) -> Result:
             f"{place}: holds ask for {listed(f'{one:g} A' for one in asked)}; one current was expected"
         )
     limit = float(asked[0])
-    speed, torque = np.abs(levels.value[VELOCITY]), np.abs(levels.value[TORQUE])
-    flowing = np.abs(levels.value[CURRENT])
+    speed, flowing = np.abs(levels.value[VELOCITY]), np.abs(levels.value[CURRENT])
     limited = flowing < (1.0 - MISSING) * limit
-    quarters = levels.quarters[VELOCITY]
-    drifted = float(np.max(np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1)))
-    if drifted > STEADY_RAD_S:
-        notes.append(
-            f"the speed changed by up to {drifted:.2g} rad/s within a hold: the rotor's inertia is in its torque, and"
-            " in no interval; settle longer"
-        )
+    held = limit - flowing <= np.maximum(HELD * limit, CLEAR * levels.std[CURRENT])
+    taken = by_inertia(runs, levels, notes)
+    torque = np.abs(levels.value[TORQUE]) + taken
+    zero = math.hypot(zero_std(runs, notes), INERTIA_STD * float(np.max(np.abs(taken))))
+    shared = Shared(zero, gain_std(runs, TORQUE, torque_gain_std))
     results = [
-        *best("torque", torque, levels, "N*m", notes),
-        *best("power", torque * speed, levels, "W", notes),
-        corner(speed, limit - flowing, limited, notes, place),
+        *best("torque", "N*m", np.ones_like(speed), torque, limited, levels, shared),
+        *best("power", "W", speed, torque, limited, levels, shared),
+        corner(runs, Limited(speed, flowing, limit, limited, held, levels.run), notes, place),
         Estimate("current_limit", limit, NAN, NAN, NAN, "A"),
         *bus(runs, notes),
     ]
-    notes.append("an error in the calibration of the torque sensor is a factor on torque and power")
+    notes += [f"{item.name} without a repeat: how it scatters is not known" for item in results if no_interval(item)]
+    notes.append(doubt("the torque sensor", shared.gain, "torque and power"))
     paths = tuple(str(run.path) for run in runs)
     return Result("torque-speed-envelope", paths, tuple(results), tuple(notes), (plot_of(speed, torque, limited),))
 
@@ -93,44 +101,77 @@ def driving(levels: Levels, place: str, notes: list[str]) -> Levels:
     return levels.where(gives)
 
 
-def best(name: str, values: Array, levels: Levels, units: str, notes: list[str]) -> list[Estimate]:
-    """The highest mean over the repeats of one speed, and that speed."""
+def no_interval(item: Estimate) -> bool:
+    """Whether it is a highest value that nothing tells the scatter of."""
+    return item.name.startswith("highest") and math.isnan(item.std)
+
+
+def by_inertia(runs: Sequence[Run], levels: Levels, notes: list[str]) -> Array:
+    """What of the torque in each hold went into the rotor, along the motion [N*m]: less than nothing where it slows."""
+    quarters = levels.quarters[VELOCITY] * np.sign(levels.value[VELOCITY])[:, np.newaxis]
+    places = (np.arange(4) - 1.5) / 4.0  # of the quarters' middles, from the middle of the hold, over its length
+    length = np.array([hold.stop - hold.start for hold in levels.holds])
+    growth = np.nan_to_num(quarters @ places) / float(places @ places) / length
+    drifted = float(np.max(np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1)))
+    inertias = np.array([rotor_inertia_of_model(run) for run in runs])[levels.run]
+    if drifted > STEADY_RAD_S:
+        lacking = np.isnan(inertias).any()
+        what = "in its torque, and in no interval: give the model a rotor_inertia, or settle longer"
+        notes.append(
+            f"the speed changed by up to {drifted:.2g} rad/s within a hold: the rotor's inertia is"
+            f" {what if lacking else 'put back'}"
+        )
+    return np.asarray(np.nan_to_num(inertias) * growth)
+
+
+def zero_std(runs: Sequence[Run], notes: list[str]) -> float:
+    """Standard uncertainty of the torque's zero, by the scatter of what it was tared with [N*m]: 0 where nothing tells.
+
+    Readings that follow one another are compared, since the zero itself moves where it is tared.
+    """
+    found = []
+    for run in runs:
+        torque, steps = run.channel(TORQUE), run.steps
+        rest = torque.values[(torque.time < steps[0].start) & np.isfinite(torque.values)]
+        if len(rest) < FEWEST_AT_REST:
+            notes.append(f"{run.path}: no torque at rest before its first step: how well its zero is known is not told")
+            continue
+        noise = float(np.median(np.abs(np.diff(rest)))) / (QUARTILE * math.sqrt(2.0))
+        found.append(max(noise, step_of(torque.values) / math.sqrt(12.0)) / math.sqrt(len(rest)))
+    return max(found, default=0.0)
+
+
+@dataclass(frozen=True)
+class Shared:
+    """Standard uncertainties that every torque has alike: of a zero [N*m], and of a factor."""
+
+    zero: float
+    gain: float
+
+
+def best(
+    name: str, units: str, factor: Array, torque: Array, kind: Mask, levels: Levels, shared: Shared
+) -> list[Estimate]:
+    """The highest mean of torque times a factor over the repeats of one speed, and that speed.
+
+    Repeats of all speeds of one `kind`, on one side of the corner, tell how torques scatter; there is no interval where
+    no speed has a repeat.
+    """
     speed = np.abs(levels.value[VELOCITY])
-    order = np.argsort(speed)
-    group = np.empty(len(speed), np.int64)
-    group[order] = np.cumsum(np.concatenate([[0], np.diff(speed[order]) > SAME_SPEED]))
-    means = np.bincount(group, values) / np.bincount(group)
+    group = groups_of(speed)
+    means = np.bincount(group, torque * factor) / np.bincount(group)
     own = group == int(np.argmax(means))
     at = Estimate(f"speed_of_highest_{name}", float(speed[own].mean()), NAN, NAN, NAN, "rad/s")
-    trials = [Trial(int(run), 0) for run in levels.run[own]]
+    alike = kind == kind[np.flatnonzero(own)[0]]
+    speeds = one_column_each(group[alike])
     try:
-        found = mean_of(values[own].tolist(), trials, f"highest_{name}", units)
+        fit = least_squares(speeds, torque[alike], speeds, name)
     except NotIdentifiable:
-        notes.append(f"highest_{name} without a repeat: how it scatters is not known")
-        found = Estimate(f"highest_{name}", float(values[own].mean()), NAN, NAN, NAN, units)
-    return [found, at]
-
-
-def corner(speed: Array, missing: Array, limited: Mask, notes: list[str], place: str) -> Estimate:
-    """The speed above which the current is not what was asked for."""
-    name, unit = "corner_speed", "rad/s"
-    if not limited.any():
-        top = float(speed.max())
-        notes.append(f"the current was as asked for up to {top:.4g} rad/s: the corner lies above")
-        return Estimate(name, NAN, NAN, top, np.inf, unit)
-    if limited.all():
-        low = float(speed.min())
-        notes.append(f"the current fell short at every speed: the corner lies below {low:.4g} rad/s")
-        return Estimate(name, NAN, NAN, 0.0, low, unit)
-    between = float(speed[~limited].max()), float(speed[limited].min())
-    if int(limited.sum()) < FEWEST_LIMITED:
-        notes.append(
-            f"{limited.sum()} holds beyond the corner; {FEWEST_LIMITED} or more tell it closer than its neighbours"
-        )
-        return Estimate(name, NAN, NAN, min(between), max(between), unit)
-    design = np.vander(missing[limited], 3, increasing=True)
-    fit = least_squares(design, speed[limited], design, place)
-    return fit.estimate(name, unit, np.array([1.0, 0.0, 0.0]))
+        return [Estimate(f"highest_{name}", float(np.max(means)), NAN, NAN, NAN, units), at]
+    fit = judged_by(fit, departure(speeds, torque[alike], one_column_each(levels.run[alike])))
+    weights = (np.unique(group[alike]) == group[own][0]) * float(factor[own].mean())
+    relative = math.hypot(shared.gain, shared.zero / float(torque[own].mean()))
+    return [fit.estimate(f"highest_{name}", units, weights, relative), at]
 
 
 def bus(runs: Sequence[Run], notes: list[str]) -> list[Estimate]:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leactl.analysis.estimate import Estimate
+from leactl.analysis.intervals import half_width
 from leactl.analysis.levels import standard_error
-from leactl.analysis.regression import POOLED_ABOVE, t_quantile
+from leactl.analysis.regression import POOLED_ABOVE
 from leactl.analysis.waves import Array
 
 CLEAR = 5.0  # standard errors, above which a drift is one
@@ -40,17 +41,18 @@ class Shares:
         return Shares(0.0, self.time_base, 0.0)
 
     @property
-    def total(self) -> float:
-        """In squares."""
-        return math.hypot(self.scale, self.time_base, self.resolution)
+    def scattered(self) -> float:
+        """Of scale and rounding, in squares; the time base is evenly spread, and counts by itself."""
+        return math.hypot(self.scale, self.resolution)
 
 
 def constant_of(name: str, units: str, series: Sequence[Array], shares: Shares) -> Estimate:
     """One number from the waves of every hold, with its 95 % interval."""
     value, own, dof = pooled(series)
-    std = math.hypot(own, shares.total * value)
-    effective = dof * (std / own) ** 4 if own > 1e-9 * std else math.inf
-    half = t_quantile(effective) * std
+    scattered = math.hypot(own, shares.scattered * value)
+    effective = dof * (scattered / own) ** 4 if own > 1e-9 * scattered else math.inf
+    half = half_width(scattered, effective, math.sqrt(3.0) * shares.time_base * value)
+    std = math.hypot(scattered, shares.time_base * value)
     return Estimate(name, value, std, value - half, value + half, units)
 
 

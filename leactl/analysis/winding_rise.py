@@ -13,8 +13,10 @@ import numpy.typing as npt
 
 from leactl import yamlfile
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
+from leactl.analysis.gains import doubt, gain_std
+from leactl.analysis.intervals import half_width, rounding_limit, rounding_of, step_of
 from leactl.analysis.linefit import expect_setup, place_of
-from leactl.analysis.regression import least_squares, t_quantile
+from leactl.analysis.regression import least_squares
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run
 
@@ -24,7 +26,7 @@ COLD_S = 3.0  # after switching on, over which a parabola leads back to the cold
 SKIPPED = 2  # readings after switching on, which the supply may have begun before
 HOT_S = 30.0
 STEADY_S, STEADY_K = 1800.0, 1.0
-BLOCK_S = 60.0  # whose mean counts once
+BLOCK_S = 60.0  # whose mean counts
 FEWEST = 10
 UNKNOWN_COLD = (25.0, 3.0)  # degC and its standard uncertainty, where no ambient was measured
 SHOWN = 300  # points of the plot
@@ -36,7 +38,8 @@ class Heating:
 
     time: Array  # s since switching on
     resistance: Array  # ohm
-    resolution: float  # standard uncertainty of a resistance by the steps of voltage and current, relative
+    step: float  # ohm, of a resistance by the steps of the voltage
+    of_current: float  # relative standard uncertainty of a resistance by the steps of the current
     before: float  # s of the run, at which it was switched on
 
 
@@ -45,17 +48,46 @@ class Copper:
     """How the resistance goes with the temperature, by the model of a run."""
 
     coefficient: float  # 1/K
-    std: float  # relative
+    within: float  # relative: it lies anywhere between as much less and as much more
     reference: float  # degC
 
 
-def analyze(runs: Sequence[Run]) -> Result:
+@dataclass(frozen=True)
+class Known:
+    """A resistance [ohm] and what it is known to."""
+
+    value: float
+    std: float  # of what scatters
+    dof: float
+    limit: float  # of the rounding error of the voltage, which is evenly spread
+    of_current: float  # relative standard uncertainty by the steps of the current, which both resistances share
+
+    def estimate(self, name: str, gain: float) -> Estimate:
+        """With the steps of the current, and a relative standard uncertainty of the readings' calibration."""
+        shared = math.hypot(self.of_current, gain) * self.value
+        std = math.hypot(self.std, shared)
+        dof = self.dof * (std / self.std) ** 4 if self.std > 1e-9 * std else math.inf
+        half = half_width(std, dof, self.limit)
+        whole = math.hypot(std, self.limit / math.sqrt(3.0))
+        return Estimate(name, self.value, whole, self.value - half, self.value + half, "ohm")
+
+
+def analyze(
+    runs: Sequence[Run], *, voltage_gain_std: float | None = None, current_gain_std: float | None = None
+) -> Result:
     """Cold and hot resistance [ohm], rise [K], and its change over the last 30 minutes of heating [K].
+
+    Parameters
+    ----------
+    runs : one run of one actuator, heated.
+    voltage_gain_std, current_gain_std : relative standard uncertainties of the supply's readings; those of the channels
+        unless told.
 
     Raises
     ------
     MissingChannel : a run lacks line current or line voltage of the test actuator.
     NotIdentifiable : more than one run, no current, too few readings, or no resistance coefficient in the model.
+    InputError : an uncertainty below zero, or leads that are swapped.
     """
     place = place_of(runs)
     if len(runs) > 1:
@@ -63,25 +95,21 @@ def analyze(runs: Sequence[Run]) -> Result:
     run = runs[0]
     notes = expect_setup(runs, ("heated",), "friction and iron loss would heat besides")
     copper, heating = copper_of(run), heating_of(run)
-    cold, cold_std = cold_resistance(heating, place)
-    last = heating.time >= heating.time[-1] - HOT_S
-    hot, hot_std = float(np.mean(heating.resistance[last])), heating.resolution * float(np.mean(heating.resistance))
+    gain = math.hypot(
+        gain_std(runs, "line_voltage", voltage_gain_std), gain_std(runs, "line_current", current_gain_std)
+    )
+    cold, hot = cold_resistance(heating, place), hot_resistance(heating)
     at_first, at_first_std = cold_temperature(run, heating.before, notes)
     per_ratio = 1.0 / copper.coefficient + at_first - copper.reference  # K for a resistance twice the cold one
-    rise = (hot / cold - 1.0) * per_ratio
-    scale_std = math.hypot(copper.std / copper.coefficient, at_first_std) / per_ratio
-    own_std = per_ratio * hot / cold * math.hypot(hot_std / hot, cold_std / cold)
     results = (
-        estimate("cold_resistance", cold, cold_std, "ohm"),
-        estimate("hot_resistance", hot, hot_std, "ohm"),
-        estimate("winding_rise", rise, math.hypot(own_std, rise * scale_std), "K"),
-        change(heating, per_ratio / cold, notes),
+        cold.estimate("cold_resistance", gain),
+        hot.estimate("hot_resistance", gain),
+        winding_rise(cold, hot, per_ratio, at_first_std, copper.within / copper.coefficient),
+        change(heating, per_ratio / cold.value, notes),
     )
-    notes.append(
-        "resistances lack the calibration of the supply's readings; the rise is of their ratio, and free of it"
-    )
+    notes.append(doubt("the supply's readings", gain, "resistances; the rise is of their ratio, and free of it"))
     every = max(1, len(heating.time) // SHOWN)
-    kelvin = (heating.resistance[::every] / cold - 1.0) * per_ratio
+    kelvin = (heating.resistance[::every] / cold.value - 1.0) * per_ratio
     shown = Series(str(run.path), tuple(heating.time[::every].tolist()), tuple(kelvin.tolist()))
     return Result(
         "winding-rise", (str(run.path),), results, tuple(notes), (Plot("time [s]", "rise [K]", (shown,), ()),)
@@ -110,18 +138,13 @@ def heating_of(run: Run) -> Heating:
             " one of the two has its leads swapped"
         )
     begun = float(time[longest.start - SKIPPED])
-    resolution = math.hypot(*(step_of(one) / abs(float(np.mean(one))) for one in (volts[longest], amperes[longest])))
-    return Heating(time[longest] - begun, resistance, resolution / math.sqrt(12.0), begun)
+    mean = abs(float(np.mean(amperes[longest])))
+    of_current = rounding_of(amperes[longest], step_of(amperes[longest])) / mean
+    return Heating(time[longest] - begun, resistance, step_of(volts[longest]) / mean, of_current, begun)
 
 
-def step_of(values: Array) -> float:
-    """The least difference of two readings; 0 where all are alike."""
-    steps = np.diff(np.unique(np.round(values, 6)))
-    return float(np.min(steps, initial=math.inf)) if len(steps) else 0.0
-
-
-def cold_resistance(heating: Heating, place: str) -> tuple[float, float]:
-    """Resistance at the moment of switching on, and its standard uncertainty [ohm]."""
+def cold_resistance(heating: Heating, place: str) -> Known:
+    """Resistance at the moment of switching on."""
     first = heating.time < COLD_S
     if int(np.sum(first)) < FEWEST:
         raise NotIdentifiable(
@@ -131,7 +154,50 @@ def cold_resistance(heating: Heating, place: str) -> tuple[float, float]:
     design = np.vander(heating.time[first], 3, increasing=True)
     fit = least_squares(design, heating.resistance[first], design, place)
     value, own = fit.combined(np.array([1.0, 0.0, 0.0]))
-    return value, math.hypot(own, heating.resolution * value)
+    limit = left_of_steps(heating, heating.resistance[first] - fit.residuals, np.linalg.pinv(design)[0], fit.residuals)
+    if heating.step and limit:  # the residuals are of noise and steps; what the steps do is counted by itself
+        own *= math.sqrt(max(0.0, 1.0 - heating.step**2 / 12.0 / max(fit.variance, 1e-30)))
+    return Known(value, own, fit.dof, limit, heating.of_current)
+
+
+def hot_resistance(heating: Heating) -> Known:
+    """Mean resistance of the last half minute."""
+    last = heating.time >= heating.time[-1] - HOT_S
+    value, own, limit = mean_of_part(heating, last)
+    return Known(value, own, float(np.sum(last)) - 1.0, limit, heating.of_current)
+
+
+def mean_of_part(heating: Heating, part: npt.NDArray[np.bool_]) -> tuple[float, float, float]:
+    """Mean resistance over some readings, its standard error, and the limit of its rounding error [ohm]."""
+    time, values = heating.time[part], heating.resistance[part]
+    design = np.column_stack([np.ones_like(time), time - time.mean()])
+    rest = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
+    limit = left_of_steps(heating, values - rest, np.full(len(values), 1.0 / len(values)), rest)
+    return float(np.mean(values)), float(np.std(rest)) / math.sqrt(max(len(values) - 2, 1)), limit
+
+
+def left_of_steps(heating: Heating, curve: Array, weights: Array, rest: Array) -> float:
+    """Limit of the rounding error in a weighted sum, as far as noise leaves one [ohm]."""
+    if heating.step <= 0.0:
+        return 0.0
+    noise = math.sqrt(max(0.0, float(np.var(rest)) - heating.step**2 / 12.0))
+    return rounding_limit(curve, heating.step, weights) * math.exp(-2.0 * (math.pi * noise / heating.step) ** 2)
+
+
+def winding_rise(cold: Known, hot: Known, per_ratio: float, at_first_std: float, within: float) -> Estimate:
+    """Rise by the ratio of both resistances; `within` is how far 1 / alpha may lie off [K]."""
+    ratio = hot.value / cold.value
+    rise = (ratio - 1.0) * per_ratio
+    own = per_ratio * ratio * math.hypot(hot.std / hot.value, cold.std / cold.value)
+    scattered = math.hypot(own, rise * at_first_std / per_ratio)
+    limits = (
+        rise * within / per_ratio,
+        per_ratio * ratio * hot.limit / hot.value,
+        per_ratio * ratio * cold.limit / cold.value,
+    )
+    half = half_width(scattered, math.inf, *limits)
+    std = math.hypot(scattered, *(limit / math.sqrt(3.0) for limit in limits))
+    return Estimate("winding_rise", rise, std, rise - half, rise + half, "K")
 
 
 def copper_of(run: Run) -> Copper:
@@ -144,7 +210,7 @@ def copper_of(run: Run) -> Copper:
         raise NotIdentifiable(f"{run.path}: its model has no resistance_coefficient; a rise cannot be told without")
     tolerances = model.get("tolerances")
     width = tolerances.get("resistance_coefficient", 0.0) if isinstance(tolerances, dict) else 0.0
-    return Copper(float(found), float(width) / math.sqrt(3.0), float(model.get("reference_temperature", 25.0)))
+    return Copper(float(found), float(width), float(model.get("reference_temperature", 25.0)))
 
 
 def cold_temperature(run: Run, before: float, notes: list[str]) -> tuple[float, float]:
@@ -159,23 +225,22 @@ def cold_temperature(run: Run, before: float, notes: list[str]) -> tuple[float, 
 
 
 def change(heating: Heating, kelvin_per_ohm: float, notes: list[str]) -> Estimate:
-    """How far the rise still went in the last half hour of heating; steady is 1 K or less."""
+    """How far the rise still went in the last half hour of heating, minute against minute; steady is 1 K or less."""
     name = "change_in_last_30_min"
-    if heating.time[-1] < STEADY_S:
-        notes.append(f"heated for {heating.time[-1] / 60:.0f} min: whether it is steady shows after 30 min")
+    if heating.time[-1] < STEADY_S + BLOCK_S:
+        notes.append(f"heated for {heating.time[-1] / 60:.0f} min: whether it is steady shows after 31 min")
         return Estimate(name, NAN, NAN, NAN, NAN, "K")
-    last = heating.time >= heating.time[-1] - STEADY_S
-    block = ((heating.time[last] - heating.time[last][0]) / BLOCK_S).astype(int)
-    counts = np.bincount(block)
-    kept = counts > 0
-    time = np.bincount(block, heating.time[last])[kept] / counts[kept]
-    mean = np.bincount(block, heating.resistance[last])[kept] / counts[kept] * kelvin_per_ohm
-    design = np.column_stack([time - time.mean(), np.ones_like(time)])
-    slope, own = least_squares(design, mean, design, name).combined(np.array([1.0, 0.0]))
-    step = math.sqrt(2.0) * heating.resolution * float(np.mean(mean))  # of a voltage that may stay within one step
-    std = math.hypot(own * STEADY_S, step)
-    half = t_quantile(len(time) - 2.0) * std
-    found = Estimate(name, slope * STEADY_S, std, slope * STEADY_S - half, slope * STEADY_S + half, "K")
+    end = heating.time[-1]
+    then, now = (
+        mean_of_part(heating, (heating.time > stop - BLOCK_S) & (heating.time <= stop))
+        for stop in (end - STEADY_S, end)
+    )
+    value = (now[0] - then[0]) * kelvin_per_ohm
+    scattered = math.hypot(now[1], then[1]) * kelvin_per_ohm
+    limits = [part[2] * kelvin_per_ohm for part in (then, now)]
+    half = half_width(scattered, math.inf, *limits)
+    std = math.hypot(scattered, *(limit / math.sqrt(3.0) for limit in limits))
+    found = Estimate(name, value, std, value - half, value + half, "K")
     if max(abs(found.low), abs(found.high)) <= STEADY_K:
         notes.append(f"steady: no more than {STEADY_K:g} K in the last 30 min of heating")
     elif found.low > STEADY_K or found.high < -STEADY_K:
@@ -183,9 +248,3 @@ def change(heating: Heating, kelvin_per_ohm: float, notes: list[str]) -> Estimat
     else:
         notes.append(f"whether it is steady ({STEADY_K:g} K in 30 min) cannot be told from these readings")
     return found
-
-
-def estimate(name: str, value: float, std: float, units: str) -> Estimate:
-    """A value with the interval of a normal distribution."""
-    half = t_quantile(math.inf) * std
-    return Estimate(name, value, std, value - half, value + half, units)

@@ -37,21 +37,26 @@ class Bench:
         role="test",
         repeats=None,
         key="current_A",
+        hold_s=HOLD_S,
+        settle_s=SETTLE_S,
+        before_s=0.0,
         **how,
     ):
         """Write a run and return its path.
 
         `holds` are (setpoint, direction), `key` is what their setpoint is told by, `levels` map a quantity to its value
         in each hold, `noise` is the standard deviation of single readings, one for all or by quantity; `edit` may
-        change the columns before they are written.
+        change the columns before they are written. Before the first hold all read zero and noise for `before_s`.
         """
-        per_hold = round(HOLD_S * rate_Hz)
-        time = np.arange(len(holds) * per_hold) / rate_Hz
+        per_hold, before = round(hold_s * rate_Hz), round(before_s * rate_Hz)
+        time = np.arange(before + len(holds) * per_hold) / rate_Hz
         columns = {}
         for name, values in levels.items():
             deviation = noise.get(name, 0.0) if isinstance(noise, dict) else noise
-            column = np.repeat(np.asarray(values, float), per_hold) + self.rng.normal(0.0, deviation, len(time))
-            column[np.arange(len(time)) % per_hold < SETTLE_S * rate_Hz] = FAR_OFF
+            column = np.concatenate([np.zeros(before), np.repeat(np.asarray(values, float), per_hold)])
+            column += self.rng.normal(0.0, deviation, len(time))
+            settling = np.arange(len(time) - before) % per_hold < round(settle_s * rate_Hz)
+            column[before:][settling] = FAR_OFF
             columns[name] = column
         if edit is not None:
             edit(time, columns)
@@ -59,7 +64,8 @@ class Bench:
         for index, (setpoint, direction) in enumerate(holds):
             told = {key: setpoint, "role": role} | ({"direction": direction} if direction else {})
             told |= {} if repeats is None else {"repeat": int(repeats[index])}
-            steps.append(("hold", index * HOLD_S, (index + 1) * HOLD_S, SETTLE_S, told))
+            start, stop = ((before + (index + k) * per_hold) / rate_Hz for k in (0, 1))  # as the stamps have them
+            steps.append(("hold", start, stop, settle_s, told))
         return self.write(experiment, time, columns, steps, **how)
 
     def write(
@@ -77,9 +83,15 @@ class Bench:
         units=None,
         protocol="",
         model="",
+        resolution=None,
     ):
-        """Write columns of the test actuator by quantity, and steps as the run file has them; return its path."""
+        """Write columns of the test actuator by quantity, and steps as the run file has them; return its path.
+
+        `resolution` is the step between two readings of a quantity.
+        """
         self.count += 1
+        for name, step in (resolution or {}).items():
+            columns[name] = step * np.round(columns[name] / step)
         specs = [
             ChannelSpec(name, name, "test", "d", units=(units or {}).get(name, UNITS[name]), dtype="f8")
             for name in columns

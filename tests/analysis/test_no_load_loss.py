@@ -10,20 +10,8 @@ from hypothesis import strategies as st
 from leactl.analysis.no_load_loss import analyze
 from leactl.errors import InputError, NotIdentifiable
 
+from .free_rotors import B, C, F, turned
 from .synthetic import HOLD_S, Bench, analyzed, covered
-
-SPEEDS = (2.0, 5.0, 10.0, 20.0, 35.0)
-F, B, C, KT = 0.208, 0.0238, 4e-4, 0.49
-
-
-def turned(bench, *, f=F, b=B, c=C, zero_A=0.0, speeds=SPEEDS, signs=(1, -1), trials=2, scatter=0.0, **how):  # noqa: N803
-    """A run that turns at these speeds, by q-axis current over the drag; `scatter` is of single holds [N*m]."""
-    velocity = np.array([sign * speed for _ in range(trials) for sign in signs for speed in speeds])
-    torque = f * np.sign(velocity) + b * velocity + c * velocity * np.abs(velocity)
-    current = (torque + bench.rng.normal(0.0, scatter, len(velocity))) / KT + zero_A
-    how = {"mechanical": "free", "key": "velocity_rad_s", "rate_Hz": 10} | how
-    levels = {"velocity": velocity, "q_axis_current": current}
-    return bench.run("no-load-loss", [(value, "") for value in velocity], levels, **how)
 
 
 @settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -8,26 +8,8 @@ import pytest
 from leactl.analysis.torque_pulses import analyze
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
 
+from .pulses import KT, pulsed
 from .synthetic import analyzed, covered
-
-LEVELS = (4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0)
-KT = 0.49
-
-
-def kept(current, loss):
-    """Share of the torque that iron of a knee leaves, `loss` being missing at 28 A."""
-    return 1.0 / np.sqrt(1.0 + ((1.0 - loss) ** -2 - 1.0) * (current / 28.0) ** 2)
-
-
-def pulsed(bench, *, loss=0.1, sticking=0.1, offset=0.02, levels=LEVELS, signs=(1, -1), trials=2, scatter=0.0,
-           sides=("rising", "falling"), **how):  # fmt: skip
-    holds = [(sign * level, side) for _ in range(trials) for sign in signs for level in levels for side in sides]
-    current = np.array([level for level, _ in holds])
-    side = np.array([{"rising": 1, "falling": -1}.get(side, 0) for _, side in holds])
-    torque = KT * current * kept(current, loss) - sticking * side + offset
-    torque = torque + bench.rng.normal(0.0, scatter, len(holds))
-    how = {"mechanical": "locked", "rate_Hz": 10} | how
-    return bench.run("torque-pulses", holds, {"q_axis_current": current, "torque": torque}, **how)
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.03, 0.1, 0.2])

@@ -5,40 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from leactl.analysis.torque_sensor_calibration import WEIGHED_BY, analyze
+from leactl.analysis.torque_sensor_calibration import analyze
 from leactl.errors import InputError, NotIdentifiable
 
 from .synthetic import analyzed, covered
+from .weights import GRAVITY, KNOWN_STDS, weighed
 
-MASSES, ARM = (0.7, 1.4, 2.1, 2.8), 0.5
-KNOWN = {"gravity": 9.81, "gravity_std": 1e-4, "mass_relative_std": 1e-5, "arm_std_m": 5e-6}
-HOLD_S, RATE = 2.0, 10
-
-
-def weighed(bench, *, gain=1.0, zero=0.02, bend=0.0, hysteresis=0.0, drift=0.0, step=0.0, noise=0.0, trials=3,
-            signs=(1, -1), masses=MASSES, falling=True, scatter=0.0, arm_m=ARM, edit=None):  # fmt: skip
-    """A run of weights at 9.81 m/s^2: `bend` [N*m] at the top, `hysteresis` the loop's width, `drift` by the end."""
-    order = [(0.0, "rising")] + [(mass, "rising") for mass in masses]
-    order += [(mass, "falling") for mass in (*masses[-2::-1], 0.0)] if falling else []
-    holds = [(sign * mass, way) for sign in signs for _ in range(trials) for mass, way in order]
-    mass = np.array([one for one, _ in holds])
-    true = mass * 9.81 * ARM
-    loop = np.array([-0.5 if way == "rising" else 0.5 for _, way in holds]) * hysteresis
-    loop *= np.sign(true) * (np.abs(mass) > 0) * (np.abs(mass) < max(masses))
-    reading = gain * (true + bend * (true / true.max()) ** 2 + loop) + zero + drift * np.linspace(0, 1, len(holds))
-    reading = reading + bench.rng.normal(0.0, scatter, len(holds))
-    column = np.repeat(reading, round(HOLD_S * RATE)) + bench.rng.normal(0.0, noise, len(holds) * round(HOLD_S * RATE))
-    column = np.round(column / step) * step if step else column
-    columns = {"torque": column}
-    steps = [
-        ("hold", k * HOLD_S, (k + 1) * HOLD_S, 0.5,
-         {"weight_Nm": kg * WEIGHED_BY * ARM, "arm_m": arm_m, "role": "bench", "direction": way})
-        for k, (kg, way) in enumerate(holds)
-    ]  # fmt: skip
-    if edit is not None:
-        edit(columns)
-    time = np.arange(len(column)) / RATE
-    return bench.write("torque-sensor-calibration", time, columns, steps, mechanical="free")
+KNOWN = {"gravity": GRAVITY, **KNOWN_STDS}
 
 
 @pytest.mark.parametrize("gain", [1.0, 1.02, 0.37])

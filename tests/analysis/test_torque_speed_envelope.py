@@ -4,44 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
 
 from leactl.analysis.torque_speed_envelope import analyze
 from leactl.errors import MissingChannel, NotIdentifiable
 
+from .envelopes import ASKED, KT, SPEEDS, B, F, current_at, driven, true_corner
 from .synthetic import analyzed, covered
-
-R, KT, L, POLES, F, B, BUS, ASKED = 0.264, 0.49, 128e-6, 41, 0.208, 0.0238, 29.6, 28.0
-SPEEDS = (5.0, 10.0, 15.0, 20.0, 24.0, 28.0, 30.0, 32.0, 34.0, 36.0)
-
-
-def current_at(speed, bus=BUS):
-    """What the voltage leaves [A], at most what is asked for."""
-
-    def over(current):
-        return math.hypot(R * current + KT * speed, POLES * speed * L * current) - bus / math.sqrt(2)
-
-    return ASKED if over(ASKED) < 0 else brentq(over, 0.0, ASKED)
-
-
-def driven(bench, *, speeds=SPEEDS, trials=3, scatter=0.0, bus=BUS, sag=0.0, asked=ASKED, edit=None, **how):
-    holds = [(asked, "") for _ in range(trials) for _ in speeds]
-    speed = np.array([value for _ in range(trials) for value in speeds]) + bench.rng.normal(0.0, 1e-3, len(holds))
-    current = np.array([current_at(abs(value), bus) for value in speed]) * asked / ASKED
-    torque = KT * current - F - B * np.abs(speed) + bench.rng.normal(0.0, scatter, len(holds))
-    columns = {
-        "torque": torque,
-        "velocity": speed,
-        "q_axis_current": current,
-        "bus_voltage": bus - sag * np.abs(torque),
-    }
-    return bench.run("torque-speed-envelope", holds, columns, rate_Hz=10, edit=edit, **how)
-
-
-def true_corner():
-    return brentq(
-        lambda speed: math.hypot(R * ASKED + KT * speed, POLES * speed * L * ASKED) - BUS / math.sqrt(2), 1, 60
-    )
 
 
 def test_highest_torque_power_and_corner_come_back(bench):
@@ -94,10 +62,29 @@ def test_a_speed_that_drifts_within_a_hold_is_named(bench):
     def drift(time, columns):
         columns["velocity"] += 0.2 * (time % 2.5)
 
-    assert any(
-        "the rotor's inertia is in its torque" in note for note in analyzed(analyze, driven(bench, edit=drift)).notes
-    )
-    assert not any("inertia is in its torque" in note for note in analyzed(analyze, driven(bench)).notes)
+    silent = analyzed(analyze, driven(bench, edit=drift, model="name: x\n"))
+    assert any("the rotor's inertia is in its torque, and in no interval" in note for note in silent.notes)
+    assert not any("inertia" in note for note in analyzed(analyze, driven(bench)).notes)
+
+
+def test_what_the_inertia_gives_while_the_speed_falls_is_no_torque_of_the_current(bench):
+    """2.4 g m^2 at 10 rad/s^2 are 24 mN m."""
+    result = analyzed(analyze, driven(bench, slowing=10.0, speeds=(20.0, 24.0), before_s=2.0, noise=1e-4))
+    assert result.find("highest_torque").value == pytest.approx(KT * ASKED - F - 20 * B, abs=0.001)
+    assert any("the rotor's inertia is put back" in note for note in result.notes)
+    assert covered(result.find("highest_torque"), KT * ASKED - F - 20 * B)
+
+
+def test_the_error_of_the_sensor_s_zero_is_in_the_interval(bench):
+    told, silent = (analyzed(analyze, driven(bench, before_s=before, noise={"torque": 0.1})) for before in (2.0, 0.0))
+    assert any("how well its zero is known is not told" in note for note in silent.notes)
+    assert told.find("highest_torque").std > 0.02 > silent.find("highest_torque").std
+
+
+def test_repeats_that_find_the_winding_warmer_are_no_scatter_of_the_corner(bench):
+    found = analyzed(analyze, driven(bench, warmed=[(0.0, 0.0), (10.0, 0.0), (20.0, 0.0)])).find("corner_speed")
+    assert found.value == pytest.approx(np.mean([true_corner(kelvin) for kelvin in (0, 10, 20)]), abs=0.01)
+    assert found.high - found.low < 0.1
 
 
 def test_without_repeats_no_interval_is_given(bench):
