@@ -148,7 +148,8 @@ def torque_speed_envelope(bench: Bench, *, off=0.0, trials=2, kelvin=0.0) -> Mad
     """`kelvin` is by how much more each trial finds the winding warm at rest; a hold at 28 A takes it further."""
     rng, kt, f, b = bench.rng, envelopes.KT, envelopes.F, envelopes.B
     speeds = (5.0, 10.0, 15.0, 20.0, 24.0, 27.0, 30.0, 33.0, 36.0)
-    heat = [(kelvin * trial * rng.uniform(0.8, 1.2), kelvin * rng.uniform(0.9, 1.1)) for trial in range(trials)]
+    hold = kelvin * rng.uniform(0.9, 1.1)  # by the same heat into the same copper in each trial
+    heat = [(kelvin * trial * rng.uniform(0.8, 1.2), hold) for trial in range(trials)]
     path = envelopes.driven(
         bench,
         speeds=speeds,
