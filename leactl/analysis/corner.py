@@ -68,7 +68,7 @@ def corner(runs: Sequence[Run], holds: Limited, notes: list[str], place: str) ->
     if repeats_of(holds).max() == 0:
         notes.append("each speed was driven once: how far the winding warms from repeat to repeat is not known")
     std = math.hypot(own, other - value)
-    half = t_quantile(dof * (std / own) ** 4 if own > 1e-9 * std else math.inf) * std
+    half = math.hypot(t_quantile(dof) * own, t_quantile(math.inf) * (other - value))
     return Estimate(NAME, value, std, value - half, value + half, UNIT)
 
 

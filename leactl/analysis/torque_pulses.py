@@ -63,10 +63,10 @@ def analyze(
 ) -> Result:
     """Fit torque over current up to the peak, both signs, and tell how much of it saturation takes there.
 
-    `torque_constant` [N*m/A] at small currents, `peak_current` [A], `torque_at_peak` [N*m] (without what sticking
-    hides), `loss_at_peak` (share of the torque missing there), `straight_up_to` [A] (where 2 % are missing; without a
-    value, above the peak, where they are not), `sticking_torque` [N*m] (half the way between both sides of a level, a
-    lower bound of the Coulomb friction).
+    `torque_constant` [N*m/A] at small currents, `peak_current` [A], `torque_at_peak` [N*m] (with all that sticking may
+    hide in its interval), `loss_at_peak` (share of the torque missing there), `straight_up_to` [A] (where 2 % are
+    missing; without a value, above the peak, where they are not), `sticking_torque` [N*m] (half the way between both
+    sides of a level, a lower bound of the Coulomb friction).
 
     Parameters
     ----------
@@ -156,15 +156,32 @@ def weights(line: LineFit, of: dict[str, float]) -> Array:
 
 
 def at_peak(bent: Bent, unit: str, relative_std: float) -> Estimate:
-    """Torque of the peak current; what of the sticking does not turn with the side is none of it."""
+    """Torque of the peak current; the interval is as wide as what sticking may hide there, whole.
+
+    e is a torque of the current or none of it, and how s goes with the level e may do as well: neither is an error that
+    scatters, so that the interval holds the truth more often than 95 % ones do.
+    """
     fit, (loss, gradient) = bent.line.fit, bent.loss(bent.peak)
     full = bent.constant * bent.peak
     own = weights(bent.line, {"torque_constant": bent.peak * (1.0 - loss)}) - full * gradient
-    value = full * (1.0 - loss)
+    remainder = bent.line.slope("remainder") if "remainder" in bent.line.slopes else 0.0
+    value = full * (1.0 - loss) + 0.5 * remainder
+    hidden = 0.5 * abs(remainder) + abs(trend_of_sticking(bent))
     std = math.sqrt(fit.variance * float(own @ fit.unscaled @ own))
-    whole = math.hypot(std, relative_std * value)
-    half = t_quantile(fit.dof * (whole / std) ** 4 if std > 1e-9 * whole else math.inf) * whole
+    scattered = math.hypot(std, relative_std * value)
+    half = t_quantile(fit.dof * (scattered / std) ** 4 if std > 1e-9 * scattered else math.inf) * scattered + hidden
+    whole = math.hypot(scattered, hidden / math.sqrt(3.0))
     return Estimate("torque_at_peak", value, whole, value - half, value + half, unit)
+
+
+def trend_of_sticking(bent: Bent) -> float:
+    """By how much half the way between both sides changes from no current to the peak."""
+    levels = bent.line.levels
+    if "sticking_torque" not in bent.line.slopes:
+        return 0.0
+    ratio = np.abs(levels.setpoint) / bent.peak
+    ratio = (ratio - ratio.mean()) * levels.direction
+    return float(ratio @ bent.line.fit.residuals) / float(ratio @ ratio)
 
 
 def loss_at_peak(bent: Bent) -> Estimate:

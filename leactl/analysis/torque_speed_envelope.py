@@ -20,7 +20,7 @@ from leactl.analysis.gains import doubt, gain_std
 from leactl.analysis.intervals import step_of
 from leactl.analysis.levels import Levels, gather
 from leactl.analysis.linefit import expect_setup, place_of
-from leactl.analysis.regression import Array, departure, judged_by, least_squares, one_column_each
+from leactl.analysis.regression import Array, departure, judged_by, least_squares, one_column_each, t_quantile
 from leactl.analysis.torque_constant import CURRENT, TORQUE, usable
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
@@ -170,8 +170,11 @@ def best(
         return [Estimate(f"highest_{name}", float(np.max(means)), NAN, NAN, NAN, units), at]
     fit = judged_by(fit, departure(speeds, torque[alike], one_column_each(levels.run[alike])))
     weights = (np.unique(group[alike]) == group[own][0]) * float(factor[own].mean())
-    relative = math.hypot(shared.gain, shared.zero / float(torque[own].mean()))
-    return [fit.estimate(f"highest_{name}", units, weights, relative), at]
+    value, scattered = fit.combined(weights)
+    alike_std = value * math.hypot(shared.gain, shared.zero / float(torque[own].mean()))
+    half = math.hypot(t_quantile(fit.dof) * scattered, t_quantile(math.inf) * alike_std)
+    std = math.hypot(scattered, alike_std)
+    return [Estimate(f"highest_{name}", value, std, value - half, value + half, units), at]
 
 
 def bus(runs: Sequence[Run], notes: list[str]) -> list[Estimate]:

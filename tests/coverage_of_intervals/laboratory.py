@@ -1,6 +1,7 @@
 """`python -m tests.coverage_of_intervals.laboratory`: the laboratory's experiments; status 1 where a limit is not met.
 
-Every result with an interval is judged, over runs that the equations of `tests.analysis` make (laboratory_cases.py).
+Every result with an interval is judged, over runs that the equations of `tests.analysis` make (laboratory_cases.py). Of
+200 seeds one share in twenty lies outside 92 to 98 % by chance: a case with a fault is judged by up to 800.
 """
 
 import argparse
@@ -24,6 +25,7 @@ from .__main__ import HEAD
 from .judgement import LEAST_COVERED, Judgement, judge
 from .laboratory_cases import CASES
 
+AGAIN = 4  # times as many seeds at the most, where a case has a fault: 200 know a share to 1.5 %, 800 to 0.8 %
 EXACT = "noise"  # the case to which limits of the error apply; elsewhere it is that of the instruments
 
 
@@ -38,10 +40,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for experiment in asked.only or CASES:
         print(f"\n{experiment}\n{HEAD}", flush=True)
         for case in CASES[experiment]:
-            wanted = [(experiment, case, seed) for seed in range(1, asked.seeds + 1)]
-            with Pool(asked.processes) as pool:
-                answers = pool.map(answered, wanted, chunksize=1)
-            for item, bound in judged(case, answers):
+            found: list[tuple[Judgement, bool]] = []
+            answers: list[Answer] = []
+            while not answers or (len(answers) < AGAIN * asked.seeds and any(faults_of(*one) for one in found)):
+                first = len(answers) + 1
+                wanted = [(experiment, case, seed) for seed in range(first, first + asked.seeds)]
+                with Pool(asked.processes) as pool:
+                    answers += pool.map(answered, wanted, chunksize=1)
+                found = judged(case, answers)
+            for item, bound in found:
                 print(shown(item, bound), flush=True)
                 faults += [f"{experiment}: {fault}" for fault in faults_of(item, bound)]
     for fault in faults:
@@ -67,7 +74,7 @@ def answered(wanted: tuple[str, str, int]) -> Answer:
     return [
         (item, made.true[item.name], item.name in made.bounds)
         for item in results
-        if not (math.isnan(item.low) and math.isnan(item.high))
+        if not (math.isnan(item.low) and math.isnan(item.high)) and not math.isnan(made.true[item.name])
     ]
 
 

@@ -24,7 +24,10 @@ KT_STD, TORQUE_STD, CURRENT_STD = 0.01, 0.01, 0.005  # relative
 
 @dataclass(frozen=True)
 class Made:
-    """A run, what is true of it, and what its analysis is told; `bounds` are results of which one end alone counts."""
+    """A run, what is true of it, and what its analysis is told.
+
+    A truth of NaN is none, as the phase of a harmonic that is not there; `bounds` are results of which one end counts.
+    """
 
     path: Path
     true: Mapping[str, float]
@@ -138,14 +141,15 @@ def torque_pulses(bench: Bench, *, off=(0.0, 0.0), loss=0.1) -> Made:
     true = {"torque_constant": pulses.KT, "torque_at_peak": pulses.KT * 28.0 * (1.0 - loss), "loss_at_peak": loss}
     true |= {"straight_up_to": straight, "sticking_torque": sticking}
     told = dict(zip(("torque_gain_std", "current_gain_std"), off, strict=True)) if any(off) else {}
-    return Made(path, true, told, frozenset({"straight_up_to"} if straight > 28.0 else ()))
+    return Made(path, true, told, frozenset({"torque_at_peak"} | ({"straight_up_to"} if straight > 28.0 else set())))
 
 
 def torque_speed_envelope(bench: Bench, *, off=0.0, trials=2, kelvin=0.0) -> Made:
     """`kelvin` is by how much more each trial finds the winding warm at rest; a hold at 28 A takes it further."""
     rng, kt, f, b = bench.rng, envelopes.KT, envelopes.F, envelopes.B
     speeds = (5.0, 10.0, 15.0, 20.0, 24.0, 27.0, 30.0, 33.0, 36.0)
-    heat = [(kelvin * trial * rng.uniform(0.8, 1.2), kelvin * rng.uniform(0.9, 1.1)) for trial in range(trials)]
+    hold = kelvin * rng.uniform(0.9, 1.1)  # by the same heat into the same copper in each trial
+    heat = [(kelvin * trial * rng.uniform(0.8, 1.2), hold) for trial in range(trials)]
     path = envelopes.driven(
         bench,
         speeds=speeds,
@@ -169,8 +173,9 @@ def torque_speed_envelope(bench: Bench, *, off=0.0, trials=2, kelvin=0.0) -> Mad
         "highest_power": 27.0 * (kt * float(np.mean(currents)) - f - 27.0 * b),
         "corner_speed": float(np.mean([envelopes.true_corner(sum(own)) for own in heat])),
     }
-    bounds = frozenset({"corner_speed"} if trials == 1 else ())  # too few holds for more than its neighbours
-    return Made(path, true, {"torque_gain_std": off} if off else {}, bounds)
+    bounds = {"corner_speed"} if trials == 1 else set()  # too few holds for more than its neighbours
+    bounds |= {"highest_power"} if kelvin else set()  # repeats differ by the warmth of the winding, and do not scatter
+    return Made(path, true, {"torque_gain_std": off} if off else {}, frozenset(bounds))
 
 
 def torque_sensor_calibration(bench: Bench, *, told=weights.KNOWN_STDS) -> Made:
@@ -253,7 +258,7 @@ def back_emf(bench: Bench, *, uneven=True, harmonics=True) -> Made:
     true |= {"pole_pairs": 41.0, "electrical_frequency": 41.0 * speed / (2.0 * math.pi), "torque_constant_ratio": 1.0}
     true["total_harmonic_distortion"] = math.hypot(*(share for share, _ in shares.values())) if shares else 0.0
     true |= {f"harmonic_{order}": shares.get(order, (0.0, 0.0))[0] for order in (2, 3, 5, 7, 11, 13)}
-    true |= {f"harmonic_{order}_phase": phase for order, (_, phase) in shares.items()}
+    true |= {f"harmonic_{order}_phase": shares.get(order, (0.0, math.nan))[1] for order in (2, 3, 5, 7, 11, 13)}
     bounds = {name for name, value in true.items() if value == 0.0} | {"pole_pairs"}
     told = {"torque_constant": kb * (1.0 + rng.normal(0.0, 0.002)), "torque_constant_std": 0.002 * kb}
     return Made(path, true, told, frozenset(bounds))
