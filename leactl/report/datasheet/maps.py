@@ -20,14 +20,14 @@ def map_of(grid: Grid, answer: Answer) -> Html:
     setpoints = list(itertools.product(*grid.axes.values()))
     columns = [[value for row in rows for value in row] for rows in grid.values.values()]
     cells = [[*map(cell, point), *map(cell, values)] for point, *values in zip(setpoints, *columns, strict=True)]
-    headings = [f"set {heading(name)}" for name in grid.axes] + [heading(name) for name in grid.values]
+    headings = [f"set {with_unit(name)}" for name in grid.axes] + [with_unit(name) for name in grid.values]
     whose: Sequence[str] = [one for one in (answer.actuator, answer.condition) if one]
     title = tag("summary", f"Values of {plain(grid.name)}: {', '.join(whose) or 'unnamed'}")
     said = tag("p", f"Means at {len(setpoints)} setpoints, from ", links(answer.entries), class_="about")
     return tag("details", title, said, table(headings, cells, "map"))
 
 
-def heading(name: str) -> str:
+def with_unit(name: str) -> str:
     """A quantity with its unit, from a name that ends in it."""
     end = next((one for one in UNITS if name.endswith(one)), "")
     return pretty(f"{plain(name.removesuffix(end))} [{UNITS[end]}]") if end else plain(name)
