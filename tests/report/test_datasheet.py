@@ -341,22 +341,22 @@ def test_a_map_has_a_folded_table_with_a_row_for_each_setpoint(tmp_path):
     grid = Grid(
         "driving_map",
         {"velocity_rad_s": (5.0, 10.0), "current_A": (3.0, 6.0)},
-        {"efficiency_1": ((0.51234567, 0.4), (0.6, nan)), "torque_Nm": ((1.5, -1e-12 * 0.0), (1.4, nan))},
+        {"efficiency_1": ((0.51234567, 0.4), (0.6, nan)), "torque_Nm": ((1.5, -0.0), (1.4, nan))},
     )
     square = Plot("x [1]", "y [1]", tuple(Series(name, (1.0, 2.0), (3.0, 4.0)) for name in "abc"), ())
     entry = Entry(Path("x.h5"), "R1", "", "lea", "efficiency")
     result = Result("efficiency", ("x.h5",), (), (), (square,), (), (grid,))
     own = RunSet("s", (entry,), (Answer("lea", "efficiency", "LEA-1", "design", result, (entry,)),), {})
     root = tree(Sheet((own,)), tmp_path / "out.html")
-    folded = next(one for one in root.iter("details") if words(one.find("summary")).startswith("Values of"))
-    assert words(folded.find("summary")) == "Values of driving map: LEA-1, design"
+    folded = next(one for one in root.iter("details") if words(one.find("summary")).startswith("Values at"))
+    assert words(folded.find("summary")) == "Values at every setpoint: driving map, LEA-1, design"
     assert folded.get("open") is None
     assert [one.get("href") for one in folded.findall("p/a")] == ["#R1"]
     assert table(root, "map") == [
         ["set velocity [rad/s]", "set current [A]", "efficiency", "torque [N·m]"],
-        ["5", "3", "0.5123", "1.5"],
-        ["5", "6", "0.4", "0"],
-        ["10", "3", "0.6", "1.4"],
+        ["5", "3", "0.5123", "1.500"],
+        ["5", "6", "0.4000", "0.000"],
+        ["10", "3", "0.6000", "1.400"],
         ["10", "6", "-", "-"],
     ]
     marks = next(one.get("d") for one in root.iter("path") if one.get("class") == "marks square s2")

@@ -2,8 +2,6 @@
 
 import itertools
 import math
-import re
-from collections.abc import Sequence
 
 from leactl.analysis.estimate import Grid
 from leactl.report.datasheet.figures import plain, pretty
@@ -19,10 +17,10 @@ def map_of(grid: Grid, answer: Answer) -> Html:
     """One map: both setpoints, then every quantity that was measured there."""
     setpoints = list(itertools.product(*grid.axes.values()))
     columns = [[value for row in rows for value in row] for rows in grid.values.values()]
-    cells = [[*map(cell, point), *map(cell, values)] for point, *values in zip(setpoints, *columns, strict=True)]
+    cells = [[*(f"{one:g}" for one in point), *map(cell, values)] for point, *values in zip(setpoints, *columns, strict=True)]
     headings = [f"set {with_unit(name)}" for name in grid.axes] + [with_unit(name) for name in grid.values]
-    whose: Sequence[str] = [one for one in (answer.actuator, answer.condition) if one]
-    title = tag("summary", f"Values of {plain(grid.name)}: {', '.join(whose) or 'unnamed'}")
+    whose = ", ".join(filter(None, (plain(grid.name), answer.actuator, answer.condition)))
+    title = tag("summary", f"Values at every setpoint: {whose}")
     said = tag("p", f"Means at {len(setpoints)} setpoints, from ", links(answer.entries), class_="about")
     return tag("details", title, said, table(headings, cells, "map"))
 
@@ -37,4 +35,4 @@ def cell(value: float) -> str:
     """Four digits; a dash where the bench did not hold the setpoint."""
     if not math.isfinite(value):
         return NOT_HELD
-    return re.sub(r"^-(?=[0.]+$)", "", f"{value:.4g}")
+    return f"{value + 0.0:#.4g}".rstrip(".")  # no negative zero
