@@ -17,7 +17,9 @@ def map_of(grid: Grid, answer: Answer) -> Html:
     """One map: both setpoints, then every quantity that was measured there."""
     setpoints = list(itertools.product(*grid.axes.values()))
     columns = [[value for row in rows for value in row] for rows in grid.values.values()]
-    cells = [[*(f"{one:g}" for one in point), *map(cell, values)] for point, *values in zip(setpoints, *columns, strict=True)]
+    cells = [
+        [*(f"{one:g}" for one in point), *map(cell, values)] for point, *values in zip(setpoints, *columns, strict=True)
+    ]
     headings = [f"set {with_unit(name)}" for name in grid.axes] + [with_unit(name) for name in grid.values]
     whose = ", ".join(filter(None, (plain(grid.name), answer.actuator, answer.condition)))
     title = tag("summary", f"Values at every setpoint: {whose}")
