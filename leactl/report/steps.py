@@ -1,6 +1,7 @@
 """Steps of a long computation on stderr: one line that is rewritten on a terminal, plain lines anywhere else."""
 
 import signal
+import sys
 import time
 from types import TracebackType
 from typing import Self
@@ -40,6 +41,7 @@ class Steps:
 
     def __enter__(self) -> Self:
         self._before = signal.signal(signal.SIGINT, self._stop)
+        self._unraisable, sys.unraisablehook = sys.unraisablehook, self._dropped
         if self._shown is not None:
             self._shown.start()
         return self
@@ -48,15 +50,21 @@ class Steps:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         signal.signal(signal.SIGINT, self._before)
+        sys.unraisablehook = self._unraisable
         if self._shown is not None:
             self._shown.stop()
         if kind is None:
             self._say(f"done in {time.monotonic() - self._began:.1f} s")
 
     def _stop(self, number: int, frame: object) -> None:
-        # where HDF5 calls back, an exception is printed and dropped: the flag is what the next step goes by
+        # where HDF5 or a finalizer calls back, an exception is dropped: the flag is what the next step goes by
         self._asked = True
         raise KeyboardInterrupt
+
+    def _dropped(self, what: "sys.UnraisableHookArgs") -> None:
+        """Keep the trace of a Ctrl-C that was swallowed from the terminal; the next step says that it ends here."""
+        if not (self._asked and isinstance(what.exc_value, KeyboardInterrupt)):
+            self._unraisable(what)
 
     def _say(self, line: str) -> None:
         print(line, file=self._console.file, flush=True)

@@ -2,14 +2,17 @@
 
 import json
 import os
+import signal
 import stat
+import sys
 from pathlib import Path
 
 import pytest
 
-from leactl.errors import DeviceError, InputError
+from leactl.errors import DeviceError, InputError, Stopped
 from leactl.report.datasheet.make import Wanted, make
 from leactl.report.pdf import print_pdf
+from leactl.report.steps import Steps
 from tests.analysis.synthetic import Bench
 from tests.cli.terminal import leactl
 from tests.report.browser import needs_chromium
@@ -57,6 +60,7 @@ def test_what_follows_compare_is_the_other_set_up_to_the_next_option(here):
         (["spring"], {"pdf": True, "json": True}, "--html OUT.html: where the datasheet goes is missing"),
         (["spring"], {"html": "out.pdf"}, "--html out.pdf: a name that ends in .html was expected"),
         (["spring"], {"html": "no/out.html"}, "no/out.html: no folder no"),
+        (["spring"], {"html": "/proc/out.html"}, "/proc/out.html: cannot be written: "),
         (["spring", "out.html"], {"html": "out.html"}, "out.html: is an input"),
         (["summer"], {"html": "out.html"}, "summer: no such file or folder"),
         (["empty"], {"html": "out.html"}, "empty: no run files in this folder"),
@@ -107,3 +111,21 @@ def test_the_pdf_lies_beside_the_page(here):
     assert done.returncode == 0, done.stderr
     assert (here / "out.pdf").read_bytes().startswith(b"%PDF-")
     assert sorted(path.name for path in here.iterdir()) == ["autumn", "out.html", "out.pdf", "spring"]
+
+
+class Interrupted:
+    """Somebody presses Ctrl-C while this is let go of, where Python drops exceptions."""
+
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        list(range(100))  # the handler runs between two instructions of this
+
+
+def test_a_ctrl_c_that_a_finalizer_swallows_ends_at_the_next_step_without_a_trace(capsys):
+    before = sys.unraisablehook
+    with pytest.raises(Stopped), Steps() as step:
+        held = [Interrupted()]
+        held.clear()
+        step("fitting")
+    assert "Traceback" not in capsys.readouterr().err
+    assert sys.unraisablehook is before

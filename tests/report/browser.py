@@ -42,7 +42,7 @@ function look(frame) {
   const drawn = [...inner.querySelectorAll(".drawing svg")].map((svg) => svg.getBoundingClientRect());
   const small = drawn.some((box) => box.width < 200 || box.height < 100);
   if (!drawn.length || small) out.push(name + "a chart is too small");
-  for (const wide of inner.querySelectorAll(".scroll:has(.runs, .datasheet)")) {
+  for (const wide of inner.querySelectorAll(".scroll:has(.runs, .datasheet, .map)")) {
     const beyond = width >= 1400 && wide.scrollWidth > wide.clientWidth;
     if (beyond) out.push(name + "a table needs scrolling: " + wide.firstElementChild.className);
   }

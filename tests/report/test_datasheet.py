@@ -16,6 +16,7 @@ from leactl.analysis.estimate import Estimate, Grid, Plot, Result, Series
 from leactl.analysis.experiments import analyze_runs
 from leactl.analysis.experiments import names as experiments
 from leactl.errors import InputError
+from leactl.report.datasheet.figures import heading, pretty
 from leactl.report.datasheet.make import refuse_shared
 from leactl.report.datasheet.page import page
 from leactl.report.datasheet.runset import Answer, Entry, RunSet, read_runs, refuse_untaken
@@ -92,7 +93,7 @@ def test_rows_are_the_answers_of_the_analyses_beside_the_paper(campaign, sheet):
     result = analyze_runs(paths)
     for number, condition in enumerate(COULOMB, start=1):
         item = result.find("coulomb_friction", "a1", condition)
-        row = next(row for row in rows if row[:2] == ["coulomb friction", condition])
+        row = next(row for row in rows if row[:2] == ["Coulomb friction", condition])
         assert row[2:6] == ["a1", value_text(item), interval_text(item), "N·m"]
         assert row[6].startswith(f"{COULOMB[condition]:.4f} ± ")
         assert row[7] == sheet.sets[0].entries[number - 1].label
@@ -191,7 +192,7 @@ def test_two_sets_stand_side_by_side_with_their_difference(tmp_path):
     root = tree(sheet, tmp_path / "out.html")
     head = table(root)[0]
     assert head[2:5] == ["spring", "autumn", "difference"]
-    row = next(row for row in table(root) if row[:2] == ["coulomb friction", "design"])
+    row = next(row for row in table(root) if row[:2] == ["Coulomb friction", "design"])
     assert float(row[4].split()[0]) == pytest.approx(0.03, abs=0.003)
     assert row[-1] == "A1 , B1"
     found = next(one for one in sheet.sections[0].rows["friction"] if one.name == "coulomb_friction" and one.difference)
@@ -320,7 +321,7 @@ def test_a_condition_has_one_colour_however_the_order_of_its_runs_was_drawn(tmp_
 def test_a_sentence_comes_with_what_it_holds_for_in_words(campaign, sheet):
     section = next(one for one in tree(sheet, campaign / "out.html").iter("section") if one.get("id") == "m0-friction")
     said = [words(one) for one in section.findall("p")]
-    assert any(one.startswith("coulomb friction differs between conditions (F(2, 6) = ") for one in said)
+    assert any(one.startswith("Coulomb friction differs between conditions (F(2, 6) = ") for one in said)
     remarks = [words(one) for one in section.findall("ul/li")]
     assert remarks.count("one actuator ('a1'): no random factor; what is found holds for it and for no other") == 1
     assert any(one.startswith("each condition was set once an actuator") for one in remarks)
@@ -347,16 +348,26 @@ def test_a_map_has_a_folded_table_with_the_longer_axis_downwards(tmp_path):
     result = Result("efficiency", ("x.h5",), (), (), (square,), (), (grid,))
     own = RunSet("s", (entry,), (Answer("lea", "efficiency", "LEA-1", "design", result, (entry,)),), {})
     root = tree(Sheet((own,)), tmp_path / "out.html")
-    folded = next(one for one in root.iter("details") if words(one.find("summary")).startswith("Values of"))
-    assert words(folded.find("summary")) == "Values of driving map: LEA-1, design"
+    folded = next(one for one in root.iter("details") if words(one.find("summary")).startswith("Values at"))
+    assert words(folded.find("summary")) == "Values at every setpoint: driving map, LEA-1, design"
     assert folded.get("open") is None
     assert [one.get("href") for one in folded.findall("p/a")] == ["#R1"]
     assert table(root, "map") == [
         ["current [A] \\ velocity [rad/s]", "5", "10"],
-        ["3", "0.512", "0.6"],
-        ["6", "0.4", "-"],
-        ["9.5", "0", "-1.5"],
+        ["3", "0.512", "0.600"],
+        ["6", "0.400", "-"],
+        ["9.5", "0.00", "-1.50"],
     ]
     marks = next(one.get("d") for one in root.iter("path") if one.get("class") == "marks square s2")
     assert "h0M" not in marks  # a PDF paints no stroke without a length and with square ends
     assert not marks.endswith("h0")
+
+
+def test_units_and_names_are_printed_as_people_write_them():
+    assert pretty("N*m*s/rad, kg*m^2, 1 ohm at 25 degC [1]") == "N·m·s/rad, kg·m², 1 Ω at 25 °C"
+    assert pretty("256 uH, 528 mohm, uHx and johm") == "256 µH, 528 mΩ, uHx and johm"
+    assert [heading(name) for name in ("back-emf", "coulomb_friction", "thermal")] == [
+        "Back EMF",
+        "Coulomb friction",
+        "Thermal",
+    ]

@@ -1,6 +1,7 @@
 """What goes into a run file comes out of it, by this reader and by others."""
 
 import hashlib
+import re
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
@@ -14,7 +15,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from leactl.errors import InputError, MissingChannel, SafetyTrip
-from leactl.quantities import ChannelSpec
+from leactl.quantities import UNITS, ChannelSpec
+from leactl.runfile.layout import ROOT_ATTRIBUTES, channel_attributes
 from leactl.runfile.reader import Run
 from leactl.runfile.writer import RunWriter, new_run_id
 
@@ -156,3 +158,12 @@ def test_an_exception_names_its_end(tmp_path: Path):
 def test_run_ids_sort_by_time():
     when = datetime(2026, 11, 20, 10, 15, 30, tzinfo=UTC)
     assert new_run_id("Torque constant", when).startswith("20261120T101530Z-torque-constant-")
+
+
+def test_every_attribute_of_a_channel_and_of_the_root_is_documented():
+    text = (Path(__file__).parents[2] / "docs" / "run-format.md").read_text(encoding="utf-8")
+    whole = ChannelSpec("a", "torque", "test", "daq", "shaft", "left", "mean", "N*m", "f8", 0.001, 0.002)
+    for name in (*channel_attributes(whole), *ROOT_ATTRIBUTES):
+        assert f"`{name}`" in text
+    for quantity, unit in UNITS.items():
+        assert any(quantity.endswith(end) and unit in text for end in re.findall(r"`(\w+)`", text))

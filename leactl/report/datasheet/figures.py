@@ -1,5 +1,6 @@
 """The figures of a datasheet: every plot of an analysis, conditions over each other, sets of runs side by side."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,9 @@ MARKS = ("dot", "ring", "square")
 MOST_KINDS = 2  # of points in a plot, for several conditions to be readable over each other
 MOST_GREY = 2  # names of lines of their own, beyond which each is written on its line: contours
 DENSE = 40  # points of a kind, from which on they are drawn fine, or as a line where no line was fitted to them
+AS_WRITTEN = {"emf": "EMF", "coulomb": "Coulomb", "rmse": "RMSE"}
+PRINTED = {"degC": "°C", "ohm": "Ω", "mohm": "mΩ", "uH": "µH"}
+UNIT = re.compile(rf"(?<![\w])({'|'.join(PRINTED)})(?![\w])")
 
 Link = Callable[[Sequence[Entry]], Html]
 
@@ -171,9 +175,17 @@ def over_conditions(rows: Sequence[Row], sets: Sequence[RunSet]) -> Html:
 
 def plain(name: str) -> str:
     """A name of a result or an experiment as words."""
-    return name.replace("_", " ").replace("-", " ")
+    words = re.split("[_-]", name)
+    return " ".join(AS_WRITTEN.get(word, word) for word in words)
+
+
+def heading(name: str) -> str:
+    """A name as a heading has it."""
+    words = plain(name)
+    return words[:1].upper() + words[1:]
 
 
 def pretty(words: str) -> str:
     """Words with units as they are printed: a dot for a product, raised powers, and none for a ratio."""
-    return words.replace("*", "·").replace("^2", "²").replace(" [1]", "")
+    printed = words.replace("*", "·").replace("^2", "²").replace("^3", "³").replace(" [1]", "")
+    return UNIT.sub(lambda found: PRINTED[found[0]], printed)

@@ -1,8 +1,6 @@
 """What a map says at each setpoint, a row for each of one axis; folded on a screen, open on paper."""
 
 import math
-import re
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -23,15 +21,15 @@ def map_of(grid: Grid, answer: Answer) -> Html:
     if len(axes[1][1]) > len(axes[0][1]):
         cells, axes = cells.T, axes[::-1]
     (down, setpoints), (across, others) = axes
-    headings = [f"{heading(down)} \\ {heading(across)}", *(f"{one:.4g}" for one in others)]
+    headings = [f"{with_unit(down)} \\ {with_unit(across)}", *(f"{one:.4g}" for one in others)]
     body = [[f"{one:.4g}", *map(cell, row)] for one, row in zip(setpoints, cells.tolist(), strict=True)]
-    whose: Sequence[str] = [one for one in (answer.actuator, answer.condition) if one]
-    title = tag("summary", f"Values of {plain(grid.name)}: {', '.join(whose) or 'unnamed'}")
-    said = tag("p", f"{heading(quantity).capitalize()} at {cells.size} setpoints, from ", links(answer.entries))
+    whose = ", ".join(filter(None, (plain(grid.name), answer.actuator, answer.condition)))
+    title = tag("summary", f"Values at every setpoint: {whose}")
+    said = tag("p", f"{with_unit(quantity).capitalize()} at {cells.size} setpoints, from ", links(answer.entries))
     return tag("details", title, said, table(headings, body, "map"))
 
 
-def heading(name: str) -> str:
+def with_unit(name: str) -> str:
     """A quantity with its unit, from a name that ends in it."""
     end = next((one for one in UNITS if name.endswith(one)), "")
     return pretty(f"{plain(name.removesuffix(end))} [{UNITS[end]}]") if end else plain(name)
@@ -41,4 +39,4 @@ def cell(value: float) -> str:
     """Three digits; a dash where the bench did not hold the setpoint."""
     if not math.isfinite(value):
         return NOT_HELD
-    return re.sub(r"^-(?=[0.]+$)", "", f"{value:.3g}")
+    return f"{value + 0.0:#.3g}".rstrip(".")  # no negative zero

@@ -11,7 +11,7 @@ from urllib.parse import quote
 from leactl.analysis.conditions.comparison import Comparison
 from leactl.analysis.experiments import method_of
 from leactl.report.conditions import by_reason
-from leactl.report.datasheet.figures import figures, over_conditions, plain, pretty
+from leactl.report.datasheet.figures import figures, heading, over_conditions, plain, pretty
 from leactl.report.datasheet.maps import map_of
 from leactl.report.datasheet.motor_file import motor_table
 from leactl.report.datasheet.runset import Answer, Entry, RunSet
@@ -85,7 +85,7 @@ def experiment_section(
     sets: Sequence[RunSet], section: Section, experiment: str, answers: Sequence[Answer], place: str
 ) -> Html:
     """Method, what the conditions do, figures, every result, notes."""
-    parts = [tag("h3", plain(experiment).capitalize()), tag("p", method_of(experiment), class_="method about")]
+    parts = [tag("h3", heading(experiment)), tag("p", method_of(experiment), class_="method about")]
     notes: list[str] = []
     for own, motor in zip(sets, section.motors, strict=True):
         if (verdict := own.verdicts.get((motor, experiment))) is not None:

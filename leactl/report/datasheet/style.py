@@ -39,6 +39,7 @@ path.paper { stroke: currentcolor; stroke-width: 1.5; stroke-dasharray: 3 2; }
 .strip-label { text-align: right; }
 .strip { display: block; width: 100%; height: 1.6rem; border-left: 1px solid var(--line); }
 .lacking td, .lacking th { color: var(--faint); }
+.map thead th { white-space: normal; vertical-align: bottom; }
 .wrap { white-space: normal; min-width: 8rem; }
 .second { display: block; color: var(--faint); }
 .fault { display: block; white-space: normal; min-width: 14rem; }

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from leactl.analysis.estimate import Estimate
-from leactl.report.datasheet.figures import plain, pretty
+from leactl.report.datasheet.figures import heading, plain, pretty
 from leactl.report.datasheet.rows import Cell, Row
 from leactl.report.datasheet.runset import Entry, RunSet
 from leactl.report.datasheet.sheet import Section
@@ -22,7 +22,7 @@ def rows_table(sets: Sequence[RunSet], section: Section, place: str) -> Html:
     bodies = []
     for experiment, own_rows in section.rows.items():
         measured = any(cell.estimate is not None for row in own_rows for cell in row.cells)
-        name = plain(experiment).capitalize()
+        name = heading(experiment)
         title = tag("a", name, href=f"#{place}-{experiment}") if measured else name
         opening = tag("tr", tag("th", title, scope="rowgroup", colspan=str(len(headings))), class_="group")
         bodies.append(tag("tbody", opening, *(row_of(row, several) for row in own_rows)))
