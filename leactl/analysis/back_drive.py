@@ -11,11 +11,13 @@ import numpy as np
 
 from leactl.analysis.breakaway import LettingGo, lettings_go
 from leactl.analysis.cogging import cogging_of, turns_of
-from leactl.analysis.drag import VELOCITY, both_ways, coefficients, drag_at, fit_drag, reached
+from leactl.analysis.drag import VELOCITY, both_ways, coefficients, drag_at, fit_drag, reached, weights_at
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
 from leactl.analysis.levels import Held, Levels, gather
 from leactl.analysis.linefit import LineFit, expect_setup, place_of, remarks
-from leactl.analysis.torque_constant import TORQUE, usable
+from leactl.analysis.readings import usable
+from leactl.analysis.signs import refuse_below_zero
+from leactl.analysis.torque_constant import TORQUE
 from leactl.analysis.trials import mean_of
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
@@ -40,6 +42,7 @@ def analyze(runs: Sequence[Run]) -> Result:
     ------
     MissingChannel : a run has no torque, velocity or angle of the test actuator.
     NotIdentifiable : the test drive was on, or fewer than four speeds at which the shaft turned steadily.
+    InputError : torque and motion of opposite senses.
     """
     place = f"{place_of(runs)}: back-drive"
     notes = expect_setup(runs, ("coupled",), "another machine has to turn the shaft")
@@ -51,11 +54,13 @@ def analyze(runs: Sequence[Run]) -> Result:
         runs,
         (VELOCITY, TORQUE),
         notes,
-        lambda run, name: by_run[run.path] if name == TORQUE else run.channel(name),
+        lambda run, name: by_run[run.path] if name == TORQUE else usable(run, name, notes, HELD),
         HELD,
     )
     levels = reached(runs, levels, place, notes)
     line = fit_drag(levels, -levels.value[TORQUE], place)
+    fastest = float(np.max(np.abs(levels.setpoint)))
+    refuse_below_zero(line.fit.estimate("drag", "N*m", weights_at(line, fastest)), place, "torque and velocity")
     notes += remarks(line, levels.std[TORQUE], "N*m")
     if not both_ways(levels):
         notes.append("the shaft turned one way only: the zero of the torque sensor is part of coulomb_friction")
@@ -65,6 +70,8 @@ def analyze(runs: Sequence[Run]) -> Result:
     damping = line.slope("viscous_damping")
     turns = [one for number, (run, torque) in numbered for one in turns_of(run, number, torque, damping, notes)]
     results = [breakaway(released, notes)] if released else []
+    for one in results:
+        refuse_below_zero(one, place, "torque and angle")
     results += coefficients(line)
     plots = [plot_of_drag(levels, line)]
     if turns:

@@ -5,20 +5,24 @@ voltage too little for that current, and what flows falls with the speed. The co
 missing current comes to none missing; nothing is extrapolated beyond the speeds that were driven.
 """
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from leactl.analysis.drag import VELOCITY
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
-from leactl.analysis.levels import Levels, gather
+from leactl.analysis.levels import CURRENT_HELD, Levels, gather
 from leactl.analysis.linefit import expect_setup, place_of
+from leactl.analysis.readings import usable, within_range
 from leactl.analysis.regression import Array, least_squares
-from leactl.analysis.torque_constant import CURRENT, TORQUE, usable
+from leactl.analysis.signs import SWAPPED
+from leactl.analysis.torque_constant import CURRENT, TORQUE
 from leactl.analysis.trials import Trial, mean_of
-from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.errors import InputError, NotIdentifiable
+from leactl.runfile.reader import Channel, Run
 
 BUS = "bus_voltage"
 MISSING = 0.02  # of the current asked for: more, and the voltage is the limit
@@ -34,7 +38,7 @@ def analyze(runs: Sequence[Run]) -> Result:
 
     `highest_torque` [N*m] and `highest_power` [W] with `speed_of_highest_torque` and `speed_of_highest_power` [rad/s];
     `corner_speed` [rad/s], without a value where all levels are on one side of it; `current_limit` [A] as asked for;
-    `bus_voltage` [V] at its lowest.
+    `bus_voltage` [V] at its lowest. Of a torque beyond the sensor's range only `low` is told.
 
     Parameters
     ----------
@@ -43,11 +47,13 @@ def analyze(runs: Sequence[Run]) -> Result:
     Raises
     ------
     MissingChannel : a run has no torque, velocity or q-axis current of the test actuator.
-    NotIdentifiable : no hold in which the actuator drove, or holds that ask for different currents.
+    NotIdentifiable : no hold in which the actuator drove, holds that ask for different currents, or a current beyond
+        what its channel shows.
+    InputError : a current against its setpoint.
     """
     place = f"{place_of(runs)}: torque-speed envelope"
     notes = expect_setup(runs, ("coupled",), "another machine has to hold the speed")
-    every = gather(runs, (TORQUE, VELOCITY, CURRENT), notes, lambda run, name: usable(run, name, notes))
+    every = gather(runs, (TORQUE, VELOCITY, CURRENT), notes, lambda run, name: readings(run, name, notes))
     levels = driving(every, place, notes)
     asked = np.unique(np.round(np.abs(levels.setpoint), 9))
     if len(asked) > 1:
@@ -65,9 +71,13 @@ def analyze(runs: Sequence[Run]) -> Result:
             f"the speed changed by up to {drifted:.2g} rad/s within a hold: the rotor's inertia is in its torque, and"
             " in no interval; settle longer"
         )
+    stops = [abs(value) for run in runs for value in within_range(run.channel(TORQUE), CURRENT_HELD.levels(run))[1]]
+    highest = [*best("torque", torque, levels, "N*m", notes), *best("power", torque * speed, levels, "W", notes)]
+    if stops:
+        notes.append(f"the torque sensor stops at {max(stops):g} N*m: the highest torque lies above, and power may")
+        highest = [above(one, max(stops)) for one in highest]
     results = [
-        *best("torque", torque, levels, "N*m", notes),
-        *best("power", torque * speed, levels, "W", notes),
+        *highest,
         corner(speed, limit - flowing, limited, notes, place),
         Estimate("current_limit", limit, NAN, NAN, NAN, "A"),
         *bus(runs, notes),
@@ -83,7 +93,11 @@ def driving(levels: Levels, place: str, notes: list[str]) -> Levels:
     Raises
     ------
     NotIdentifiable : there is none.
+    InputError : a current against its setpoint in most.
     """
+    flows = levels.value[CURRENT] * levels.setpoint
+    if np.mean(flows < 0.0) > 0.5:
+        raise InputError(f"{place}: the current is opposite to its setpoint in {(flows < 0.0).sum()} holds; {SWAPPED}")
     gives = (levels.value[TORQUE] * levels.value[VELOCITY] > 0.0) & (levels.setpoint * levels.value[VELOCITY] > 0.0)
     braking = [hold for hold, one in zip(levels.holds, gives, strict=True) if not one]
     if not gives.any():
@@ -91,6 +105,27 @@ def driving(levels: Levels, place: str, notes: list[str]) -> Levels:
     if braking:
         notes.append(f"left out {len(braking)}: the actuator gave no power ({listed(braking)})")
     return levels.where(gives)
+
+
+def readings(run: Run, quantity: str, notes: list[str]) -> Channel:
+    """A channel with what does not count as missed; a current at the end of its range would be taken for a limit.
+
+    Raises
+    ------
+    NotIdentifiable : the current is there in a hold, or the torque in all of them.
+    """
+    if quantity == CURRENT and (ends := within_range(run.channel(CURRENT), CURRENT_HELD.levels(run))[1]):
+        at = ", ".join(f"{value:g} A" for value in ends)
+        raise NotIdentifiable(f"{run.path}: {CURRENT} of test is saturated at {at}; what flows beyond is not known")
+    return usable(run, quantity, notes, least=1)
+
+
+def above(found: Estimate, stop: float) -> Estimate:
+    """What is left of a highest figure whose sensor stops at a torque: a bound from below, and no speed."""
+    if found.name.startswith("speed"):
+        return replace(found, value=NAN)
+    low = max(found.value, stop) if found.units == "N*m" else found.value
+    return replace(found, value=NAN, std=NAN, low=low, high=math.inf)
 
 
 def best(name: str, values: Array, levels: Levels, units: str, notes: list[str]) -> list[Estimate]:
