@@ -23,7 +23,8 @@ def record(tmp_path):
     """Write a record of heating for some time, and give its path."""
     count = iter(range(100))
 
-    def write(lasts=4500.0, amperes=8.0, cold=25.0, slow=SLOW, step=0.01, air=(), sign=1.0, model=MODEL, lack=""):
+    def write(lasts=4500.0, amperes=8.0, cold=25.0, slow=SLOW, step=0.01, air=(), sign=1.0, model=MODEL, lack="",
+              air_role="test"):  # fmt: skip
         number = next(count)
         into = np.concatenate([np.arange(0.0, 5.0, 1 / 30), np.arange(5.0, lasts, 1.0)])
         into = into[into < lasts]
@@ -47,7 +48,7 @@ def record(tmp_path):
         names = [name for name in ("line_voltage", "line_current") if name != lack]
         streams = {"supply": tuple(ChannelSpec(name, name, "test", "s", dtype="f8") for name in names)}
         if len(air):
-            streams["air"] = (ChannelSpec("ambient", "ambient_temperature", "test", "t", dtype="f8"),)
+            streams["air"] = (ChannelSpec("ambient", "ambient_temperature", air_role, "t", dtype="f8"),)
         writer = RunWriter(tmp_path, info, streams)
         off, on = {"line_voltage": 0.0, "line_current": 0.0}, {"line_current": amperes}
         for time in rest:
@@ -145,3 +146,15 @@ def test_what_cannot_answer_says_why(record, given, error, said):
 def test_two_runs_are_not_one(record):
     with pytest.raises(NotIdentifiable, match="one run at a time"):
         analyze_runs([record(lasts=60.0), record(lasts=60.0)])
+
+
+@pytest.mark.parametrize("role", ["test", "bench"])
+def test_the_air_before_heating_is_the_cold_winding_s_whosever_sensor_it_is(record, role):
+    result = analyze_runs([record(lasts=600.0, cold=35.0, air=np.full(9, 35.0), air_role=role)])
+    assert result.find("winding_rise").value == pytest.approx(rise(np.array(585.0)), abs=0.6)
+    assert not any("no ambient temperature" in note for note in result.notes)
+
+
+def test_air_in_kelvin_is_refused(record):
+    with pytest.raises(InputError, match="these look like kelvin"):
+        analyze_runs([record(lasts=600.0, air=np.full(9, 298.15))])
