@@ -11,12 +11,14 @@ import numpy as np
 
 from leactl.analysis.breakaway import LettingGo, lettings_go
 from leactl.analysis.cogging import cogging_of, turns_of
-from leactl.analysis.drag import VELOCITY, both_ways, coefficients, drag_at, fit_drag, reached
+from leactl.analysis.drag import VELOCITY, both_ways, coefficients, drag_at, fit_drag, reached, weights_at
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
 from leactl.analysis.gains import doubt, gain_std
 from leactl.analysis.levels import Held, Levels, gather
 from leactl.analysis.linefit import LineFit, expect_setup, place_of, remarks
-from leactl.analysis.torque_constant import TORQUE, usable
+from leactl.analysis.readings import usable
+from leactl.analysis.signs import refuse_below_zero
+from leactl.analysis.torque_constant import TORQUE
 from leactl.analysis.trials import mean_of
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
@@ -42,7 +44,7 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
     ------
     MissingChannel : a run has no torque, velocity or angle of the test actuator.
     NotIdentifiable : the test drive was on, or fewer than four speeds at which the shaft turned steadily.
-    InputError : an uncertainty below zero.
+    InputError : an uncertainty below zero, or torque and motion of opposite senses.
     """
     place = f"{place_of(runs)}: back-drive"
     notes = expect_setup(runs, ("coupled",), "another machine has to turn the shaft")
@@ -55,11 +57,13 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
         runs,
         (VELOCITY, TORQUE),
         notes,
-        lambda run, name: by_run[run.path] if name == TORQUE else run.channel(name),
+        lambda run, name: by_run[run.path] if name == TORQUE else usable(run, name, notes, HELD),
         HELD,
     )
     levels = reached(runs, levels, place, notes)
     line = fit_drag(levels, -levels.value[TORQUE], place)
+    fastest = float(np.max(np.abs(levels.setpoint)))
+    refuse_below_zero(line.fit.estimate("drag", "N*m", weights_at(line, fastest)), place, "torque and velocity")
     notes += remarks(line, levels.std[TORQUE], "N*m")
     if not both_ways(levels):
         notes.append("the shaft turned one way only: the zero of the torque sensor is part of coulomb_friction")
@@ -69,6 +73,8 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
     damping = line.slope("viscous_damping")
     turns = [one for number, (run, torque) in numbered for one in turns_of(run, number, torque, damping, notes)]
     results = [breakaway(released, gain, notes)] if released else []
+    for one in results:
+        refuse_below_zero(one, place, "torque and angle")
     results += coefficients(line, gain)
     plots = [plot_of_drag(levels, line)]
     if turns:

@@ -116,7 +116,11 @@ def pole_pairs_of(parts: Sequence[Part], place: str) -> tuple[Estimate, int, lis
         if told == 2 * poles:
             notes.append(f"{path}: the model has {told} pole pairs; {poles} were counted: its figure is that of poles")
         elif isinstance(told, int) and told != poles:
-            notes.append(f"{path}: the model has {told} pole pairs; {poles} were counted, by which the speed is taken")
+            notes.append(
+                f"{path}: the model has {told} pole pairs; {poles} were counted, by which the speed is taken:"
+                f" the model or the encoder's counts a turn are wrong; by {told} every constant would be"
+                f" {told / poles:.3g} times as large"
+            )
     return Estimate("pole_pairs", value, std, value - half, value + half, "1"), poles, notes
 
 

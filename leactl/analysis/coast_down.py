@@ -17,16 +17,19 @@ from leactl.analysis.friction import TorqueConstants, torque_constants
 from leactl.analysis.intervals import rounding_of, step_of
 from leactl.analysis.levels import Held, settled_mean, span
 from leactl.analysis.linefit import expect_setup, place_of
+from leactl.analysis.readings import usable
 from leactl.analysis.regression import Array, least_squares
+from leactl.analysis.signs import refuse_below_zero
 from leactl.analysis.trials import Trial, mean_of
 from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Run, Step
+from leactl.runfile.reader import Channel, Run, Step
 
 CURRENT, VELOCITY, ENABLED = "q_axis_current", "velocity", "drive_enabled"
 HELD = Held("velocity_rad_s", "rad/s")
 COAST = "coast"
 SLOWEST = 0.1  # of the speed before: below, the filter's lag and sticking show
 FEWEST_SAMPLES = 20
+MISSED = 0.05  # of the setpoint: a velocity further from it was not reached
 LIKE = 0.05  # of the speed before, that a run-out may lie above it
 OVER_INERTIA = {"coulomb": "rad/s^2", "damping": "1/s", "quadratic": "1/rad"}
 DRAG = {"coulomb_friction": "N*m", "viscous_damping": "N*m*s/rad", "quadratic_drag": "N*m*s^2/rad^2"}
@@ -72,7 +75,7 @@ def analyze(
     ------
     MissingChannel : a run has no velocity of the test actuator, or no q-axis current.
     NotIdentifiable : fewer than two run-outs in a direction more than once.
-    InputError : a torque constant that is no positive number.
+    InputError : a torque constant that is no positive number, or current and velocity of opposite senses.
     """
     place = f"{place_of(runs)}: coast-down"
     notes = expect_setup(runs, ("free",), "inertia and drag of whatever else is on the shaft are counted in")
@@ -92,6 +95,7 @@ def analyze(
         constants = torque_constants(runs, torque_constant, torque_constant_std)
         notes.append(constants.note.replace("viscous damping", "inertia, viscous damping"))
         results += scaled(found, trials, constants)
+        refuse_below_zero(results[0], place, "current and velocity")
     except NotIdentifiable as fault:
         notes.append(f"{fault}; a run-out alone gives no inertia, only what is over it")
         units = {"rotor_inertia": "kg*m^2", **DRAG}
@@ -121,9 +125,10 @@ def run_outs_of(run: Run, number: int, notes: list[str]) -> list[RunOut]:
     found: list[RunOut] = []
     left_out: dict[str, list[str]] = {}
     steps = run.steps
+    velocity, current = (usable(run, name, notes, HELD, least=1) for name in (VELOCITY, CURRENT))
     for step in (step for step in steps if step.name == COAST):
         try:
-            found.append(run_out_of(run, number, step))
+            found.append(run_out_of(run, number, step, velocity, current))
         except NotIdentifiable as fault:
             left_out.setdefault(str(fault), []).append(f"at {step.start:.1f} s")
     if not any(step.name == COAST for step in steps):
@@ -132,20 +137,21 @@ def run_outs_of(run: Run, number: int, notes: list[str]) -> list[RunOut]:
     return found
 
 
-def run_out_of(run: Run, number: int, step: Step) -> RunOut:
+def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Channel) -> RunOut:
     """One run-out and the hold before it.
 
     Raises
     ------
     NotIdentifiable : why it cannot be used.
     """
-    velocity, current = run.channel(VELOCITY), run.channel(CURRENT)
     before = [hold for hold in HELD.levels(run) if hold.stop <= step.start + 1e-9]
     if not before:
         raise NotIdentifiable("no held velocity before it")
     speed, drive = (settled_mean(channel, before[-1].start, before[-1].stop) for channel in (velocity, current))
     if speed is None or drive is None:
         raise NotIdentifiable("too little velocity or current in the hold before it")
+    if abs(speed.value - before[-1].setpoint) > MISSED * abs(before[-1].setpoint):
+        raise NotIdentifiable("the velocity was not reached in the hold before it")
     side = 1 if speed.value > 0.0 else -1
     part = span(velocity, step.start + step.settle, step.stop)
     time, along = velocity.time[part], side * velocity.values[part]

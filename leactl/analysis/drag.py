@@ -19,6 +19,7 @@ from leactl.runfile.reader import Run
 VELOCITY = "velocity"
 FEWEST_LEVELS = 4  # distinct speeds: one more than f, b and c need
 MISSED = 0.05  # of the setpoint: a level whose velocity stays further from it was not reached
+TURNED = 0.5  # of the setpoint: a velocity against it by more has its sign swapped
 UNSTEADY = 0.02  # of the setpoint, between the quarters of a settled part
 UNITS = {"viscous_damping": "N*m*s/rad", "coulomb_friction": "N*m", "quadratic_drag": "N*m*s^2/rad^2"}
 
@@ -32,8 +33,10 @@ def reached(runs: Sequence[Run], levels: Levels, place: str, notes: list[str]) -
     """
     velocity, setpoint, quarters = levels.value[VELOCITY], levels.setpoint, levels.quarters[VELOCITY]
     uneven = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1) > UNSTEADY * np.abs(setpoint)
+    against = velocity * setpoint < 0.0
     reasons = {
         "the shaft was to stand": setpoint == 0.0,
+        "the velocity has the opposite sign of its setpoint": against & (np.abs(velocity) > TURNED * np.abs(setpoint)),
         "the velocity was not reached": np.abs(velocity - setpoint) > MISSED * np.abs(setpoint),
         "the velocity was not steady": uneven,
     }

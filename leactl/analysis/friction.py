@@ -15,7 +15,9 @@ from leactl.analysis.carried_model import torque_constant_of_model
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, tally
 from leactl.analysis.levels import Levels, gather, require_levels
 from leactl.analysis.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
+from leactl.analysis.readings import usable
 from leactl.analysis.regression import Array
+from leactl.analysis.signs import SWAPPED
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run
 
@@ -53,12 +55,13 @@ def analyze(
     ------
     MissingChannel : a run has no velocity or no q-axis current of the test actuator.
     NotIdentifiable : no torque constant, fewer than two levels at which the rotor turned, or too few points.
-    InputError : a torque constant that is no positive number.
+    InputError : a torque constant that is no positive number, or current and velocity of opposite senses.
     """
     place = f"{place_of(runs)}: friction"
     constants = torque_constants(runs, torque_constant, torque_constant_std)
     notes = expect_setup(runs, ("free",), "friction of whatever else is on the shaft is counted in")
-    levels = steady(runs, gather(runs, (CURRENT, VELOCITY), notes), place, notes)
+    gathered = gather(runs, (CURRENT, VELOCITY), notes, lambda run, name: usable(run, name, notes))
+    levels = steady(runs, gathered, place, notes)
     sign = np.sign(levels.value[VELOCITY])
     torque = constants.values[levels.run] * levels.value[CURRENT]
     unit = "N" if levels.units[VELOCITY] == "m/s" else "N*m"
@@ -122,11 +125,17 @@ def steady(runs: Sequence[Run], levels: Levels, place: str, notes: list[str]) ->
     Raises
     ------
     NotIdentifiable : fewer than two distinct levels are left.
+    InputError : the rotor turned against its current throughout.
     """
     velocity, current = levels.value[VELOCITY], levels.value[CURRENT]
     least = max(STANDSTILL, CREEPING * float(np.max(np.abs(velocity))))
     quarters = levels.quarters[VELOCITY]
     uneven = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1) > STEADY * np.abs(velocity)
+    turned = np.abs(velocity) >= least
+    if turned.any() and (velocity * current < 0.0)[turned].all():
+        raise InputError(
+            f"{place}: the rotor turned against its current in all {turned.sum()} holds in which it turned; {SWAPPED}"
+        )
     reasons = {
         "the rotor did not turn": np.abs(velocity) < least,
         "the velocity was not steady": uneven,

@@ -129,6 +129,9 @@ def gather(
     rows: list[tuple[int, Hold, list[Mean]]] = []
     units: dict[str, str] = {}
     for number, run in enumerate(runs):
+        for quantity in quantities:
+            if not run.has(quantity):  # said before anything of the others is
+                run.channel(quantity)
         channels = [read(run, quantity) for quantity in quantities]
         for channel in channels:
             if units.setdefault(channel.quantity, channel.units) != channel.units:

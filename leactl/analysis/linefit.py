@@ -32,6 +32,9 @@ from leactl.analysis.regression import (
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
 
+DRIFTS_BELOW = 1e-3  # probability under which residuals go with time by more than chance
+TIME_ALONE = 0.3  # of its spread, that the levels must leave of time to tell a drift from them
+WORTH = 0.002  # of the response's range, that a drift is worth a note
 FOLLOWS_BELOW = 1e-3  # probability under which a regressor goes with the setpoints by more than chance
 
 
@@ -113,6 +116,7 @@ def remarks(line: LineFit, expected: Array, units: str) -> list[str]:
             f"levels scatter about the fit {ratio:.1f} times as much as the noise within them explains: "
             "something other than noise moves them, such as sticking friction"
         )
+    notes += drifts(line, units)
     found = line.lack_of_fit
     if found is not None and found.clear:
         notes.append(
@@ -127,6 +131,29 @@ def remarks(line: LineFit, expected: Array, units: str) -> list[str]:
                 f"{slope} differs between the runs by more than scatter; its uncertainty is that of their mean, "
                 f"{runs.dof:g} degrees of freedom"
             )
+    return notes
+
+
+def drifts(line: LineFit, units: str) -> list[str]:
+    """A note for each run in which what the fit leaves goes with time, or in which time cannot be told from levels."""
+    notes, levels, design = [], line.levels, line.fit.projected
+    start = np.array([hold.start for hold in levels.holds])
+    for number in np.unique(levels.run):
+        own = levels.run == number
+        time = np.where(own, start - start[own].mean(), 0.0)
+        left = time - design @ np.linalg.lstsq(design, time, rcond=None)[0]
+        which = f" of run {number + 1}" if len(np.unique(levels.run)) > 1 else ""
+        if np.std(left) < TIME_ALONE * np.std(time):
+            notes.append(f"levels{which} were visited in the order of time: a drift cannot be told from the slope")
+            continue
+        found = departure(design, line.fit.explained, time[:, np.newaxis])
+        moved = float(left @ line.fit.residuals) / float(left @ left) * float(np.ptp(start[own]))
+        if found is None or found.probability > DRIFTS_BELOW or abs(moved) < WORTH * float(np.ptp(line.fit.explained)):
+            continue
+        notes.append(
+            f"levels{which} drift by {moved:+.2g} {units} from first to last: the zero of a sensor or of the current,"
+            " or what warms; the intervals hold it as scatter"
+        )
     return notes
 
 

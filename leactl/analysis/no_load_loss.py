@@ -16,7 +16,9 @@ from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
 from leactl.analysis.friction import torque_constants
 from leactl.analysis.levels import Held, Levels, gather
 from leactl.analysis.linefit import LineFit, expect_setup, place_of, remarks
+from leactl.analysis.readings import usable
 from leactl.analysis.regression import Array, t_quantile
+from leactl.analysis.signs import refuse_below_zero
 from leactl.errors import InputError
 from leactl.runfile.reader import Run
 
@@ -61,7 +63,7 @@ def analyze(
     ------
     MissingChannel : a run has no velocity or no q-axis current of the test actuator.
     NotIdentifiable : no torque constant, or fewer than four speeds at which the rotor turned steadily.
-    InputError : a given number that makes no sense.
+    InputError : a given number that makes no sense, or current and velocity of opposite senses.
     """
     place = f"{place_of(runs)}: no-load loss"
     alone = {
@@ -70,18 +72,18 @@ def analyze(
     }
     constants = torque_constants(runs, torque_constant, torque_constant_std)
     notes = expect_setup(runs, ("free",), "losses of whatever else is on the shaft are counted in")
-    levels = reached(runs, gather(runs, (VELOCITY, CURRENT), notes, held=HELD), place, notes)
+    every = gather(runs, (VELOCITY, CURRENT), notes, lambda run, name: usable(run, name, notes, HELD), HELD)
+    levels = reached(runs, every, place, notes)
     torque = constants.values[levels.run] * levels.value[CURRENT]
     line = fit_drag(levels, torque, place)
     notes += [constants.note, *remarks(line, constants.values[levels.run] * levels.std[CURRENT], "N*m")]
     if not both_ways(levels):
         notes.append("the rotor turned one way only: a zero error of the current is part of coulomb_friction")
     full = float(np.max(np.abs(levels.setpoint)))
+    loss = line.fit.estimate("no_load_loss", "W", full * weights_at(line, full), constants.relative_std)
+    refuse_below_zero(loss, place, "current and velocity")
     results = coefficients(line, constants.relative_std)
-    results += [
-        Estimate("full_speed", full, NAN, NAN, NAN, "rad/s"),
-        line.fit.estimate("no_load_loss", "W", full * weights_at(line, full), constants.relative_std),
-    ]
+    results += [Estimate("full_speed", full, NAN, NAN, NAN, "rad/s"), loss]
     results += iron(results, alone, notes)
     paths = tuple(str(run.path) for run in runs)
     return Result("no-load-loss", paths, tuple(results), tuple(notes), (plot_of(levels, torque, line),))

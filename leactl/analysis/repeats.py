@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.analysis.levels import Hold, span
+from leactl.analysis.saturation import noise_shows
 from leactl.runfile.reader import Channel
 
 NOISY = 0.2  # share of readings equal to the one before, above which the resolution hides what repeats
@@ -22,18 +23,28 @@ FEWEST = 5  # readings in such a row
 def without_repeats(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, int]:
     """The channel with readings that came again as missed, and how many those are in the holds' settled parts."""
     parts = [span(channel, hold.start, hold.stop) for hold in holds]
-    shares = [float(np.mean(np.diff(channel.values[part]) == 0.0)) for part in parts if part.stop - part.start > 1]
-    if not shares or (share := float(np.median(shares))) > NOISY:
+    seen = [channel.values[part][np.isfinite(channel.values[part])] for part in parts]
+    shares = [float(np.mean(np.diff(values) == 0.0)) for values in seen if len(values) > 1]
+    share = float(np.median(shares)) if shares else 1.0
+    if share > NOISY and noise_shows(channel.values, staying=False):  # it may hang in most of the record
+        share = float(np.mean(rows(channel.values)[1] > 1))
+    if share > NOISY:
         return channel, 0
     longest = max(FEWEST, math.ceil(math.log(IMPROBABLE) / math.log(share))) if share > 0.0 else FEWEST
     again = repeats(channel.values, longest)
+    if channel.quantity != "torque":  # a shaft that stands and a drive that is off read nothing again and again
+        again &= channel.values != 0.0
     count = sum(int(again[part].sum()) for part in parts)
     return replace(channel, values=np.where(again, np.nan, channel.values)), count
 
 
 def repeats(values: npt.NDArray[np.float64], longest: int) -> npt.NDArray[np.bool_]:
     """Every reading but the first of each row of equal ones that has `longest` or more."""
-    new = np.concatenate([[True], np.diff(values) != 0.0])
-    starts = np.flatnonzero(new)
-    lengths = np.diff(np.append(starts, len(values)))
+    new, lengths = rows(values)
     return np.asarray(~new & np.repeat(lengths >= longest, lengths))
+
+
+def rows(values: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.int64]]:
+    """Which readings differ from the one before, and the lengths of the rows of equal ones."""
+    new = np.concatenate([[True], np.diff(values) != 0.0])
+    return new, np.diff(np.append(np.flatnonzero(new), len(values)))

@@ -10,10 +10,14 @@ from leactl.runfile.reader import Channel
 
 Array = npt.NDArray[np.float64]
 
+TORQUE = "torque"
 SHARE = 0.05  # of a hold's readings at the extreme
 FEWEST = 5  # readings there
 PILE = 3  # times as many there as at the next value; the tail of noise has fewer
 NOISY = 5  # distinct values in most holds: less, and the resolution hides what a pile would show
+FLICKERS = 0.4  # share of turning points above which noise shows in a record; of white noise two thirds are
+RECORD = 50  # readings of a record that can tell so
+ONE_WAY = 0.05  # share of turning points below which a hold still goes to where it settles, without noise
 
 
 def saturated(channel: Channel, holds: Sequence[Hold]) -> tuple[float, list[Hold]]:
@@ -26,13 +30,38 @@ def saturated(channel: Channel, holds: Sequence[Hold]) -> tuple[float, list[Hold
     parts = [(hold, values) for hold, values in parts if len(values)]
     if not parts:
         return float("nan"), []
-    noisy = float(np.median([len(np.unique(values)) for _, values in parts])) >= NOISY
     every = np.concatenate([values for _, values in parts])
     for extreme in (float(every.max()), float(every.min())):
+        if extreme == 0.0 and channel.quantity != TORQUE:  # a shaft that stands, or a drive that is off
+            continue
         reached = [hold for hold, values in parts if piles_up(values, extreme)]
-        if reached and (noisy or len({hold.setpoint for hold in reached}) > 1):
+        if not reached:
+            continue
+        distinct = [(0 if one_way(values) else len(np.unique(values)), hold in reached) for hold, values in parts]
+        judges = [count for count, _ in distinct], [count for count, at_end in distinct if not at_end]
+        noisy = any(np.median(counts) >= NOISY for counts in judges if counts) or noise_shows(channel.values)
+        if noisy or len({hold.setpoint for hold in reached}) > 1:
             return extreme, reached
     return float("nan"), []
+
+
+def noise_shows(values: Array, staying: bool = True) -> bool:
+    """Whether a record's readings, those at its extremes left out, go up and down by turns as no transient does.
+
+    `staying` tells whether readings that stay as they are count, as they do where a coarse resolution would hide noise.
+    """
+    seen = values[np.isfinite(values)]
+    steps = np.diff(seen[(seen != seen.max()) & (seen != seen.min())]) if len(seen) else seen
+    turns = steps[1:] * steps[:-1]
+    turns = turns if staying else turns[turns != 0.0]
+    return len(turns) >= RECORD and float(np.mean(turns < 0.0)) > FLICKERS
+
+
+def one_way(values: Array) -> bool:
+    """Whether readings hardly ever turn: those of a model without noise that comes to rest, however close."""
+    steps = np.diff(values)
+    steps = steps[steps != 0.0]
+    return float(np.mean(steps[1:] * steps[:-1] < 0.0)) < ONE_WAY if len(steps) > 1 else False
 
 
 def settled_values(channel: Channel, hold: Hold) -> Array:
@@ -41,10 +70,19 @@ def settled_values(channel: Channel, hold: Hold) -> Array:
     return values[np.isfinite(values)]
 
 
-def piles_up(values: Array, extreme: float) -> bool:
+def clipped(channel: Channel) -> float | None:
+    """The value at either end that a whole record stops at; None where it has no such end, or no noise to show it."""
+    seen = channel.values[np.isfinite(channel.values)]
+    if not len(seen) or not noise_shows(channel.values):
+        return None
+    ends = (float(seen.max()), float(seen.min()))
+    return next((end for end in ends if end != 0.0 and piles_up(seen, end)), None)
+
+
+def piles_up(values: Array, extreme: float, share: float = SHARE) -> bool:
     """Whether a hold's readings gather at this value as a range's end makes them."""
     there = values == extreme
-    if there.sum() < max(FEWEST, SHARE * len(values)):
+    if there.sum() < max(FEWEST, share * len(values)):
         return False
     rest = values[~there]
     if not len(rest):

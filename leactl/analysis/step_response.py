@@ -13,7 +13,7 @@ from leactl.analysis.estimate import Plot, Result, Series
 from leactl.analysis.jackknife import LevelValue, Reading, mean_of_levels, over_trials
 from leactl.analysis.linefit import expect_setup
 from leactl.analysis.step_metrics import GROWTH, curve_of, overshoot, rise_time, settling_time
-from leactl.analysis.step_trials import BAND, Trial, trials_of, uneven
+from leactl.analysis.step_trials import BAND, Trial, trials_of, uneven, wandering
 from leactl.runfile.reader import Run
 
 SHOWN = 60  # points of a level in the plot
@@ -34,7 +34,7 @@ def step_response(experiment: str, runs: Sequence[Run], reference: str, response
     notes = expect_setup(runs, (setup,), "the response is that of another load")
     every = [trial for run in runs for trial in trials_of(run, reference, response, key, notes)]
     levels = [[trial for trial in every if trial.level == level] for level in sorted({trial.level for trial in every})]
-    notes += uneven(levels)
+    notes += [*uneven(levels), *wandering(levels)]
     units = runs[0].channel(response, role="test").units
     metrics: dict[str, tuple[str, Callable[[Sequence[Trial]], Reading]]] = {
         "rise_time": ("s", rise_time),

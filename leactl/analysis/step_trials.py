@@ -13,7 +13,7 @@ import numpy as np
 from leactl.analysis.estimate import tally
 from leactl.analysis.levels import Hold, span
 from leactl.analysis.regression import Array
-from leactl.analysis.saturation import saturated
+from leactl.analysis.saturation import piles_up, saturated
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Channel, Run, Step
 
@@ -35,6 +35,7 @@ class Trial:
     steady_from: float  # s since the jump
     noise: float  # standard deviation of one sample in the steady part, of the step
     quantum: float  # resolution of the readings, of the step; 0 where none shows
+    rest: float  # what was read before the jump, less what was asked for, of the step
 
     def __str__(self) -> str:
         return f"{self.level:.3g}"
@@ -68,7 +69,7 @@ def trials_of(run: Run, reference: str, response: str, key: str, notes: list[str
     asked, measured = run.channel(reference, role="test"), run.channel(response, role="test")
     jumps = jumps_of(run, key)
     holds = [Hold(jump.target, 0, jump.step.start + jump.step.settle, jump.step.stop) for jump in jumps]
-    value, at_end = clipped(measured, holds)
+    value, at_end = clipped(measured, holds, [jump.step.settle for jump in jumps])
     left_out: dict[str, list[str]] = {}
     found = []
     for jump, hold in zip(jumps, holds, strict=True):
@@ -87,17 +88,32 @@ def trials_of(run: Run, reference: str, response: str, key: str, notes: list[str
     return found
 
 
-def clipped(channel: Channel, holds: Sequence[Hold]) -> tuple[float, set[float]]:
-    """The value that a channel stops at, and where the holds begin that reach it.
+def clipped(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> tuple[float, set[float]]:
+    """The value that a channel stops at, and where the settled parts begin of the steps that reach it.
 
+    `befores` are the lengths of what comes before each settled part [s].
     Where readings mostly come twice, a level at rest looks the same as an end of range; only two levels there tell.
     """
     value, reached = saturated(channel, holds)
     parts = [channel.values[span(channel, hold.start, hold.stop)] for hold in holds]
     still = np.median([np.mean(np.diff(part) == 0.0) for part in parts if len(part) > 1] or [0.0]) > 0.5
-    if still and len({hold.setpoint for hold in reached}) < 2:
-        return value, set()
+    if still:
+        return value, {hold.start for hold in reached if len({hold.setpoint for hold in reached}) > 1}
+    if not reached:
+        return tops(channel, holds, befores)
     return value, {hold.start for hold in reached}
+
+
+def tops(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> tuple[float, set[float]]:
+    """The same of responses that are cut off on their way, such as at the top of an overshoot."""
+    whole = [span(channel, hold.start - before, hold.stop) for hold, before in zip(holds, befores, strict=True)]
+    parts = [channel.values[part][np.isfinite(channel.values[part])] for part in whole]
+    every = np.concatenate(parts) if parts else np.zeros(0)
+    for extreme in (every.max(), every.min()) if len(every) else ():
+        cut = {hold.start for hold, part in zip(holds, parts, strict=True) if piles_up(part, float(extreme), share=0.0)}
+        if cut:
+            return float(extreme), cut
+    return float("nan"), set()
 
 
 def jumps_of(run: Run, key: str) -> list[Jump]:
@@ -152,6 +168,7 @@ def _trial(asked: Channel, measured: Channel, jump: Jump) -> Trial | str:
         steady_from=float(step.start + step.settle - jumped),
         noise=float(np.sqrt(0.5 * np.mean(np.diff(rest) ** 2))),  # what drifts or slips is none
         quantum=quantum_of(values[good]) / abs(made),
+        rest=(zero - start) / made,
     )
 
 
@@ -163,6 +180,25 @@ def quantum_of(values: Array) -> float:
     steps = np.diff(distinct)
     steps = steps[steps > 1e-6 * np.max(np.abs(distinct))]  # what storing in single precision takes apart
     return float(steps.min()) if len(steps) else 0.0
+
+
+def wandering(levels: Sequence[Sequence[Trial]]) -> list[str]:
+    """What a reader must know of levels that are not where they were sent, and of what is read before a jump."""
+    notes = []
+    for trials in levels:
+        short = float(np.mean([trial.steady_error for trial in trials]))
+        if abs(short) > BAND:
+            notes.append(
+                f"at {trials[0]} the response stays {short:+.1%} of the step short of its reference: a channel that is"
+                " clipped or drifts, or a loop that lets it; every figure counts from where it stays"
+            )
+        apart = float(np.ptp([trial.rest for trial in trials]))
+        if apart > BAND:
+            notes.append(
+                f"at {trials[0]} what is read before the jump moves by {apart:.1%} of the step over the trials: the"
+                " channel drifts, and overshoot and settling are off by what it drifts meanwhile"
+            )
+    return notes
 
 
 def uneven(levels: Sequence[Sequence[Trial]]) -> list[str]:

@@ -8,7 +8,7 @@ The joint covariance has calibration in common to network and resistance; noise 
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from leactl.analysis.carried_model import model_of
 from leactl.analysis.estimate import Covariance, Result
 from leactl.analysis.heating.answers import (
+    LATE,
     LEAST_SEEN,
     STEADY,
     camera_results,
@@ -29,7 +30,7 @@ from leactl.analysis.heating.answers import (
 )
 from leactl.analysis.heating.capability import carried
 from leactl.analysis.heating.figures import plots_of
-from leactl.analysis.heating.network import Unknowns, fit_network
+from leactl.analysis.heating.network import NetworkFit, Unknowns, fit_network
 from leactl.analysis.heating.parameters import NAMES, Instruments, known_of, natural_covariance, uncertainty
 from leactl.analysis.heating.record import frames_of, stretches
 from leactl.analysis.heating.resistance import REFERENCE, resistance_line
@@ -95,6 +96,7 @@ def analyze(
     spread = uncertainty(fit, camera_offset_std)
     line = resistance_line(fit, place)
     air = [float(np.mean(one.ambient)) for one in fit.stretches if one.ambient is not None]
+    instruments = as_seen(instruments, fit, notes)
     known = known_of(fit, spread, line, instruments, float(np.mean(air)) if air else REFERENCE)
 
     seen = slow_constants_seen(fit)
@@ -118,6 +120,26 @@ def analyze(
         plots_of(fit, line, currents),
         (Covariance(NAMES, tuple(tuple(row) for row in natural_covariance(known).tolist())),),
     )
+
+
+def as_seen(instruments: Instruments, fit: NetworkFit, notes: list[str]) -> Instruments:
+    """The instruments, with a camera that is further off the sensor of the air than is told of it known no better."""
+    off = [
+        abs(float(fit.point[at]))
+        for index in range(len(fit.stretches))
+        for name in ("offset_winding", "offset_housing")
+        if (at := fit.own(index, name)) is not None
+    ]
+    worst = max(off, default=0.0)
+    if worst <= LATE * instruments.camera_offset:
+        return instruments
+    rise = max(float(np.nanmax(one.winding) - np.nanmin(one.winding)) for one in fit.stretches)
+    found = replace(instruments, camera_offset=worst, camera_gain=math.hypot(instruments.camera_gain, worst / rise))
+    notes.append(
+        f"the camera is {worst:.1f} K off the sensor of the air: its uncertainty is taken as that much in place of"
+        f" {instruments.camera_offset:g} K, and as {found.camera_gain:.1%} of the rise"
+    )
+    return found
 
 
 def refuse_options(options: Mapping[str, float | None]) -> None:

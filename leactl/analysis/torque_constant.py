@@ -7,20 +7,19 @@ s for torque constant, 2 to 3 % of it on the LEA.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from leactl.analysis.carried_model import torque_constant_of_model
 from leactl.analysis.current_convention import named
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
-from leactl.analysis.levels import CURRENT_HELD, Held, Levels, gather, require_levels, span
+from leactl.analysis.levels import Levels, gather, require_levels
 from leactl.analysis.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
+from leactl.analysis.readings import usable
 from leactl.analysis.regression import Array
-from leactl.analysis.repeats import without_repeats
-from leactl.analysis.saturation import saturated
+from leactl.analysis.signs import refuse_below_zero
 from leactl.errors import InputError, NotIdentifiable
-from leactl.runfile.reader import Channel, Run
+from leactl.runfile.reader import Run
 
 CURRENT, TORQUE = "q_axis_current", "torque"
 SIDES = {"rising": 1, "falling": -1}
@@ -40,6 +39,7 @@ def analyze(runs: Sequence[Run]) -> Result:
     ------
     MissingChannel : a run has no torque or no q-axis current of the test actuator.
     NotIdentifiable : fewer than two distinct levels within the sensor's range, or too few points.
+    InputError : torque and current of opposite senses.
     """
     place = f"{place_of(runs)}: torque constant"
     notes = expect_setup(runs, ("coupled", "locked"), "a shaft that turns takes torque past the sensor")
@@ -64,6 +64,7 @@ def analyze(runs: Sequence[Run]) -> Result:
     )
 
     results = [line.estimate("torque_constant", "torque_constant", f"{unit}/A")]
+    refuse_below_zero(results[0], place, "torque and current")
     results += one_side_each(levels, place, notes) if both else []
     if both:
         results.append(magnitude(line.estimate("sticking_torque", "sticking_torque", unit)))
@@ -71,34 +72,6 @@ def analyze(runs: Sequence[Run]) -> Result:
     results.append(Estimate("r_squared", line.fit.r_squared, NAN, NAN, NAN, "1"))
     paths = tuple(str(run.path) for run in runs)
     return Result("torque-constant", paths, tuple(results), tuple(notes), (plot_of(levels, line),))
-
-
-def usable(run: Run, quantity: str, notes: list[str], held: Held = CURRENT_HELD) -> Channel:
-    """A channel of the test actuator; of torque only what is no repeat and no end of range, the rest as missed.
-
-    Raises
-    ------
-    NotIdentifiable : fewer than two levels lie within the sensor's range.
-    """
-    channel = run.channel(quantity, role="test")
-    if quantity != TORQUE:
-        return channel
-    holds = held.levels(run)
-    value, reached = saturated(channel, holds)
-    if reached:
-        where = f"torque of test is saturated at {value:g} in {len(reached)} holds ({listed(reached)})"
-        within = {round(hold.setpoint, 9) for hold in holds if hold not in reached}
-        if len(within) < 2:
-            raise NotIdentifiable(f"{run.path}: {where}; two levels or more within the sensor's range are needed")
-        notes.append(f"{run.path}: {where}, which do not count")
-        values = channel.values.copy()
-        for hold in reached:
-            values[span(channel, hold.start, hold.stop)] = NAN
-        channel = replace(channel, values=values)
-    channel, count = without_repeats(channel, holds)
-    if count:
-        notes.append(f"{run.path}: {count} readings of torque came again in place of new ones and count as missed")
-    return channel
 
 
 def convention(run: Run, found: float) -> list[str]:

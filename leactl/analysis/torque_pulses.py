@@ -19,8 +19,10 @@ from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
 from leactl.analysis.gains import doubt, gain_std
 from leactl.analysis.levels import Levels, gather, require_levels
 from leactl.analysis.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
+from leactl.analysis.readings import usable
 from leactl.analysis.regression import Array, t_quantile
-from leactl.analysis.torque_constant import CURRENT, SIDES, TORQUE, convention, of_one_kind, usable
+from leactl.analysis.signs import refuse_below_zero
+from leactl.analysis.torque_constant import CURRENT, SIDES, TORQUE, convention, of_one_kind
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
 
@@ -78,7 +80,7 @@ def analyze(
     ------
     MissingChannel : a run has no torque or no q-axis current of the test actuator.
     NotIdentifiable : fewer than five magnitudes of current within the sensor's range, or too few points.
-    InputError : an uncertainty below zero.
+    InputError : an uncertainty below zero, or torque and current of opposite senses.
     """
     place = f"{place_of(runs)}: torque pulses"
     notes = expect_setup(runs, ("locked", "coupled"), "a shaft that turns takes torque past the sensor")
@@ -112,8 +114,10 @@ def analyze(
     notes.append("a torque sensor that bends is in the loss")
 
     unit = levels.units[TORQUE]
+    constant = line.estimate("torque_constant", "torque_constant", f"{unit}/A", both_stds)
+    refuse_below_zero(constant, place, "torque and current")
     results = [
-        line.estimate("torque_constant", "torque_constant", f"{unit}/A", both_stds),
+        constant,
         Estimate("peak_current", peak, NAN, NAN, NAN, "A"),
         at_peak(bent, unit, both_stds),
         loss_at_peak(bent),

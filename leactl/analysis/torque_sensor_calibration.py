@@ -17,8 +17,9 @@ from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
 from leactl.analysis.intervals import half_width, step_of
 from leactl.analysis.levels import Held, Levels, gather
 from leactl.analysis.linefit import LineFit, cells_of, fit_lines, place_of, remarks
+from leactl.analysis.readings import usable
 from leactl.analysis.regression import Array, t_quantile
-from leactl.analysis.torque_constant import TORQUE, usable
+from leactl.analysis.torque_constant import TORQUE
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run
 

@@ -8,7 +8,7 @@ alike, since all of them have one sign.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,12 +18,14 @@ from leactl.analysis.drag import VELOCITY
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
 from leactl.analysis.gains import doubt, gain_std
 from leactl.analysis.intervals import step_of
-from leactl.analysis.levels import Levels, gather
+from leactl.analysis.levels import CURRENT_HELD, Levels, gather
 from leactl.analysis.linefit import expect_setup, place_of
+from leactl.analysis.readings import usable, within_range
 from leactl.analysis.regression import Array, departure, judged_by, least_squares, one_column_each, t_quantile
-from leactl.analysis.torque_constant import CURRENT, TORQUE, usable
-from leactl.errors import NotIdentifiable
-from leactl.runfile.reader import Run
+from leactl.analysis.signs import SWAPPED
+from leactl.analysis.torque_constant import CURRENT, TORQUE
+from leactl.errors import InputError, NotIdentifiable
+from leactl.runfile.reader import Channel, Run
 
 BUS = "bus_voltage"
 MISSING = 0.02  # of the current asked for: more, and the voltage is the limit
@@ -41,8 +43,8 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
 
     `highest_torque` [N*m] and `highest_power` [W] with `speed_of_highest_torque` and `speed_of_highest_power` [rad/s];
     `corner_speed` [rad/s] of the winding as warm as its holds left it, without a value where all levels are on one side
-    of it; `current_limit` [A] as asked for;
-    `bus_voltage` [V] at its lowest.
+    of it; `current_limit` [A] as asked for; `bus_voltage` [V] at its lowest. Of a torque beyond the sensor's range only
+    `low` is told.
 
     Parameters
     ----------
@@ -52,12 +54,13 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
     Raises
     ------
     MissingChannel : a run has no torque, velocity or q-axis current of the test actuator.
-    NotIdentifiable : no hold in which the actuator drove, or holds that ask for different currents.
-    InputError : an uncertainty below zero.
+    NotIdentifiable : no hold in which the actuator drove, holds that ask for different currents, or a current beyond
+        what its channel shows.
+    InputError : an uncertainty below zero, or a current against its setpoint.
     """
     place = f"{place_of(runs)}: torque-speed envelope"
     notes = expect_setup(runs, ("coupled",), "another machine has to hold the speed")
-    every = gather(runs, (TORQUE, VELOCITY, CURRENT), notes, lambda run, name: usable(run, name, notes))
+    every = gather(runs, (TORQUE, VELOCITY, CURRENT), notes, lambda run, name: readings(run, name, notes))
     levels = driving(every, place, notes)
     asked = np.unique(np.round(np.abs(levels.setpoint), 9))
     if len(asked) > 1:
@@ -72,14 +75,21 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
     torque = np.abs(levels.value[TORQUE]) + taken
     zero = math.hypot(zero_std(runs, notes), INERTIA_STD * float(np.max(np.abs(taken))))
     shared = Shared(zero, gain_std(runs, TORQUE, torque_gain_std))
-    results = [
+    highest = [
         *best("torque", "N*m", np.ones_like(speed), torque, limited, levels, shared),
         *best("power", "W", speed, torque, limited, levels, shared),
+    ]
+    notes += [f"{item.name} without a repeat: how it scatters is not known" for item in highest if no_interval(item)]
+    stops = [abs(value) for run in runs for value in within_range(run.channel(TORQUE), CURRENT_HELD.levels(run))[1]]
+    if stops:
+        notes.append(f"the torque sensor stops at {max(stops):g} N*m: the highest torque lies above, and power may")
+        highest = [above(one, max(stops)) for one in highest]
+    results = [
+        *highest,
         corner(runs, Limited(speed, flowing, limit, limited, held, levels.run), notes, place),
         Estimate("current_limit", limit, NAN, NAN, NAN, "A"),
         *bus(runs, notes),
     ]
-    notes += [f"{item.name} without a repeat: how it scatters is not known" for item in results if no_interval(item)]
     notes.append(doubt("the torque sensor", shared.gain, "torque and power"))
     paths = tuple(str(run.path) for run in runs)
     return Result("torque-speed-envelope", paths, tuple(results), tuple(notes), (plot_of(speed, torque, limited),))
@@ -91,7 +101,11 @@ def driving(levels: Levels, place: str, notes: list[str]) -> Levels:
     Raises
     ------
     NotIdentifiable : there is none.
+    InputError : a current against its setpoint in most.
     """
+    flows = levels.value[CURRENT] * levels.setpoint
+    if np.mean(flows < 0.0) > 0.5:
+        raise InputError(f"{place}: the current is opposite to its setpoint in {(flows < 0.0).sum()} holds; {SWAPPED}")
     gives = (levels.value[TORQUE] * levels.value[VELOCITY] > 0.0) & (levels.setpoint * levels.value[VELOCITY] > 0.0)
     braking = [hold for hold, one in zip(levels.holds, gives, strict=True) if not one]
     if not gives.any():
@@ -99,6 +113,27 @@ def driving(levels: Levels, place: str, notes: list[str]) -> Levels:
     if braking:
         notes.append(f"left out {len(braking)}: the actuator gave no power ({listed(braking)})")
     return levels.where(gives)
+
+
+def readings(run: Run, quantity: str, notes: list[str]) -> Channel:
+    """A channel with what does not count as missed; a current at the end of its range would be taken for a limit.
+
+    Raises
+    ------
+    NotIdentifiable : the current is there in a hold, or the torque in all of them.
+    """
+    if quantity == CURRENT and (ends := within_range(run.channel(CURRENT), CURRENT_HELD.levels(run))[1]):
+        at = ", ".join(f"{value:g} A" for value in ends)
+        raise NotIdentifiable(f"{run.path}: {CURRENT} of test is saturated at {at}; what flows beyond is not known")
+    return usable(run, quantity, notes, least=1)
+
+
+def above(found: Estimate, stop: float) -> Estimate:
+    """What is left of a highest figure whose sensor stops at a torque: a bound from below, and no speed."""
+    if found.name.startswith("speed"):
+        return replace(found, value=NAN)
+    low = max(found.value, stop) if found.units == "N*m" else found.value
+    return replace(found, value=NAN, std=NAN, low=low, high=math.inf)
 
 
 def no_interval(item: Estimate) -> bool:

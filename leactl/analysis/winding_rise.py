@@ -14,6 +14,7 @@ import numpy.typing as npt
 from leactl import yamlfile
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
 from leactl.analysis.gains import doubt, gain_std
+from leactl.analysis.heating.record import AMBIENT, refuse_clipped, refuse_not_celsius
 from leactl.analysis.intervals import half_width, rounding_limit, rounding_of, step_of
 from leactl.analysis.linefit import expect_setup, place_of
 from leactl.analysis.regression import least_squares
@@ -119,6 +120,8 @@ def analyze(
 def heating_of(run: Run) -> Heating:
     """Readings of the longest stretch with the current on."""
     current, voltage = run.channel("line_current", role="test"), run.channel("line_voltage", role="test")
+    for one in (current, voltage):
+        refuse_clipped(run, one)
     seen = np.isfinite(voltage.values)
     time, volts = voltage.time[seen], voltage.values[seen]
     known = np.isfinite(current.values)
@@ -215,8 +218,8 @@ def copper_of(run: Run) -> Copper:
 
 def cold_temperature(run: Run, before: float, notes: list[str]) -> tuple[float, float]:
     """Temperature of the winding before it was heated [degC]: that of the air."""
-    if run.has("ambient_temperature"):
-        air = run.channels("ambient_temperature")[0]
+    for air in run.channels(AMBIENT, "bench") or run.channels(AMBIENT):
+        refuse_not_celsius(run, air)
         rest = air.values[(air.time < before) & np.isfinite(air.values)]
         if len(rest):
             return float(np.mean(rest)), 1.0

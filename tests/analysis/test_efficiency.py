@@ -200,11 +200,13 @@ def test_swapped_signs_are_refused_by_name(coupled, column, named):
         analyzed(analyze, coupled.run(voltages=True, edit=swap))
 
 
-def test_a_driven_current_with_the_wrong_sign_was_never_reached(coupled):
+def test_a_driven_current_with_the_wrong_sign_is_named(coupled):
     def swap(_time, columns):
         columns["load_current"] *= -1.0
 
-    with pytest.raises(NotIdentifiable, match=r"no point of the grid was held[\s\S]*q_axis_current was not reached"):
+    with pytest.raises(
+        NotIdentifiable, match=r"no point of the grid was held[\s\S]*q_axis_current of load has the opposite sign"
+    ):
         analyzed(analyze, coupled.run(edit=swap))
 
 

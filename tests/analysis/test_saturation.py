@@ -1,5 +1,7 @@
 """An end of range is told from noise, from a coarse sensor and from a level that is merely constant."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,3 +46,12 @@ def test_without_noise_two_levels_that_read_the_same_tell():
 def test_a_mean_that_is_only_half_cut_off_is_found():
     channel, holds = record(0.01, COUNT, high=8.0)
     assert saturated(channel, holds) == (8.0, [holds[3]])
+
+
+def test_a_model_s_value_that_comes_to_rest_is_no_end_of_range():
+    channel, holds = record(0.0, 1e-9)
+    since = channel.time % 1.0
+    for settled in (0.02, 0.1):  # s: until the last digit stays, and while it still moves
+        values = channel.values * (1.0 - np.exp(-since / settled))
+        values[since > 0.7] = channel.values[since > 0.7]
+        assert saturated(replace(channel, values=values), holds)[1] == []

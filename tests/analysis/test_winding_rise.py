@@ -97,3 +97,15 @@ def test_what_cannot_answer_says_why(record, given, error, said):
 def test_two_runs_are_not_one(record):
     with pytest.raises(NotIdentifiable, match="one run at a time"):
         analyze_runs([record(lasts=60.0), record(lasts=60.0)])
+
+
+@pytest.mark.parametrize("role", ["test", "bench"])
+def test_the_air_before_heating_is_the_cold_winding_s_whosever_sensor_it_is(record, role):
+    result = analyze_runs([record(lasts=600.0, cold=35.0, air=np.full(9, 35.0), air_role=role)])
+    assert result.find("winding_rise").value == pytest.approx(rise(np.array(585.0)), abs=0.6)
+    assert not any("no ambient temperature" in note for note in result.notes)
+
+
+def test_air_in_kelvin_is_refused(record):
+    with pytest.raises(InputError, match="these look like kelvin"):
+        analyze_runs([record(lasts=600.0, air=np.full(9, 298.15))])

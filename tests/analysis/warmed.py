@@ -16,7 +16,7 @@ def rise(time, slow=SLOW, fast=FAST):
 
 
 def warmed(bench, *, lasts=4500.0, amperes=8.0, cold=25.0, slow=SLOW, fast=FAST, step=0.01, air=(), sign=1.0,
-           model=MODEL, lack="", alpha=ALPHA, leads=LEADS, gains=(1.0, 1.0), noise=0.0):  # fmt: skip
+           model=MODEL, lack="", air_role="test", alpha=ALPHA, leads=LEADS, gains=(1.0, 1.0), noise=0.0):  # fmt: skip
     """Write a record of heating for some time, and return its path.
 
     `gains` are those of the readings of voltage and current, `noise` [V] is of single readings before their steps.
@@ -47,7 +47,7 @@ def warmed(bench, *, lasts=4500.0, amperes=8.0, cold=25.0, slow=SLOW, fast=FAST,
     names = [name for name in shown if name != lack]
     streams = {"supply": tuple(ChannelSpec(name, name, "test", "s", dtype="f8") for name in names)}
     if len(air):
-        streams["air"] = (ChannelSpec("ambient", "ambient_temperature", "test", "t", dtype="f8"),)
+        streams["air"] = (ChannelSpec("ambient", "ambient_temperature", air_role, "t", dtype="f8"),)
     writer = RunWriter(bench.directory, info, streams)
     time = np.concatenate([rest, BEFORE + into])
     writer.append("supply", time, np.column_stack([shown[name] for name in names]))

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.analysis.estimate import NAN, listed
+from leactl.analysis.saturation import clipped
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
 from leactl.runfile.reader import Channel, Run
 
@@ -82,6 +83,7 @@ def stretches(run: Run, notes: list[str]) -> list[Stretch]:
     regions = winding_of(run, camera.time, notes)
     housing = mean_of(run, run.channels(HOUSING) or [run.channel(HOUSING)], camera.time, notes)
     winding, active = regions
+    refuse_exchanged(run, active, housing, "active windings", "housing")
     air = ambient_of(run, notes)
     found = []
     for part in unbroken(supply.time):
@@ -118,6 +120,8 @@ def supply_of(run: Run, notes: list[str]) -> Supply:
         raise NotIdentifiable(f"{run.path}: {CURRENT} or {VOLTAGE} of test has no readings; the heat is not known")
     if voltage.stream == current.stream:
         amperes = volts = amperes & volts
+    for one in (current, voltage):
+        refuse_clipped(run, one)
     good = volts & (voltage.time >= current.time[amperes][0]) & (voltage.time <= current.time[amperes][-1])
     if bridged := int(np.sum(~np.isfinite(voltage.values))) + int(np.sum(~np.isfinite(current.values))):
         notes.append(f"{run.path}: {bridged} readings of the supply are missing")
@@ -161,6 +165,7 @@ def winding_of(run: Run, time: Array, notes: list[str]) -> tuple[Array, Array]:
                 " 2/3 active and 1/3 inactive"
             )
     hot, cold = mean_of(run, active, time, notes), mean_of(run, inactive, time, notes)
+    refuse_exchanged(run, hot, cold, "active windings", "inactive ones")
     return ACTIVE_SHARE * hot + (1.0 - ACTIVE_SHARE) * cold, hot
 
 
@@ -173,6 +178,7 @@ def mean_of(run: Run, places: Sequence[Channel], time: Array, notes: list[str]) 
     columns = []
     for one in places:
         refuse_not_celsius(run, one)
+        one = within_range(run, one, notes)
         same = len(one.time) == len(time) and np.array_equal(one.time, time)
         columns.append(one.values if same else onto(time, one))
     seen = np.array([np.isfinite(column).sum() for column in columns])
@@ -205,6 +211,42 @@ def ambient_of(run: Run, notes: list[str]) -> tuple[Array, Array] | None:
     time = read[0].time[np.isfinite(read[0].values)]
     values = np.mean([np.interp(time, o.time[g := np.isfinite(o.values)], o.values[g]) for o in read], axis=0)
     return time, np.asarray(values, np.float64)
+
+
+def refuse_exchanged(run: Run, warmer: Array, colder: Array, name: str, other: str) -> None:
+    """Refuse regions of which the one that carries the current stays colder than another: places are exchanged.
+
+    Judged at the tenth of the frames in which both lie furthest apart, that is while one of them is heated.
+    """
+    both = np.isfinite(warmer) & np.isfinite(colder)
+    apart = (warmer - colder)[both]
+    if len(apart) and float(np.mean(apart[np.abs(apart) >= np.quantile(np.abs(apart), 0.9)])) < 0.0:
+        raise InputError(
+            f"{run.path}: the {other} get {-float(apart.min()):.1f} K warmer than the {name}, which carry the current:"
+            " places of the camera are exchanged"
+        )
+
+
+def refuse_clipped(run: Run, channel: Channel) -> None:
+    """Refuse a reading of the supply that stops at a value: what is beyond is heat that nothing tells."""
+    end = clipped(channel)
+    if end is not None:
+        share = float(np.mean(channel.values == end))
+        raise NotIdentifiable(
+            f"{run.path}: {channel.quantity} of {channel.role} is clipped at {end:.4g} {channel.units} in {share:.0%}"
+            " of its readings; the heat is not known: give its input a wider range"
+        )
+
+
+def within_range(run: Run, channel: Channel, notes: list[str]) -> Channel:
+    """A place of the camera without the frames in which it stops at a value; a note says how many."""
+    end = clipped(channel)
+    if end is None:
+        return channel
+    there = channel.values == end
+    where = channel.location or channel.quantity
+    notes.append(f"{run.path}: {where} is clipped at {end:.4g} {channel.units} in {there.sum()} frames; left out")
+    return replace(channel, values=np.where(there, NAN, channel.values))
 
 
 def refuse_not_celsius(run: Run, channel: Channel) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from leactl.analysis.powers.balance import SENSE, Calibration
 from leactl.analysis.powers.points import OTHER, Points
 from leactl.analysis.regression import least_squares
+from leactl.analysis.signs import SWAPPED
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run
 
@@ -37,14 +38,15 @@ def refuse_swapped(points: Points, place: str) -> None:
         voltage = points.value.get(("q_axis_voltage", role))
         if current is not None and voltage is not None and _wrong((voltage * current)[driving == role]):
             faults.append(f"voltage and current of the {role} actuator")
+        elif current is not None and voltage is not None and speed is not None:
+            slack = np.abs(current) <= np.nanmedian(np.abs(current))  # where back-EMF is most of the voltage
+            if _wrong((voltage * speed)[slack]):
+                faults.append(f"voltage and velocity of the {role} actuator")
     turned = next(points.value["velocity", role] for role in OTHER if ("velocity", role) in points.value)
     if _wrong(np.where(driving == "test", 1.0, -1.0) * points.value["torque", "test"] * turned):
         faults.append("torque and velocity")
     if faults:
-        raise InputError(
-            f"{place}: {' and '.join(faults)} have the signs of the other role in most points; a sign is"
-            " swapped: check `sign` of the drives and of the torque sensor's scale"
-        )
+        raise InputError(f"{place}: {' and '.join(faults)} have the signs of the other role in most points; {SWAPPED}")
 
 
 def _wrong(products: np.ndarray) -> bool:
@@ -75,7 +77,11 @@ def drift_of(points: Points, runs: Sequence[Run], told: Calibration, notes: list
         over = (time - time[good].mean()) / max(float(np.ptp(time[good])), 1e-9)
         others = np.column_stack([torque, speed, np.ones_like(over)])[good]
         left = over[good] - others @ np.linalg.lstsq(others, over[good], rcond=None)[0]
-        if np.std(left) < ALONE * np.std(over[good]):  # levels visited in order go with time
+        if np.std(left) < ALONE * np.std(over[good]):
+            notes.append(
+                f"{run.path}: points were visited in the order of their speed or torque: a drift of torque sensor or"
+                " currents cannot be told from them, and is in no interval"
+            )
             continue
         design = np.column_stack([over[good], others])
         try:

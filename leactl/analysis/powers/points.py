@@ -12,15 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.analysis.estimate import NAN, tally
-from leactl.analysis.levels import Hold, Mean, settled_mean, span
+from leactl.analysis.levels import Hold, Mean, settled_mean
+from leactl.analysis.readings import fresh, within_range
 from leactl.analysis.regression import Array
-from leactl.analysis.repeats import without_repeats
-from leactl.analysis.saturation import saturated
 from leactl.errors import MissingChannel, NotIdentifiable
 from leactl.runfile.reader import Channel, Run
 
 OTHER = {"test": "load", "load": "test"}
 HELD = 0.02  # of the setpoint: how far a mean may be off it
+OPPOSITE = 0.5  # of the setpoint: what goes against it by more has its sign swapped
 STEADY = 0.02  # of the mean: how far the means of the quarters of a settled part may lie apart
 Place = tuple[str, str]  # quantity and role
 
@@ -119,28 +119,22 @@ def grid_holds(run: Run, number: int = 0) -> list[GridHold]:
 
 
 def channels_of(run: Run, holds: Sequence[GridHold], notes: list[str]) -> dict[Place, Channel]:
-    """Channels of a run that a power is made of; of the torque only what is no repeat and no end of range."""
+    """Channels of a run that a power is made of; only what is no repeat and no end of range."""
     spans = [one.hold for one in holds]
-    torque = run.channel("torque", role="test")
-    value, reached = saturated(torque, spans)
-    if reached:
-        notes.append(
-            f"{run.path}: torque of test is saturated at {value:g} in {len(reached)} holds, which do not count"
-        )
-        values = torque.values.copy()
-        for hold in reached:
-            values[span(torque, hold.start, hold.stop)] = NAN
-        torque = replace(torque, values=values)
-    torque, count = without_repeats(torque, spans)
-    if count:
-        notes.append(f"{run.path}: {count} readings of torque came again in place of new ones and count as missed")
-    found = {("torque", "test"): torque}
+    found = {("torque", "test"): run.channel("torque", role="test")}
     for quantity in ("velocity", "q_axis_current", "q_axis_voltage"):
         found |= {(quantity, role): run.channel(quantity, role=role) for role in OTHER if run.has(quantity, role)}
     if not any(place[0] == "velocity" for place in found):
         raise MissingChannel(f"{run.path}: no velocity of test or load")
     if not any(place[0] == "q_axis_current" for place in found):
         raise MissingChannel(f"{run.path}: no q_axis_current of test or load")
+    by_speed = [replace(one.hold, setpoint=one.speed) for one in holds]
+    for (quantity, role), channel in found.items():
+        kept, ends = within_range(channel, by_speed if quantity == "velocity" else spans)
+        for value, reached in ends.items():
+            where = f"{quantity} of {role} is saturated at {value:g} in {len(reached)} holds"
+            notes.append(f"{run.path}: {where}, which do not count")
+        found[quantity, role] = fresh(kept, spans, notes, str(run.path))
     absent = [role for role in OTHER if ("q_axis_current", role) not in found]
     notes += [f"{run.path}: no current of the {role} actuator, so there is no efficiency of it" for role in absent]
     return found
@@ -174,6 +168,8 @@ def fault_of(one: GridHold, means: Mapping[Place, Mean | None]) -> str:
     for place, mean in there.items():
         asked = one.speed if place[0] == "velocity" else one.current
         follows = place[0] == "velocity" or place == ("q_axis_current", OTHER[one.driving])
+        if follows and mean.value * asked < 0.0 and abs(mean.value) > OPPOSITE * abs(asked):
+            return f"{place[0]} of {place[1]} has the opposite sign of its setpoint"
         if follows and abs(mean.value - asked) > HELD * abs(asked):
             return f"{place[0]} was not reached"
     for place, mean in there.items():
