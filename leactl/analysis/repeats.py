@@ -15,7 +15,7 @@ from leactl.analysis.levels import Hold, span
 from leactl.analysis.saturation import noise_shows
 from leactl.runfile.reader import Channel
 
-NOISY = 0.2  # share of readings equal to the one before, above which the resolution hides what repeats
+NOISY = 0.4  # share of readings equal to the one before, above which the resolution, 1.5 times the noise, hides it
 IMPROBABLE = 1e-9  # that noise alone makes so long a row of equal readings
 FEWEST = 5  # readings in such a row
 

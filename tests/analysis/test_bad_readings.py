@@ -256,3 +256,14 @@ def test_a_camera_that_drifts_by_kelvins_has_intervals_that_hold_the_truth(tmp_p
 @pytest.mark.parametrize("name", ["q_axis_current", "velocity"])
 def test_a_channel_that_hangs_from_the_beginning_on_gives_no_friction(bench, name):
     assert "friction" in refused(bench.friction(noise=NOISE, edit=hung(name, 0.06, 1.0)))
+
+
+def test_a_current_that_hangs_shows_in_steps_as_coarse_as_its_noise(bench):
+    def edit(time, columns):
+        columns["q_axis_current"] = 0.0137 * np.round(columns["q_axis_current"] / 0.0137)
+        hung("q_axis_current", 0.32, 0.57)(columns)
+
+    result = analyze_runs([bench.friction(noise=NOISE, edit=edit)])
+    assert any("q_axis_current" in note and "missed" in note for note in result.notes)
+    assert covered(result.find("viscous_damping"), 0.0238)
+    assert result.find("viscous_damping").std < 0.001
