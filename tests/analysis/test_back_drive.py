@@ -40,6 +40,7 @@ def test_a_rotor_without_cogging_gets_a_bound_and_no_number(bench):
     assert any("cogging is below" in note for note in result.notes)
 
 
+@pytest.mark.long
 def test_intervals_hold_the_truth_in_95_of_100_times(bench):
     true = {"breakaway_torque": 0.25, "coulomb_friction": F, "viscous_damping": B, "cogging_amplitude": COG}
     held = dict.fromkeys(true, 0)

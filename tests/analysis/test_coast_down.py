@@ -31,6 +31,7 @@ def test_the_lag_of_the_speed_filter_moves_nothing(bench):
     assert result.find("coulomb_over_inertia").value == pytest.approx(F / J, rel=3e-3)
 
 
+@pytest.mark.long
 def test_intervals_hold_the_truth_in_95_of_100_times(bench):
     true = {"rotor_inertia": J, "coulomb_friction": F, "viscous_damping": B, "coulomb_over_inertia": F / J}
     held = dict.fromkeys(true, 0)

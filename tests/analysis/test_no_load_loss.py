@@ -26,6 +26,7 @@ def test_without_noise_every_part_and_the_loss_come_back(tmp_path_factory, f, b,
     assert result.find("full_speed").value == 35
 
 
+@pytest.mark.long
 def test_intervals_hold_the_truth_in_95_of_100_times(bench):
     true = {
         "coulomb_friction": F,

@@ -36,6 +36,7 @@ def test_the_straight_part_ends_where_two_percent_are_missing(bench):
     assert any("the bend lies above" in note for note in straight.notes)
 
 
+@pytest.mark.long
 def test_intervals_hold_the_truth_in_95_of_100_times(bench):
     true = {"loss_at_peak": 0.06, "torque_constant": KT, "torque_at_peak": KT * 28 * 0.94}
     held = dict.fromkeys(true, 0)

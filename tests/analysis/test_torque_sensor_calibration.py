@@ -53,6 +53,7 @@ def test_the_parts_add_in_squares_and_few_repeats_widen_the_coverage_factor(benc
     assert 2.0 < factor < 4.0
 
 
+@pytest.mark.long
 def test_intervals_hold_the_truth_in_95_of_100_times(bench):
     held = 0
     for _ in range(20):

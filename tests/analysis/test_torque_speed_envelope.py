@@ -24,6 +24,7 @@ def test_highest_torque_power_and_corner_come_back(bench):
     assert result.find("current_limit").value == ASKED
 
 
+@pytest.mark.long
 def test_intervals_hold_the_truth_in_95_of_100_times(bench):
     held = 0
     for _ in range(20):

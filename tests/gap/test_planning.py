@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from leactl.cli.main import app
 from leactl.errors import InputError
 from leactl.gap.evidence import Evidence
-from leactl.gap.planning.advice import advise, read_noise
+from leactl.gap.planning.advice import read_noise
 from leactl.gap.planning.records import planned_record, usual_noise
 from leactl.gap.planning.reveal import planned_candidates, sights
 from leactl.gap.separating import separating_experiment
@@ -97,27 +97,40 @@ def test_a_planned_record_moves_as_the_model_does():
     np.testing.assert_allclose(np.abs(speed[steady]), expected, rtol=1e-3)
 
 
-def test_advice_names_what_stays_dark_and_what_would_help(model_file):
-    advice = advise(model_file, [], ["friction"], {})
-    seen = {sight.effect for sight in advice.sights if sight.seen}
-    assert "unbalance" in seen
-    assert "friction" not in {e.protocol for e in advice.experiments}
-    assert [e.gain for e in advice.experiments] == sorted((e.gain for e in advice.experiments), reverse=True)
-    assert any("torque_sensor_gain" in e.shows for e in advice.experiments)
-    helped = {effect for e in advice.experiments for effect in e.shows}
-    assert set(advice.dark) == set(effect_names()) - {"resistance_temperature"} - seen - helped
+@pytest.fixture(scope="module")
+def advised(model_file):
+    """What the command says of two protocols beside every shipped one."""
+    named = ["--protocol", "friction", "--protocol", "separate-drive-timing"]
+    told = CliRunner().invoke(app, ["gap", "plan", "--model", str(model_file), *named, "--json"])
+    assert told.exit_code == 0, told.output
+    return json.loads(told.stdout)
 
 
-def test_the_command_prints_text_and_json(model_file):
-    arguments = ["gap", "plan", "--model", str(model_file), "--protocol", "separate-drive-timing"]
-    text = CliRunner().invoke(app, arguments)
-    assert text.exit_code == 0, text.output
-    assert "leactl run " in text.stdout
-    found = json.loads(CliRunner().invoke(app, [*arguments, "--json"]).stdout)
-    assert found["format"] == "leactl-gap-plan"
-    delay = next(line for line in found["effects"] if line["effect"] == "transport_delay")
+def test_advice_names_what_stays_dark_and_what_would_help(advised):
+    assert advised["format"] == "leactl-gap-plan"
+    shown = {line["effect"] for line in advised["effects"] if line["shown"]}
+    further = advised["experiments"]
+    assert "unbalance" in shown
+    assert not {"friction", "separate-drive-timing"} & {line["protocol"] for line in further}
+    assert [line["gain_per_s"] for line in further] == sorted((line["gain_per_s"] for line in further), reverse=True)
+    assert any("torque_sensor_gain" in line["shows"] for line in further)
+    helped = {effect for line in further for effect in line["shows"]}
+    assert set(advised["not_shown"]) == set(effect_names()) - {"resistance_temperature"} - shown - helped
+
+
+def test_the_timing_of_drives_is_told_to_show_a_delay_worth_knowing(advised):
+    delay = next(line for line in advised["effects"] if line["effect"] == "transport_delay")
     assert delay["shown"] is True
     assert delay["found_from"] <= effect_definition("transport_delay").worth_knowing.size
+
+
+def test_the_command_s_text_says_what_to_run(model_file, monkeypatch):
+    monkeypatch.setattr(
+        protocolfile, "names", lambda: ["friction", "separate-drive-timing"]
+    )  # the others take half a minute
+    text = CliRunner().invoke(app, ["gap", "plan", "--model", str(model_file), "--protocol", "friction"])
+    assert text.exit_code == 0, text.output
+    assert "leactl run separate-drive-timing" in text.stdout
 
 
 def test_wrong_noise_is_told_by_item():

@@ -103,7 +103,7 @@ def test_what_is_no_run_is_refused_in_one_line(complete: Path, tmp_path: Path):
     newer = shutil.copy(complete, tmp_path / "newer.h5")
     with h5py.File(newer, "r+") as file:
         file.attrs["format_version"] = 2
-    reasons = {text: "not an HDF5 file", foreign: "not a run file", newer: "format_version is 2", tmp_path: "directory"}
+    reasons = {text: "not an HDF5 file", foreign: "not a run file", newer: "format_version is 2", tmp_path: "a folder"}
     for path, reason in [*reasons.items(), (tmp_path / "none.h5", "No such file")]:
         with pytest.raises(InputError, match=rf"(?i){path.name}.*{reason}") as caught:
             Run.open(path)

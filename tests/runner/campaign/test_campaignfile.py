@@ -148,7 +148,8 @@ def test_a_shipped_campaign_is_whole_and_every_run_of_it_may_be_made(name, tmp_p
     assert {step.protocol for step in whole.steps.values()} <= set(protocols())
     for variant in ("", "short"):
         entries = entries_of(load(name, variant), Conditions(tmp_path / "out"))
-        assert len(previews(entries)) == len({(entry.cell.step, entry.cell.condition) for entry in entries})
+        each = list({entry.cell.step: entry for entry in entries}.values())  # windings forget the preload
+        assert len(previews(each)) == len(each)
 
 
 @pytest.mark.parametrize("variant", ["", "short"])
