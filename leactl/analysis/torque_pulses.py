@@ -5,7 +5,7 @@
 for currents up to I: an odd function of the current, since iron has no sign of its own, that bends as knees do. s is
 what a rotor that sticks keeps from the sensor, by the side d that a level was reached from (torque_constant.py): no
 more than its Coulomb friction, less where it rings before it stops. e is what of it does not turn with d, and no torque
-of the current. A gain error of sensor or current is a factor on K and in no loss.
+of the current. A gain error of sensor or current is a factor on K; one of the current moves along the bend.
 """
 
 import math
@@ -85,7 +85,8 @@ def analyze(
     place = f"{place_of(runs)}: torque pulses"
     notes = expect_setup(runs, ("locked", "coupled"), "a shaft that turns takes torque past the sensor")
     torque_std = gain_std(runs, TORQUE, torque_gain_std)
-    both_stds = math.hypot(torque_std, gain_std(runs, CURRENT, current_gain_std))
+    current_std = gain_std(runs, CURRENT, current_gain_std)
+    both_stds = math.hypot(torque_std, current_std)
     levels = of_one_kind(gather(runs, (CURRENT, TORQUE), notes, lambda run, name: usable(run, name, notes)), notes)
     current, torque = levels.value[CURRENT], levels.value[TORQUE]
     require_levels(place, "current", levels.setpoint, current, levels.std[CURRENT])
@@ -110,7 +111,7 @@ def analyze(
     expected = np.hypot(levels.std[TORQUE], bent.constant * levels.std[CURRENT])
     notes += remarks(line, expected, levels.units[TORQUE])
     notes += [f"{run.path}: {what}" for run in runs for what in convention(run, bent.constant)]
-    notes.append(doubt("torque or current", both_stds, "torques and torque_constant, and in no loss"))
+    notes.append(doubt("torque or current", both_stds, "torques and torque_constant"))
     notes.append("a torque sensor that bends is in the loss")
 
     unit = levels.units[TORQUE]
@@ -120,7 +121,7 @@ def analyze(
         constant,
         Estimate("peak_current", peak, NAN, NAN, NAN, "A"),
         at_peak(bent, unit, both_stds),
-        loss_at_peak(bent),
+        loss_at_peak(bent, current_std),
         straight_up_to(bent, notes),
     ]
     if "sticking_torque" in line.slopes:
@@ -188,12 +189,14 @@ def trend_of_sticking(bent: Bent) -> float:
     return float(ratio @ bent.line.fit.residuals) / float(ratio @ ratio)
 
 
-def loss_at_peak(bent: Bent) -> Estimate:
-    """Share of the torque that is missing at the peak."""
+def loss_at_peak(bent: Bent, current_std: float) -> Estimate:
+    """Share of the torque that is missing at the peak; a current that is off by its gain is elsewhere on the bend."""
     fit = bent.line.fit
     value, gradient = bent.loss(bent.peak)
-    std = math.sqrt(fit.variance * float(gradient @ fit.unscaled @ gradient))
-    half = t_quantile(fit.dof) * std
+    fitted = math.sqrt(fit.variance * float(gradient @ fit.unscaled @ gradient))
+    off = current_std * (bent.loss(1.01 * bent.peak)[0] - bent.loss(0.99 * bent.peak)[0]) / 0.02
+    std = math.hypot(fitted, off)
+    half = math.hypot(t_quantile(fit.dof) * fitted, t_quantile(math.inf) * off)
     return Estimate("loss_at_peak", value, std, value - half, value + half, "1")
 
 
