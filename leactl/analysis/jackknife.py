@@ -1,6 +1,7 @@
 """Mean over levels of a figure that all trials of a level give together, with its interval from leaving trials out.
 
-Efron & Tibshirani, An Introduction to the Bootstrap (1993), chapters 10 and 11: bias and standard error.
+Efron & Tibshirani, An Introduction to the Bootstrap (1993), chapter 11: standard error. The bias that
+it estimates is not taken out: with few trials that scatters by more than the bias there is.
 """
 
 import math
@@ -11,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate
-from leactl.analysis.regression import t_quantile
+from leactl.analysis.intervals import half_width
 
 
 class Reading(NamedTuple):
-    """A figure of one level, and standard uncertainties that more trials do not make smaller."""
+    """A figure of one level, and the limits of errors, evenly spread, that more trials do not make smaller."""
 
     value: float
     shared: float = 0.0  # the same in every level, as where the samples lie on the response
@@ -32,7 +33,7 @@ class LevelValue:
 
 
 def over_trials(trials: int, figure: Callable[[Sequence[int]], Reading]) -> LevelValue:
-    """Figure of these many trials, its bias taken out, from the figures that each trial left out gives.
+    """Figure of these many trials, with its standard error from the figures that each trial left out gives.
 
     `figure` takes the trials to use by their places; NaN where it has no value for them.
     """
@@ -40,9 +41,9 @@ def over_trials(trials: int, figure: Callable[[Sequence[int]], Reading]) -> Leve
     if trials < 2 or not math.isfinite(every.value):
         return LevelValue(every, NAN, trials - 1)
     without = np.array([figure([k for k in range(trials) if k != left_out]).value for left_out in range(trials)])
-    bias = (trials - 1) * (float(without.mean()) - every.value)
     scatter = math.sqrt((trials - 1) / trials * float(np.sum((without - without.mean()) ** 2)))
-    return LevelValue(every._replace(value=every.value - bias), scatter, trials - 1)
+    unseen = math.sqrt(max(every.own**2 - 3.0 * trials * scatter**2, 0.0))  # what trials do differently, they tell
+    return LevelValue(every._replace(own=unseen), scatter, trials - 1)
 
 
 def mean_of_levels(name: str, units: str, levels: Sequence[LevelValue]) -> Estimate:
@@ -50,11 +51,12 @@ def mean_of_levels(name: str, units: str, levels: Sequence[LevelValue]) -> Estim
     count = len(levels)
     value = sum(level.reading.value for level in levels) / count
     scatter = [(level.scatter / count) ** 2 for level in levels]
-    fixed = (sum(level.reading.shared for level in levels) / count) ** 2
-    fixed += sum((level.reading.own / count) ** 2 for level in levels)
-    std = math.sqrt(sum(scatter) + fixed)
-    if not math.isfinite(std):
+    limits = [sum(level.reading.shared for level in levels) / count]
+    limits += [level.reading.own / count for level in levels]
+    scattered = math.sqrt(sum(scatter))
+    if not math.isfinite(scattered):
         return Estimate(name, value, NAN, NAN, NAN, units)
     weight = sum(part**2 / level.dof for part, level in zip(scatter, levels, strict=True))
-    half = t_quantile(std**4 / weight if weight > 1e-18 * std**4 else math.inf) * std
+    half = half_width(scattered, scattered**4 / weight if weight else math.inf, *limits)
+    std = math.hypot(scattered, *(limit / math.sqrt(3.0) for limit in limits))
     return Estimate(name, value, std, value - half, value + half, units)

@@ -12,7 +12,8 @@ import numpy as np
 from leactl.analysis.estimate import Plot, Result, Series
 from leactl.analysis.jackknife import LevelValue, Reading, mean_of_levels, over_trials
 from leactl.analysis.linefit import expect_setup
-from leactl.analysis.step_metrics import GROWTH, curve_of, overshoot, rise_time, settling_time
+from leactl.analysis.step_curve import curve_of
+from leactl.analysis.step_metrics import GROWTH, overshoot, rise_time, settling_time
 from leactl.analysis.step_trials import BAND, Trial, trials_of, uneven, wandering
 from leactl.runfile.reader import Run
 
@@ -63,7 +64,7 @@ def _over(trials: Sequence[Trial], metric: Callable[[Sequence[Trial]], Reading])
 
 
 def _steady_error(trials: Sequence[Trial]) -> LevelValue:
-    still = [0.0 if trial.noise > 0.5 * trial.quantum else trial.quantum / math.sqrt(12.0) for trial in trials]
+    still = [0.0 if trial.noise > 0.5 * trial.quantum else 0.5 * trial.quantum for trial in trials]
     return over_trials(
         len(trials),
         lambda kept: Reading(100.0 * float(np.mean([trials[k].steady_error for k in kept])), own=100.0 * max(still)),

@@ -28,7 +28,7 @@ from leactl.runner.session import execute
 
 from .__main__ import HEAD, shown
 from .judgement import judge
-from .plant import WatchedRig, current_loop_bandwidth, drawn_loops, position_bandwidth
+from .plant import WatchedRig, current_loop_bandwidth, drawn_lag, drawn_loops, position_bandwidth
 
 CONDITION = "design"
 SHORTER = {"current-noise": ["trials=1", "subtrials=1"], "position-noise": ["trials=2"]}
@@ -100,6 +100,7 @@ def rehearsed(wanted: tuple[Path, int, str]) -> tuple[str, dict[str, float], Pat
             sets += [f"{level}_seed={10_000 * seed + 1000 * k}" for k, level in enumerate(("small", "middle", "large"))]
         bench_file = str(unfinished / "bench.yaml")
         if name.endswith("step"):
+            WatchedRig.lag = drawn_lag(seed)
             emulated_bench.Rig = WatchedRig
             emulated_bench.EmulatedBench = Seen
         request = prepare(name, bench_file, sets, "a1", CONDITION, "", unfinished, False)

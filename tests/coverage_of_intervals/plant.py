@@ -35,6 +35,11 @@ def drawn_loops(seed: int) -> dict[str, float]:
     return {name: file.emulated.bench[name] * float(random.uniform(1 - SPREAD, 1 + SPREAD)) for name in DRAWN}
 
 
+def drawn_lag(seed: int) -> float:
+    """How long after the host's cycle a seed's drive acts on a jump [s]: anywhere in a cycle."""
+    return float(np.random.default_rng([seed, 78]).uniform(0.0, CYCLE_S))
+
+
 def plant(loops: Mapping[str, float], setup: str, condition: str) -> Rig:
     """The plant with these loops in a set-up under a condition."""
     file, _, _ = benchfile.load("emulated")
@@ -46,20 +51,30 @@ def plant(loops: Mapping[str, float], setup: str, condition: str) -> Rig:
 class WatchedRig(Rig):
     """The plant of a run, looked at every 50 us for a while after each jump of the test drive's setpoint."""
 
+    lag = 0.0  # s, within a cycle of the host, after which the test drive acts on a jump
+
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         self.jumps: list[list[tuple[float, float]]] = []  # time since the jump and what answers it
+        self._awaited: tuple[float, str, float] | None = None  # when the drive acts on a jump, and on which
         super().__init__(*arguments, **settings)
 
     def take_command(self, k: int, mode: str, value: float) -> None:
-        """Notice a jump to somewhere else than zero."""
+        """Keep a jump to somewhere else than zero until the drive acts on it."""
         actuator = self.actuators["test"]
         if k == 0 and mode == actuator.mode and abs(value) > JUMP < abs(value - actuator.setpoint):
-            self._jumped = self.time
-            self.jumps.append([(0.0, self._answer)])
-        super().take_command(k, mode, value)
+            self._awaited = self._awaited or (self.time + self.lag, mode, value)
+        else:
+            super().take_command(k, mode, value)
 
     def advance(self, to_time: float) -> None:
         """Go on in short steps where it counts."""
+        if self._awaited and to_time >= self._awaited[0]:
+            acts, mode, value = self._awaited
+            self._awaited = None
+            super().advance(acts)
+            super().take_command(0, mode, value)
+            self.jumps.append([(0.0, self._answer)])
+            self._jumped = self.time
         while self.jumps and to_time < self._jumped + WATCHED_S and self.time + FINE_S < to_time:
             super().advance(min(self.time + (FINE_S if self.time < self._jumped + FINELY_S else CYCLE_S), to_time))
             self.jumps[-1].append((self.time - self._jumped, self._answer))
