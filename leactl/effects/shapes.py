@@ -23,25 +23,13 @@ def delayed(values: Array, delay: float, interval: float) -> Array:
 
 def play(values: Array, half_width: float) -> Array:
     """What follows a value with this much play on either side (Krasnosel'skii's play operator)."""
-    out = np.empty(len(values))
-    kept = 0.0
-    for index, value in enumerate(values.tolist()):
-        if value - kept > half_width:
-            kept = value - half_width
-        elif kept - value > half_width:
-            kept = value + half_width
-        out[index] = kept
-    return out
+    return stuck_between(values - half_width, values + half_width)
 
 
 def stuck_between(low: Array, high: Array) -> Array:
     """What stays as it is until a bound takes it along; zero at first."""
-    out = np.empty(len(low))
-    kept = 0.0
-    for index, (least, most) in enumerate(zip(low.tolist(), high.tolist(), strict=True)):
-        kept = min(max(kept, least), most)
-        out[index] = kept
-    return out
+    kept, bounds = 0.0, zip(low.tolist(), high.tolist(), strict=True)
+    return np.array([kept := least if kept < least else most if kept > most else kept for least, most in bounds])
 
 
 def bristle(angle: Array, displacement: float) -> Array:

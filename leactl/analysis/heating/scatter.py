@@ -40,6 +40,7 @@ class Scatter:
     drift: Array  # (nodes, nodes), covariance of the drift
     lasts: float  # s, that a drift decays over
     span: float  # s, of record behind it
+    seen: float = 1.0  # weight of the drift against none, after Akaike (Burnham & Anderson, 2002, section 2.9)
 
     @property
     def dof(self) -> float:
@@ -95,9 +96,12 @@ def scatter_of(parts: Sequence[Part]) -> Scatter:
         start = [math.log(0.7)] * nodes + [0.3 if n == k else 0.0 for n, k in lower]
         begin = np.array([*start, min(max(math.log(lasts), low), high)])
         found.append(minimize(cost, begin, method="L-BFGS-B", bounds=bounds))
-    told = unpacked(min(found, key=lambda one: float(one.fun)).x)
-    scale = np.outer(spread, spread)
-    return Scatter(told.noise * spread**2, told.drift * scale, told.lasts, span)
+    best = min(found, key=lambda one: float(one.fun))
+    still = bounds[:nodes] + [(0.0, 0.0)] * len(lower) + [(low, low)]
+    calm = minimize(cost, [0.0] * (nodes + len(lower)) + [low], method="L-BFGS-B", bounds=still)
+    seen = 1.0 / (1.0 + math.exp(min(len(lower) + 1 - 0.5 * (calm.fun - best.fun), 700.0)))
+    told, scale = unpacked(best.x), np.outer(spread, spread)
+    return Scatter(told.noise * spread**2, told.drift * scale, told.lasts, span, seen)
 
 
 def spread_of_sums(part: Part, scatter: Scatter) -> tuple[Array, Array]:
