@@ -7,6 +7,7 @@ it estimates is not taken out: with few trials that scatters by more than the bi
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +15,17 @@ import numpy as np
 from leactl.analysis.estimate import NAN, Estimate
 from leactl.analysis.intervals import half_width
 
+SHOWN = (
+    4.0  # by which trials that each round by themselves may scatter less than that makes them; else they do so alike
+)
+
 
 class Reading(NamedTuple):
     """A figure of one level, and the limits of errors, evenly spread, that more trials do not make smaller."""
 
     value: float
-    shared: float = 0.0  # the same in every level, as where the samples lie on the response
-    own: float = 0.0  # of this level alone, as the rounding of its readings
+    shared: tuple[float, ...] = ()  # the same in every level, as where the samples lie on the response
+    own: tuple[float, ...] = ()  # of this level alone, as the rounding of its readings
 
 
 @dataclass(frozen=True)
@@ -42,8 +47,9 @@ def over_trials(trials: int, figure: Callable[[Sequence[int]], Reading]) -> Leve
         return LevelValue(every, NAN, trials - 1)
     without = np.array([figure([k for k in range(trials) if k != left_out]).value for left_out in range(trials)])
     scatter = math.sqrt((trials - 1) / trials * float(np.sum((without - without.mean()) ** 2)))
-    unseen = math.sqrt(max(every.own**2 - 3.0 * trials * scatter**2, 0.0))  # what trials do differently, they tell
-    return LevelValue(every._replace(own=unseen), scatter, trials - 1)
+    own = sum(limit**2 for limit in every.own)
+    unseen = math.sqrt(max(1.0 - SHOWN * 3.0 * trials * scatter**2 / own, 0.0)) if own else 0.0
+    return LevelValue(every._replace(own=tuple(unseen * limit for limit in every.own)), scatter, trials - 1)
 
 
 def mean_of_levels(name: str, units: str, levels: Sequence[LevelValue]) -> Estimate:
@@ -51,8 +57,8 @@ def mean_of_levels(name: str, units: str, levels: Sequence[LevelValue]) -> Estim
     count = len(levels)
     value = sum(level.reading.value for level in levels) / count
     scatter = [(level.scatter / count) ** 2 for level in levels]
-    limits = [sum(level.reading.shared for level in levels) / count]
-    limits += [level.reading.own / count for level in levels]
+    limits = [sum(parts) / count for parts in zip_longest(*(level.reading.shared for level in levels), fillvalue=0.0)]
+    limits += [limit / count for level in levels for limit in level.reading.own]
     scattered = math.sqrt(sum(scatter))
     if not math.isfinite(scattered):
         return Estimate(name, value, NAN, NAN, NAN, units)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from leactl.analysis.estimate import NAN
+from leactl.analysis.intervals import rounding_limit
 from leactl.analysis.jackknife import Reading
 from leactl.analysis.regression import Array
 from leactl.analysis.step_curve import HIGH, LOW, Curve, crossing, curve_of, passing
@@ -19,6 +20,10 @@ from leactl.analysis.step_trials import BAND, Trial
 
 GROWTH = 0.02  # of the time since the jump, bins for the settling time
 CLEAR = 4.5  # standard errors that an overshoot stands out by, else there is none
+EIGHTH, TWENTIETH = 1 / 8, 1 / 20  # of the band and of an overshoot, to which noise is averaged to find where they are
+REACH = 4  # part of the bins since the jump, over which it is averaged to either side at the most
+OPEN = 1 / 3  # of the band, above which noise or rounding leaves open when a response settles
+COUNTS = 2.0  # of a reading's resolution, to either side of a level, over which its pace is taken
 TOP = 0.75  # of the overshoot, above which a curve is laid through its top
 TOP_ORDER = 4  # of that curve in the logarithm of time
 WAY_ORDER = 3  # of the curve through the last way into the band
@@ -33,76 +38,107 @@ def rise_time(trials: Sequence[Trial]) -> Reading:
     low = int(np.flatnonzero(curve.value[:half] < LOW)[-1]) + 1
     high = half + int(np.argmax(curve.value[half:] >= HIGH))
     begins, ends = passing(curve, low, LOW), passing(curve, high, HIGH)
-    rounding = math.sqrt(2.0 / 3.0) * _rounding(curve) * math.hypot(_pace(curve, low), _pace(curve, high))
-    return Reading(ends.time - begins.time, shared=math.hypot(begins.limit, ends.limit), own=rounding)
+    slow, fast = _rounding_at(curve, low, LOW), _rounding_at(curve, high, HIGH)
+    # what is read at each passing, and at rest and in the steady part, of which each level has its share
+    own = (slow, fast, (1 - LOW) * slow - (1 - HIGH) * fast, LOW * slow - HIGH * fast)
+    return Reading(ends.time - begins.time, (begins.limit, ends.limit), own)
 
 
 def overshoot(trials: Sequence[Trial]) -> Reading:
     """Highest point above the steady value [%]; zero where it does not stand out of noise and rounding."""
     curve = curve_of(trials)
     above = curve.value - 1.0
+    error = float(np.max(curve.error))
     top = int(np.argmax(above))
-    blurred = math.hypot(float(curve.error[top]), curve.quantum / math.sqrt(12.0))
+    blurred = math.hypot(error, curve.quantum / math.sqrt(12.0))
     steady = 100.0 * _rounding(curve)
     if above[top] < CLEAR * blurred:
-        return Reading(0.0, own=max(math.sqrt(2.0) * steady, 100.0 * max(float(above[top]), 0.0)))
-    lower = above < TOP * above[top]
+        return Reading(0.0, own=(steady, max(steady, 100.0 * float(above[top]))))
+    calm = _calmed(curve, TWENTIETH * float(above[top])) - 1.0
+    top = int(np.argmax(calm))
+    lower = calm < TOP * calm[top]
     begin = int(np.flatnonzero(lower[:top])[-1]) + 1
     end = top + int(np.argmax(lower[top:])) if lower[top:].any() else len(above)
     if end - begin < ENOUGH:  # too few for a curve: the highest, and what may lie between it and its neighbours
+        top = begin + int(np.argmax(above[begin:end]))
         beside = float(np.max(np.abs(np.diff(above[top - 1 : top + 2]))))
-        return Reading(100.0 * float(above[top]), shared=100.0 * beside / 4.0, own=math.sqrt(2.0) * steady)
+        return Reading(100.0 * float(above[top]), (25.0 * beside, 100.0 * error), (steady, steady))
     at = np.log(curve.time[begin:end])
-    through = np.polynomial.Polynomial.fit(at, above[begin:end], TOP_ORDER)
-    fine = np.linspace(at[0], at[-1], 500)
-    return Reading(100.0 * float(through(fine).max()), own=steady)  # on its way over the top it crosses many steps
+    scaled = 2.0 * (at - at[0]) / (at[-1] - at[0]) - 1.0
+    powers = [np.vander(x, TOP_ORDER + 1) for x in (scaled, np.linspace(-1.0, 1.0, 500))]
+    solution = np.linalg.pinv(powers[0])
+    through, fine = (table @ solution @ above[begin:end] for table in powers)
+    highest = int(np.argmax(fine))
+    step = curve.quantum if steady else 0.0
+    rounded = 100.0 * rounding_limit(through, step, powers[1][highest] @ solution)
+    return Reading(100.0 * float(fine[highest]), own=(steady, rounded))
 
 
 def settling_time(trials: Sequence[Trial]) -> Reading:
     """From the jump until the response stays within `BAND` of its steady value [s]; NaN where noise leaves it open."""
     curve = curve_of(trials, GROWTH)
-    calm = curve._replace(value=_calmed(curve))
+    error = float(np.max(curve.error))
+    halves = _halves(curve, EIGHTH * BAND)
+    calm = curve._replace(value=_calmed(curve, EIGHTH * BAND))
     last = int(max(np.flatnonzero(np.abs(calm.value - 1.0) > BAND), default=len(calm.time)))
     if last + 1 >= len(calm.time) or calm.time[last] >= calm.steady_from:
         return Reading(NAN)
+    if max(error / math.sqrt(2.0 * halves[last] + 1.0), _rounding(curve)) > OPEN * BAND:
+        return Reading(NAN)
     side = math.copysign(1.0, calm.value[last] - 1.0)
-    slope = abs(float(calm.value[last + 1] - calm.value[last]) / float(calm.time[last + 1] - calm.time[last]))
+    fine = curve_of(trials)
+    entered = _way_in(fine, calm, last, side)
     # a drive and the clock of its record agree to a sample on when the jump was
-    return Reading(_way_in(curve_of(trials), calm, last, side), shared=curve.interval, own=_rounding(curve) / slope)
+    limits = [curve.interval]
+    if math.isnan(entered):  # too few bins for a curve: the straight line, which averaging has moved
+        entered = crossing(calm, last + 1, 1.0 + side * BAND)
+        limits.append(float(halves[last]) * curve.interval)
+    rounding = _rounding_at(fine, int(np.searchsorted(fine.time, entered)), 1.0 + side * BAND)
+    return Reading(entered, tuple(limits), (rounding, rounding))  # of what is read there, and in the steady part
 
 
-def _calmed(curve: Curve) -> Array:
-    """The response averaged over neighbouring bins until noise is an eighth of the band; untouched where it is."""
-    half = math.ceil(0.5 * ((8.0 * float(np.max(curve.error)) / BAND) ** 2 - 1.0))
-    if half <= 0:
-        return curve.value
+def _halves(curve: Curve, wanted: float) -> Array:
+    """Bins to either side of each over which noise is averaged to a wanted standard error, never back to the jump."""
+    half = math.ceil(0.5 * max((float(np.max(curve.error)) / wanted) ** 2 - 1.0, 0.0))
+    return np.minimum(half, np.arange(len(curve.value)) // REACH)
+
+
+def _calmed(curve: Curve, wanted: float) -> Array:
+    """The response averaged over neighbouring bins until noise is as small as wanted; untouched where it is."""
+    halves, place = _halves(curve, wanted), np.arange(len(curve.value))
     total = np.concatenate([[0.0], np.cumsum(curve.value)])
-    place = np.arange(len(curve.value))
-    begin, end = np.maximum(place - half, 0), np.minimum(place + half + 1, len(place))
+    begin, end = place - halves, np.minimum(place + halves + 1, len(place))
     return np.asarray((total[end] - total[begin]) / (end - begin), np.float64)
 
 
 def _way_in(fine: Curve, calm: Curve, last: int, side: float) -> float:
-    """Where the response enters the band for good: by a curve through its last way in, if that has bins enough."""
+    """Where the response enters the band for good, by a curve through its last way in; NaN where that has few bins."""
     distance = side * (calm.value - 1.0) / BAND
     inside = np.flatnonzero(distance < NEAR)
     begin = int(max(inside[inside < last], default=-1)) + 1
     end = int(inside[inside > last][0])
     begin += int(np.argmax(distance[begin:end]))
     begin += int(np.count_nonzero(distance[begin:end] > FAR))
-    straight = crossing(calm, last + 1, 1.0 + side * BAND)
     part = (fine.time >= calm.time[begin]) & (fine.time <= calm.time[end - 1])
     if np.count_nonzero(part) < ENOUGH:
-        return straight
+        return NAN
+    straight = crossing(calm, last + 1, 1.0 + side * BAND)
     time, values = fine.time[part], side * (fine.value[part] - 1.0) / BAND - 1.0
     through = np.polynomial.Polynomial.fit(time, values, WAY_ORDER)
     roots = [float(root.real) for root in through.roots() if not root.imag and time[0] <= root.real <= time[-1]]
     return min(roots, key=lambda root: abs(root - straight), default=straight)
 
 
-def _pace(curve: Curve, index: int) -> float:
-    """Time that the response takes for its own whole at the pace it has before this bin [s]."""
-    return float(curve.time[index] - curve.time[index - 1]) / float(curve.value[index] - curve.value[index - 1])
+def _rounding_at(curve: Curve, index: int, level: float) -> float:
+    """Limit of what a reading's resolution makes of the time at which a level is passed before this bin [s]."""
+    if not _rounding(curve):
+        return 0.0
+    near = np.abs(curve.value - level) <= COUNTS * curve.quantum
+    near[index - 1 : index + 1] = True
+    begin = int(max(np.flatnonzero(~near[:index]), default=-1)) + 1
+    end = index + int(np.argmin(near[index:])) if not near[index:].all() else len(near)
+    went = abs(float(curve.value[end - 1] - curve.value[begin]))
+    return _rounding(curve) * float(curve.time[end - 1] - curve.time[begin]) / max(went, curve.quantum)
 
 
 def _rounding(curve: Curve) -> float:

@@ -67,7 +67,7 @@ def _steady_error(trials: Sequence[Trial]) -> LevelValue:
     still = [0.0 if trial.noise > 0.5 * trial.quantum else 0.5 * trial.quantum for trial in trials]
     return over_trials(
         len(trials),
-        lambda kept: Reading(100.0 * float(np.mean([trials[k].steady_error for k in kept])), own=100.0 * max(still)),
+        lambda kept: Reading(100.0 * float(np.mean([trials[k].steady_error for k in kept])), own=(100.0 * max(still),)),
     )
 
 

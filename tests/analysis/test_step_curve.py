@@ -56,7 +56,7 @@ def errors_of(shape, seed):
         response = np.where(time > late, answer(np.maximum(time - late, 0.0)), 0.0)
         trial = Trial(1.0, time, response, 0.0, 0.05, noise=1e-9, quantum=0.0, rest=0.0)
         reading = rise_time([trial])
-        errors[k], limits[k] = abs(reading.value - true), reading.shared
+        errors[k], limits[k] = abs(reading.value - true), math.hypot(*reading.shared)
     return errors, limits
 
 
@@ -66,7 +66,7 @@ SHAPES = (first_order, leading, two_poles, second_order, ramped)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_limit_of_a_rise_time_holds_for_every_shape(shape):
     errors, limits = errors_of(shape, seed=1)
-    assert np.mean(errors <= CONFIDENCE * limits) > 0.85
+    assert np.mean(errors <= CONFIDENCE * limits) > 0.88
     assert np.median(errors) < 0.4 * SAMPLE_S
 
 
@@ -78,7 +78,7 @@ def test_over_all_shapes_the_limit_holds_about_as_often_as_it_says():
 def test_a_drive_that_acts_late_in_a_sample_has_not_risen_later():
     time, lag = SAMPLE_S * np.arange(1, 60), 0.5e-3
     found = []
-    for late in np.linspace(0.0, 0.8, 9) * SAMPLE_S:
+    for late in np.linspace(0.0, 0.99, 9) * SAMPLE_S:
         response = np.where(time > late, 1.0 - np.exp(-(time - late) / lag), 0.0)
         found.append(rise_time([Trial(1.0, time, response, 0.0, 0.05, noise=1e-9, quantum=0.0, rest=0.0)]).value)
     assert found == pytest.approx([2.197 * lag] * len(found), abs=0.1 * SAMPLE_S)

@@ -1,4 +1,6 @@
-"""`python -m tests.coverage_of_intervals.loops DIRECTORY`: the control loops; status 1 where a limit is not met.
+"""`python -m tests.coverage_of_intervals.loops DIRECTORY`: the control loops.
+
+Status 1 where a result whose error has a limit misses that or 92 to 98 %, or a rise time is off by more than a sample.
 
 Each seed has loops of its own, a little off those of the shipped bench, a drive that acts on a jump somewhere within
 a cycle of the host, and noise of its own.

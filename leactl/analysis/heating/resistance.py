@@ -64,12 +64,11 @@ def resistance_line(fit: NetworkFit, place: str) -> ResistanceLine:
     parts = parts_of(
         [time[at] for at in there], [left[None, at] for at in there], [instruments[None, at] for at in there]
     )
-    scatter = scatter_of(parts)
+    scatter = scatter_of(parts).weighed
     sums = [spread_of_sums(part, scatter) for part in parts]
     # of (level, slope) first, then of the coefficient, which is slope over level
     turn = np.array([[1.0, 0.0], [-slope / level**2, 1.0 / level]]) @ inverse
     noise, drift = (turn @ sum(one[k] for one in sums) @ turn.T for k in (0, 1))
-    drift *= scatter.seen  # without any, chance alone would make one as large as the noise of the line
     late = turn @ (instruments.T @ (slope * rate))
     reading = max(float(np.median(np.diff(one.supply.time))) for one in fit.stretches)
     about = float(np.sum((resistance - resistance.mean()) ** 2))

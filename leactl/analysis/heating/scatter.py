@@ -9,7 +9,8 @@ plain least squares under such residuals.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -40,7 +41,14 @@ class Scatter:
     drift: Array  # (nodes, nodes), covariance of the drift
     lasts: float  # s, that a drift decays over
     span: float  # s, of record behind it
-    seen: float = 1.0  # weight of the drift against none, after Akaike (Burnham & Anderson, 2002, section 2.9)
+    calm: Array  # (nodes,), variance of the noise of a bin if there is no drift
+    seen: float  # weight of the drift against none, after Akaike (Burnham & Anderson, 2002, section 2.9)
+
+    @property
+    def weighed(self) -> Self:
+        """The mean of both by their weights: of little data, chance alone makes a drift as large as the noise."""
+        noise = self.seen * self.noise + (1.0 - self.seen) * self.calm
+        return replace(self, noise=noise, drift=self.seen * self.drift)
 
     @property
     def dof(self) -> float:
@@ -86,7 +94,8 @@ def scatter_of(parts: Sequence[Part]) -> Scatter:
         root = np.zeros((nodes, nodes))
         for (n, k), value in zip(lower, point[nodes:-1], strict=True):
             root[n, k] = value
-        return Scatter(np.exp(point[:nodes]), root @ root.T, math.exp(point[-1]), span)
+        noise = np.exp(point[:nodes])
+        return Scatter(noise, root @ root.T, math.exp(point[-1]), span, noise, 1.0)
 
     def cost(point: Array) -> float:
         return _unlikelihood(unpacked(point), spectra)
@@ -101,7 +110,8 @@ def scatter_of(parts: Sequence[Part]) -> Scatter:
     calm = minimize(cost, [0.0] * (nodes + len(lower)) + [low], method="L-BFGS-B", bounds=still)
     seen = 1.0 / (1.0 + math.exp(min(len(lower) + 1 - 0.5 * (calm.fun - best.fun), 700.0)))
     told, scale = unpacked(best.x), np.outer(spread, spread)
-    return Scatter(told.noise * spread**2, told.drift * scale, told.lasts, span, seen)
+    without = np.exp(calm.x[:nodes]) * spread**2
+    return Scatter(told.noise * spread**2, told.drift * scale, told.lasts, span, without, seen)
 
 
 def spread_of_sums(part: Part, scatter: Scatter) -> tuple[Array, Array]:

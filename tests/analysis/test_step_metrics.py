@@ -1,0 +1,79 @@
+"""Step metrics where noise or the resolution of readings is a good part of the response: right, or not known."""
+
+import math
+
+import numpy as np
+import pytest
+
+from leactl.analysis.jackknife import mean_of_levels, over_trials
+from leactl.analysis.step_metrics import overshoot, rise_time, settling_time
+from leactl.analysis.step_trials import Trial
+from tests.analysis.control_runs import ringing
+
+SAMPLE_S = 1e-3
+TIME = SAMPLE_S * np.arange(1, 800)
+SEEDS = 40
+
+
+def estimate(figure, levels):
+    return mean_of_levels(
+        "", "", [over_trials(len(own), lambda kept, own=own: figure([own[k] for k in kept])) for own in levels]
+    )
+
+
+def noisy(answer, noise, random, trials=5, levels=3):
+    """Trials of a response with noise [of the step]."""
+    return [
+        [
+            Trial(1.0, TIME, answer(TIME) + random.normal(0.0, noise, len(TIME)), 0.0, 0.6, noise, 0.0, 0.0)
+            for _ in range(trials)
+        ]
+        for _ in range(levels)
+    ]
+
+
+def first_order(lag):
+    return lambda time: 1.0 - np.exp(-time / lag)
+
+
+@pytest.mark.parametrize(("lag", "noise"), [(0.3e-3, 0.01), (1e-3, 0.01), (2e-3, 0.02), (20e-3, 0.02)])
+def test_noise_does_not_make_a_fast_loop_settle_late(lag, noise):
+    held = 0
+    for seed in range(SEEDS):
+        found = estimate(settling_time, noisy(first_order(lag), noise, np.random.default_rng(seed)))
+        held += found.low <= lag * math.log(50.0) <= found.high
+    assert held >= 0.85 * SEEDS
+
+
+def test_noise_that_leaves_the_settling_open_gives_no_time():
+    assert math.isnan(estimate(settling_time, noisy(first_order(0.3e-3), 0.05, np.random.default_rng(1))).value)
+
+
+@pytest.mark.parametrize("natural", [20.0, 60.0])
+@pytest.mark.parametrize("above", [5.0, 8.0, 20.0])
+def test_an_overshoot_is_not_its_highest_noise(natural, above):
+    true, held, values = 100.0 * math.exp(-math.pi * 0.75), 0, []  # of damping 0.6
+    for seed in range(SEEDS):
+        noise = 0.01 * true / above * math.sqrt(5.0)
+        found = estimate(overshoot, noisy(ringing(natural, 0.6), noise, np.random.default_rng(seed)))
+        held += found.low <= true <= found.high
+        values.append(found.value)
+    assert held >= 0.85 * SEEDS
+    assert np.mean(values) == pytest.approx(true, rel=0.08)
+
+
+@pytest.mark.parametrize("lag", [5e-3, 50e-3])
+@pytest.mark.parametrize("quantum", [0.005, 0.02])
+def test_rounding_that_every_trial_repeats_is_in_the_interval(lag, quantum):
+    held = dict.fromkeys((rise_time, settling_time), 0)
+    truths = {rise_time: lag * math.log(9.0), settling_time: lag * math.log(50.0)}
+    for seed in range(SEEDS):
+        step = 1.0 + np.random.default_rng(seed).uniform(0.0, quantum)
+        read = np.round(step * first_order(lag)(TIME) / quantum) * quantum
+        read = read / read[600:].mean()
+        trials = [Trial(1.0, TIME, read, 0.0, 0.6, noise=1e-9, quantum=quantum, rest=0.0)] * 2
+        for figure, true in truths.items():
+            found = estimate(figure, [trials])
+            held[figure] += found.low <= true <= found.high
+    assert held[rise_time] >= 0.8 * SEEDS
+    assert held[settling_time] >= 0.8 * SEEDS or quantum == 0.02  # half a step is half of the band there: not known
