@@ -118,7 +118,7 @@ def test_the_whole_protocol_gives_every_figure(tmp_path, monkeypatch):
     monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "state"))
     done = leactl("run", "thermal", "--bench", "emulated-heated", "--json")
     assert (done.returncode, done.stderr) == (0, "")
-    found = {one.name: one for one in analyze_runs([json.loads(done.stdout)["run"]]).estimates}
+    found = {one.name: one for one in analyze_runs([tmp_path / json.loads(done.stdout)["run"]]).results}
     for name, true in TRUE.items():
         assert found[name].low < true < found[name].high, name
     assert found["parallel_thermal_resistance"].value == pytest.approx(TRUE["parallel_thermal_resistance"], rel=0.02)
