@@ -15,9 +15,7 @@ import numpy as np
 from leactl.analysis.estimate import NAN, Estimate
 from leactl.analysis.intervals import half_width
 
-SHOWN = (
-    4.0  # by which trials that each round by themselves may scatter less than that makes them; else they do so alike
-)
+SHOWN = 4.0  # by which trials that round each by itself may scatter less than that makes them
 
 
 class Reading(NamedTuple):

@@ -20,7 +20,10 @@ from leactl.analysis.step_trials import BAND, Trial
 
 GROWTH = 0.02  # of the time since the jump, bins for the settling time
 CLEAR = 4.5  # standard errors that an overshoot stands out by, else there is none
-EIGHTH, TWENTIETH = 1 / 8, 1 / 20  # of the band and of an overshoot, to which noise is averaged to find where they are
+BAND_NOISE, TOP_NOISE = (
+    1 / 8,
+    1 / 20,
+)  # of the band and of an overshoot, to which noise is averaged to find where they are
 REACH = 4  # part of the bins since the jump, over which it is averaged to either side at the most
 OPEN = 1 / 3  # of the band, above which noise or rounding leaves open when a response settles
 COUNTS = 2.0  # of a reading's resolution, to either side of a level, over which its pace is taken
@@ -54,7 +57,7 @@ def overshoot(trials: Sequence[Trial]) -> Reading:
     steady = 100.0 * _rounding(curve)
     if above[top] < CLEAR * blurred:
         return Reading(0.0, own=(steady, max(steady, 100.0 * float(above[top]))))
-    calm = _calmed(curve, TWENTIETH * float(above[top])) - 1.0
+    calm = _calmed(curve, TOP_NOISE * float(above[top])) - 1.0
     top = int(np.argmax(calm))
     lower = calm < TOP * calm[top]
     begin = int(np.flatnonzero(lower[:top])[-1]) + 1
@@ -78,8 +81,8 @@ def settling_time(trials: Sequence[Trial]) -> Reading:
     """From the jump until the response stays within `BAND` of its steady value [s]; NaN where noise leaves it open."""
     curve = curve_of(trials, GROWTH)
     error = float(np.max(curve.error))
-    halves = _halves(curve, EIGHTH * BAND)
-    calm = curve._replace(value=_calmed(curve, EIGHTH * BAND))
+    halves = _halves(curve, BAND_NOISE * BAND)
+    calm = curve._replace(value=_calmed(curve, BAND_NOISE * BAND))
     last = int(max(np.flatnonzero(np.abs(calm.value - 1.0) > BAND), default=len(calm.time)))
     if last + 1 >= len(calm.time) or calm.time[last] >= calm.steady_from:
         return Reading(NAN)

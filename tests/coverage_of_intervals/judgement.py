@@ -61,16 +61,11 @@ class Judgement:
         return f"{self.name}, {self.condition}"
 
 
-def judge(
-    name: str, condition: str, true: float | Sequence[float], estimates: Sequence[Estimate], least: float = 0.0
-) -> Judgement:
-    """Compare the estimates of all seeds with the true value, one for all or one each.
-
-    Errors of zero are absolute, those of a true value below `least` relative to that.
-    """
+def judge(name: str, condition: str, true: float | Sequence[float], estimates: Sequence[Estimate]) -> Judgement:
+    """Compare the estimates of all seeds with the true value, one for all or one each; errors of zero are absolute."""
     trues = np.broadcast_to(np.asarray(true, float), len(estimates))
     values, stds, lows, highs = np.array([(item.value, item.std, item.low, item.high) for item in estimates]).T
-    size = np.where((trues == 0.0) & (least == 0.0), 1.0, np.maximum(np.abs(trues), least))
+    size = np.where(trues == 0.0, 1.0, np.abs(trues))
     errors = (values - trues) / size
     return Judgement(
         name=name,

@@ -16,7 +16,7 @@ from tests.monte_carlo.trial import LEA_START, Campaign, needless, tried, violat
 from tests.monte_carlo.truth import History, hottest
 from tests.protocol.writing import read
 
-FEW = Campaign(count=14, over_wire=2, outside=4, seed=1)
+FEW = Campaign(count=20, over_wire=2, outside=4, seed=1)
 HOT = """name: hot
 setup: locked
 rate_Hz: 50
@@ -49,7 +49,7 @@ def test_few_trials_lose_no_winding_no_drive_and_no_file():
     assert [item["kind"] for item in told].count("wire") == 2
     assert [item["kind"] for item in told].count("outside") == 4
     assert [violations(item) for item in told] == [[]] * len(told)
-    assert 3 <= sum(bool(item["fault"]) for item in told) <= 11
+    assert 5 <= sum(bool(item["fault"]) for item in told) <= 15
     assert any(needless(item) is False for item in told)
 
 
