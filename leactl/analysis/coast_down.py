@@ -56,7 +56,11 @@ class RunOut:
 
 
 def analyze(
-    runs: Sequence[Run], *, torque_constant: float | None = None, torque_constant_std: float | None = None
+    runs: Sequence[Run],
+    *,
+    torque_constant: float | None = None,
+    torque_constant_std: float | None = None,
+    current_gain_std: float | None = None,
 ) -> Result:
     """Inertia and drag from run-outs and the current before each; without a torque constant their ratios alone.
 
@@ -70,6 +74,7 @@ def analyze(
     runs : of one actuator under one condition, free, with steps `coast` after steps that `hold` a velocity.
     torque_constant : [N*m/A], in place of the one in the runs' model.
     torque_constant_std : [N*m/A], its standard uncertainty, which then is part of that of J, b and f.
+    current_gain_std : relative, of the current's calibration; see `friction`.
 
     Raises
     ------
@@ -92,7 +97,7 @@ def analyze(
     trials = [run_out.trial for run_out in found]
     results = []
     try:
-        constants = torque_constants(runs, torque_constant, torque_constant_std)
+        constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
         notes.append(constants.note.replace("viscous damping", "inertia, viscous damping"))
         results += scaled(found, trials, constants)
         refuse_below_zero(results[0], place, "current and velocity")

@@ -169,12 +169,12 @@ def refuse_altered(runs: Sequence[Run]) -> None:
 
 
 def refuse_unknown(experiment: str, analyze: Analysis, options: dict[str, Any]) -> None:
-    """Refuse options that the analysis does not have."""
+    """Refuse to tell an analysis what it does not ask for."""
     known = [name for name in inspect.signature(analyze).parameters if name != "runs"]
     for name in options:
         if name not in known:
-            has = ", ".join("--" + item.replace("_", "-") for item in known) or "none"
-            raise InputError(f"{experiment} has no option --{name.replace('_', '-')}; it has {has}")
+            has = ", ".join(known) or "nothing"
+            raise InputError(f"{experiment} cannot be told {name}; it can be told {has} (by --set NAME=NUMBER)")
 
 
 def _modules() -> list[str]:

@@ -2,7 +2,8 @@
 
 Paper, section "Friction and Damping". The current is set and the velocity follows, with all the scatter of the friction
 in it, so the setpoint is the instrument of the velocity (linefit.py). Both b and f are in proportion to the torque
-constant, which comes from the model that the run carries or from the caller.
+constant, which comes from the model that the run carries or from the caller, and to what the drive takes for an ampere.
+A constant found with the same drive carries the error of its ampere the other way round: then the caller says so.
 """
 
 import math
@@ -13,6 +14,7 @@ import numpy as np
 
 from leactl.analysis.carried_model import torque_constant_of_model
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, tally
+from leactl.analysis.gains import doubt, gain_std
 from leactl.analysis.levels import Levels, gather, require_levels
 from leactl.analysis.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
 from leactl.analysis.readings import usable
@@ -33,12 +35,16 @@ class TorqueConstants:
     """The torque constant of each run [N*m/A], what is known of its uncertainty, and where it is from."""
 
     values: Array
-    relative_std: float
+    relative_std: float  # with that of the current's calibration
     note: str
 
 
 def analyze(
-    runs: Sequence[Run], *, torque_constant: float | None = None, torque_constant_std: float | None = None
+    runs: Sequence[Run],
+    *,
+    torque_constant: float | None = None,
+    torque_constant_std: float | None = None,
+    current_gain_std: float | None = None,
 ) -> Result:
     """Fit the torque of the current over steady velocity, both directions together and each alone.
 
@@ -50,6 +56,8 @@ def analyze(
     runs : of one actuator under one condition, free, whose steps `hold` its current at two levels or more.
     torque_constant : [N*m/A], in place of the one in the runs' model.
     torque_constant_std : [N*m/A], its standard uncertainty, which then is part of that of b and f.
+    current_gain_std : relative standard uncertainty of the current's calibration, as far as the torque constant does
+        not make up for it; the channel's own unless told.
 
     Raises
     ------
@@ -58,7 +66,7 @@ def analyze(
     InputError : a torque constant that is no positive number, or current and velocity of opposite senses.
     """
     place = f"{place_of(runs)}: friction"
-    constants = torque_constants(runs, torque_constant, torque_constant_std)
+    constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
     notes = expect_setup(runs, ("free",), "friction of whatever else is on the shaft is counted in")
     gathered = gather(runs, (CURRENT, VELOCITY), notes, lambda run, name: usable(run, name, notes))
     levels = steady(runs, gathered, place, notes)
@@ -95,8 +103,12 @@ def analyze(
     return Result("friction", paths, tuple(results), tuple(notes), (plot,))
 
 
-def torque_constants(runs: Sequence[Run], given: float | None, std: float | None) -> TorqueConstants:
+def torque_constants(
+    runs: Sequence[Run], given: float | None, std: float | None, current_gain_std: float | None
+) -> TorqueConstants:
     """The torque constant to use for each run: the given one, else that of the model it carries.
+
+    The error of the current's calibration is another factor on the same torque.
 
     Raises
     ------
@@ -110,10 +122,11 @@ def torque_constants(runs: Sequence[Run], given: float | None, std: float | None
     values = np.array([given if given is not None else torque_constant_of_model(run) for run in runs])
     shown = ", ".join(f"{value:g}" for value in np.unique(values))
     source = "as given" if given is not None else "from the model in the run"
-    relative = (std or 0.0) / float(values.mean())
-    doubt = f"its standard uncertainty of {relative:.2%} is in theirs" if std else "its uncertainty is not in theirs"
-    note = f"torque constant {shown} N*m/A, {source}; viscous damping and Coulomb friction scale with it, {doubt}"
-    return TorqueConstants(values, relative, note)
+    relative, gain = (std or 0.0) / float(values.mean()), gain_std(runs, CURRENT, current_gain_std)
+    known = f"its standard uncertainty of {relative:.2%} is in theirs" if std else "its uncertainty is not in theirs"
+    note = f"torque constant {shown} N*m/A, {source}; viscous damping and Coulomb friction scale with it, {known}"
+    note += "; " + doubt("current", gain, "them") if gain else ""
+    return TorqueConstants(values, math.hypot(relative, gain), note)
 
 
 def steady(runs: Sequence[Run], levels: Levels, place: str, notes: list[str]) -> Levels:

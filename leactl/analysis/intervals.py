@@ -14,7 +14,7 @@ from leactl.analysis.regression import CONFIDENCE, t_quantile
 Array = npt.NDArray[np.float64]
 
 ON_STEPS = 0.05  # of a step, by which a reading may lie beside it
-OFFSETS = 32  # places of a display's steps that are tried, evenly over one step
+OFFSETS = 128  # places of a display's steps that are tried, evenly over one step
 
 
 def half_width(std: float, dof: float, *limits: float) -> float:
@@ -47,9 +47,10 @@ def half_width(std: float, dof: float, *limits: float) -> float:
 
 
 def rounding_limit(values: Array, step: float, weights: Array) -> float:
-    """Limit of the error that the steps of a reading make in sum(weights * readings).
+    """Limit of an evenly spread error that is beyond 95 % of it as often as what the steps of a reading do to a sum.
 
-    A level that moves crosses steps, which leaves little of it; one that stays within a step leaves half a step.
+    A level that moves crosses steps, which leaves little in sum(weights * readings); one that stays within a step has
+    half a step left.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ def rounding_limit(values: Array, step: float, weights: Array) -> float:
         return 0.0
     read = values[np.newaxis] / step + (np.arange(OFFSETS) / OFFSETS)[:, np.newaxis]
     errors = (np.round(read) - read) @ weights
-    return step * math.sqrt(3.0 * float(np.mean((errors - errors.mean()) ** 2)))
+    return step * float(np.quantile(np.abs(errors - errors.mean()), CONFIDENCE)) / CONFIDENCE
 
 
 def rounding_of(readings: Array, step: float) -> float:

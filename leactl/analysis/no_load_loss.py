@@ -41,6 +41,7 @@ def analyze(
     *,
     torque_constant: float | None = None,
     torque_constant_std: float | None = None,
+    current_gain_std: float | None = None,
     mechanical_friction: float | None = None,
     mechanical_friction_std: float | None = None,
     mechanical_damping: float | None = None,
@@ -56,6 +57,7 @@ def analyze(
     ----------
     runs : of one actuator under one condition, free, whose steps `hold` its velocity at four speeds or more.
     torque_constant, torque_constant_std : [N*m/A], in place of the one in the runs' model, and its uncertainty.
+    current_gain_std : relative, of the current's calibration; see `friction`.
     mechanical_friction, mechanical_damping : [N*m], [N*m*s/rad], f and b of the rotor without iron loss.
     mechanical_friction_std, mechanical_damping_std : their standard uncertainties.
 
@@ -70,7 +72,7 @@ def analyze(
         "coulomb_friction": mechanical("mechanical_friction", mechanical_friction, mechanical_friction_std),
         "viscous_damping": mechanical("mechanical_damping", mechanical_damping, mechanical_damping_std),
     }
-    constants = torque_constants(runs, torque_constant, torque_constant_std)
+    constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
     notes = expect_setup(runs, ("free",), "losses of whatever else is on the shaft are counted in")
     every = gather(runs, (VELOCITY, CURRENT), notes, lambda run, name: usable(run, name, notes, HELD), HELD)
     levels = reached(runs, every, place, notes)

@@ -62,8 +62,8 @@ def noise_response(runs: Sequence[Run], loop: Loop) -> Result:
     results = (bandwidth, *(Estimate(name, value, NAN, NAN, NAN, "Hz") for name, value in ends))
     if not bandwidth.high <= SAMPLED / interval:
         notes.append(
-            f"above {SAMPLED / interval:g} Hz, a tenth of the record's rate, this is the response of the sampled loop: "
-            "from references that are held to samples at their ends"
+            f"above {SAMPLED / interval:g} Hz, a tenth of the record's rate, the response is that of a sampled loop to "
+            "references that are held; what that takes from the gain or adds to it is within the bandwidth's limits"
         )
     units = runs[0].channel(loop.response, role="test").units
     plots = plots_of(responses, known, units)

@@ -15,6 +15,7 @@ import numpy as np
 
 from leactl.analysis.carried_model import model_of
 from leactl.analysis.estimate import Covariance, Result
+from leactl.analysis.gains import gain_std
 from leactl.analysis.heating.answers import (
     LATE,
     LEAST_SEEN,
@@ -48,8 +49,8 @@ def analyze(
     *,
     camera_offset_std: float = 1.0,
     camera_gain_std: float = 0.01,
-    voltage_gain_std: float = 0.0,
-    current_gain_std: float = 0.0,
+    voltage_gain_std: float | None = None,
+    current_gain_std: float | None = None,
     camera_lag: float | None = None,
     winding_limit: float | None = None,
     ambient: float = 25.0,
@@ -66,7 +67,7 @@ def analyze(
     runs : of one actuator under one condition, with temperatures of active and inactive windings and of the housing.
     camera_offset_std : [K], standard uncertainty of the camera's zero; 1 K is half of the +-2 K of a thermal camera.
     camera_gain_std : relative, of the rise that it shows; 0.01 is half of its +-2 %.
-    voltage_gain_std, current_gain_std : relative, of the supply's readings.
+    voltage_gain_std, current_gain_std : relative, of the supply's readings; those of the channels unless told.
     camera_lag : [s], how late the camera's clock is by the supply's; estimated where it is not told.
     winding_limit : [degC], for the currents; that of the run's model, else 130, where it is not told.
     ambient : [degC], for the currents.
@@ -78,7 +79,11 @@ def analyze(
     InputError : temperatures in kelvin, a resistance below zero, or an option out of range.
     """
     place = f"{place_of(runs)}: thermal"
-    instruments = Instruments(camera_offset_std, camera_gain_std, voltage_gain_std, current_gain_std)
+    supply = [
+        gain_std(runs, name, told)
+        for name, told in (("line_voltage", voltage_gain_std), ("line_current", current_gain_std))
+    ]
+    instruments = Instruments(camera_offset_std, camera_gain_std, *supply)
     refuse_options(
         {**asdict(instruments), "camera_lag": camera_lag, "ambient": ambient, "winding_limit": winding_limit}
     )

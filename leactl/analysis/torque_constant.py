@@ -6,6 +6,7 @@ falling ones, so that torque = Kt i + c + s d with d = 1 rising and d = -1 falli
 s for torque constant, 2 to 3 % of it on the LEA.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from leactl.analysis.carried_model import torque_constant_of_model
 from leactl.analysis.current_convention import named
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
+from leactl.analysis.gains import doubt, gain_std
 from leactl.analysis.levels import Levels, gather, require_levels
 from leactl.analysis.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
 from leactl.analysis.readings import usable
@@ -25,7 +27,9 @@ CURRENT, TORQUE = "q_axis_current", "torque"
 SIDES = {"rising": 1, "falling": -1}
 
 
-def analyze(runs: Sequence[Run]) -> Result:
+def analyze(
+    runs: Sequence[Run], *, torque_gain_std: float | None = None, current_gain_std: float | None = None
+) -> Result:
     """Fit shaft torque over q-axis current, levels reached from below and from above apart by the sticking torque.
 
     `torque_constant` [N*m/A], `sticking_torque` [N*m] (half the way between rising and falling levels), `offset` [N*m]
@@ -34,15 +38,19 @@ def analyze(runs: Sequence[Run]) -> Result:
     Parameters
     ----------
     runs : of one actuator under one condition, whose steps `hold` its current at two levels or more.
+    torque_gain_std, current_gain_std : relative standard uncertainties of the readings' calibration; those of the
+        channels unless told.
 
     Raises
     ------
     MissingChannel : a run has no torque or no q-axis current of the test actuator.
     NotIdentifiable : fewer than two distinct levels within the sensor's range, or too few points.
-    InputError : torque and current of opposite senses.
+    InputError : an uncertainty below zero, or torque and current of opposite senses.
     """
     place = f"{place_of(runs)}: torque constant"
     notes = expect_setup(runs, ("coupled", "locked"), "a shaft that turns takes torque past the sensor")
+    torque_std = gain_std(runs, TORQUE, torque_gain_std)
+    both_stds = math.hypot(torque_std, gain_std(runs, CURRENT, current_gain_std))
     every = gather(runs, (CURRENT, TORQUE), notes, lambda run, quantity: usable(run, quantity, notes))
     levels = of_one_kind(every, notes)
     current, torque = levels.value[CURRENT], levels.value[TORQUE]
@@ -59,16 +67,14 @@ def analyze(runs: Sequence[Run]) -> Result:
     unit = levels.units[TORQUE]
     notes += remarks(line, expected, unit)
     notes += [f"{run.path}: {what}" for run in runs for what in convention(run, line.slope("torque_constant"))]
-    notes.append(
-        "the uncertainties are those of scatter; an error in the calibration of torque or current is a factor on top"
-    )
+    notes.append(doubt("torque or current", both_stds, "the torque constant"))
 
-    results = [line.estimate("torque_constant", "torque_constant", f"{unit}/A")]
+    results = [line.estimate("torque_constant", "torque_constant", f"{unit}/A", both_stds)]
     refuse_below_zero(results[0], place, "torque and current")
-    results += one_side_each(levels, place, notes) if both else []
+    results += one_side_each(levels, place, both_stds, notes) if both else []
     if both:
-        results.append(magnitude(line.estimate("sticking_torque", "sticking_torque", unit)))
-    results.append(line.fit.estimate("offset", unit, line.mean_intercept))
+        results.append(magnitude(line.estimate("sticking_torque", "sticking_torque", unit, torque_std)))
+    results.append(line.fit.estimate("offset", unit, line.mean_intercept, torque_std))
     results.append(Estimate("r_squared", line.fit.r_squared, NAN, NAN, NAN, "1"))
     paths = tuple(str(run.path) for run in runs)
     return Result("torque-constant", paths, tuple(results), tuple(notes), (plot_of(levels, line),))
@@ -101,7 +107,7 @@ def magnitude(signed: Estimate) -> Estimate:
     return Estimate(signed.name, abs(signed.value), signed.std, low, ends[1], signed.units)
 
 
-def one_side_each(levels: Levels, place: str, notes: list[str]) -> list[Estimate]:
+def one_side_each(levels: Levels, place: str, relative_std: float, notes: list[str]) -> list[Estimate]:
     """Slopes of the rising and of the falling levels alone, where there are enough of them."""
     found = []
     for name, sign in SIDES.items():
@@ -114,7 +120,7 @@ def one_side_each(levels: Levels, place: str, notes: list[str]) -> list[Estimate
             notes.append(f"{name} levels alone give no slope: {str(fault).removeprefix(place + ': ')}")
             continue
         units = f"{levels.units[TORQUE]}/A"
-        found.append(line.estimate("slope", f"torque_constant_{name}", units))
+        found.append(line.estimate("slope", f"torque_constant_{name}", units, relative_std))
     return found
 
 

@@ -105,7 +105,7 @@ def analyze(
     results = (
         cold.estimate("cold_resistance", gain),
         hot.estimate("hot_resistance", gain),
-        winding_rise(cold, hot, per_ratio, at_first_std, copper.within / copper.coefficient),
+        winding_rise(cold, hot, per_ratio, at_first_std, copper),
         change(heating, per_ratio / cold.value, notes),
     )
     notes.append(doubt("the supply's readings", gain, "resistances; the rise is of their ratio, and free of it"))
@@ -187,24 +187,29 @@ def left_of_steps(heating: Heating, curve: Array, weights: Array, rest: Array) -
     return rounding_limit(curve, heating.step, weights) * math.exp(-2.0 * (math.pi * noise / heating.step) ** 2)
 
 
-def winding_rise(cold: Known, hot: Known, per_ratio: float, at_first_std: float, within: float) -> Estimate:
-    """Rise by the ratio of both resistances; `within` is how far 1 / alpha may lie off [K]."""
+def winding_rise(cold: Known, hot: Known, per_ratio: float, at_first_std: float, copper: Copper) -> Estimate:
+    """Rise by the ratio of both resistances; a coefficient as far below the model's as above takes it further up."""
     ratio = hot.value / cold.value
     rise = (ratio - 1.0) * per_ratio
     own = per_ratio * ratio * math.hypot(hot.std / hot.value, cold.std / cold.value)
     scattered = math.hypot(own, rise * at_first_std / per_ratio)
-    limits = (
-        rise * within / per_ratio,
-        per_ratio * ratio * hot.limit / hot.value,
-        per_ratio * ratio * cold.limit / cold.value,
+    steps = [per_ratio * ratio * known.limit / known.value for known in (hot, cold)]
+    of_copper = rise / per_ratio * copper.within / copper.coefficient
+    below, above = (
+        half_width(scattered, math.inf, of_copper / (1.0 + off), *steps) for off in (copper.within, -copper.within)
     )
-    half = half_width(scattered, math.inf, *limits)
-    std = math.hypot(scattered, *(limit / math.sqrt(3.0) for limit in limits))
-    return Estimate("winding_rise", rise, std, rise - half, rise + half, "K")
+    std = math.hypot(scattered, *(limit / math.sqrt(3.0) for limit in (of_copper, *steps)))
+    return Estimate("winding_rise", rise, std, rise - below, rise + above, "K")
 
 
 def copper_of(run: Run) -> Copper:
-    """The resistance coefficient in the model that a run carries."""
+    """The resistance coefficient in the model that a run carries.
+
+    Raises
+    ------
+    NotIdentifiable : there is none.
+    InputError : a tolerance or a reference temperature that makes no sense.
+    """
     text = run.source("model")
     data = yamlfile.parse(text, f"{run.path}:/model/source").data if text is not None else None
     model = data if isinstance(data, dict) else {}
@@ -213,7 +218,16 @@ def copper_of(run: Run) -> Copper:
         raise NotIdentifiable(f"{run.path}: its model has no resistance_coefficient; a rise cannot be told without")
     tolerances = model.get("tolerances")
     width = tolerances.get("resistance_coefficient", 0.0) if isinstance(tolerances, dict) else 0.0
-    return Copper(float(found), float(width), float(model.get("reference_temperature", 25.0)))
+    reference = model.get("reference_temperature", 25.0)
+    for name, value, (least, most), unit in (
+        ("tolerances.resistance_coefficient", width, (0.0, 0.99), ""),
+        ("reference_temperature", reference, (-100.0, 1000.0), " degC"),
+    ):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
+            raise InputError(
+                f"{run.path}: {name} of its model is {value}; a number from {least:g} to {most:g}{unit} was expected"
+            )
+    return Copper(float(found), float(width), float(reference))
 
 
 def cold_temperature(run: Run, before: float, notes: list[str]) -> tuple[float, float]:

@@ -94,21 +94,25 @@ def noise_run(
     seed=1,
     edit=None,
     sign=1.0,
+    rate=RATE,
+    lag=0.0,
 ):
-    """A position noise run of a first-order loop sampled with its reference held, and noise of its readings."""
+    """A position noise run of a first-order loop with its reference held, and noise of its readings.
+
+    The drive acts on a reference a `lag` of a sample after its row.
+    """
     rng = np.random.default_rng(seed)
-    decay = np.exp(-2 * np.pi * pole_Hz / RATE)
+    decay = np.exp(-2 * np.pi * pole_Hz / rate)
+    late = decay ** (1 - lag)
     columns = {"time": [], "angle_reference": [], "angle": []}
     steps, start = [], 0.0
     for number in range(trials):
         for level in levels:
-            count = round(NOISE_S * RATE)
-            given = level + 0.1 * _unit(
-                sosfilt(butter(10, cutoff_Hz, fs=RATE, output="sos"), rng.standard_normal(count))
-            )
-            answer = lfilter([1 - decay], [1, -decay], given, zi=[decay * level])[0]
-            columns["time"].append(start + np.arange(1, count + 1) / RATE)
-            columns["angle_reference"].append(given)
+            count = round(NOISE_S * rate)
+            given = 0.1 * _unit(sosfilt(butter(10, cutoff_Hz, fs=rate, output="sos"), rng.standard_normal(count)))
+            answer = level + lfilter([1 - late, late - decay], [1, -decay], given)
+            columns["time"].append(start + np.arange(1, count + 1) / rate)
+            columns["angle_reference"].append(level + given)
             columns["angle"].append(sign * answer + rng.normal(0.0, noise, count))
             told = {"kind": "noise", "offset_rad": level, "cutoff_Hz": cutoff_Hz, "role": "test"}
             told |= {"seed": 100 * number + round(level), "repeat": number}

@@ -84,16 +84,19 @@ class Bench:
         protocol="",
         model="",
         resolution=None,
+        scale_std=0.0,
     ):
         """Write columns of the test actuator by quantity, and steps as the run file has them; return its path.
 
-        `resolution` is the step between two readings of a quantity.
+        `resolution` is the step between two readings of a quantity, `scale_std` what every channel says of its own.
         """
         self.count += 1
         for name, step in (resolution or {}).items():
             columns[name] = step * np.round(columns[name] / step)
         specs = [
-            ChannelSpec(name, name, "test", "d", units=(units or {}).get(name, UNITS[name]), dtype="f8")
+            ChannelSpec(
+                name, name, "test", "d", units=(units or {}).get(name, UNITS[name]), dtype="f8", scale_std=scale_std
+            )
             for name in columns
         ]
         sources = {"protocol": protocol or f"name: x\nanalysis: {experiment}\n"}

@@ -4,9 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.signal import csd, welch
 
+from leactl.analysis.bandwidth import sampled_half_power
 from leactl.analysis.blackman_tukey import BlackmanTukey
 from leactl.analysis.experiments import analyze_runs
 from leactl.errors import MissingChannel, NotIdentifiable
@@ -51,6 +54,23 @@ def test_a_bandwidth_above_the_noise_is_a_lower_bound(tmp_path):
     assert bandwidth.high == math.inf
     assert any("the gain stays above -3 dB up to 40 Hz (95 %)" in note for note in result.notes)
     assert bandwidth.as_json()["value"] is None
+
+
+@pytest.mark.parametrize(("pole", "lag"), [(50.0, 0.5), (36.0, 0.0)], ids=["taken from", "added to"])
+def test_what_sampling_does_to_the_gain_makes_no_bandwidth_and_no_false_bound(tmp_path, pole, lag):
+    """Sampled at 200 Hz these pass -3 dB at 36 and at 41 Hz."""
+    bandwidth = found(analyze_runs([noise_run(tmp_path, pole_Hz=pole, lag=lag, rate=200, noise=0.002)]))["bandwidth"]
+    assert math.isnan(bandwidth.value)
+    assert 0.8 * 36 < bandwidth.low <= pole < bandwidth.high
+
+
+@given(st.floats(1e-4, 0.45), st.floats(0.0, 1.0))
+def test_a_sampled_loop_at_half_power_lies_within_the_limits(turns, lag):
+    decay, back = math.exp(-2 * math.pi * turns), np.exp(-2j * math.pi * turns)
+    late = decay ** (1 - lag)
+    gain = abs(((1 - late) + (late - decay) * back) / (1 - decay * back))
+    highest, lowest = (float(level) for level in sampled_half_power(np.array(turns)))
+    assert lowest - 1e-9 <= gain <= highest + 1e-9
 
 
 def disturb(low, high):
@@ -136,12 +156,12 @@ def test_a_run_without_a_channel_is_refused(tmp_path):
 def test_the_estimator_agrees_with_averaged_periodograms():
     """Welch's method, another estimator, on the same records and at about the same resolution."""
     rng = np.random.default_rng(3)
-    given = rng.standard_normal(200_000)
-    answer = np.convolve(given, [0.0, 0.4, 0.3, 0.2], "full")[: len(given)] + 0.5 * rng.standard_normal(len(given))
+    noise = rng.standard_normal(200_000)
+    answer = np.convolve(noise, [0.0, 0.4, 0.3, 0.2], "full")[: len(noise)] + 0.5 * rng.standard_normal(len(noise))
     method = BlackmanTukey(1 / RATE, 400, 200.0)
-    response = method.response(method.spectra(given, answer))
-    frequency, cross = csd(given, answer, RATE, nperseg=800)
-    power, out = (welch(column, RATE, nperseg=800)[1] for column in (given, answer))
+    response = method.response(method.spectra(noise, answer))
+    frequency, cross = csd(noise, answer, RATE, nperseg=800)
+    power, out = (welch(column, RATE, nperseg=800)[1] for column in (noise, answer))
     at = np.arange(10, 150, 10)
     places = np.searchsorted(response.frequency, frequency[at])
     np.testing.assert_allclose(response.value[places], (cross / power)[at], atol=0.02)

@@ -87,6 +87,8 @@ def test_half_an_hour_is_needed_to_tell(record):
         ({"sign": -1.0}, InputError, "one of the two has its leads swapped"),
         ({"model": "name: x\n"}, NotIdentifiable, "its model has no resistance_coefficient"),
         ({"lasts": 0.2}, NotIdentifiable, "nothing was heated"),
+        ({"model": MODEL.replace("0.0}", "1.5}")}, InputError, "tolerances.resistance_coefficient of its model is 1.5"),
+        ({"model": MODEL.replace("25.0", "warm")}, InputError, "reference_temperature of its model is warm; a number"),
     ],
 )
 def test_what_cannot_answer_says_why(record, given, error, said):

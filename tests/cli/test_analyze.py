@@ -33,7 +33,7 @@ def test_table_plot_and_notes_fit_80_columns(bench, environment):
     assert re.fullmatch(r"0\.4[89]\d+ ± 0\.0\d+ 0\.4\d+ \.\. 0\.4\d+ N\*m/A", rows(done.stdout)["torque_constant"])
     assert rows(done.stdout)["paper"] in ("0.49 ± 0.06 (3 std)", "> 0.99")
     assert any(line.startswith("torque [N*m] over q-axis current [A]:") for line in lines)
-    assert any(line.startswith("note: the uncertainties are those of scatter") for line in lines)
+    assert any(line.startswith("note: an error in the calibration of torque or current") for line in lines)
 
 
 @pytest.mark.parametrize("columns", [30, 100, 140])
@@ -96,7 +96,10 @@ def test_a_torque_constant_of_ones_own(bench):
             "friction.h5: its analysis is 'friction', that of torque.h5 is 'torque",
         ),
         (["torque.h5", "./torque.h5"], "torque.h5: the same run as torque.h5; give each run once"),
-        (["torque.h5", "--torque-constant", "1"], "torque-constant has no option --torque-constant"),
+        (
+            ["torque.h5", "--torque-constant", "1"],
+            "torque-constant cannot be told torque_constant; it can be told torque_gain_std",
+        ),
         (["friction.h5", "--torque-constant", "0"], "torque constant 0: a positive number in N*m/A was expected"),
         (
             ["friction.h5", "--torque-constant", "0.5", "--set", "torque_constant=0.6"],

@@ -264,7 +264,55 @@ def back_emf(bench: Bench, *, uneven=True, harmonics=True) -> Made:
     return Made(path, true, told, frozenset(bounds))
 
 
+def torque_constant(bench: Bench, *, off=(0.0, 0.0)) -> Made:
+    """`off`: of torque and of current, which together are one factor."""
+    rng, both = bench.rng, math.hypot(*off)
+    kt, stuck = drawn(rng, 0.49, 0.2)
+    gain = 1.0 + rng.normal(0.0, both)
+    offset = rng.normal(0.0, 0.05)
+    path = bench.torque(
+        kt=gain * kt,
+        sticking=gain * stuck,
+        offset=offset,
+        trials=5,
+        scatter=0.005,
+        noise=NOISE,
+        resolution=steps_of("q_axis_current", "torque"),
+        rate_Hz=100,
+    )
+    true = {"torque_constant": kt, "torque_constant_rising": kt, "torque_constant_falling": kt}
+    told = {"torque_gain_std": both, "current_gain_std": 0.0} if both else {}
+    return Made(path, true | {"sticking_torque": stuck, "offset": offset}, told)
+
+
+def friction(bench: Bench, *, off=0.0) -> Made:
+    rng = bench.rng
+    f, b = drawn(rng, 0.208, 0.0238)
+    zero = rng.normal(0.0, 0.01)
+    gain = 1.0 + rng.normal(0.0, off)
+    path = bench.friction(
+        b=b,
+        f=f,
+        kt=0.49 / gain,
+        zero_A=zero,
+        trials=5,
+        scatter=0.001,
+        noise=NOISE,
+        resolution=steps_of("q_axis_current", "velocity"),
+        rate_Hz=100,
+    )
+    true = {"offset": 0.49 * zero}
+    for suffix, share in {"": 0.0, "_forward": 0.49 * zero, "_backward": -0.49 * zero}.items():
+        true |= {f"viscous_damping{suffix}": b, f"coulomb_friction{suffix}": f + share}
+    return Made(path, true, {"current_gain_std": off} if off else {})
+
+
 CASES: dict[str, dict[str, Callable[[Bench], Made]]] = {
+    "torque-constant": {
+        "noise": torque_constant,
+        "instruments": lambda bench: torque_constant(bench, off=(TORQUE_STD, CURRENT_STD)),
+    },
+    "friction": {"noise": friction, "instruments": lambda bench: friction(bench, off=CURRENT_STD)},
     "no-load-loss": {
         "noise": no_load_loss,
         "coarse": lambda bench: no_load_loss(bench, coarse=True),

@@ -59,9 +59,9 @@ def main() -> int:
     for (name, result), pairs in sorted(found.items()):
         trues, estimates = zip(*pairs, strict=True)
         if name == "current-noise":
-            above = sum(item.low <= true for true, item in pairs)
-            print(f"{name}: {above} of {len(pairs)} lower bounds lie below the true bandwidth")
-            faults += [f"{name}: a bound lies above the true bandwidth"] * (above < len(pairs))
+            held = sum(item.low <= true <= item.high for true, item in pairs)
+            print(f"{name}: the true bandwidth lies within {held} of {len(pairs)} bounds")
+            faults += [f"{name}: a true bandwidth lies beyond its bound"] * (held < len(pairs))
             continue
         judged = judge(result, name, trues, estimates)
         print(shown(judged))
