@@ -16,6 +16,7 @@ FEWEST = 5  # readings there
 PILE = 3  # times as many there as at the next value; the tail of noise has fewer
 NOISY = 5  # distinct values in most holds: less, and the resolution hides what a pile would show
 FLICKERS = 0.4  # share of turning points above which noise shows in a record; of white noise two thirds are
+BEYOND = 0.1  # share of turning points by more than the smallest step; where noise is two thirds of that, one in two
 RECORD = 50  # readings of a record that can tell so
 ONE_WAY = 0.05  # share of turning points below which a hold still goes to where it settles, without noise
 
@@ -49,11 +50,18 @@ def noise_shows(values: Array, staying: bool = True) -> bool:
     """Whether a record's readings, those at its extremes left out, go up and down by turns as no transient does.
 
     `staying` tells whether readings that stay as they are count, as they do where a coarse resolution would hide noise.
+    Without them, turns must go beyond the next reading: a level near the middle of two goes from one to the other.
     """
     seen = values[np.isfinite(values)]
     steps = np.diff(seen[(seen != seen.max()) & (seen != seen.min())]) if len(seen) else seen
     turns = steps[1:] * steps[:-1]
-    turns = turns if staying else turns[turns != 0.0]
+    if not staying:
+        moved = turns != 0.0
+        largest = np.maximum(np.abs(steps[1:]), np.abs(steps[:-1]))[moved & (turns < 0.0)]
+        turns = turns[moved]
+        least = float(np.min(np.abs(steps[steps != 0.0]), initial=np.inf))
+        if not len(largest) or float(np.mean(largest > 1.5 * least)) < BEYOND:
+            return False
     return len(turns) >= RECORD and float(np.mean(turns < 0.0)) > FLICKERS
 
 

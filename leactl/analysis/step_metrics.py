@@ -27,7 +27,8 @@ BAND_NOISE, TOP_NOISE = (
 REACH = 4  # part of the bins since the jump, over which it is averaged to either side at the most
 OPEN = 1 / 3  # of the band, above which noise or rounding leaves open when a response settles
 COUNTS = 2.0  # of a reading's resolution, to either side of a level, over which its pace is taken
-TOP = 0.75  # of the overshoot, above which a curve is laid through its top
+TOPS = 0.75, 0.9, 0.97  # of the overshoot, above which a curve is laid through its top, until they lie on it
+MORE = 3.0  # standard deviations, by which a curve may leave more of them than noise and rounding do
 TOP_ORDER = 4  # of that curve in the logarithm of time
 WAY_ORDER = 3  # of the curve through the last way into the band
 ENOUGH = 8  # bins, for such a curve and that of the settling
@@ -59,22 +60,36 @@ def overshoot(trials: Sequence[Trial]) -> Reading:
         return Reading(0.0, own=(steady, max(steady, 100.0 * float(above[top]))))
     calm = _calmed(curve, TOP_NOISE * float(above[top])) - 1.0
     top = int(np.argmax(calm))
-    lower = calm < TOP * calm[top]
-    begin = int(np.flatnonzero(lower[:top])[-1]) + 1
-    end = top + int(np.argmax(lower[top:])) if lower[top:].any() else len(above)
-    if end - begin < ENOUGH:  # too few for a curve: the highest, and what may lie between it and its neighbours
-        top = begin + int(np.argmax(above[begin:end]))
-        beside = float(np.max(np.abs(np.diff(above[top - 1 : top + 2]))))
-        return Reading(100.0 * float(above[top]), (25.0 * beside, 100.0 * error), (steady, steady))
-    at = np.log(curve.time[begin:end])
+    for part in TOPS:
+        begin, end = _about(calm, top, part)
+        if end - begin < ENOUGH:
+            break
+        highest, rest, weights, through = _top_of(curve.time[begin:end], above[begin:end])
+        if rest <= (1.0 + MORE / math.sqrt(2.0 * (end - begin))) * blurred:
+            rounded = 100.0 * rounding_limit(through, curve.quantum if steady else 0.0, weights)
+            return Reading(100.0 * highest, own=(steady, rounded))
+    # too few for a curve, or none that they lie on: the highest, and what may lie between it and its neighbours
+    top = begin + int(np.argmax(above[begin:end]))
+    beside = float(np.max(np.abs(np.diff(above[top - 1 : top + 2]))))
+    return Reading(100.0 * float(above[top]), (25.0 * beside, 100.0 * error), (steady, steady))
+
+
+def _about(calm: Array, top: int, part: float) -> tuple[int, int]:
+    """From which bin to before which a response stays above a part of its overshoot, about its top."""
+    lower = calm < part * calm[top]
+    end = top + int(np.argmax(lower[top:])) if lower[top:].any() else len(calm)
+    return int(np.flatnonzero(lower[:top])[-1]) + 1, end
+
+
+def _top_of(time: Array, above: Array) -> tuple[float, float, Array, Array]:
+    """Highest point of a curve through these bins, what it leaves of them, its weights of them, and the curve."""
+    at = np.log(time)
     scaled = 2.0 * (at - at[0]) / (at[-1] - at[0]) - 1.0
-    powers = [np.vander(x, TOP_ORDER + 1) for x in (scaled, np.linspace(-1.0, 1.0, 500))]
-    solution = np.linalg.pinv(powers[0])
-    through, fine = (table @ solution @ above[begin:end] for table in powers)
+    table, finely = (np.vander(x, TOP_ORDER + 1) for x in (scaled, np.linspace(-1.0, 1.0, 500)))
+    solution = np.linalg.pinv(table)
+    through, fine = table @ solution @ above, finely @ solution @ above
     highest = int(np.argmax(fine))
-    step = curve.quantum if steady else 0.0
-    rounded = 100.0 * rounding_limit(through, step, powers[1][highest] @ solution)
-    return Reading(100.0 * float(fine[highest]), own=(steady, rounded))
+    return float(fine[highest]), float(np.std(above - through)), finely[highest] @ solution, through
 
 
 def settling_time(trials: Sequence[Trial]) -> Reading:

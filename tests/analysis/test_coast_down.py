@@ -96,3 +96,11 @@ def test_one_direction_says_what_is_in_its_inertia(bench):
     result = analyzed(analyze, coasting(bench, signs=(-1,), zero_A=0.05))
     assert any("a zero error of the current is part of the inertia" in note for note in result.notes)
     assert result.find("rotor_inertia").value < 0.99 * J
+
+
+def test_a_coarse_current_that_stays_on_its_step_does_not_hang(bench):
+    coarse = {"q_axis_current": 0.0137}  # A; at rest the current is near the middle of two steps, and flickers
+    path = coasting(bench, noise=0.002, current_noise=0.0005, zero_A=0.0065, trials=5, resolution=coarse)
+    result = analyzed(analyze, path)
+    assert not any("came again" in note for note in result.notes)
+    assert covered(result.find("rotor_inertia"), J)

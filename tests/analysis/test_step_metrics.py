@@ -77,3 +77,20 @@ def test_rounding_that_every_trial_repeats_is_in_the_interval(lag, quantum):
             held[figure] += found.low <= true <= found.high
     assert held[rise_time] >= 0.8 * SEEDS
     assert held[settling_time] >= 0.8 * SEEDS or quantum == 0.02  # half a step is half of the band there: not known
+
+
+@pytest.mark.parametrize("falls_s", [0.1, 0.3])
+def test_a_top_on_which_friction_holds_the_rotor_is_no_higher_than_it_is(falls_s):
+    """It goes up fast, sticks, lets go and sticks again: no curve through all of that is its top."""
+    held, errors = 0, []
+    for seed in range(SEEDS):
+        over = np.random.default_rng(seed).uniform(0.003, 0.006)
+        up = np.minimum(TIME / 0.07, 1.0) * (1.0 + over)
+        down = over * np.clip((TIME - falls_s) / 0.1, 0.0, 1.0)
+        read = 1e-4 * np.round((up - down) / 1e-4)
+        trials = [Trial(1.0, TIME, read / read[600:].mean(), 0.0, 0.6, noise=1e-9, quantum=1e-4, rest=0.0)] * 2
+        found = estimate(overshoot, [trials])
+        held += found.low <= 100.0 * over <= found.high
+        errors.append(found.value - 100.0 * over)
+    assert held >= 0.7 * SEEDS
+    assert abs(np.mean(errors)) < 0.003

@@ -308,11 +308,6 @@ def friction(bench: Bench, *, off=0.0) -> Made:
 
 
 CASES: dict[str, dict[str, Callable[[Bench], Made]]] = {
-    "torque-constant": {
-        "noise": torque_constant,
-        "instruments": lambda bench: torque_constant(bench, off=(TORQUE_STD, CURRENT_STD)),
-    },
-    "friction": {"noise": friction, "instruments": lambda bench: friction(bench, off=CURRENT_STD)},
     "no-load-loss": {
         "noise": no_load_loss,
         "coarse": lambda bench: no_load_loss(bench, coarse=True),
@@ -357,4 +352,9 @@ CASES: dict[str, dict[str, Callable[[Bench], Made]]] = {
         "even": lambda bench: back_emf(bench, uneven=False),
         "sine": lambda bench: back_emf(bench, harmonics=False),
     },
+    "torque-constant": {
+        "noise": torque_constant,
+        "instruments": lambda bench: torque_constant(bench, off=(TORQUE_STD, CURRENT_STD)),
+    },
+    "friction": {"noise": friction, "instruments": lambda bench: friction(bench, off=CURRENT_STD)},
 }
