@@ -93,4 +93,4 @@ def test_a_top_on_which_friction_holds_the_rotor_is_no_higher_than_it_is(falls_s
         held += found.low <= 100.0 * over <= found.high
         errors.append(found.value - 100.0 * over)
     assert held >= 0.7 * SEEDS
-    assert abs(np.mean(errors)) < 0.003
+    assert abs(np.mean(errors)) < 0.005  # half a step of the readings
