@@ -1,5 +1,6 @@
 """Whether a sensor was at the end of its range: its readings pile up at the highest or lowest value of the record."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,6 +15,7 @@ TORQUE = "torque"
 SHARE = 0.05  # of a hold's readings at the extreme
 FEWEST = 5  # readings there
 PILE = 3  # times as many there as at the next value; the tail of noise has fewer
+CHANCE, MANY = 1e-3, 40  # that so many of few readings pile up without an end of range
 NOISY = 5  # distinct values in most holds: less, and the resolution hides what a pile would show
 FLICKERS = 0.4  # share of turning points above which noise shows in a record; of white noise two thirds are
 BEYOND = 0.1  # share of turning points by more than the smallest step; where noise is two thirds of that, one in two
@@ -96,4 +98,15 @@ def piles_up(values: Array, extreme: float, share: float = SHARE) -> bool:
     if not len(rest):
         return True
     nearest = rest[np.argmin(np.abs(rest - extreme))]
-    return int(there.sum()) >= PILE * int(np.sum(rest == nearest))
+    pile, next_to_it = int(there.sum()), int(np.sum(rest == nearest))
+    return pile >= PILE * next_to_it and not by_chance(pile, pile + next_to_it)
+
+
+def by_chance(heads: int, tosses: int) -> bool:
+    """Whether so many of two values' readings may be the one by chance, though it is the rarer, at `CHANCE`.
+
+    `heads` are `PILE` times the rest at the least, which more than `MANY` never are.
+    """
+    if tosses > MANY:
+        return False
+    return sum(math.comb(tosses, k) for k in range(heads, tosses + 1)) > CHANCE * 2**tosses
