@@ -109,4 +109,4 @@ def by_chance(heads: int, tosses: int) -> bool:
     """
     if tosses > MANY:
         return False
-    return sum(math.comb(tosses, k) for k in range(heads, tosses + 1)) > CHANCE * 2**tosses
+    return sum(math.comb(tosses, k) for k in range(heads, tosses + 1)) / 2.0**tosses > CHANCE

@@ -33,7 +33,7 @@ def test_readings_within_the_range_are_not_taken_for_its_end(noise, rate):
 def test_few_readings_that_gather_at_an_extreme_by_chance_are_no_end_of_range():
     """Twenty of each hold, through steps about as large as their noise."""
     assert [seed for seed in range(800) if saturated(*record(1.1 * 0.0137, 0.0137, seed=seed, rate=20))[1]] == []
-    channel, holds = record(1.1 * 0.0137, 0.0137, high=7.0, rate=20)
+    channel, holds = record(2.0 * 0.0137, 0.0137, high=7.0, rate=20)
     assert saturated(channel, holds) == (7.0, [holds[3]])
 
 
