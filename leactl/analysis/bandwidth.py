@@ -29,18 +29,30 @@ def bandwidth_of(
 ) -> Estimate:
     """Mean of the levels' -3 dB frequencies, or what is known of it where one of them is not."""
     earliest, latest = sampled_half_power(next(iter(responses.values())).frequency * method.interval)
-    first = [within(responses[level], known[level], earliest) for level in levels]
-    last = [within(responses[level], known[level], latest) for level in levels]
-    if all(low == high for low, high in first + last):
-        values = [_crossing_over(method, levels[level], known[level], earliest, latest) for level in levels]
+    half = np.full(len(earliest), HALF_POWER)
+    passes = [within(responses[level], known[level], at) for level in levels for at in (earliest, half, latest)]
+    if all(low == high for low, high in passes):
+        values = [_crossing_over(method, levels[level], known[level], (half, earliest, latest)) for level in levels]
         return mean_of_levels("bandwidth", "Hz", values)
-    low, high = float(np.mean([low for low, _ in first])), float(np.mean([high for _, high in last]))
+    lows = [within(surely(responses[level], -1), known[level], earliest)[0] for level in levels]
+    highs = [within(surely(responses[level], 1), known[level], latest)[1] for level in levels]
+    low, high = min(lows) if math.inf in highs else float(np.mean(lows)), float(np.mean(highs))
     if math.isinf(high):
-        low = min(held(responses[level], known[level], earliest) for level in levels)
-        notes.append(f"the gain stays above -3 dB up to {low:.4g} Hz (95 %), as far as it is known: bandwidth is above")
+        notes.append(
+            f"the gain stays above -3 dB up to {low:.4g} Hz (95 %), whatever sampling does to it, as far as it is "
+            "known: bandwidth is above"
+        )
     else:
-        notes.append(f"the gain passes -3 dB where the response is not known, between {low:.4g} and {high:.4g} Hz")
+        notes.append(
+            f"the gain passes -3 dB between {low:.4g} and {high:.4g} Hz (95 %), where the response is not known or "
+            "sampling may move it"
+        )
     return Estimate("bandwidth", NAN, NAN, low, high, "Hz")
+
+
+def surely(response: Response, side: int) -> Response:
+    """The response with the lowest gain that noise leaves at 95 %, or the highest."""
+    return response._replace(value=response.value * np.maximum(1.0 + side * ONE_SIDED * response.relative_std, 0.0))
 
 
 def sampled_half_power(turns: Array) -> tuple[Array, Array]:
@@ -71,24 +83,15 @@ def within(response: Response, known: Mask, level: Array) -> tuple[float, float]
     return value, value
 
 
-def held(response: Response, known: Mask, level: Array) -> float:
-    """How far from the bottom the gain surely stays above a level [Hz]."""
-    surely = ~known | (response.gain * (1.0 - ONE_SIDED * response.relative_std) > level)
-    first = int(np.argmax(~surely)) if not surely.all() else len(surely)
-    inside = np.flatnonzero(known[:first])
-    return float(response.frequency[inside[-1]]) if len(inside) else 0.0
-
-
 def _crossing_over(
-    method: BlackmanTukey, spectra: Sequence[Spectra], known: Mask, earliest: Array, latest: Array
+    method: BlackmanTukey, spectra: Sequence[Spectra], known: Mask, gains: tuple[Array, Array, Array]
 ) -> LevelValue:
     whole = together(spectra)
-    half = np.full(len(earliest), HALF_POWER)
 
     def crossing(kept: Sequence[int]) -> Reading:
         left = [spectrum for k, spectrum in enumerate(spectra) if k not in kept]
         response = method.response(whole.plus(together(left), -1) if left else whole)
-        (low, high), (first, _), (_, last) = (within(response, known, level) for level in (half, earliest, latest))
+        (low, high), (first, _), (_, last) = (within(response, known, gain) for gain in gains)
         return Reading(low, shared=(max(low - first, last - low),)) if low == high else Reading(NAN)
 
     return over_trials(len(spectra), crossing)

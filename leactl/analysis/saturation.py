@@ -16,6 +16,7 @@ SHARE = 0.05  # of a hold's readings at the extreme
 FEWEST = 5  # readings there
 PILE = 3  # times as many there as at the next value; the tail of noise has fewer
 CHANCE, MANY = 1e-3, 40  # that so many of few readings pile up without an end of range
+ALIKE = 0.5  # distinct values in a hold's readings below its extreme: with more, no two are alike but at an end
 NOISY = 5  # distinct values in most holds: less, and the resolution hides what a pile would show
 FLICKERS = 0.4  # share of turning points above which noise shows in a record; of white noise two thirds are
 BEYOND = 0.1  # share of turning points by more than the smallest step; where noise is two thirds of that, one in two
@@ -37,7 +38,7 @@ def saturated(channel: Channel, holds: Sequence[Hold]) -> tuple[float, list[Hold
     for extreme in (float(every.max()), float(every.min())):
         if extreme == 0.0 and channel.quantity != TORQUE:  # a shaft that stands, or a drive that is off
             continue
-        reached = [hold for hold, values in parts if piles_up(values, extreme)]
+        reached = [hold for hold, values in parts if piles_up(values, extreme) and not by_chance(values, extreme)]
         if not reached:
             continue
         distinct = [(0 if one_way(values) else len(np.unique(values)), hold in reached) for hold, values in parts]
@@ -98,15 +99,17 @@ def piles_up(values: Array, extreme: float, share: float = SHARE) -> bool:
     if not len(rest):
         return True
     nearest = rest[np.argmin(np.abs(rest - extreme))]
-    pile, next_to_it = int(there.sum()), int(np.sum(rest == nearest))
-    return pile >= PILE * next_to_it and not by_chance(pile, pile + next_to_it)
+    return int(there.sum()) >= PILE * int(np.sum(rest == nearest))
 
 
-def by_chance(heads: int, tosses: int) -> bool:
-    """Whether so many of two values' readings may be the one by chance, though it is the rarer, at `CHANCE`.
+def by_chance(values: Array, extreme: float) -> bool:
+    """Whether a few readings, that a coarse resolution makes alike anyway, may gather at their extreme without cause.
 
-    `heads` are `PILE` times the rest at the least, which more than `MANY` never are.
+    As likely to fall on it as on the next value, so many would at `CHANCE`; the tail of noise has fewer.
     """
-    if tosses > MANY:
+    pile, rest = int(np.sum(values == extreme)), values[values != extreme]
+    near = np.sort(np.abs(rest - extreme))
+    tosses = pile + int(np.sum(near == near[0])) if len(near) else pile
+    if tosses > MANY or len(np.unique(rest)) > ALIKE * len(rest):
         return False
-    return sum(math.comb(tosses, k) for k in range(heads, tosses + 1)) / 2.0**tosses > CHANCE
+    return sum(math.comb(tosses, k) for k in range(pile, tosses + 1)) / 2.0**tosses > CHANCE

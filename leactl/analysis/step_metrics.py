@@ -65,10 +65,13 @@ def overshoot(trials: Sequence[Trial]) -> Reading:
         if end - begin < ENOUGH:
             break
         highest, rest, weights, through = _top_of(curve.time[begin:end], above[begin:end])
-        if rest <= (1.0 + MORE / math.sqrt(2.0 * (end - begin))) * blurred:
-            rounded = 100.0 * rounding_limit(through, curve.quantum if steady else 0.0, weights)
+        rounded = 100.0 * rounding_limit(through, curve.quantum if steady else 0.0, weights)
+        moving = float(np.std(np.diff(above[begin:end]))) / math.sqrt(2.0)  # noise, that may be louder there
+        if rest <= (1.0 + MORE / math.sqrt(2.0 * (end - begin))) * max(blurred, moving):
             return Reading(100.0 * highest, own=(steady, rounded))
-    # too few for a curve, or none that they lie on: the highest, and what may lie between it and its neighbours
+    if end - begin >= ENOUGH:  # no curve that they lie on: how far they are off the last one is a limit
+        return Reading(100.0 * highest, (100.0 * math.sqrt(3.0) * rest,), (steady, rounded))
+    # too few for a curve: the highest, and what may lie between it and its neighbours
     top = begin + int(np.argmax(above[begin:end]))
     beside = float(np.max(np.abs(np.diff(above[top - 1 : top + 2]))))
     return Reading(100.0 * float(above[top]), (25.0 * beside, 100.0 * error), (steady, steady))

@@ -188,16 +188,15 @@ def left_of_steps(heating: Heating, curve: Array, weights: Array, rest: Array) -
 
 
 def winding_rise(cold: Known, hot: Known, per_ratio: float, at_first_std: float, copper: Copper) -> Estimate:
-    """Rise by the ratio of both resistances; a coefficient as far below the model's as above takes it further up."""
+    """Rise by the ratio of both resistances; a coefficient below the model's moves it more than one as far above."""
     ratio = hot.value / cold.value
     rise = (ratio - 1.0) * per_ratio
     own = per_ratio * ratio * math.hypot(hot.std / hot.value, cold.std / cold.value)
     scattered = math.hypot(own, rise * at_first_std / per_ratio)
     steps = [per_ratio * ratio * known.limit / known.value for known in (hot, cold)]
     of_copper = rise / per_ratio * copper.within / copper.coefficient
-    below, above = (
-        half_width(scattered, math.inf, of_copper / (1.0 + off), *steps) for off in (copper.within, -copper.within)
-    )
+    to_zero = math.copysign(copper.within, rise)
+    below, above = (half_width(scattered, math.inf, of_copper / (1.0 + off), *steps) for off in (to_zero, -to_zero))
     std = math.hypot(scattered, *(limit / math.sqrt(3.0) for limit in (of_copper, *steps)))
     return Estimate("winding_rise", rise, std, rise - below, rise + above, "K")
 

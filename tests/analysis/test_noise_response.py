@@ -96,6 +96,20 @@ def test_a_band_of_too_low_coherence_is_not_known_and_neither_is_a_bandwidth_in_
     assert all(math.isnan(y) for x, y in zip(gain.x, gain.y, strict=True) if 7 < x < 11)
 
 
+def test_a_crossing_that_a_gap_hides_between_what_sampling_leaves_is_not_lost(tmp_path):
+    """Early and late limits lie in known stretches, the crossing itself in a line that drowns it."""
+
+    def hum(columns):
+        columns["angle"] += 0.02 * np.sin(2 * np.pi * 15.6 * columns["time"])
+
+    path = noise_run(tmp_path, pole_Hz=16.0, cutoff_Hz=90.0, rate=200, lag=0.5, noise=0.0005, seed=10, edit=hum)
+    result = analyze_runs([path])
+    bandwidth = found(result)["bandwidth"]
+    assert math.isnan(bandwidth.value)
+    assert 13 < bandwidth.low < 16 < bandwidth.high < 18
+    assert any("the gain passes -3 dB between 13." in note for note in result.notes)
+
+
 def test_coherence_that_is_low_elsewhere_does_not_take_the_bandwidth(tmp_path):
     result = analyze_runs([noise_run(tmp_path, edit=disturb(20, 26))])
     assert found(result)["bandwidth"].value == pytest.approx(true_bandwidth(8.0), rel=0.03)

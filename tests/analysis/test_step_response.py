@@ -7,7 +7,7 @@ import pytest
 
 from leactl.analysis.experiments import analyze_runs
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
-from tests.analysis.control_runs import BANDWIDTH, LEAD, LEAD_TIME, LEVELS, TRIAL_S, ringing, step_run
+from tests.analysis.control_runs import BANDWIDTH, LEAD, LEAD_TIME, LEVELS, REST_S, TRIAL_S, ringing, step_run
 from tests.loops import current_figures, figures
 
 SAMPLE_S = 1e-3
@@ -97,6 +97,32 @@ def test_clipped_trials_are_left_out(tmp_path):
     result = analyze_runs([step_run(tmp_path, noise=0.01, edit=clip)])
     assert any("left out 5: q_axis_current is clipped at 6.2 A (7.5 at 5.0 s" in note for note in result.notes)
     assert found(result)["overshoot"].value == pytest.approx(8.3, rel=0.05)
+
+
+def test_a_few_clipped_readings_of_a_top_leave_its_trial_out(tmp_path):
+    def edit(columns):
+        np.minimum(columns["q_axis_current"], 7.9, out=columns["q_axis_current"])
+
+    path = step_run(tmp_path, answer=ringing(250.0, 0.6), noise=0.003, edit=edit)
+    assert any("left out 5: q_axis_current is clipped at 7.9 A" in note for note in analyze_runs([path]).notes)
+
+
+def test_readings_that_are_noisier_in_motion_make_no_higher_top(tmp_path):
+    held, errors, true = 0, [], 100.0 * math.exp(-math.pi * 0.75)
+    for seed in range(8):
+
+        def edit(columns, seed=seed):
+            since = columns["time"] % TRIAL_S - REST_S
+            louder = np.random.default_rng(99 + seed).normal(0.0, 0.01 * math.sqrt(3.0), len(since))
+            columns["q_axis_current"] += np.where((since > 0.0) & (since < 0.3), louder, 0.0)
+
+        (folder := tmp_path / str(seed)).mkdir()
+        result = analyze_runs([step_run(folder, answer=ringing(20.0, 0.6), noise=0.01, seed=seed, edit=edit)])
+        found = result.find("overshoot")
+        held += found.low <= true <= found.high
+        errors.append(found.value - true)
+    assert held >= 6
+    assert abs(np.mean(errors)) < 0.1
 
 
 def test_a_servo_that_friction_holds_at_its_highest_level_is_not_clipped(tmp_path):

@@ -265,14 +265,14 @@ def back_emf(bench: Bench, *, uneven=True, harmonics=True) -> Made:
 
 
 def torque_constant(bench: Bench, *, off=(0.0, 0.0)) -> Made:
-    """`off`: of torque and of current, which together are one factor."""
-    rng, both = bench.rng, math.hypot(*off)
+    """`off`: standard uncertainties of the readings of torque and current."""
+    rng = bench.rng
     kt, stuck = drawn(rng, 0.49, 0.2)
-    gain = 1.0 + rng.normal(0.0, both)
+    of_torque, of_current = (1.0 + rng.normal(0.0, std) for std in off)
     offset = rng.normal(0.0, 0.05)
     path = bench.torque(
-        kt=gain * kt,
-        sticking=gain * stuck,
+        kt=of_torque / of_current * kt,
+        sticking=of_torque * stuck,
         offset=offset,
         trials=5,
         scatter=0.005,
@@ -281,7 +281,7 @@ def torque_constant(bench: Bench, *, off=(0.0, 0.0)) -> Made:
         rate_Hz=100,
     )
     true = {"torque_constant": kt, "torque_constant_rising": kt, "torque_constant_falling": kt}
-    told = {"torque_gain_std": both, "current_gain_std": 0.0} if both else {}
+    told = dict(zip(("torque_gain_std", "current_gain_std"), off, strict=True)) if any(off) else {}
     return Made(path, true | {"sticking_torque": stuck, "offset": offset}, told)
 
 

@@ -18,7 +18,7 @@ from leactl.runfile.reader import Channel
 from leactl.vocabulary.effect import effect_names
 
 EVERY = effect_names()
-OFTEN = EVERY[3::4]  # what an ordinary run tries; all of them are a long one
+OFTEN = EVERY[::3]  # what an ordinary run tries; all of them are a long one
 PRACTICE = Path(__file__).parents[3] / "shared" / "gap-cases" / "practice"
 
 

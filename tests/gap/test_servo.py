@@ -83,6 +83,7 @@ def test_a_servo_is_diagnosed_whole(tmp_path):
     assert entries == ["load_dependent_friction"]
 
 
+@pytest.mark.long
 def test_a_light_servo_without_any_effect_has_no_cause(tmp_path):
     found = diagnosed(bench(tmp_path, light=True), rotor_inertia=5e-4, load=PENDULUM["load"] | {"mass": 0.05})
     assert named(found) == []
