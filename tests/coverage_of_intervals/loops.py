@@ -25,6 +25,7 @@ from leactl.analysis.estimate import Estimate
 from leactl.analysis.experiments import analyze_runs
 from leactl.bench import benchfile
 from leactl.emulation import emulated_bench
+from leactl.emulation.rig import Rig
 from leactl.runner.operators import granted
 from leactl.runner.request import prepare
 from leactl.runner.session import execute
@@ -102,9 +103,9 @@ def rehearsed(wanted: tuple[Path, int, str]) -> tuple[str, dict[str, float], Pat
         if name.endswith("noise"):
             sets += [f"{level}_seed={10_000 * seed + 1000 * k}" for k, level in enumerate(("small", "middle", "large"))]
         bench_file = str(unfinished / "bench.yaml")
+        emulated_bench.Rig = WatchedRig if name.endswith("step") else Rig
         if name.endswith("step"):
             WatchedRig.lag = drawn_lag(seed)
-            emulated_bench.Rig = WatchedRig
             emulated_bench.EmulatedBench = Seen
         request = prepare(name, bench_file, sets, "a1", CONDITION, "", unfinished, False)
         outcome = execute(request, granted, lambda _progress: nullcontext())
