@@ -67,7 +67,7 @@ def analyze(
     unit = levels.units[TORQUE]
     notes += remarks(line, expected, unit)
     notes += [f"{run.path}: {what}" for run in runs for what in convention(run, line.slope("torque_constant"))]
-    notes.append(doubt("torque or current", both_stds, "the torque constant"))
+    notes.append(doubt("torque or current", both_stds, "the torque constants"))
 
     results = [line.estimate("torque_constant", "torque_constant", f"{unit}/A", both_stds)]
     refuse_below_zero(results[0], place, "torque and current")
