@@ -75,7 +75,9 @@ def struck_until_done(here, seed, numbers):
         now = finished(here / "out")
         assert now.items() >= before.items()  # what was finished stays as it was
         before = now
-        if returned != 0:  # it had come to its end before
+        if returned == -number != -signal.SIGKILL:  # while the process was ending, its last run made
+            assert len(now) == 8
+        elif returned != 0:  # it had not come to its end before
             assert returned == (-signal.SIGKILL if number == signal.SIGKILL else 4)
             if number != signal.SIGKILL:
                 assert f"leactl: stopped by {signal.Signals(number).name}" in err
