@@ -32,9 +32,15 @@ def positive(found: object) -> float:
 
 
 def torque_constant_of_model(run: Run) -> float:
-    """The torque constant in the model that a run carries [N*m/A]."""
+    """The torque constant in the model that a run carries [N*m/A].
+
+    Raises
+    ------
+    NotIdentifiable : there is none.
+    """
     found = model_of(run).get("torque_constant")
-    if isinstance(found, int | float) and not isinstance(found, bool) and found > 0:
-        return float(found)
+    value = positive(found)
+    if value > 0:
+        return value
     what = "no model" if run.source("model") is None else f"a model whose torque_constant is {found!r}"
     raise NotIdentifiable(f"{run.path}: found {what}; a torque constant is needed, give --torque-constant")

@@ -20,10 +20,8 @@ from leactl.analysis.step_trials import BAND, Trial
 
 GROWTH = 0.02  # of the time since the jump, bins for the settling time
 CLEAR = 4.5  # standard errors that an overshoot stands out by, else there is none
-BAND_NOISE, TOP_NOISE = (
-    1 / 8,
-    1 / 20,
-)  # of the band and of an overshoot, to which noise is averaged to find where they are
+BAND_NOISE = 1 / 8  # of the band, to which noise is averaged to find where it is entered
+TOP_NOISE = 1 / 20  # of an overshoot, to which noise is averaged to find its top
 REACH = 4  # part of the bins since the jump, over which it is averaged to either side at the most
 OPEN = 1 / 3  # of the band, above which noise or rounding leaves open when a response settles
 COUNTS = 2.0  # of a reading's resolution, to either side of a level, over which its pace is taken

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl import yamlfile
+from leactl.analysis.carried_model import model_of, positive
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
 from leactl.analysis.gains import doubt, gain_std
 from leactl.analysis.heating.record import AMBIENT, refuse_clipped, refuse_not_celsius
@@ -209,11 +209,9 @@ def copper_of(run: Run) -> Copper:
     NotIdentifiable : there is none.
     InputError : a tolerance or a reference temperature that makes no sense.
     """
-    text = run.source("model")
-    data = yamlfile.parse(text, f"{run.path}:/model/source").data if text is not None else None
-    model = data if isinstance(data, dict) else {}
-    found = model.get("resistance_coefficient")
-    if not (isinstance(found, int | float) and not isinstance(found, bool) and found > 0):
+    model = model_of(run)
+    coefficient = positive(model.get("resistance_coefficient"))
+    if math.isnan(coefficient):
         raise NotIdentifiable(f"{run.path}: its model has no resistance_coefficient; a rise cannot be told without")
     tolerances = model.get("tolerances")
     width = tolerances.get("resistance_coefficient", 0.0) if isinstance(tolerances, dict) else 0.0
@@ -226,7 +224,7 @@ def copper_of(run: Run) -> Copper:
             raise InputError(
                 f"{run.path}: {name} of its model is {value}; a number from {least:g} to {most:g}{unit} was expected"
             )
-    return Copper(float(found), float(width), float(reference))
+    return Copper(coefficient, float(width), float(reference))
 
 
 def cold_temperature(run: Run, before: float, notes: list[str]) -> tuple[float, float]:

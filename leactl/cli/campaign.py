@@ -121,6 +121,7 @@ def run(
     from leactl.runner.campaign.conduct import Manner, conduct
     from leactl.runner.campaign.entries import previews
     from leactl.runner.campaign.folder import found
+    from leactl.runner.signals import to_the_end
 
     campaign, folder, entries = _read(name, variant, seed, out, operator, realtime, served, bus)
     if dry_run:
@@ -139,7 +140,8 @@ def run(
         return
     attended = sys.stdin is not None and sys.stdin.isatty()
     manner = Manner(perform, _tell, attended, yes, cold, redo_lost, accept_changes)
-    ended = conduct(campaign, entries, folder, manner)
+    with to_the_end():
+        ended = conduct(campaign, entries, folder, manner)
     done = len(ended.journal.finished)
     files = {key: str(folder / f"{one.run_id}.h5") for key, one in ended.journal.finished.items()}
     if as_json:

@@ -31,16 +31,18 @@ def run(
 ) -> None:
     """Run a protocol on a bench; status 3 is a safety trip, 4 a stop, 5 a device, 6 an acceptance limit not met."""
     from leactl.runner.request import prepare
+    from leactl.runner.signals import to_the_end
 
     request = prepare(protocol, bench, settings, actuator, condition, operator, out, realtime, served, bus)
     request = replace(request, cold=cold, insert_cooldown=insert_cooldown)
-    outcome = perform(request)
-    answer = told(outcome) | {"acceptance": []}
-    unmet: list[str] = []
-    if outcome.error is None and request.plan.acceptance:
-        from leactl.runner.acceptance import judge
+    with to_the_end():
+        outcome = perform(request)
+        answer = told(outcome) | {"acceptance": []}
+        unmet: list[str] = []
+        if outcome.error is None and request.plan.acceptance:
+            from leactl.runner.acceptance import judge
 
-        answer["acceptance"], unmet = judge(request.plan, outcome.path)
+            answer["acceptance"], unmet = judge(request.plan, outcome.path)
     if as_json:
         typer.echo(json.dumps(answer))
     else:

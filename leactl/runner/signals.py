@@ -48,10 +48,7 @@ def listening() -> Iterator[StopRequest]:
     A shell script's background job begins with SIGINT ignored; who sends it one still means to stop the bench.
     """
     request = StopRequest()
-    heeded = [signal.SIGINT, signal.SIGTERM, signal.SIGQUIT]
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-        heeded.append(signal.SIGHUP)
-    before = {number: signal.signal(number, request.note) for number in heeded}
+    before = {number: signal.signal(number, request.note) for number in _heeded()}
     try:
         yield request
     finally:
@@ -82,3 +79,33 @@ def between_runs() -> Iterator[Callable[[], None]]:
             yield check
         finally:
             signal.set_wakeup_fd(before)
+
+
+@contextmanager
+def to_the_end() -> Iterator[None]:
+    """A signal that no run takes raises `Stopped`; once the block is left, signals are ignored for good.
+
+    What remains then is to tell what was made. The system's own answer, to kill the process, would lose the exit
+    status, and Python gives back to it every handler of its own while it shuts down.
+    """
+    heeded = _heeded()
+
+    def ignore() -> None:
+        for number in heeded:
+            signal.signal(number, signal.SIG_IGN)
+
+    def stop(number: int, _frame: object) -> None:
+        ignore()  # a second one would break the end that the first one asked for
+        raise Stopped(f"stopped by {signal.Signals(number).name}")
+
+    for number in heeded:
+        signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        ignore()
+
+
+def _heeded() -> list[signal.Signals]:
+    always = [signal.SIGINT, signal.SIGTERM, signal.SIGQUIT]
+    return always if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else [*always, signal.SIGHUP]

@@ -12,7 +12,7 @@ from tests.analysis.control_runs import ringing
 
 SAMPLE_S = 1e-3
 TIME = SAMPLE_S * np.arange(1, 800)
-SEEDS = 25
+SEEDS = 40
 
 
 def estimate(figure, levels):

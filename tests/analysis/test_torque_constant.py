@@ -228,7 +228,8 @@ def test_scatter_beyond_noise_and_a_curved_sensor_are_noted(bench):
     assert any("level means depart from the fit" in note for note in curved.notes)
     quiet = analyzed(analyze, bench.torque(noise=0.01))
     assert not any("scatter" in note for note in quiet.notes)
-    assert any("torque or current is a factor on the torque constants, on top of" in note for note in quiet.notes)
+    doubt = "an error in the calibration of torque or current is a factor on the torque constants"
+    assert f"{doubt}, on top of their uncertainty" in quiet.notes
 
 
 def test_a_shaft_that_was_free_is_noted(bench):
