@@ -13,7 +13,7 @@ from leactl.analysis.breakaway import LettingGo, lettings_go
 from leactl.analysis.cogging import cogging_of, turns_of
 from leactl.analysis.drag import VELOCITY, both_ways, coefficients, drag_at, fit_drag, reached, weights_at
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
-from leactl.analysis.gains import doubt, gain_std
+from leactl.analysis.gains import doubts, gain_std
 from leactl.analysis.levels import Held, Levels, gather
 from leactl.analysis.linefit import LineFit, expect_setup, place_of, remarks
 from leactl.analysis.readings import usable
@@ -84,7 +84,7 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
             plots += [plot] if plot is not None else []
         except NotIdentifiable as fault:
             notes.append(str(fault))
-    notes.append(doubt("the torque sensor", gain, "all torques"))
+    notes += doubts({"the torque sensor": gain}, "all torques")
     paths = tuple(str(run.path) for run in runs)
     return Result("back-drive", paths, tuple(results), tuple(notes), tuple(plots))
 

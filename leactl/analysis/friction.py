@@ -14,7 +14,7 @@ import numpy as np
 
 from leactl.analysis.carried_model import torque_constant_of_model
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, tally
-from leactl.analysis.gains import doubt, gain_std
+from leactl.analysis.gains import doubts, gain_std
 from leactl.analysis.levels import Levels, gather, require_levels
 from leactl.analysis.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
 from leactl.analysis.readings import usable
@@ -125,7 +125,7 @@ def torque_constants(
     relative, gain = (std or 0.0) / float(values.mean()), gain_std(runs, CURRENT, current_gain_std)
     known = f"its standard uncertainty of {relative:.2%} is in theirs" if std else "its uncertainty is not in theirs"
     note = f"torque constant {shown} N*m/A, {source}; viscous damping and Coulomb friction scale with it, {known}"
-    note += "; " + doubt("current", gain, "them") if gain else ""
+    note += "".join(f"; {one}" for one in doubts({"current": gain}, "them")) if gain else ""
     return TorqueConstants(values, math.hypot(relative, gain), note)
 
 

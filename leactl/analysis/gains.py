@@ -1,7 +1,7 @@
 """What instruments multiply their readings by: its relative standard uncertainty, as told or as the channel has it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from leactl.errors import InputError
 from leactl.runfile.reader import Run
@@ -22,8 +22,18 @@ def gain_std(runs: Sequence[Run], quantity: str, told: float | None) -> float:
     return told
 
 
-def doubt(of: str, std: float, where: str) -> str:
-    """What a reader must know of a factor on results."""
-    if std:
-        return f"an error in the calibration of {of} is a factor on {where}; its {std:.2g} is in their uncertainty"
-    return f"an error in the calibration of {of} is a factor on {where}, on top of their uncertainty"
+def doubts(stds: Mapping[str, float], where: str) -> list[str]:
+    """What a reader must know of factors on results, by whose they are; one of 0 is not known."""
+    told = {of: std for of, std in stds.items() if std}
+    silent = [of for of in stds if of not in told]
+    found = []
+    if told:
+        whole = math.hypot(*told.values())
+        found.append(f"{_factor(told)} on {where}; its {whole:.2g} is in their uncertainty")
+    if silent:
+        found.append(f"{_factor(silent)} on {where}, on top of their uncertainty")
+    return found
+
+
+def _factor(of: Iterable[str]) -> str:
+    return f"an error in the calibration of {' or '.join(of)} is a factor"

@@ -14,7 +14,7 @@ import numpy as np
 from leactl.analysis.carried_model import torque_constant_of_model
 from leactl.analysis.current_convention import named
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
-from leactl.analysis.gains import doubt, gain_std
+from leactl.analysis.gains import doubts, gain_std
 from leactl.analysis.levels import Levels, gather, require_levels
 from leactl.analysis.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
 from leactl.analysis.readings import usable
@@ -50,7 +50,8 @@ def analyze(
     place = f"{place_of(runs)}: torque constant"
     notes = expect_setup(runs, ("coupled", "locked"), "a shaft that turns takes torque past the sensor")
     torque_std = gain_std(runs, TORQUE, torque_gain_std)
-    both_stds = math.hypot(torque_std, gain_std(runs, CURRENT, current_gain_std))
+    current_std = gain_std(runs, CURRENT, current_gain_std)
+    both_stds = math.hypot(torque_std, current_std)
     every = gather(runs, (CURRENT, TORQUE), notes, lambda run, quantity: usable(run, quantity, notes))
     levels = of_one_kind(every, notes)
     current, torque = levels.value[CURRENT], levels.value[TORQUE]
@@ -67,7 +68,7 @@ def analyze(
     unit = levels.units[TORQUE]
     notes += remarks(line, expected, unit)
     notes += [f"{run.path}: {what}" for run in runs for what in convention(run, line.slope("torque_constant"))]
-    notes.append(doubt("torque or current", both_stds, "the torque constants"))
+    notes += doubts({"torque": torque_std, "current": current_std}, "the torque constants")
 
     results = [line.estimate("torque_constant", "torque_constant", f"{unit}/A", both_stds)]
     refuse_below_zero(results[0], place, "torque and current")

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
-from leactl.analysis.gains import doubt, gain_std
+from leactl.analysis.gains import doubts, gain_std
 from leactl.analysis.levels import Levels, gather, require_levels
 from leactl.analysis.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
 from leactl.analysis.readings import usable
@@ -111,7 +111,7 @@ def analyze(
     expected = np.hypot(levels.std[TORQUE], bent.constant * levels.std[CURRENT])
     notes += remarks(line, expected, levels.units[TORQUE])
     notes += [f"{run.path}: {what}" for run in runs for what in convention(run, bent.constant)]
-    notes.append(doubt("torque or current", both_stds, "torques and torque_constant"))
+    notes += doubts({"torque": torque_std, "current": current_std}, "torques and torque_constant")
     notes.append("a torque sensor that bends is in the loss")
 
     unit = levels.units[TORQUE]

@@ -16,7 +16,7 @@ from leactl.analysis.carried_model import rotor_inertia_of_model
 from leactl.analysis.corner import Limited, Mask, corner, groups_of
 from leactl.analysis.drag import VELOCITY
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
-from leactl.analysis.gains import doubt, gain_std
+from leactl.analysis.gains import doubts, gain_std
 from leactl.analysis.intervals import step_of
 from leactl.analysis.levels import CURRENT_HELD, Levels, gather
 from leactl.analysis.linefit import expect_setup, place_of
@@ -35,6 +35,7 @@ SAG = 0.01  # of the bus voltage at its highest
 STEADY_RAD_S = 0.1  # between the quarters of a hold
 INERTIA_STD = 0.1  # relative standard uncertainty of the inertia: it may be one of a drawing
 FEWEST_AT_REST = 20  # readings of torque before the first step, that tell how well its zero is known
+SAME_READING = 1e-12  # of it: a mean of equal readings is off by no more
 QUARTILE = 0.6745  # of a normal distribution, in standard deviations
 
 
@@ -54,14 +55,15 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
     Raises
     ------
     MissingChannel : a run has no torque, velocity or q-axis current of the test actuator.
-    NotIdentifiable : no hold in which the actuator drove, holds that ask for different currents, or a current beyond
-        what its channel shows.
+    NotIdentifiable : no hold in which the actuator drove, holds that ask for different currents, a current beyond what
+        its channel shows, or a torque or velocity that hangs.
     InputError : an uncertainty below zero, or a current against its setpoint.
     """
     place = f"{place_of(runs)}: torque-speed envelope"
     notes = expect_setup(runs, ("coupled",), "another machine has to hold the speed")
     every = gather(runs, (TORQUE, VELOCITY, CURRENT), notes, lambda run, name: readings(run, name, notes))
     levels = driving(every, place, notes)
+    refuse_still(levels, place)
     asked = np.unique(np.round(np.abs(levels.setpoint), 9))
     if len(asked) > 1:
         raise NotIdentifiable(
@@ -90,7 +92,7 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
         Estimate("current_limit", limit, NAN, NAN, NAN, "A"),
         *bus(runs, notes),
     ]
-    notes.append(doubt("the torque sensor", shared.gain, "torque and power"))
+    notes += doubts({"the torque sensor": shared.gain}, "torque and power")
     paths = tuple(str(run.path) for run in runs)
     return Result("torque-speed-envelope", paths, tuple(results), tuple(notes), (plot_of(speed, torque, limited),))
 
@@ -113,6 +115,22 @@ def driving(levels: Levels, place: str, notes: list[str]) -> Levels:
     if braking:
         notes.append(f"left out {len(braking)}: the actuator gave no power ({listed(braking)})")
     return levels.where(gives)
+
+
+def refuse_still(levels: Levels, place: str) -> None:
+    """A torque or a velocity that never changes, whatever the hold, would leave a highest power without scatter.
+
+    Raises
+    ------
+    NotIdentifiable : all holds have one reading.
+    """
+    for quantity in (TORQUE, VELOCITY):
+        found = levels.value[quantity]
+        if len(found) > 1 and np.ptp(found) <= SAME_READING * abs(found[0]):
+            raise NotIdentifiable(
+                f"{place}: {quantity} of test reads {found[0]:.4g} {levels.units[quantity]} in all {len(found)} holds:"
+                " it hangs, or its resolution hides every change"
+            )
 
 
 def readings(run: Run, quantity: str, notes: list[str]) -> Channel:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from leactl.analysis.carried_model import model_of, positive
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
-from leactl.analysis.gains import doubt, gain_std
+from leactl.analysis.gains import doubts, gain_std
 from leactl.analysis.heating.record import AMBIENT, refuse_clipped, refuse_not_celsius
 from leactl.analysis.intervals import half_width, rounding_limit, rounding_of, step_of
 from leactl.analysis.linefit import expect_setup, place_of
@@ -96,9 +96,11 @@ def analyze(
     run = runs[0]
     notes = expect_setup(runs, ("heated",), "friction and iron loss would heat besides")
     copper, heating = copper_of(run), heating_of(run)
-    gain = math.hypot(
-        gain_std(runs, "line_voltage", voltage_gain_std), gain_std(runs, "line_current", current_gain_std)
-    )
+    gains = {
+        "the supply's voltage": gain_std(runs, "line_voltage", voltage_gain_std),
+        "its current": gain_std(runs, "line_current", current_gain_std),
+    }
+    gain = math.hypot(*gains.values())
     cold, hot = cold_resistance(heating, place), hot_resistance(heating)
     at_first, at_first_std = cold_temperature(run, heating.before, notes)
     per_ratio = 1.0 / copper.coefficient + at_first - copper.reference  # K for a resistance twice the cold one
@@ -108,7 +110,7 @@ def analyze(
         winding_rise(cold, hot, per_ratio, at_first_std, copper),
         change(heating, per_ratio / cold.value, notes),
     )
-    notes.append(doubt("the supply's readings", gain, "resistances; the rise is of their ratio, and free of it"))
+    notes += doubts(gains, "the resistances, not on the rise, which is of their ratio")
     every = max(1, len(heating.time) // SHOWN)
     kelvin = (heating.resistance[::every] / cold.value - 1.0) * per_ratio
     shown = Series(str(run.path), tuple(heating.time[::every].tolist()), tuple(kelvin.tolist()))

@@ -21,6 +21,7 @@ POWERS = {
     "mass": 1.0,
 }
 """Power of the radius that each figure goes by; heat leaves by an area that goes by the radius as the heat does."""
+SMALLEST, LARGEST = 1e-3, 5.0  # m, air-gap radii of a coin's vibrator and of a wind turbine
 UNITS = {
     "torque_constant": "N*m/A",
     "phase_resistance": "ohm",
@@ -59,14 +60,15 @@ def scaled(motor: MotorSheet, radius: float, known_radius: float | None = None) 
 
     Raises
     ------
-    InputError : a radius that is not positive, or none of the known motor.
+    InputError : a radius that no motor has, or none of the known motor.
     """
     before = known_radius if known_radius is not None else motor.air_gap_radius
     if before is None:
         raise InputError(f"motor '{motor.name}' has no air_gap_radius; give it with --known-radius, in mm")
     for what, value in (("air-gap radius", radius), (f"air-gap radius of {motor.name}", before)):
-        if not 0.0 < value < 10.0:
-            raise InputError(f"{what} {1e3 * value:g} mm: a positive length below 10 m was expected")
+        if not SMALLEST <= value <= LARGEST:
+            expected = f"{1e3 * SMALLEST:g} to {1e3 * LARGEST:g} mm"
+            raise InputError(f"{what} {1e3 * value:g} mm: a length of {expected} was expected")
     values = {name: getattr(motor, name) for name in POWERS if name != "mass"} | {"mass": motor.body.mass}
     held = _product(motor.continuous_current, motor.torque_constant)
     derived: dict[str, tuple[float, float | None]] = {

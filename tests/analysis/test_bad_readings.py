@@ -133,6 +133,14 @@ def test_an_envelope_with_no_torque_within_range_is_refused(bench):
     assert "torque of test is saturated at 4" in refused(driven(bench, noise=NOISE, edit=edit))
 
 
+@pytest.mark.parametrize("name", ["torque", "velocity"])
+def test_an_envelope_of_a_channel_that_hangs_throughout_is_refused(bench, name):
+    def edit(_time, columns):
+        columns[name][:] = 12.5
+
+    assert f"{name} of test reads 12.5" in refused(driven(bench, noise={}, edit=edit))
+
+
 def test_a_current_beyond_range_is_no_limit_of_the_voltage(bench):
     path = driven(bench, noise=NOISE, edit=cut_at("q_axis_current", 25.0))
     assert "q_axis_current of test is saturated at 25 A" in refused(path)

@@ -66,6 +66,11 @@ def test_a_gain_is_in_what_it_multiplies_and_in_nothing_else(bench, experiment):
 def test_a_torque_constant_that_both_gains_scale(bench):
     path = bench.torque(scatter=0.01)
     told, silent = analyze_runs([path], torque_gain_std=0.03, current_gain_std=0.04), analyze_runs([path])
+    half = analyze_runs([path], torque_gain_std=0.03)
+    factor = "an error in the calibration of {} is a factor on the torque constants{}"
+    assert factor.format("torque or current", "; its 0.05 is in their uncertainty") in told.notes
+    assert factor.format("torque", "; its 0.03 is in their uncertainty") in half.notes
+    assert factor.format("current", ", on top of their uncertainty") in half.notes
     for name in ("torque_constant", "torque_constant_rising", "torque_constant_falling"):
         before = silent.find(name)
         assert told.find(name).std == pytest.approx(math.hypot(0.05 * before.value, before.std), rel=0.01)

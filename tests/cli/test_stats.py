@@ -78,6 +78,20 @@ def test_a_trial_whose_samples_are_missing_is_left_out_and_said(bench):
     assert any("1 of 5 trials gave nothing (1)" in note for note in found.notes)
 
 
+def test_what_the_analysis_is_told_is_in_the_values(bench):
+    names = [path.name for path in runs(bench)]
+    means = []
+    for told in ([], ["--torque-constant", "0.98"], ["--set", "torque_constant=0.98"]):
+        body = json.loads(leactl("stats", *names, "--json", *told).stdout)
+        [friction] = [one for one in body["results"] if one["name"] == "coulomb_friction"]
+        means.append([row["mean"] for row in friction["conditions"]])
+    assert means[1] == pytest.approx([2.0 * mean for mean in means[0]])
+    assert means[2] == means[1]
+    wrong = leactl("stats", *names, "--set", "phase_resistance=0.28")
+    assert wrong.returncode == 2
+    assert "friction cannot be told phase_resistance" in wrong.stderr
+
+
 def test_by_run_takes_each_run_once(bench):
     paths = runs(bench) + runs(bench)
     found = {one.name: one for one in compare_all(paths, by_run=True)[1]}["coulomb_friction"]
