@@ -110,7 +110,7 @@ def analyze(
         winding_rise(cold, hot, per_ratio, at_first_std, copper),
         change(heating, per_ratio / cold.value, notes),
     )
-    notes += doubts(gains, "the resistances, not on the rise, which is of their ratio")
+    notes += doubts(gains, "the resistances and not on the rise")
     every = max(1, len(heating.time) // SHOWN)
     kelvin = (heating.resistance[::every] / cold.value - 1.0) * per_ratio
     shown = Series(str(run.path), tuple(heating.time[::every].tolist()), tuple(kelvin.tolist()))
