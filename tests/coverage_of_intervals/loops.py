@@ -3,7 +3,7 @@
 Status 1 where a result whose error has a limit misses that or 92 to 98 %, or a rise time is off by more than a sample.
 
 Each seed has loops of its own, a little off those of the shipped bench, a drive that acts on a jump somewhere within
-a cycle of the host, and noise of its own.
+a cycle of the host, angles to step to that are no whole counts of the encoder, and noise of its own.
 """
 
 import argparse
@@ -32,7 +32,7 @@ from leactl.runner.session import execute
 
 from .__main__ import HEAD, shown
 from .judgement import judge
-from .plant import WatchedRig, current_loop_bandwidth, drawn_lag, drawn_loops, position_bandwidth
+from .plant import WatchedRig, current_loop_bandwidth, drawn_lag, drawn_levels, drawn_loops, position_bandwidth
 
 CONDITION = "design"
 SHORTER = {"current-noise": ["trials=1", "subtrials=1"], "position-noise": ["trials=2"]}
@@ -100,6 +100,8 @@ def rehearsed(wanted: tuple[Path, int, str]) -> tuple[str, dict[str, float], Pat
         bench["emulated"]["bench"] = loops
         (unfinished / "bench.yaml").write_text(yaml.safe_dump(bench, sort_keys=False))
         sets = [f"seed={seed}", *SHORTER.get(name, [])]
+        if name == "position-step":
+            sets += drawn_levels(seed)
         if name.endswith("noise"):
             sets += [f"{level}_seed={10_000 * seed + 1000 * k}" for k, level in enumerate(("small", "middle", "large"))]
         bench_file = str(unfinished / "bench.yaml")

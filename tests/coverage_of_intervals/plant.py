@@ -40,6 +40,12 @@ def drawn_lag(seed: int) -> float:
     return float(np.random.default_rng([seed, 78]).uniform(0.0, CYCLE_S))
 
 
+def drawn_levels(seed: int) -> list[str]:
+    """Settings of position-step: levels up to 2 % below the protocol's, which are whole counts of the encoder."""
+    random, levels = np.random.default_rng([seed, 79]), {"small": 1, "middle": 2, "large": 3}
+    return [f"{name}_rad={math.pi / 4 * k * float(random.uniform(0.98, 1.0)):.6f}" for name, k in levels.items()]
+
+
 def plant(loops: Mapping[str, float], setup: str, condition: str) -> Rig:
     """The plant with these loops in a set-up under a condition."""
     file, _, _ = benchfile.load("emulated")
