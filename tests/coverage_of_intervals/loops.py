@@ -35,7 +35,7 @@ from .judgement import judge
 from .plant import WatchedRig, current_loop_bandwidth, drawn_lag, drawn_levels, drawn_loops, position_bandwidth
 
 CONDITION = "design"
-SHORTER = {"current-noise": ["trials=1", "subtrials=1"], "position-noise": ["trials=2"]}
+SHORTER = {"current-noise": ["trials=1", "subtrials=1"]}
 SAMPLE_S = 1e-3
 
 
