@@ -9,6 +9,7 @@ alike, since all of them have one sign.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -122,10 +123,10 @@ def refuse_still(levels: Levels, place: str) -> None:
 
     Raises
     ------
-    NotIdentifiable : all holds have one reading.
+    NotIdentifiable : all holds of a run have one reading.
     """
-    for quantity in (TORQUE, VELOCITY):
-        found = levels.value[quantity]
+    for quantity, run in product((TORQUE, VELOCITY), np.unique(levels.run)):
+        found = levels.value[quantity][levels.run == run]
         if len(found) > 1 and np.ptp(found) <= SAME_READING * abs(found[0]):
             raise NotIdentifiable(
                 f"{place}: {quantity} of test reads {found[0]:.4g} {levels.units[quantity]} in all {len(found)} holds:"

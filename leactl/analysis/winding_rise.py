@@ -98,7 +98,7 @@ def analyze(
     copper, heating = copper_of(run), heating_of(run)
     gains = {
         "the supply's voltage": gain_std(runs, "line_voltage", voltage_gain_std),
-        "its current": gain_std(runs, "line_current", current_gain_std),
+        "the supply's current": gain_std(runs, "line_current", current_gain_std),
     }
     gain = math.hypot(*gains.values())
     cold, hot = cold_resistance(heating, place), hot_resistance(heating)

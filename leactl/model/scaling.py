@@ -21,7 +21,7 @@ POWERS = {
     "mass": 1.0,
 }
 """Power of the radius that each figure goes by; heat leaves by an area that goes by the radius as the heat does."""
-SMALLEST, LARGEST = 1e-3, 5.0  # m, air-gap radii of a coin's vibrator and of a wind turbine
+SMALLEST, LARGEST = 1e-3, 10.0  # m; a radius told in metres lies below
 UNITS = {
     "torque_constant": "N*m/A",
     "phase_resistance": "ohm",
@@ -60,7 +60,7 @@ def scaled(motor: MotorSheet, radius: float, known_radius: float | None = None) 
 
     Raises
     ------
-    InputError : a radius that no motor has, or none of the known motor.
+    InputError : a radius below a millimetre or above 10 m, or none of the known motor.
     """
     before = known_radius if known_radius is not None else motor.air_gap_radius
     if before is None:

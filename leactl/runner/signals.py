@@ -4,6 +4,7 @@ import signal
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from leactl.errors import Stopped
 
@@ -45,10 +46,15 @@ class StopRequest:
 def listening() -> Iterator[StopRequest]:
     """Take SIGINT, SIGTERM, SIGQUIT and SIGHUP until the block is left; a hangup that is ignored (nohup) stays ignored.
 
-    A shell script's background job begins with SIGINT ignored; who sends it one still means to stop the bench.
+    What whoever listened before has noted by then counts here too. A shell script's background job begins with SIGINT
+    ignored; who sends it one still means to stop the bench.
     """
     request = StopRequest()
-    before = {number: signal.signal(number, request.note) for number in _heeded()}
+    before = _noted_by(request)
+    for handler in before.values():
+        owner = getattr(handler, "__self__", None)
+        if isinstance(owner, StopRequest):
+            request.cause = request.cause or owner.cause
     try:
         yield request
     finally:
@@ -65,10 +71,11 @@ def between_runs() -> Iterator[Callable[[], None]]:
     ours, theirs = socket.socketpair()
     ours.setblocking(False)
     theirs.setblocking(False)
-    with ours, theirs, listening():
+    with ours, theirs, listening() as request:
         before = signal.set_wakeup_fd(theirs.fileno(), warn_on_full_buffer=False)
 
         def check() -> None:
+            request.check()
             try:
                 numbers = ours.recv(4096)
             except BlockingIOError:
@@ -83,29 +90,22 @@ def between_runs() -> Iterator[Callable[[], None]]:
 
 @contextmanager
 def to_the_end() -> Iterator[None]:
-    """A signal that no run takes raises `Stopped`; once the block is left, signals are ignored for good.
+    """For what a command makes: signals are noted for whoever listens next within the block, and ignored after it.
 
-    What remains then is to tell what was made. The system's own answer, to kill the process, would lose the exit
-    status, and Python gives back to it every handler of its own while it shuts down.
+    What then remains is to tell what was made, a line or two. The system's own answer, to kill the process, would lose
+    them and the exit status, and Python gives back to it every handler of its own while it shuts down.
     """
-    heeded = _heeded()
-
-    def ignore() -> None:
-        for number in heeded:
-            signal.signal(number, signal.SIG_IGN)
-
-    def stop(number: int, _frame: object) -> None:
-        ignore()  # a second one would break the end that the first one asked for
-        raise Stopped(f"stopped by {signal.Signals(number).name}")
-
-    for number in heeded:
-        signal.signal(number, stop)
+    noted = _noted_by(StopRequest())
     try:
         yield
     finally:
-        ignore()
+        for number in noted:
+            signal.signal(number, signal.SIG_IGN)
 
 
-def _heeded() -> list[signal.Signals]:
-    always = [signal.SIGINT, signal.SIGTERM, signal.SIGQUIT]
-    return always if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else [*always, signal.SIGHUP]
+def _noted_by(request: StopRequest) -> dict[signal.Signals, Any]:
+    """Let a request take the signals; what took each of them before."""
+    heeded = [signal.SIGINT, signal.SIGTERM, signal.SIGQUIT]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        heeded.append(signal.SIGHUP)
+    return {number: signal.signal(number, request.note) for number in heeded}

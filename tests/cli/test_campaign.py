@@ -104,27 +104,81 @@ def test_a_campaign_that_is_struck_often(here, seed):
     struck_until_done(here, seed, drawn.choices([signal.SIGKILL, signal.SIGINT, signal.SIGTERM], k=8))
 
 
-LATE = """
-import atexit, os, sys
-atexit.register(os.kill, os.getpid(), {number:d})
+STRUCK = """
+import os, signal, sys
+
+def strike(*_):
+    os.kill(os.getpid(), {number:d})
+
+{moment}
 from leactl.cli.main import main
 sys.argv[0] = "leactl"
 main()
 """
+AS_IT_ENDS = """
+class Last:  # goes after Python has given its signals back to the system
+    def __del__(self, kill=os.kill, process=os.getpid()):
+        kill(process, {number:d})
+
+last = Last()
+"""
+AS_THE_FOLDER_IS_LET_GO = """
+from contextlib import contextmanager
+from leactl.runner.campaign import folder
+held = folder.held
+
+@contextmanager
+def struck(path):
+    with held(path):
+        yield
+        strike()
+
+folder.held = struck
+"""
+AS_IT_IS_TOLD = """
+from leactl.cli import run
+told = run.told
+run.told = lambda outcome: [told(outcome), strike()][0]
+"""
+BEFORE_THE_FIRST_RUN = """
+from leactl.runner.campaign import entries
+preview = entries.preview
+entries.preview = lambda request: [strike(), preview(request)][1]
+"""
+AS_A_RUN_BEGINS = """
+from leactl.runner import session
+check = session._check
+session._check = lambda request: [check(request), strike()][0]
+"""
+CAMPAIGN, RUN = ("campaign", "small.yaml"), ("run", "spin.yaml", "--set", "hold_s=1")
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP])
-@pytest.mark.parametrize("command", [("campaign", "small.yaml"), ("run", "spin.yaml", "--set", "hold_s=1")])
-def test_a_signal_that_meets_the_process_as_it_ends_takes_nothing_from_what_was_made(here, number, command):
-    done = subprocess.run(
-        [sys.executable, "-c", LATE.format(number=number), *command, "--out", "out", "--json"],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
+def struck(number, moment, *arguments):
+    """A command whose process strikes itself at a moment."""
+    program = STRUCK.format(number=number, moment=moment.format(number=number))
+    return subprocess.run(
+        [sys.executable, "-c", program, *arguments], capture_output=True, text=True, timeout=120, check=False
     )
-    told = json.loads(done.stdout)
-    assert (done.returncode, told["reason"]) == (0, "")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    ("command", "moment"),
+    [(CAMPAIGN, AS_IT_ENDS), (CAMPAIGN, AS_THE_FOLDER_IS_LET_GO), (RUN, AS_IT_ENDS), (RUN, AS_IT_IS_TOLD)],
+)
+def test_a_signal_that_comes_when_all_is_made_takes_nothing_from_it(here, number, command, moment):
+    done = struck(number, moment, *command, "--out", "out", "--json")
+    assert "Exception" not in done.stderr
+    assert (done.returncode, json.loads(done.stdout)["reason"]) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("command", "moment"), [(CAMPAIGN, BEFORE_THE_FIRST_RUN), (CAMPAIGN, AS_A_RUN_BEGINS), (RUN, AS_A_RUN_BEGINS)]
+)
+def test_a_signal_that_no_run_listens_to_yet_stops_the_next(here, command, moment):
+    done = struck(signal.SIGTERM, moment, *command, "--out", "out")
+    assert (done.returncode, done.stderr.splitlines()[-1]) == (4, "leactl: stopped by SIGTERM")
+    assert not finished(here / "out")
 
 
 def test_a_campaign_under_way_is_seen_and_its_folder_is_taken(here, begin):

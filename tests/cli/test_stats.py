@@ -105,6 +105,8 @@ def test_answers_of_analyze_are_repeats(bench, tmp_path):
         path.write_text(json.dumps(analyze_runs(runs(bench)).as_json()))
         paths.append(path)
     found = {one.name: one for one in compare_all(paths)[1]}["coulomb_friction"]
+    with pytest.raises(InputError, match=r"answer0\.json: .* cannot be told torque_constant"):
+        compare_all(paths, torque_constant=0.5)
     assert [group.count for group in found.groups] == [3, 3, 3]
     assert found.anova.test.shown
 

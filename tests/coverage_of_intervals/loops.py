@@ -3,7 +3,7 @@
 Status 1 where a result whose error has a limit misses that or 92 to 98 %, or a rise time is off by more than a sample.
 
 Each seed has loops of its own, a little off those of the shipped bench, a drive that acts on a jump somewhere within
-a cycle of the host, angles to step to that are no whole counts of the encoder, and noise of its own.
+a cycle of the host, angles to step to whose tenths are no whole counts of the encoder, and noise of its own.
 """
 
 import argparse

@@ -41,7 +41,7 @@ def drawn_lag(seed: int) -> float:
 
 
 def drawn_levels(seed: int) -> list[str]:
-    """Settings of position-step: levels up to 2 % below the protocol's, which are whole counts of the encoder."""
+    """Settings of position-step: up to 2 % below the protocol's, whose tenths are whole counts of the encoder."""
     random, levels = np.random.default_rng([seed, 79]), {"small": 1, "middle": 2, "large": 3}
     return [f"{name}_rad={math.pi / 4 * k * float(random.uniform(0.98, 1.0)):.6f}" for name, k in levels.items()]
 

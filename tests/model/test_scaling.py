@@ -55,7 +55,12 @@ def test_what_is_not_known_is_not_scaled():
 
 @pytest.mark.parametrize(
     ("radius", "known", "message"),
-    [(0.08, None, "'u8-kv100' has no air_gap_radius"), (0.0, 0.04, "air-gap radius 0 mm"), (0.08, -1.0, "of u8-kv100")],
+    [
+        (0.08, None, "'u8-kv100' has no air_gap_radius"),
+        (0.0, 0.04, "air-gap radius 0 mm"),
+        (80e-6, 0.04, "air-gap radius 0.08 mm: a length of 1 to 10000 mm was expected"),
+        (0.08, -1.0, "of u8-kv100"),
+    ],
 )
 def test_a_radius_that_is_missing_or_none_is_refused(radius, known, message):
     with pytest.raises(InputError, match=message):

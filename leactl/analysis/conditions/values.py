@@ -79,6 +79,9 @@ def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> tupl
     """
     answers = [path for path in paths if path.suffix == ".json"]
     files = [path for path in paths if path.suffix != ".json"]
+    given = listed(name for name, value in options.items() if value is not None)
+    if answers and given:
+        raise InputError(f"{answers[0]}: an answer is analysed already and cannot be told {given}; give runs")
     if not paths:
         raise InputError("nothing to compare; give run files, or answers of `leactl analyze --json`")
     trials: list[Trial] = []

@@ -66,8 +66,9 @@ def conduct(campaign: Campaign, entries: Sequence[Entry], folder: Path, manner: 
     Raises
     ------
     InputError, SafetyTrip, DeviceError : as `leactl run`, before the first run; a folder that cannot be gone on with.
+    Stopped : asked for before the first run.
     """
-    with place.held(folder), ExitStack() as benches:
+    with place.held(folder), ExitStack() as benches, between_runs() as check:
         runs = {entry.cell.key: entry.digest for entry in entries}
         journal, now = place.found(campaign, entries, folder)
         place.refuse_changed(campaign, journal, now, runs, manner.accept_changes)
@@ -77,7 +78,7 @@ def conduct(campaign: Campaign, entries: Sequence[Entry], folder: Path, manner: 
         for name in sorted({entry.request.bench.name for entry in pending if not entry.request.in_process}):
             lock = state_directory() / f"campaign-{name}.lock"
             benches.enter_context(exclusive.locked(lock, f"bench '{name}' has a campaign already"))
-        expected = previews(pending)
+        expected = previews(pending, check)
         for moved in place.put_aside([*now.unfinished, *now.damaged], folder):
             manner.tell(f"put aside: {moved}")
         plans = {entry.cell.key: entry.request.plan for entry in entries}
@@ -89,7 +90,7 @@ def conduct(campaign: Campaign, entries: Sequence[Entry], folder: Path, manner: 
         save(journal, folder)
         conductor = _Conductor(len(entries), pending, expected, folder, manner, journal)
         try:
-            conductor.make_all()
+            conductor.make_all(check)
         except LeactlError as error:
             return Ended(conductor.journal, len(entries), error)
         return Ended(conductor.journal, len(entries), None)
@@ -112,7 +113,7 @@ class _Conductor:
         self._lasts = [expected[entry.cell.step, entry.cell.condition].duration_s for entry in pending]
         self._mounted: tuple[str, ...] = ()
 
-    def make_all(self) -> None:
+    def make_all(self, check: Callable[[], None]) -> None:
         """Make every run that is left.
 
         Raises
@@ -122,12 +123,11 @@ class _Conductor:
         if self._manner.cold:
             for entry in self._pending:
                 self._windings(entry, cold=True).keep_as_found()
-        with between_runs() as check:
-            for index, entry in enumerate(self._pending):
-                check()
-                self._mount(entry, check)
-                self._cool(entry, check)
-                self._make(entry, self._heading(index), self._lasts[index])
+        for index, entry in enumerate(self._pending):
+            check()
+            self._mount(entry, check)
+            self._cool(entry, check)
+            self._make(entry, self._heading(index), self._lasts[index])
 
     def _make(self, entry: Entry, heading: str, bench_s: float) -> None:
         self._manner.tell(f"{heading}: {entry.cell}")

@@ -121,10 +121,12 @@ def _entry(cell: Cell, campaign: Campaign, prepared: Request, step: Step) -> Ent
     return Entry(cell, replace(prepared, actuator=cell.actuator, seed=seed, part_of=part_of), digest, step.prompt)
 
 
-def previews(
-    entries: Sequence[Entry], shown: Callable[[Entry], None] = lambda _entry: None
-) -> Mapping[tuple[str, str], Preview]:
+def previews(entries: Sequence[Entry], check: Callable[[], None] = lambda: None) -> Mapping[tuple[str, str], Preview]:
     """What each step takes under each condition: everything that `leactl run` would refuse is refused here.
+
+    Parameters
+    ----------
+    check : called before each; what it raises ends them.
 
     Raises
     ------
@@ -139,7 +141,7 @@ def previews(
         place = entry.cell.step, entry.cell.condition
         if place in found:
             continue
-        shown(entry)
+        check()
         try:
             found[place] = preview(entry.request)
         except InputError as error:
