@@ -4,6 +4,7 @@ LeactlError (1)
  +- InputError (2)          a file, an option or a run that cannot be used
  |   +- MissingChannel      a run lacks a quantity that the question needs
  |   +- NotIdentifiable     the data cannot answer the question
+ |   +- NotWritten          a file's place takes none (leactl.runfile.publish)
  |   +- RecordingFailed     the disk that was to hold a run takes no more (leactl.runfile.writer)
  +- SafetyTrip (3)          the supervisor stopped the bench
  +- Stopped (4)             a person stopped the run

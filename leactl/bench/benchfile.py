@@ -104,6 +104,17 @@ class Emulated(BaseModel):
     temperature_offset_K: Annotated[float, Field(ge=-20, le=20)] = 0.0  # noqa: N815 (of every sensor's zero)
     temperature_gain: Annotated[float, Field(ge=0.5, le=2)] = 1.0  # of the rise above ambient, as a sensor shows it
 
+    def expect(self, condition: str) -> None:
+        """Refuse a condition that it does not have, where it has any.
+
+        Raises
+        ------
+        InputError : with those that it has.
+        """
+        if condition and self.conditions and condition not in self.conditions:
+            known = ", ".join(self.conditions)
+            raise InputError(f"condition '{condition}' is not one of the emulated bench's: {known}")
+
 
 class BenchFile(BaseModel):
     """A whole bench."""

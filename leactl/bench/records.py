@@ -40,13 +40,12 @@ class RecordDevice:
             raise InputError(document.explain(error, under)) from None
         except InputError as error:
             raise InputError(document.fault((*place, "driver"), str(error))) from None
-        found = driver(name, self.entry.role, self.settings, None, MonotonicClock())
-        if not isinstance(found, BatchSource):
+        if not hasattr(driver, BatchSource.read_files.__name__):
             raise InputError(
                 document.fault((*place, "driver"), f"{self.entry.driver}: its readings do not come in files")
             )
         self._document, self._place = document, place
-        self.source = cast(BatchSource, found)
+        self.source = cast(BatchSource, driver(name, self.entry.role, self.settings, None, MonotonicClock()))
 
     def read(self, files: list[Path]) -> Record:
         """Read one record.

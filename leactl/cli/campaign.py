@@ -116,16 +116,20 @@ def run(
     as_json: bool = AS_JSON,
 ) -> None:
     """Begin a campaign or go on with it; statuses as of `leactl run`, 4 also where a prompt finds nobody to answer."""
-    from leactl.errors import AcceptanceFailed
+    from leactl.errors import AcceptanceFailed, InputError
     from leactl.report.campaign import plan_text
+    from leactl.report.outputs import refusal
     from leactl.runner.campaign.conduct import Manner, conduct
     from leactl.runner.campaign.entries import previews
-    from leactl.runner.campaign.folder import found
+    from leactl.runner.campaign.folder import to_go_on
     from leactl.runner.signals import to_the_end
 
     campaign, folder, entries = _read(name, variant, seed, out, operator, realtime, served, bus)
     if dry_run:
-        _journal, now = found(campaign, entries, folder)
+        there = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.exists())
+        if why := "not a folder" if not there.is_dir() else refusal(there):
+            raise InputError(f"{folder}: cannot be made or written to: {there}: {why}; choose another --out")
+        _journal, now = to_go_on(campaign, entries, folder, accept_changes, redo_lost)
         expected = previews(entries)
         rows = [
             _about(entry)

@@ -102,7 +102,7 @@ def energy(
 
     supply = Supply(bus_voltage, line_current, ambient, winding_temperature)
     sheets = [load_sheet(name)[0] for name in motors or motor_names()]
-    body = []
+    body, texts = [], []
     for path in cycles:
         cycle = read_cycle(path, stride_time, body_mass, harmonics)
         found = [
@@ -112,16 +112,17 @@ def energy(
             for sheet in sheets
         ]
         notes = [remarks(sheet, one) for sheet, one in zip(sheets, found, strict=True)]
-        if as_json:
-            rows = [stride_json(*each) for each in zip(sheets, found, notes, strict=True)]
-            body.append(
-                {"cycle": str(path), "stride_time_s": cycle.period, "angle_left_out": cycle.left_out, "motors": rows}
-            )
-            continue
+        about = {
+            "cycle": str(path),
+            "stride_time_s": cycle.period,
+            "angle_harmonics": cycle.harmonics,
+            "angle_left_out": cycle.left_out,
+            "notes": list(cycle.notes),
+        }
+        body.append(about | {"motors": [stride_json(*each) for each in zip(sheets, found, notes, strict=True)]})
         said = [f"{sheet.name}: {note}" for sheet, each in zip(sheets, notes, strict=True) for note in each]
-        typer.echo(energy_text(cycle, sheets, found, said))
-    if as_json:
-        typer.echo(json.dumps({"cycles": body}, allow_nan=False))
+        texts.append(energy_text(cycle, sheets, found, [*cycle.notes, *said]))
+    typer.echo(json.dumps({"cycles": body}, allow_nan=False) if as_json else "\n".join(texts))
 
 
 @app.command("preload")

@@ -69,6 +69,8 @@ def plan(
         from leactl.safety.refusals import check_rate, check_setpoints
 
         file, devices, _document = load_bench(bench)
+        if file.emulated is not None:
+            file.emulated.expect(condition)
         check_setpoints(file.limits, expanded.peaks())
         check_rate(expanded.rate_Hz, host_silences(devices))
     if as_json:

@@ -4,7 +4,9 @@
     time_s, angle_rad, torque_Nm                      (with the stride time, or closed by its first row once more)
 
 Torque acts onto the joint; positive torque turns it towards positive angles. Other columns are ignored. The angle
-becomes a Fourier series, whose derivatives are exact: the second derivative of samples would be noise.
+becomes a Fourier series, whose derivatives are exact: the second derivative of samples would be noise. Of a series
+with harmonics up to K, rows everywhere less than 1 / 2K of the cycle apart leave nothing free (Groechenig, 1992);
+between rows further apart it would swing as it likes.
 """
 
 import csv
@@ -21,7 +23,9 @@ Array = npt.NDArray[np.float64]
 POINTS = 720  # of a cycle, evenly spaced
 HARMONICS = 10  # of the angle: 10 Hz at a stride a second
 FEWEST_ROWS, MOST_ROWS = 12, 100_000
+FEWEST_HARMONICS = 4  # that a joint's angle is told with
 CLOSED_WITHIN = 0.05  # of its range, that a quantity may end from where it began
+CLOSED_UNTOLD = 0.01  # the same where the last row alone tells how long the cycle takes
 STRIDE_S = (0.05, 60.0)
 NAMES = {
     "phase": ("cycle_percent", "time_s"),
@@ -42,7 +46,9 @@ class Cycle:
     velocity: Array  # rad/s
     acceleration: Array  # rad/s^2
     torque: Array  # N*m, onto the joint
+    harmonics: int  # of the angle that are kept
     left_out: float  # root mean square of what the series leaves of the angle, of its range
+    notes: tuple[str, ...] = ()
 
 
 def read_cycle(
@@ -54,12 +60,12 @@ def read_cycle(
     ----------
     stride_time : how long it takes [s]; with `time_s` it may be left out where the last row is the first once more.
     body_mass : [kg], for torque per mass.
-    harmonics : of the angle that are kept.
+    harmonics : of the angle that are kept at the most.
 
     Raises
     ------
-    InputError : no such file, columns without the units above, rows that are no numbers, values that no joint has, or
-        no whole cycle.
+    InputError : no such file, columns without the units above, rows that are no numbers, values that no joint has, rows
+        too far apart, or no whole cycle.
     """
     columns, table = _table(path)
     phase, angle, torque = table.T
@@ -83,10 +89,13 @@ def read_cycle(
     part, period = _parts(path, columns[0], phase, stride_time)
     closing = part[-1] >= 1.0 - 1e-9
     for name, values in (("angle", angle), ("torque", torque)):
-        _expect_closed(path, name, values, closing)
+        _expect_closed(path, name, values, closing, stride_time is not None)
     if closing:
         part, angle, torque = part[:-1], angle[:-1], torque[:-1]
-    kept = min(harmonics, (len(part) - 1) // 2)
+    kept = _harmonics(path, part, harmonics)
+    notes = []
+    if kept < harmonics:
+        notes.append(f"{kept} harmonics of the angle are kept: its rows are too far apart for {harmonics}")
     even = np.arange(POINTS) / POINTS
     series, slope, bend, fitted = _series(part, angle, kept, even)
     spread = float(np.ptp(angle))
@@ -98,8 +107,28 @@ def read_cycle(
         velocity=slope / period,
         acceleration=bend / period**2,
         torque=np.interp(even, part, torque, period=1.0),
+        harmonics=kept,
         left_out=left_out,
+        notes=tuple(notes),
     )
+
+
+def _harmonics(path: Path, part: Array, most: int) -> int:
+    """How many the widest gap between rows allows.
+
+    Raises
+    ------
+    InputError : fewer than a joint's angle needs.
+    """
+    gaps = np.diff(part, append=part[0] + 1.0)
+    widest = int(np.argmax(gaps))
+    allowed = math.ceil(0.5 / float(gaps[widest]) - 1e-6) - 1
+    if allowed < min(FEWEST_HARMONICS, most):
+        raise InputError(
+            f"{path}: nothing is told from {part[widest]:.1%} to {part[widest] + gaps[widest]:.1%} of the cycle; rows"
+            f" less than {0.5 / FEWEST_HARMONICS:.1%} apart were expected"
+        )
+    return min(allowed, most)
 
 
 def _series(part: Array, values: Array, harmonics: int, at: Array) -> tuple[Array, Array, Array, Array]:
@@ -139,16 +168,17 @@ def _parts(path: Path, name: str, phase: Array, stride_time: float | None) -> tu
     return part, period
 
 
-def _expect_closed(path: Path, name: str, values: Array, closing: bool) -> None:
+def _expect_closed(path: Path, name: str, values: Array, closing: bool, told: bool) -> None:
     """Refuse what does not come back to where it began; without a closing row it may be one step short of it."""
     steps = np.abs(np.diff(values))
-    allowed = max(CLOSED_WITHIN * float(np.ptp(values)), 0.0 if closing else 2.0 * float(steps.max()))
+    within = CLOSED_WITHIN if told else CLOSED_UNTOLD
+    allowed = max(within * float(np.ptp(values)), 0.0 if closing else 2.0 * float(steps.max()))
     apart = abs(float(values[-1] - values[0]))
     if apart > allowed:
         unit = "rad" if name == "angle" else "N*m"
         raise InputError(
             f"{path}: {name} ends {apart:.3g} {unit} from where it began, at most {allowed:.3g} {unit} was expected of"
-            " a cycle that repeats"
+            f" a cycle that repeats{'' if told else '; --stride-time tells how long one takes'}"
         )
 
 

@@ -60,7 +60,8 @@ class Alignment:
         """One line for people, with what a stamp at `own` is worth."""
         drift = f", drift {self.drift_ppm:+.3g} +- {self.drift_uncertainty_ppm:.2g} ppm" if self.covariance[2] else ""
         at = float(self.on_run(np.array([own]))[0])
-        return f"offset {at - own:.6g} +- {self.uncertainty(own):.2g} s (95 %){drift}, by {self.method}"
+        when = f" at {own:.6g} s of its own" if own else ""
+        return f"offset {at - own:.6g} +- {self.uncertainty(own):.2g} s (95 %){when}{drift}, by {self.method}"
 
     @property
     def drift_ppm(self) -> float:

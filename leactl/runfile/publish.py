@@ -9,10 +9,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from leactl.errors import InputError, LeactlError
+from leactl.errors import InputError
 
 
-class NotWritten(LeactlError):
+class NotWritten(InputError):
     """A file could not be written; whatever stood in its place before still does."""
 
 

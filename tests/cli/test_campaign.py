@@ -250,6 +250,19 @@ def test_a_plan_is_printed_and_nothing_is_made(here):
     assert "4 of 4 runs are left, 0:01 of bench time, in runs/small" in text.stdout
 
 
+def test_a_plan_is_refused_where_the_campaign_would_be(here):
+    assert leactl("campaign", "small.yaml", "--out", "out").returncode == 0
+    (here / "spin.yaml").write_text(SPIN.replace("rate_Hz: 50", "rate_Hz: 100"))
+    (here / "file").write_text("")
+    for name, where, words in (
+        ("small.yaml", "out", "finished, and campaign, protocol or bench now say otherwise"),
+        ("small.yaml", "file/out", "file/out: cannot be made or written to"),
+    ):
+        dry, real = (leactl("campaign", name, "--out", where, *also) for also in (["--dry-run"], []))
+        assert (dry.returncode, dry.stdout, real.returncode) == (2, "", 2)
+        assert words in dry.stderr
+
+
 def test_unusable_input_is_status_2(here):
     done = leactl("campaign", "--variant", "x", "small.yaml")
     assert (done.returncode, done.stdout) == (2, "")

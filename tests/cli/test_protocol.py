@@ -66,6 +66,13 @@ def test_check_tells_every_fault_at_its_place(mine):
     ]
 
 
+def test_a_condition_that_the_emulated_bench_does_not_have_is_refused_before_anything_is_planned():
+    done = leactl("protocol", "plan", "friction", "--bench", "emulated", "--condition", "laoded")
+    assert (done.returncode, done.stdout) == (2, "")
+    expected = "condition 'laoded' is not one of the emulated bench's: unloaded, design, loaded"
+    assert done.stderr == f"leactl: {expected}\n"
+
+
 def test_plan_prints_the_timeline_duration_and_peaks(mine):
     done = leactl("protocol", "plan", mine, "--condition", "hot", "--set", "levels_A=[1, -2.5]", "--set", "seed=3")
     assert done.returncode == 0

@@ -111,6 +111,25 @@ def test_answers_of_analyze_are_repeats(bench, tmp_path):
     assert found.anova.test.shown
 
 
+def test_the_same_runs_in_two_answers_count_once(bench, tmp_path):
+    paths = runs(bench)
+    for name in ("one.json", "two.json"):
+        (tmp_path / name).write_text(json.dumps(analyze_runs(paths).as_json()))
+    with pytest.raises(InputError, match=r"two\.json: it is of .*, as .*one\.json is; give each run once"):
+        compare_all([tmp_path / "one.json", tmp_path / "two.json"])
+    with pytest.raises(InputError, match=r"\.h5: .*one\.json is an answer of it; give each run once"):
+        compare_all([tmp_path / "one.json", *paths])
+
+
+@pytest.mark.parametrize("value", ["true", '"1"', "1e308", "1" * 400, "[" * 100_000])
+def test_an_answer_with_a_value_that_is_none_is_refused(bench, tmp_path, value):
+    text = json.dumps(analyze_runs(runs(bench)).as_json())
+    path = tmp_path / "answer.json"
+    path.write_text(re.sub(r'("value": )[^,]+', lambda found: found[1] + value, text, count=1))
+    with pytest.raises(InputError, match=r"answer\.json: an answer of `leactl analyze --json` was expected"):
+        compare_all([path])
+
+
 def test_what_cannot_be_compared_is_refused_in_a_line(bench, tmp_path):
     with pytest.raises(NotIdentifiable, match="found one condition, 'design'") as alone:
         compare_all(runs(bench, conditions=("design",)))
@@ -138,7 +157,8 @@ def test_what_cannot_be_compared_is_refused_in_a_line(bench, tmp_path):
         ("{", "an answer of `leactl analyze --json` was expected"),
         ('{"experiment": "friction", "results": [{"name": 1}]}', "an answer of `leactl analyze --json` was expected"),
         (
-            '{"experiment": "x", "results": [{"name": "f", "value": 1, "std": 1, "low": 0, "high": 2, "units": "N"}]}',
+            '{"experiment": "x", "runs": ["a.h5"], "results": [{"name": "f", "value": 1, "std": 1, "low": 0, "high": 2,'
+            ' "units": "N"}]}',
             "its rows name no condition",
         ),
     ],

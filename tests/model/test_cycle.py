@@ -35,6 +35,28 @@ def test_derivatives_are_those_of_the_motion(written, closed):
     assert cycle.left_out < 1e-6
 
 
+def test_rows_that_are_not_even_leave_nothing_free(written):
+    """As digitised from a figure: every second row of the first half, every seventh of the other."""
+
+    def digitised(table):
+        return np.vstack([table[:50:2], table[50::7], table[-1:]])
+
+    whole, thinned = (read_cycle(written(edit=edit), stride_time=1.25) for edit in (None, digitised))
+    assert thinned.harmonics == 7
+    assert thinned.notes == ("7 harmonics of the angle are kept: its rows are too far apart for 10",)
+    np.testing.assert_allclose(thinned.velocity, whole.velocity, atol=1e-4)
+    assert not whole.notes
+
+
+@pytest.mark.parametrize("away", [slice(40, 55), slice(88, 100)])
+def test_a_gap_in_which_the_angle_could_go_anywhere_is_refused(written, away):
+    def dropped(table):
+        return np.delete(table, away, axis=0)
+
+    with pytest.raises(InputError, match=r"nothing is told from .* of the cycle; rows less than 12.5% apart"):
+        read_cycle(written(edit=dropped, rows=101, closed=False), stride_time=1.25)
+
+
 def test_other_units_say_the_same(written):
     first = read_cycle(written(), stride_time=1.25)
 

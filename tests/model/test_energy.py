@@ -26,7 +26,8 @@ def swing(amplitude=0.4, torque=50.0, phase=0.7, period=1.1, mean=0.0):
         amplitude * rate * np.cos(PART),
         -amplitude * rate**2 * np.sin(PART),
         torque * np.cos(PART + phase) + mean,
-        0.0,
+        harmonics=1,
+        left_out=0.0,
     )
 
 
@@ -106,7 +107,7 @@ def test_where_nothing_is_feasible_the_least_bad_is_given():
 
 
 def test_a_held_joint_is_held_by_friction_as_far_as_that_goes():
-    held = Cycle("held", 1.0, np.zeros(POINTS), np.zeros(POINTS), np.zeros(POINTS), np.full(POINTS, 10.0), 0.0)
+    held = Cycle("held", 1.0, np.zeros(POINTS), np.zeros(POINTS), np.zeros(POINTS), np.full(POINTS, 10.0), 1, 0.0)
     found = stride(LEA, held, 10.0)
     left = 10.0 / 10.0 - LEA.coulomb_friction
     rise = found.winding_temperature - 25.0

@@ -6,6 +6,7 @@ from pathlib import Path
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
+import h5py
 import numpy as np
 import pytest
 from hypothesis import given
@@ -134,8 +135,6 @@ def test_a_run_that_spoils_its_group_is_left_out_alone(tmp_path):
 
 
 def test_values_that_are_not_those_of_their_checksums_give_nothing(tmp_path):
-    import h5py
-
     path = Bench(tmp_path).torque()
     with h5py.File(path, "r+") as file:
         file["streams/loop/torque"][3] = 9.0
@@ -150,6 +149,16 @@ def test_a_copy_of_a_run_counts_once(tmp_path):
     (tmp_path / "copy.h5").write_bytes(path.read_bytes())
     entries = of(tmp_path).sets[0].entries
     assert [entry.fault for entry in entries] == ["", "the same run as R1"]
+
+
+def test_of_two_copies_the_one_that_is_whole_counts(tmp_path):
+    path = Bench(tmp_path).torque()
+    (tmp_path / "whole.h5").write_bytes(path.read_bytes())
+    with h5py.File(path, "r+") as file:
+        file["streams/loop/torque"][3] = 9.0
+    damaged, whole = of(tmp_path).sets[0].entries
+    assert (whole.path.name, whole.fault) == ("whole.h5", "")
+    assert "checksum mismatch" in damaged.fault
 
 
 def test_motors_have_a_section_each_and_the_sheet_says_so(tmp_path):

@@ -241,6 +241,7 @@ def test_clocks_that_cannot_be_tied_are_refused_and_the_run_stays(run, export, b
         ({"driver": "ads1115", "role": "test", "settings": {}}, "settings.inputs: is required and missing"),
         ({"driver": "thermal_cvs", "role": "test"}, "driver 'thermal_cvs' is not registered"),
         ({"driver": "thermal_csv", "role": "test", "settings": {"regions": {}}}, "regions"),
+        ({"driver": "bk1688b", "role": "test", "bus": "line", "settings": {}}, "its readings do not come in files"),
         (device(colour="red"), "bench.yaml:.*devices.camera.settings.colour: unknown key"),
     ],
 )

@@ -24,6 +24,7 @@ from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run, Step
 
 Array = npt.NDArray[np.float64]
+LARGEST = 1e100  # of a value in an answer; its square has to be a number still
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,10 +88,17 @@ def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> tupl
     trials: list[Trial] = []
     notes: list[str] = []
     kinds: dict[str, Path] = {}
+    taken: dict[str, Path] = {}  # by the name of a run's file, which no other run has
     for path in answers:
-        kind, found = _of_answer(path, len(trials))
+        kind, found, own = _of_answer(path, len(trials))
         kinds.setdefault(kind, path)
         trials += found
+        for name in own:
+            if taken.setdefault(name, path) is not path:
+                raise InputError(f"{path}: it is of {name}, as {taken[name]} is; give each run once")
+    for path in files:
+        if path.name in taken:
+            raise InputError(f"{path}: {taken[path.name]} is an answer of it; give each run once")
     with ExitStack() as opened:
         runs = [opened.enter_context(Run.open(path)) for path in files]
         refuse_repeated(runs)
@@ -135,25 +143,41 @@ def _analysed(analyze: Analysis, part: Run, options: dict[str, Any]) -> tuple[Es
     return analyze([part], **options).results
 
 
-def _of_answer(path: Path, first: int) -> tuple[str, list[Trial]]:
-    """Trials of an answer, one for each actuator and condition in it."""
+def _of_answer(path: Path, first: int) -> tuple[str, list[Trial], set[str]]:
+    """Experiment of an answer, its trials, one for each actuator and condition, and the names of its runs."""
     try:
         body = json.loads(path.read_text(encoding="utf-8"))
-        kind, rows = str(body["experiment"]), list(body["results"])
+        kind, rows = _text(body["experiment"]), list(body["results"])
+        runs = {Path(_text(one)).name for one in body["runs"]}
         groups: dict[tuple[str, str], list[Estimate]] = {}
         for row in rows:
-            numbers = [float("nan") if row[key] is None else float(row[key]) for key in ("value", "std", "low", "high")]
-            value, std, low, high = numbers
-            estimate = Estimate(str(row["name"]), value, std, low, high, str(row["units"]))
-            groups.setdefault((str(row.get("actuator", "")), str(row.get("condition", ""))), []).append(estimate)
+            value, std, low, high = (_number(row[key]) for key in ("value", "std", "low", "high"))
+            estimate = Estimate(_text(row["name"]), value, std, low, high, _text(row["units"]))
+            whose = _text(row.get("actuator", "")), _text(row.get("condition", ""))
+            groups.setdefault(whose, []).append(estimate)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         raise InputError(f"{path}: an answer of `leactl analyze --json` was expected") from None
     if any(not condition for _, condition in groups):
         raise InputError(f"{path}: its rows name no condition, as where one group was analysed; give the runs")
     pairs = enumerate(groups.items(), start=first)
-    return kind, [Trial(*group, number, tuple(estimates)) for number, (group, estimates) in pairs]
+    return kind, [Trial(*group, number, tuple(estimates)) for number, (group, estimates) in pairs], runs
+
+
+def _text(found: object) -> str:
+    if not isinstance(found, str):
+        raise TypeError
+    return found
+
+
+def _number(found: object) -> float:
+    """A number of an answer, NaN where it is null; one beyond `LARGEST` is no result of anything."""
+    if found is None:
+        return float("nan")
+    if isinstance(found, bool) or not isinstance(found, int | float) or abs(found) > LARGEST:
+        raise TypeError
+    return float(found)
 
 
 def _columns(trials: Sequence[Trial], notes: Sequence[str]) -> list[Values]:

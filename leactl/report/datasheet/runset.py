@@ -1,6 +1,7 @@
 """The runs of a campaign and what they answer: each file is an entry, whether or not anything came of it."""
 
 import inspect
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
@@ -13,6 +14,7 @@ from leactl.analysis.estimate import Result, listed
 from leactl.analysis.experiments import analysis_of, analyze_runs, experiment_of, names
 from leactl.errors import InputError
 from leactl.runfile.catalog import list_runs
+from leactl.runfile.integrity import altered
 from leactl.runfile.reader import Run
 
 ABOUT = ("run_id", "actuator", "condition", "bench", "operator", "created", "status", "software")
@@ -95,11 +97,14 @@ def read_runs(given: Sequence[Path], prefix: str, options: Mapping[str, float], 
     tell("reading")
     entries = [entry_of(path) for path in found_in(given)]
     entries.sort(key=order)
+    copies = Counter(entry.identity for entry in entries)
     seen: dict[str, Entry] = {}
     for number, entry in enumerate(entries, start=1):
         entry.label = f"{prefix}{number}"
-        first = seen.setdefault(entry.identity, entry)
-        if first is not entry and not entry.fault:
+        if copies[entry.identity] > 1 and not entry.fault:
+            entry.fault = damage(entry.path)
+        first = entry if entry.fault else seen.setdefault(entry.identity, entry)
+        if first is not entry:
             entry.fault = f"the same run as {first.label}"
     answers: list[Answer] = []
     verdicts: dict[tuple[str, str], Verdict] = {}
@@ -166,6 +171,14 @@ def entry_of(path: Path) -> Entry:
         what = f"no analysis '{entry.experiment}' is known" if entry.experiment else "the run names no analysis"
         entry.fault = f"{what}; known: {', '.join(names())}"
     return entry
+
+
+def damage(path: Path) -> str:
+    """Why a copy of a run is not the one to take; empty where its values are those of its checksums."""
+    try:
+        return told(InputError(altered(path)), path)
+    except InputError as fault:
+        return told(fault, path)
 
 
 def motor_of(model: str) -> str:

@@ -70,10 +70,7 @@ def conduct(campaign: Campaign, entries: Sequence[Entry], folder: Path, manner: 
     """
     with place.held(folder), ExitStack() as benches, between_runs() as check:
         runs = {entry.cell.key: entry.digest for entry in entries}
-        journal, now = place.found(campaign, entries, folder)
-        place.refuse_changed(campaign, journal, now, runs, manner.accept_changes)
-        if not manner.redo_lost:
-            place.refuse_lost(now)
+        journal, now = place.to_go_on(campaign, entries, folder, manner.accept_changes, manner.redo_lost)
         pending = [entry for entry in entries if entry.cell.key not in now.finished]
         for name in sorted({entry.request.bench.name for entry in pending if not entry.request.in_process}):
             lock = state_directory() / f"campaign-{name}.lock"

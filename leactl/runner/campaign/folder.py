@@ -64,6 +64,22 @@ def found(campaign: Campaign, entries: Sequence[Entry], folder: Path) -> tuple[J
     return journal, standing(campaign.name, runs, journal, files_in(folder))
 
 
+def to_go_on(
+    campaign: Campaign, entries: Sequence[Entry], folder: Path, accept_changes: bool, redo_lost: bool
+) -> tuple[Journal, Standing]:
+    """As `found`, where nothing stands against going on; see `refuse_changed` and `refuse_lost`.
+
+    Raises
+    ------
+    InputError : something does.
+    """
+    journal, now = found(campaign, entries, folder)
+    refuse_changed(campaign, journal, now, {entry.cell.key: entry.digest for entry in entries}, accept_changes)
+    if not redo_lost:
+        refuse_lost(now)
+    return journal, now
+
+
 def refuse_changed(campaign: Campaign, journal: Journal, now: Standing, runs: Mapping[str, str], accept: bool) -> None:
     """Refuse to go on with another campaign than the one that was begun.
 

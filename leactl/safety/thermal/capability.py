@@ -12,12 +12,13 @@ from scipy.optimize import brentq
 
 from leactl.model.motor import Motor
 from leactl.safety.thermal.bound import ThermalBound
-from leactl.safety.thermal.box import Box
+from leactl.safety.thermal.box import Array, Box
 
 STEPS = 400  # of time, until peaks are told
 CURRENTS = 200
 LEAST_A, HARDEST_A = 0.5, 500.0
 SOONEST_S = 0.02
+FOLLOWED = 0.5  # of the rise to the limit, beyond which a current is not followed any further
 TURNING, STANDING = 0.0, 1.0
 PEAKS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 60.0, 300.0)
 
@@ -113,21 +114,31 @@ def nominal(motor: Motor, ambient: float, durations: Sequence[float]) -> Nominal
 def _held_for(
     box: Box, limit: float, ambient: float, durations: Sequence[float], aligned: float = STANDING
 ) -> list[float]:
-    """Many currents side by side until each has reached the limit; then the one that would do so after a duration."""
-    currents = np.geomspace(HARDEST_A, LEAST_A, CURRENTS)
+    """Many currents side by side; between two of them a chord, which lies above the convex temperature over current."""
+    currents = np.geomspace(LEAST_A, HARDEST_A, CURRENTS)
     bound = ThermalBound([box] * CURRENTS, ambient + box.ambient_rise)
-    last, reached = 0.0, np.full(CURRENTS, np.inf)
-    still, standing, before = np.zeros(CURRENTS), np.full(CURRENTS, aligned), bound.hottest()
-    for time in np.geomspace(SOONEST_S, 1.1 * max(durations), STEPS):
-        going = np.isinf(reached)
-        bound.step(time - last, np.where(going, currents, 0.0) ** 2, standing, still, ambient, late=0.0)
-        after = bound.hottest()
-        crossed = going & ~(after < limit)
-        part = (limit - before[crossed]) / (after[crossed] - before[crossed])
-        reached[crossed] = last + part * (time - last)
-        last, before = time, after
-    told = np.isfinite(reached)
-    return [float(np.interp(np.log(d), np.log(reached[told]), currents[told])) for d in durations]
+    still, standing = np.zeros(CURRENTS), np.full(CURRENTS, aligned)
+    beyond = limit + FOLLOWED * (limit - ambient)
+    followed, hottest, last = np.ones(CURRENTS, bool), np.zeros(CURRENTS), 0.0
+    found = {}
+    for time in np.union1d(np.geomspace(SOONEST_S, max(durations), STEPS), durations):
+        bound.step(time - last, np.where(followed, currents, 0.0) ** 2, standing, still, ambient, late=0.0)
+        followed &= bound.hottest() < beyond
+        hottest, last = np.where(followed, bound.hottest(), np.inf), time
+        if time in durations:
+            found[time] = _below(limit, currents, hottest)
+    return [found[duration] for duration in durations]
+
+
+def _below(limit: float, currents: Array, hottest: Array) -> float:
+    """The highest current that does not pass the limit; where the next one is not followed, the last that keeps it."""
+    above = int(np.argmax(hottest >= limit)) if (hottest >= limit).any() else len(currents)
+    if above == 0:
+        return 0.0
+    kept = slice(above - 1, above + 1)
+    if above == len(currents) or not np.isfinite(hottest[above]):
+        return float(currents[above - 1])
+    return float(np.interp(limit, hottest[kept], currents[kept]))
 
 
 def torque(motor: Motor, current: Carried) -> Carried:

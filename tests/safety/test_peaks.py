@@ -1,0 +1,46 @@
+"""Peak currents against the exact solution of the three bodies, at every corner of the tolerances."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from leactl.model.capability import STANDING, TURNING, Winding, current_held
+from leactl.model.motor import load_motor
+from leactl.model.thermal_network import Conductances
+from leactl.safety.thermal.box import Box
+from leactl.safety.thermal.capability import PEAKS_S, nominal, peaks
+
+AMBIENT = 25.0
+RESISTANCES = ("winding_ambient_resistance", "winding_housing_resistance", "housing_ambient_resistance")
+NETWORK = (*RESISTANCES, "winding_capacitance", "housing_capacitance")
+
+
+def exact(box, ends, limit, duration, share):
+    """The current that an actuator at a corner of a box carries, as its drive reads it."""
+    values = [getattr(getattr(box, name), end) for name, end in zip(NETWORK, ends, strict=True)]
+    network = Conductances(*(1.0 / value for value in values[:3]), *values[3:])
+    winding = Winding(network, box.phase_resistance.high, box.resistance_coefficient.high, box.reference_temperature)
+    ambient = AMBIENT + box.ambient_rise
+    return current_held(winding, limit - ambient, ambient, duration, share) / box.current_gain
+
+
+def test_what_is_guaranteed_is_carried_by_the_weakest_actuator():
+    motor = load_motor("lea")[0]
+    box, limit = Box.of(motor), motor.limits.winding_temperature
+    for one in peaks(motor, AMBIENT, PEAKS_S):
+        corners = itertools.product(("low", "high"), repeat=len(NETWORK))
+        weakest = min(exact(box, ends, limit, one.duration_s, STANDING) for ends in corners)
+        assert 0.99 * weakest < one.current.guaranteed <= weakest
+
+
+@pytest.mark.parametrize("name", ["lea", "u8-kv100"])
+def test_nominal_peaks_are_those_of_the_exact_solution_or_a_little_less(name):
+    motor = load_motor(name)[0]
+    box, limit, durations = Box.exact(motor), motor.limits.winding_temperature, (0.5, 20.0, 300.0)
+    found = nominal(motor, AMBIENT, durations)
+    for share, told in ((TURNING, found.peaks), (STANDING, found.standing_peaks)):
+        true = [exact(box, ("low",) * len(NETWORK), limit, duration, share) for duration in durations]
+        ratios = np.array(told) / true
+        assert ratios.max() <= 1.0
+        assert ratios.min() > 0.99
