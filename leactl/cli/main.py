@@ -1,9 +1,10 @@
 """The entry point: commands found by noun, errors as one line each on stderr, the documented exit statuses."""
 
 import errno
+import itertools
 import os
 import sys
-from typing import NoReturn
+from typing import Any, NoReturn
 
 # matrices here are small: a thread pool costs each process a second core and gains nothing; set it to override
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -31,7 +32,7 @@ from leactl.cli import (
 )
 from leactl.errors import InputError, LeactlError, Stopped
 
-CTRL_C_OF_TYPER = 130
+UsageError: Any = typer.BadParameter.__base__  # whose module typer has moved
 
 app = typer.Typer(
     name="leactl",
@@ -76,7 +77,9 @@ def root(
 def main() -> None:
     """Run the command line; an error is one line on stderr and its exit status, an unforeseen one keeps its trace."""
     try:
-        app()
+        status = app(standalone_mode=False)
+    except UsageError as error:
+        _refuse_usage(error)
     except InputError as error:
         _end(error.faults, error.exit_status)
     except LeactlError as error:
@@ -84,12 +87,8 @@ def main() -> None:
     except BrokenPipeError:  # whoever read stdout has gone; a second attempt at exit would only repeat the complaint
         _let_go_of_stdout()
         sys.exit(LeactlError.exit_status)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, typer.Abort):
         _end(["stopped"], Stopped.exit_status)
-    except SystemExit as end:  # typer's own answer to Ctrl-C, without a word
-        if end.code == CTRL_C_OF_TYPER:
-            _end(["stopped"], Stopped.exit_status)
-        raise
     except Exception as error:
         if os.environ.get("LEACTL_TRACE"):
             raise
@@ -97,6 +96,21 @@ def main() -> None:
             _let_go_of_stdout()
             _end([f"{error.filename or 'stdout'}: cannot be written: {error.strerror}"], InputError.exit_status)
         _end([f"internal error: {type(error).__name__}: {error}; LEACTL_TRACE=1 shows where"], LeactlError.exit_status)
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _refuse_usage(error: Any) -> NoReturn:
+    """A command line that cannot be read, in one line with the value; a command without a word gets its help."""
+    text = " ".join(error.format_message().split()).rstrip(".")
+    if text.startswith("Usage:"):
+        error.show()
+        sys.exit(InputError.exit_status)
+    command = error.ctx.command_path if error.ctx is not None else "leactl"
+    options = tuple(getattr(getattr(error, "param", None), "opts", ()))
+    given = [after for word, after in itertools.pairwise(sys.argv) if word in options]
+    given += [word.partition("=")[2] for word in sys.argv if word.startswith(tuple(f"{one}=" for one in options))]
+    value = f", found {given[-1]!r}" if given and text.startswith("Invalid") else ""
+    _end([f"{text[0].lower()}{text[1:]}{value}; {command} --help tells the usage"], InputError.exit_status)
 
 
 def _let_go_of_stdout() -> None:

@@ -96,6 +96,13 @@ class Body(BaseModel):
     length: Length | None = None  # m
 
     @model_validator(mode="after")
+    def _inside_of_itself(self) -> Self:
+        inner, outer = self.inner_diameter, self.outer_diameter
+        if inner is not None and outer is not None and inner >= outer:
+            raise ValueError(f"inner_diameter {inner:g} m is not below outer_diameter {outer:g} m")
+        return self
+
+    @model_validator(mode="after")
     def _no_denser_than_metal(self) -> Self:
         if self.mass is not None and self.outer_diameter is not None and self.length is not None:
             density = self.mass / (0.25 * math.pi * self.outer_diameter**2 * self.length)
@@ -176,6 +183,18 @@ class MotorSheet(BaseModel):
     control: Control = Control()
     bearings: Bearings | None = None
     printed: Printed = Printed()
+
+    @model_validator(mode="after")
+    def _rotor_inside_of_the_body(self) -> Self:
+        mass, diameter = self.body.mass, self.body.outer_diameter
+        if self.rotor_inertia is not None and mass is not None and diameter is not None:
+            most = mass * (0.5 * diameter) ** 2
+            if self.rotor_inertia > most:
+                raise ValueError(
+                    f"rotor_inertia {self.rotor_inertia:g} kg*m^2 is more than all of the body's mass has at its rim,"
+                    f" {most:.3g} kg*m^2; is it in kg*m^2?"
+                )
+        return self
 
     def missing(self, *names: str) -> list[str]:
         """Those of these figures that the file does not have."""

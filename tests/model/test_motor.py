@@ -26,6 +26,16 @@ def test_the_lea_ships_with_the_papers_figures():
         ("  winding_capacitance: 0.1\n", "  winding_capacitance: 0.51\n", "tolerances.winding_capacitance: 0.51: "),
         ("  coulomb_friction: 0.1\n", "  coulomb_friction: .nan\n", "tolerances.coulomb_friction"),
         ("  housing_capacitance: 0.1\n", "", "tolerances.housing_capacitance"),
+        (
+            "rotor_inertia: 0.0024 ",
+            "rotor_inertia: 2.4 ",
+            "rotor_inertia 2.4 kg*m^2 is more than all of the body's mass",
+        ),
+        (
+            "  inner_diameter: 0.138",
+            "  inner_diameter: 0.238",
+            "inner_diameter 0.238 m is not below outer_diameter 0.182",
+        ),
         ("  ambient_K: 3.0", "  ambient_K: 298", "tolerances.ambient_K: 298: "),
     ],
 )

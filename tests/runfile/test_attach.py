@@ -235,13 +235,16 @@ def test_clocks_that_cannot_be_tied_are_refused_and_the_run_stays(run, export, b
     assert run.read_bytes() == before
 
 
+SUPPLY = {"model": "1688B", "feeds": "leads", "voltage_limit_V": 10, "current_limit_A": 10}
+
+
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
         ({"driver": "ads1115", "role": "test", "settings": {}}, "settings.inputs: is required and missing"),
         ({"driver": "thermal_cvs", "role": "test"}, "driver 'thermal_cvs' is not registered"),
         ({"driver": "thermal_csv", "role": "test", "settings": {"regions": {}}}, "regions"),
-        ({"driver": "bk1688b", "role": "test", "bus": "line", "settings": {}}, "its readings do not come in files"),
+        ({"driver": "bk1688b", "role": "test", "bus": "line", "settings": SUPPLY}, "its readings do not come in files"),
         (device(colour="red"), "bench.yaml:.*devices.camera.settings.colour: unknown key"),
     ],
 )

@@ -53,7 +53,7 @@ class Comparison:
             return (
                 f"No effect of the condition on {self.name} is shown ({told}). That does not show that there is none:"
                 f" differences up to {most:.2g} {self.units} are compatible with these values, and one of"
-                f" {self._seen(self.pairs)} would have been shown in {SEEN:.0%} of such experiments."
+                f" {self._seen(self.pairs)} would have passed Tukey's test in {SEEN:.0%} of such experiments."
             )
         text = f"{self.name} differs between conditions ({told})"
         if shown:
@@ -62,8 +62,8 @@ class Comparison:
         if rest:
             which = ", ".join(f"{pair.first} and {pair.second}" for pair in rest)
             text += (
-                f". Between {which} no difference is shown; one of {self._seen(rest)} would have been in {SEEN:.0%} of"
-                " such experiments"
+                f". Between {which} no difference is shown; one of {self._seen(rest)} would have passed Tukey's test in"
+                f" {SEEN:.0%} of such experiments"
             )
         return text + "."
 

@@ -10,7 +10,7 @@ from leactl.analysis.conditions.anova import SHOWN, Anova, combined
 from leactl.analysis.conditions.values import Values
 
 PARTS = 2000
-SEEN = 0.8  # of such experiments, in which the smallest effect would have been shown
+SEEN = 0.8  # of such experiments, in which the smallest effect would have passed this test
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Pair:
     low: float
     high: float
     compared: int  # conditions
-    smallest_seen: float  # size of a difference that would have been shown in `SEEN` of such experiments
+    smallest_seen: float  # size of a difference that would have passed this test in `SEEN` of such experiments
 
     @property
     def shown(self) -> bool:
