@@ -32,6 +32,7 @@ from leactl.cli import (
 )
 from leactl.errors import InputError, LeactlError, Stopped
 
+CTRL_C_OF_TYPER = 130
 UsageError: Any = typer.BadParameter.__base__  # whose module typer has moved
 
 app = typer.Typer(
@@ -77,7 +78,7 @@ def root(
 def main() -> None:
     """Run the command line; an error is one line on stderr and its exit status, an unforeseen one keeps its trace."""
     try:
-        status = app(standalone_mode=False)
+        status = app(prog_name=app.info.name, standalone_mode=False)
     except UsageError as error:
         _refuse_usage(error)
     except InputError as error:
@@ -96,6 +97,8 @@ def main() -> None:
             _let_go_of_stdout()
             _end([f"{error.filename or 'stdout'}: cannot be written: {error.strerror}"], InputError.exit_status)
         _end([f"internal error: {type(error).__name__}: {error}; LEACTL_TRACE=1 shows where"], LeactlError.exit_status)
+    if status == CTRL_C_OF_TYPER:
+        _end(["stopped"], Stopped.exit_status)
     sys.exit(status if isinstance(status, int) else 0)
 
 

@@ -32,8 +32,8 @@ def test_the_lea_ships_with_the_papers_figures():
             "rotor_inertia 2.4 kg*m^2 is more than all of the body's mass",
         ),
         (
-            "  inner_diameter: 0.138",
-            "  inner_diameter: 0.238",
+            "inner_diameter: 0.138",
+            "inner_diameter: 0.238",
             "inner_diameter 0.238 m is not below outer_diameter 0.182",
         ),
         ("  ambient_K: 3.0", "  ambient_K: 298", "tolerances.ambient_K: 298: "),
