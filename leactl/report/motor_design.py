@@ -1,6 +1,7 @@
 """Scaled motors, energy over cycles and preloads of flexures as text that fits 80 columns."""
 
 import math
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -33,7 +34,7 @@ def scaled_text(motor: MotorSheet, found: Sequence[Scaled], radius: float) -> st
         if one.known is not None
     ]
     lines = [aligned(("", motor.name, f"{1e3 * radius:g} mm", "goes by"), table)]
-    lines.append(f"{motor.winding} winding throughout; thickness, length, materials and turns a slot as they are")
+    lines.append(fill(f"{motor.winding} winding throughout; thickness, length, materials and turns a slot as they are"))
     return "\n".join(lines)
 
 
@@ -55,7 +56,12 @@ def energy_text(cycle: Cycle, motors: Sequence[MotorSheet], found: Sequence[Stri
         f"note: {motor.name}: {words}" for motor, one in zip(motors, found, strict=True) for words in beyond_of(one)
     ]
     table = aligned(("", *(motor.name for motor in motors)), rows)
-    return "\n".join([head, table, *beyond, *(f"note: {note}" for note in notes)])
+    return "\n".join([head, table, *(fill(one) for one in [*beyond, *(f"note: {note}" for note in notes)])])
+
+
+def fill(text: str) -> str:
+    """Prose in lines of 80 columns; tables keep a row a line."""
+    return textwrap.fill(text, 80, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
 def beyond_of(one: Stride) -> list[str]:
@@ -95,9 +101,11 @@ def preload_text(
 ) -> str:
     """Preloads at some gaps under each reading of the two told points, and whether they contradict each other."""
     lines = [
-        f"{bearings.each_side} bearings a side, {bearings.static_radial_load:g} N each at"
-        f" {1e3 * bearings.deflection_at_static_load:g} mm of deflection;"
-        f" {bearings.told_preload:g} N told at a gap of {1e3 * bearings.told_gap:g} mm"
+        fill(
+            f"{bearings.each_side} bearings a side, {bearings.static_radial_load:g} N each at"
+            f" {1e3 * bearings.deflection_at_static_load:g} mm of deflection;"
+            f" {bearings.told_preload:g} N told at a gap of {1e3 * bearings.told_gap:g} mm"
+        )
     ]
     for reading, loads, most in found:
         lines += [
