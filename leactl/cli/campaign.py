@@ -1,6 +1,7 @@
 """`leactl campaign`: many runs in order, gone on with after any interruption."""
 
 import json
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -126,8 +127,8 @@ def run(
 
     campaign, folder, entries = _read(name, variant, seed, out, operator, realtime, served, bus)
     if dry_run:
-        there = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.exists())
-        if why := "not a folder" if not there.is_dir() else refusal(there):
+        there = next(one for one in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(one))
+        if why := refusal(there) if there.is_dir() else "not a folder":
             raise InputError(f"{folder}: cannot be made or written to: {there}: {why}; choose another --out")
         _journal, now = to_go_on(campaign, entries, folder, accept_changes, redo_lost)
         expected = previews(entries)

@@ -3,13 +3,15 @@
 import math
 from importlib import resources
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from pydantic import Field
 
 from leactl import yamlfile
 from leactl.errors import InputError
 from leactl.model.sheet import MotorLimits, MotorSheet, NotNegative, Positive, Thermal
+
+Sheet = TypeVar("Sheet", bound=MotorSheet)
 
 
 class Motor(MotorSheet):
@@ -52,7 +54,7 @@ def load_motor(name_or_path: str) -> tuple[Motor, yamlfile.Document]:
     InputError : no such motor or file, a fault in it, or figures that it lacks, one line each.
     """
     document = _document(name_or_path)
-    return document.validate(Motor), document
+    return _plausible(document.validate(Motor), document), document
 
 
 def load_sheet(name_or_path: str) -> tuple[MotorSheet, yamlfile.Document]:
@@ -63,7 +65,18 @@ def load_sheet(name_or_path: str) -> tuple[MotorSheet, yamlfile.Document]:
     InputError : no such motor or file, or a fault in it, one line each.
     """
     document = _document(name_or_path)
-    return document.validate(MotorSheet), document
+    return _plausible(document.validate(MotorSheet), document), document
+
+
+def _plausible(motor: Sheet, document: yamlfile.Document) -> Sheet:
+    """Refuse a rotor that is not inside of its body; a model's inertia may be that of all that turns with it."""
+    mass, diameter = motor.body.mass, motor.body.outer_diameter
+    if motor.rotor_inertia is not None and mass is not None and diameter is not None:
+        most = mass * (0.5 * diameter) ** 2
+        if motor.rotor_inertia > most:
+            told = f"{motor.rotor_inertia:g} is more than all of the body's mass has at its rim, {most:.3g} kg*m^2"
+            raise InputError(document.fault(("rotor_inertia",), f"{told}; is it in kg*m^2?"))
+    return motor
 
 
 def _document(name_or_path: str) -> yamlfile.Document:

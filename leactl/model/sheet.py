@@ -184,18 +184,6 @@ class MotorSheet(BaseModel):
     bearings: Bearings | None = None
     printed: Printed = Printed()
 
-    @model_validator(mode="after")
-    def _rotor_inside_of_the_body(self) -> Self:
-        mass, diameter = self.body.mass, self.body.outer_diameter
-        if self.rotor_inertia is not None and mass is not None and diameter is not None:
-            most = mass * (0.5 * diameter) ** 2
-            if self.rotor_inertia > most:
-                raise ValueError(
-                    f"rotor_inertia {self.rotor_inertia:g} kg*m^2 is more than all of the body's mass has at its rim,"
-                    f" {most:.3g} kg*m^2; is it in kg*m^2?"
-                )
-        return self
-
     def missing(self, *names: str) -> list[str]:
         """Those of these figures that the file does not have."""
         return [name for name in names if getattr(self, name) is None]

@@ -40,7 +40,10 @@ def export(run_path: Path, fmt: str, out: Path) -> list[Path]:
         targets = {out / f"{run_path.stem}{suffix}": write for suffix, write in writers.items()}
         for target in targets:
             refuse_existing(target)
-        out.mkdir(parents=True, exist_ok=True)
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{out}: cannot be made: {error.strerror or error}; choose another --out") from None
         with ExitStack() as published:  # all files are written before the first takes its name
             for target, write in targets.items():
                 write(published.enter_context(new_file(target)))

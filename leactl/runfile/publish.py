@@ -6,7 +6,7 @@ Both ways write under a hidden name in the same directory, force it to the disk 
 import os
 import secrets
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from leactl.errors import InputError
@@ -66,7 +66,8 @@ def temporary(target: Path) -> Iterator[Path]:
     except OSError as fault:
         raise NotWritten(f"{target}: cannot be written: {' '.join(str(fault).split())}") from fault
     finally:
-        path.unlink(missing_ok=True)
+        with suppress(OSError):  # what went wrong before is what is told
+            path.unlink()
 
 
 def force_to_disk(path: Path) -> None:

@@ -117,6 +117,8 @@ def test_the_same_runs_in_two_answers_count_once(bench, tmp_path):
         (tmp_path / name).write_text(json.dumps(analyze_runs(paths).as_json()))
     with pytest.raises(InputError, match=r"two\.json: it is of .*, as .*one\.json is; give each run once"):
         compare_all([tmp_path / "one.json", tmp_path / "two.json"])
+    with pytest.raises(InputError, match=r"as .*one\.json is; give each run once"):
+        compare_all([tmp_path / "one.json"] * 2)
     with pytest.raises(InputError, match=r"\.h5: .*one\.json is an answer of it; give each run once"):
         compare_all([tmp_path / "one.json", *paths])
 

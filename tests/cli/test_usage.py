@@ -30,5 +30,5 @@ def test_usage_errors_are_one_line(words, message):
 
 def test_a_command_without_a_word_gets_its_help():
     done = leactl("motor")
-    assert done.returncode == 2
+    assert done.returncode in (0, 2)  # click below 8.2 and from there
     assert "Commands:" in done.stdout + done.stderr

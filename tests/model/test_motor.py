@@ -29,7 +29,7 @@ def test_the_lea_ships_with_the_papers_figures():
         (
             "rotor_inertia: 0.0024 ",
             "rotor_inertia: 2.4 ",
-            "rotor_inertia 2.4 kg*m^2 is more than all of the body's mass",
+            "rotor_inertia: 2.4 is more than all of the body's mass has at its rim, 0.0074",
         ),
         (
             "inner_diameter: 0.138",

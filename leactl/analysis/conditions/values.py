@@ -88,17 +88,18 @@ def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> tupl
     trials: list[Trial] = []
     notes: list[str] = []
     kinds: dict[str, Path] = {}
-    taken: dict[str, Path] = {}  # by the name of a run's file, which no other run has
+    taken: dict[Path, Path] = {}  # which answer is of a run
     for path in answers:
         kind, found, own = _of_answer(path, len(trials))
         kinds.setdefault(kind, path)
         trials += found
-        for name in own:
-            if taken.setdefault(name, path) is not path:
-                raise InputError(f"{path}: it is of {name}, as {taken[name]} is; give each run once")
+        for file in own:
+            if file in taken:
+                raise InputError(f"{path}: it is of {file.name}, as {taken[file]} is; give each run once")
+        taken |= dict.fromkeys(own, path)
     for path in files:
-        if path.name in taken:
-            raise InputError(f"{path}: {taken[path.name]} is an answer of it; give each run once")
+        if path.resolve() in taken:
+            raise InputError(f"{path}: {taken[path.resolve()]} is an answer of it; give each run once")
     with ExitStack() as opened:
         runs = [opened.enter_context(Run.open(path)) for path in files]
         refuse_repeated(runs)
@@ -143,12 +144,12 @@ def _analysed(analyze: Analysis, part: Run, options: dict[str, Any]) -> tuple[Es
     return analyze([part], **options).results
 
 
-def _of_answer(path: Path, first: int) -> tuple[str, list[Trial], set[str]]:
-    """Experiment of an answer, its trials, one for each actuator and condition, and the names of its runs."""
+def _of_answer(path: Path, first: int) -> tuple[str, list[Trial], set[Path]]:
+    """Experiment of an answer, its trials, one for each actuator and condition, and its runs."""
     try:
         body = json.loads(path.read_text(encoding="utf-8"))
-        kind, rows = _text(body["experiment"]), list(body["results"])
-        runs = {Path(_text(one)).name for one in body["runs"]}
+        kind, rows = _text(body["experiment"]), _list(body["results"])
+        runs = {Path(_text(one)).resolve() for one in _list(body["runs"])}
         groups: dict[tuple[str, str], list[Estimate]] = {}
         for row in rows:
             value, std, low, high = (_number(row[key]) for key in ("value", "std", "low", "high"))
@@ -167,6 +168,12 @@ def _of_answer(path: Path, first: int) -> tuple[str, list[Trial], set[str]]:
 
 def _text(found: object) -> str:
     if not isinstance(found, str):
+        raise TypeError
+    return found
+
+
+def _list(found: object) -> list[Any]:
+    if not isinstance(found, list):
         raise TypeError
     return found
 
