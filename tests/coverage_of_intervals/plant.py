@@ -24,7 +24,7 @@ SPREAD = 0.05  # of each of these, uniform
 CYCLE_S, FINE_S = 1e-3, 5e-5
 JUMP = 0.3  # of a setpoint, in its unit: noise and ramps take less at once
 FINELY_S, STEADY_S, WATCHED_S = 0.4, 1.0, 1.98  # since a jump
-RECORDS, RECORD_S, HEAD = 12, 8.7, 500
+RECORDS, RECORD_S, HEAD = 60, 8.7, 500  # of fewer, the truth itself scatters as the estimate does
 
 
 def drawn_loops(seed: int) -> dict[str, float]:

@@ -116,7 +116,7 @@ class Comparison:
     def _seen(self, among: "tuple[Pair, ...] | list[Pair]") -> str:
         least = max(pair.smallest_seen for pair in among)
         mean = abs(float(np.average([one.mean for one in self.groups], weights=[one.count for one in self.groups])))
-        part = f" ({least / mean:.1%} of the mean)" if mean > least else ""
+        part = f" ({100.0 * least / mean:.2g} % of the mean)" if mean > least else ""
         return f"{least:.2g} {self.units}{part}"
 
 
