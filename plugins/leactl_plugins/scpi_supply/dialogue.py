@@ -19,6 +19,7 @@ MOST_ERRORS = 32  # the queue of an E36xx holds 20
 REGULATED = {1: "constant current", 2: "constant voltage"}  # STAT:QUES:COND?, the same in both families
 IDENTIFY = Question("*IDN?", answers.identity, patient=True)
 OUTPUT = Question("OUTP?", answers.truth)
+FIRST = OUTPUT._replace(patient=True)  # after who it is: an answer to whoever asked before may be taken for that one
 VOLTAGE = Question("MEAS:VOLT?", answers.number)
 CURRENT = Question("MEAS:CURR?", answers.number)
 CONDITION = Question("STAT:QUES:COND?", answers.register)
@@ -49,7 +50,7 @@ class ScpiDialogue:
         while True:
             yield self._dialect.off
             self._check((yield from self.in_step()))
-            on = yield from _asked(OUTPUT)
+            on = yield from _asked(FIRST)
             if on:
                 progress.said = "the output is still on"
                 continue
