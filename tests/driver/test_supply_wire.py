@@ -437,6 +437,22 @@ def test_a_supply_that_does_not_switch_off_is_not_called_safe(bench, admits, det
     assert bench.far.output()[2] == 9.0
 
 
+def test_a_name_that_was_given_to_whoever_asked_before_puts_nobody_out_of_step():
+    """A program that ended in the middle of a question: the answer comes when the next one has begun to listen."""
+    bench = SupplyBench(**RIGOL)  # an E36xx forgets what it has not sent yet when it is switched off
+    name = b"RIGOL TECHNOLOGIES,DP811,DP8C1,00.01.16\n"
+
+    def under_way():
+        bench.far._output.append((bench.clock.now() + 0.005, name))
+
+    under_way()
+    bench.energise()
+    under_way()
+    began = bench.clock.now()
+    assert bench.made_safe().safe
+    assert bench.clock.now() - began < 0.4  # at the first try
+
+
 def test_a_supply_that_is_mended_is_switched_off_after_all(bench):
     bench.energise()
     bench.far.stuck_on()
