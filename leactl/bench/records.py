@@ -40,7 +40,7 @@ class RecordDevice:
             raise InputError(document.explain(error, under)) from None
         except InputError as error:
             raise InputError(document.fault((*place, "driver"), str(error))) from None
-        if not hasattr(driver, BatchSource.read_files.__name__):
+        if not hasattr(driver, "read_files"):
             raise InputError(
                 document.fault((*place, "driver"), f"{self.entry.driver}: its readings do not come in files")
             )

@@ -1,7 +1,6 @@
 """Scaled motors, energy over cycles and preloads of flexures as text that fits 80 columns."""
 
 import math
-import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,8 +9,8 @@ from leactl.model.energy import Stride
 from leactl.model.flexures import Preload, Reading
 from leactl.model.scaling import Scaled
 from leactl.model.sheet import Bearings, MotorSheet
-from leactl.report.motors import cell
-from leactl.report.terminal import aligned
+from leactl.report.motors import WIDTH, cell
+from leactl.report.terminal import aligned, wrapped
 
 ENERGIES = {
     "joint_work": "onto the joint, net",
@@ -34,7 +33,8 @@ def scaled_text(motor: MotorSheet, found: Sequence[Scaled], radius: float) -> st
         if one.known is not None
     ]
     lines = [aligned(("", motor.name, f"{1e3 * radius:g} mm", "goes by"), table)]
-    lines.append(fill(f"{motor.winding} winding throughout; thickness, length, materials and turns a slot as they are"))
+    kept = f"{motor.winding} winding throughout; thickness, length, materials and turns a slot as they are"
+    lines.append(wrapped(kept, [], WIDTH))
     return "\n".join(lines)
 
 
@@ -52,16 +52,9 @@ def energy_text(cycle: Cycle, motors: Sequence[MotorSheet], found: Sequence[Stri
         f"{cycle.name}: {cycle.period:g} s, angle over {_degrees(cycle):.3g} deg, torque up to"
         f" {abs(cycle.torque).max():.3g} N*m"
     )
-    beyond = [
-        f"note: {motor.name}: {words}" for motor, one in zip(motors, found, strict=True) for words in beyond_of(one)
-    ]
+    beyond = [f"{motor.name}: {words}" for motor, one in zip(motors, found, strict=True) for words in beyond_of(one)]
     table = aligned(("", *(motor.name for motor in motors)), rows)
-    return "\n".join([head, table, *(fill(one) for one in [*beyond, *(f"note: {note}" for note in notes)])])
-
-
-def fill(text: str) -> str:
-    """Prose in lines of 80 columns; tables keep a row a line."""
-    return textwrap.fill(text, 80, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    return "\n".join([head, table, *(wrapped("note:", [note], WIDTH) for note in [*beyond, *notes])])
 
 
 def beyond_of(one: Stride) -> list[str]:
@@ -101,10 +94,12 @@ def preload_text(
 ) -> str:
     """Preloads at some gaps under each reading of the two told points, and whether they contradict each other."""
     lines = [
-        fill(
+        wrapped(
             f"{bearings.each_side} bearings a side, {bearings.static_radial_load:g} N each at"
             f" {1e3 * bearings.deflection_at_static_load:g} mm of deflection;"
-            f" {bearings.told_preload:g} N told at a gap of {1e3 * bearings.told_gap:g} mm"
+            f" {bearings.told_preload:g} N told at a gap of {1e3 * bearings.told_gap:g} mm",
+            [],
+            WIDTH,
         )
     ]
     for reading, loads, most in found:

@@ -1,14 +1,14 @@
 """The values that are compared: one result of an analysis, once a trial, with its actuator and condition."""
 
-import json
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from leactl.analysis.estimate import Estimate, listed
 from leactl.analysis.experiments import (
@@ -24,7 +24,30 @@ from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run, Step
 
 Array = npt.NDArray[np.float64]
-LARGEST = 1e100  # of a value in an answer; its square has to be a number still
+Figure = Annotated[float, Field(ge=-1e100, le=1e100)]  # its square has to be a number still
+
+
+class _Row(BaseModel):
+    """What is taken of one result in an answer."""
+
+    model_config = ConfigDict(strict=True)
+    name: str
+    units: str
+    value: Figure | None
+    std: Figure | None
+    low: Figure | None
+    high: Figure | None
+    actuator: str = ""
+    condition: str = ""
+
+
+class _Answer(BaseModel):
+    """What is taken of an answer of `leactl analyze --json`."""
+
+    model_config = ConfigDict(strict=True)
+    experiment: str
+    runs: list[str]
+    results: list[_Row]
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,44 +170,22 @@ def _analysed(analyze: Analysis, part: Run, options: dict[str, Any]) -> tuple[Es
 def _of_answer(path: Path, first: int) -> tuple[str, list[Trial], set[Path]]:
     """Experiment of an answer, its trials, one for each actuator and condition, and its runs."""
     try:
-        body = json.loads(path.read_text(encoding="utf-8"))
-        kind, rows = _text(body["experiment"]), _list(body["results"])
-        runs = {Path(_text(one)).resolve() for one in _list(body["runs"])}
-        groups: dict[tuple[str, str], list[Estimate]] = {}
-        for row in rows:
-            value, std, low, high = (_number(row[key]) for key in ("value", "std", "low", "high"))
-            estimate = Estimate(_text(row["name"]), value, std, low, high, _text(row["units"]))
-            whose = _text(row.get("actuator", "")), _text(row.get("condition", ""))
-            groups.setdefault(whose, []).append(estimate)
+        answer = _Answer.model_validate_json(path.read_bytes())
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
+    except ValidationError:
         raise InputError(f"{path}: an answer of `leactl analyze --json` was expected") from None
+    groups: dict[tuple[str, str], list[Estimate]] = {}
+    for row in answer.results:
+        value, std, low, high = (np.nan if one is None else one for one in (row.value, row.std, row.low, row.high))
+        groups.setdefault((row.actuator, row.condition), []).append(
+            Estimate(row.name, value, std, low, high, row.units)
+        )
     if any(not condition for _, condition in groups):
         raise InputError(f"{path}: its rows name no condition, as where one group was analysed; give the runs")
     pairs = enumerate(groups.items(), start=first)
-    return kind, [Trial(*group, number, tuple(estimates)) for number, (group, estimates) in pairs], runs
-
-
-def _text(found: object) -> str:
-    if not isinstance(found, str):
-        raise TypeError
-    return found
-
-
-def _list(found: object) -> list[Any]:
-    if not isinstance(found, list):
-        raise TypeError
-    return found
-
-
-def _number(found: object) -> float:
-    """A number of an answer, NaN where it is null; one beyond `LARGEST` is no result of anything."""
-    if found is None:
-        return float("nan")
-    if isinstance(found, bool) or not isinstance(found, int | float) or abs(found) > LARGEST:
-        raise TypeError
-    return float(found)
+    trials = [Trial(*group, number, tuple(estimates)) for number, (group, estimates) in pairs]
+    return answer.experiment, trials, {Path(run).resolve() for run in answer.runs}
 
 
 def _columns(trials: Sequence[Trial], notes: Sequence[str]) -> list[Values]:
