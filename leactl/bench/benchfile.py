@@ -20,7 +20,7 @@ from leactl.safety.limits import Limits
 
 STRICT = ConfigDict(frozen=True, extra="forbid")
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
-Fraction = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
 SHIPPED = Path(__file__).parent / "files"
 
 
@@ -31,7 +31,7 @@ class CanBus(BaseModel):
     kind: Literal["can"]
     interface: str = "socketcan"
     channel: str | int = "can0"
-    bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)] = 1_000_000
+    bitrate: Annotated[int, Field(strict=True, ge=10_000, le=1_000_000)] = 1_000_000
     options: dict[str, Any] = {}
 
 
@@ -40,7 +40,7 @@ class I2cBus(BaseModel):
 
     model_config = STRICT
     kind: Literal["i2c"]
-    number: Annotated[int, Field(ge=0, le=255)] = 1
+    number: Annotated[int, Field(strict=True, ge=0, le=255)] = 1
 
 
 class SerialBus(BaseModel):
@@ -49,7 +49,7 @@ class SerialBus(BaseModel):
     model_config = STRICT
     kind: Literal["serial"]
     port: Annotated[str, Field(min_length=1)] = "/dev/ttyUSB0"
-    baudrate: Annotated[int, Field(ge=300, le=4_000_000)] = 9600
+    baudrate: Annotated[int, Field(strict=True, ge=300, le=4_000_000)] = 9600
     data_bits: Literal[7, 8] = 8
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: Literal[1, 2] = 1
@@ -79,16 +79,16 @@ class Harmonic(BaseModel):
     """A harmonic of the emulated back-EMF, of a phase; a wye's line-to-line voltages lack every third."""
 
     model_config = STRICT
-    order: Annotated[int, Field(ge=2, le=100)]
-    share: Annotated[float, Field(ge=0, le=1)]  # of the fundamental
-    phase_rad: Annotated[float, Field(ge=-10, le=10)] = 0.0
+    order: Annotated[int, Field(strict=True, ge=2, le=100)]
+    share: Annotated[float, Field(strict=True, ge=0, le=1)]  # of the fundamental
+    phase_rad: Annotated[float, Field(strict=True, ge=-10, le=10)] = 0.0
 
 
 class Emulated(BaseModel):
     """What an emulated bench is made of; a bench file without this block is a real bench."""
 
     model_config = STRICT
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = 1
     test: dict[str, Any] = {}  # parameters over the motor's own
     load: dict[str, Any] = {}
     bench: dict[str, Any] = {}
@@ -101,8 +101,10 @@ class Emulated(BaseModel):
     terminal_noise_V: Fraction = 0.005  # noqa: N815 (between two leads, as a converter there picks it up)
     back_emf_harmonics: tuple[Harmonic, ...] = ()  # of either actuator
     temperature_noise_K: Fraction = 0.05  # noqa: N815
-    temperature_offset_K: Annotated[float, Field(ge=-20, le=20)] = 0.0  # noqa: N815 (of every sensor's zero)
-    temperature_gain: Annotated[float, Field(ge=0.5, le=2)] = 1.0  # of the rise above ambient, as a sensor shows it
+    temperature_offset_K: Annotated[float, Field(strict=True, ge=-20, le=20)] = 0.0  # noqa: N815 (of every sensor's zero)
+    temperature_gain: Annotated[float, Field(strict=True, ge=0.5, le=2)] = (
+        1.0  # of the rise above ambient, as a sensor shows it
+    )
 
     def expect(self, condition: str) -> None:
         """Refuse a condition that it does not have, where it has any.

@@ -17,10 +17,10 @@ Sheet = TypeVar("Sheet", bound=MotorSheet)
 class Motor(MotorSheet):
     """One actuator with everything that moving it asks for."""
 
-    pole_pairs: Annotated[int, Field(ge=1, le=500)]
+    pole_pairs: Annotated[int, Field(strict=True, ge=1, le=500)]
     phase_resistance: Positive  # ohm
-    resistance_coefficient: Annotated[float, Field(ge=0, le=0.02)]  # 1/K
-    reference_temperature: Annotated[float, Field(ge=-50, le=150)]  # degC
+    resistance_coefficient: Annotated[float, Field(strict=True, ge=0, le=0.02)]  # 1/K
+    reference_temperature: Annotated[float, Field(strict=True, ge=-50, le=150)]  # degC
     phase_inductance: Positive  # H
     torque_constant: Positive  # N*m/A
     back_emf_constant: Positive  # V*s/rad

@@ -55,7 +55,7 @@ class EffectEntry(BaseModel):
 
     model_config = STRICT
     effect: str
-    parameters: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = {}
+    parameters: dict[str, Annotated[float, Field(strict=True, allow_inf_nan=False)]] = {}
 
     @model_validator(mode="after")
     def _known(self) -> "EffectEntry":
@@ -72,10 +72,10 @@ class Model(MotorSheet):
     """A nominal model; what it leaves out is None and cannot be judged."""
 
     winding: Literal["wye", "delta"] = "wye"
-    resistance_coefficient: Annotated[float, Field(ge=0, le=0.02)] = 0.0  # 1/K
-    reference_temperature: Annotated[float, Field(ge=-50, le=150)] = 25.0  # degC
+    resistance_coefficient: Annotated[float, Field(strict=True, ge=0, le=0.02)] = 0.0  # 1/K
+    reference_temperature: Annotated[float, Field(strict=True, ge=-50, le=150)] = 25.0  # degC
     thermal: Thermal | None = None
-    ambient_offset: Annotated[float, Field(ge=-20, le=20)] = 0.0  # K, true ambient minus the logged one
+    ambient_offset: Annotated[float, Field(strict=True, ge=-20, le=20)] = 0.0  # K, true ambient minus the logged one
     bench: BenchModel = BenchModel()
     load: LoadModel = LoadModel()
     drive: DriveModel | None = None

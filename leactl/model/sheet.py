@@ -9,11 +9,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Percent = Annotated[float, Field(ge=0, le=1000)]
-Tolerance = Annotated[float, Field(ge=0, le=0.5)]
-Length = Annotated[float, Field(gt=0, le=10)]
+Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
+Percent = Annotated[float, Field(strict=True, ge=0, le=1000)]
+Tolerance = Annotated[float, Field(strict=True, ge=0, le=0.5)]
+Length = Annotated[float, Field(strict=True, gt=0, le=10)]
 DENSEST = 2e4  # kg/m^3: tungsten
 STRICT = ConfigDict(frozen=True, extra="forbid")
 
@@ -70,20 +70,20 @@ class Tolerances(BaseModel):
     viscous_damping: Tolerance
     coulomb_friction: Tolerance
     current: Tolerance
-    ambient_K: Annotated[float, Field(ge=0, le=30)]  # noqa: N815 (a unit keeps its letter)
+    ambient_K: Annotated[float, Field(strict=True, ge=0, le=30)]  # noqa: N815 (a unit keeps its letter)
 
 
 class LimitsSheet(BaseModel):
     """What the maker allows."""
 
     model_config = STRICT
-    winding_temperature: Annotated[float, Field(gt=25, le=250)] | None = None  # degC
+    winding_temperature: Annotated[float, Field(strict=True, gt=25, le=250)] | None = None  # degC
 
 
 class MotorLimits(LimitsSheet):
     """What must not be passed."""
 
-    winding_temperature: Annotated[float, Field(gt=25, le=250)]  # degC
+    winding_temperature: Annotated[float, Field(strict=True, gt=25, le=250)]  # degC
 
 
 class Body(BaseModel):
@@ -138,7 +138,7 @@ class Bearings(BaseModel):
     """Bearings on flexures around a large rotor, each pushed against its race by the bending of its own."""
 
     model_config = STRICT
-    each_side: Annotated[int, Field(ge=1, le=1000)]
+    each_side: Annotated[int, Field(strict=True, ge=1, le=1000)]
     static_radial_load: Positive  # N, that one bearing takes
     deflection_at_static_load: Positive  # m, of the flexure's free end
     told_gap: Positive  # m, between flexure and stator, for which a preload is told
@@ -162,10 +162,10 @@ class MotorSheet(BaseModel):
     model_config = STRICT
     name: Annotated[str, Field(min_length=1)]
     winding: Literal["wye", "delta"]
-    pole_pairs: Annotated[int, Field(ge=1, le=500)] | None = None
+    pole_pairs: Annotated[int, Field(strict=True, ge=1, le=500)] | None = None
     phase_resistance: Positive | None = None  # ohm, at reference_temperature: R_ll / 2 (wye), 3/2 R_ll (delta)
-    resistance_coefficient: Annotated[float, Field(ge=0, le=0.02)] | None = None  # 1/K
-    reference_temperature: Annotated[float, Field(ge=-50, le=150)] | None = None  # degC
+    resistance_coefficient: Annotated[float, Field(strict=True, ge=0, le=0.02)] | None = None  # 1/K
+    reference_temperature: Annotated[float, Field(strict=True, ge=-50, le=150)] | None = None  # degC
     phase_inductance: Positive | None = None  # H, the same parts of the line-to-line value
     torque_constant: Positive | None = None  # N*m/A
     back_emf_constant: Positive | None = None  # V*s/rad
@@ -179,7 +179,7 @@ class MotorSheet(BaseModel):
     air_gap_radius: Positive | None = None  # m
     body: Body = Body()  # the whole actuator
     frameless: Body = Body()  # rotor and stator alone
-    encoder_lines: Annotated[int, Field(ge=1)] | None = None  # a turn; four counts each
+    encoder_lines: Annotated[int, Field(strict=True, ge=1)] | None = None  # a turn; four counts each
     control: Control = Control()
     bearings: Bearings | None = None
     printed: Printed = Printed()

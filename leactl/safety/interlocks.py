@@ -17,8 +17,8 @@ STRICT = ConfigDict(frozen=True, extra="forbid")
 NEED_A_TRIP = ("drive_temperature", "housing_temperature")  # no limit of the bench covers them
 UNIT_KEYS = {"A": "A", "V": "V", "rad": "rad", "rad/s": "rad_s", "N*m": "Nm", "degC": "degC"}
 VALUES = ("warn", "trip", "warn_low", "warn_high", "trip_low", "trip_high", "rate")
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Duration = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Duration = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
 Place = tuple[str | int, ...]
 T = TypeVar("T")
 
@@ -173,7 +173,7 @@ class TorqueDisagreement(BaseModel):
 
     model_config = STRICT
     tolerance_Nm: Positive  # noqa: N815 (a unit keeps its letter)
-    for_s: Annotated[float, Field(gt=0, le=60, allow_inf_nan=False)] = 0.1
+    for_s: Annotated[float, Field(strict=True, gt=0, le=60, allow_inf_nan=False)] = 0.1
 
 
 class Supply(BaseModel):
@@ -189,24 +189,24 @@ class LoopOverruns(BaseModel):
     """Cycles that took more than one period too long: how many in a row, or which share of a window."""
 
     model_config = STRICT
-    in_a_row: Annotated[int, Field(ge=1, le=10_000)] = 20
-    share_percent: Annotated[float, Field(gt=0, lt=100)] = 20.0
-    window_s: Annotated[float, Field(gt=0, le=600)] = 2.0
+    in_a_row: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 20
+    share_percent: Annotated[float, Field(strict=True, gt=0, lt=100)] = 20.0
+    window_s: Annotated[float, Field(strict=True, gt=0, le=600)] = 2.0
 
 
 class ClockJump(BaseModel):
     """The longest step of the bench's clock from one cycle to the next; five cycles at the least. Back is never."""
 
     model_config = STRICT
-    jump_s: Annotated[float, Field(gt=0, le=10)] = 0.25
+    jump_s: Annotated[float, Field(strict=True, gt=0, le=10)] = 0.25
 
 
 class DiskSpace(BaseModel):
     """Free space on the disk of the run file, beyond what the planned run takes at its start."""
 
     model_config = STRICT
-    trip_MB: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 100.0  # noqa: N815
-    warn_MB: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None  # noqa: N815 (None: five times the trip)
+    trip_MB: Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)] = 100.0  # noqa: N815
+    warn_MB: Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)] | None = None  # noqa: N815 (None: five times the trip)
 
     @property
     def warn_bytes(self) -> float:

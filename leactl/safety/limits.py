@@ -9,7 +9,7 @@ LEADS = 2.0  # mean square current of the q axis that heats like a direct curren
 LEAST_CYCLIC_AGE_S = 0.05
 UNKNOWN_AMBIENT_DEGC = 40.0  # what is not told is taken as hot
 COLDEST_DEGC, HOTTEST_DEGC = -40.0, 200.0  # of anything on a bench; above, 25 degC in kelvin would pass for one
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 
 
 class Limits(BaseModel):
@@ -23,11 +23,11 @@ class Limits(BaseModel):
     current_A: Positive  # noqa: N815 (a unit keeps its letter)
     velocity_rad_s: Positive
     torque_Nm: Positive  # noqa: N815
-    bus_voltage_low_V: Annotated[float, Field(ge=0, allow_inf_nan=False)]  # noqa: N815
+    bus_voltage_low_V: Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]  # noqa: N815
     bus_voltage_high_V: Positive  # noqa: N815
     age_s: Positive
-    winding_temperature_degC: Annotated[float, Field(gt=25, le=200)]  # noqa: N815
-    ambient_temperature_degC: Annotated[float, Field(ge=-40, le=60)] = UNKNOWN_AMBIENT_DEGC  # noqa: N815
+    winding_temperature_degC: Annotated[float, Field(strict=True, gt=25, le=200)]  # noqa: N815
+    ambient_temperature_degC: Annotated[float, Field(strict=True, ge=-40, le=60)] = UNKNOWN_AMBIENT_DEGC  # noqa: N815
     cyclic_age_s: Positive | None = None  # None: three cycles, 50 ms at the least
     angle_rad: Positive | None = None  # to either side of the encoder's zero; None: the shaft may turn on and on
     angle_leap_rad: Positive | None = None  # of a setpoint at once, for drives that limit their own speed on the way

@@ -45,6 +45,8 @@ def test_shipped_benches_are_accepted(name):
         ("node: 2,", "node: 200,", "devices.drive_load.settings.node: 200: input should be less than or equal to 127"),
         ("  current_A: 30\n", "", "limits.current_A: is required and missing"),
         ("  current_A: 30\n", "  current_mA: 30000\n", "limits.current_mA: unknown key"),
+        ("  current_A: 30\n", "  current_A: true\n", "limits.current_A: True: input should be a valid number"),
+        ("node: 2,", "node: true,", "devices.drive_load.settings.node: True: input should be a valid integer"),
         ("pins: A0-A1", "pins: A1-A0", "settings.inputs[0].pins: 'A1-A0'"),
         (
             "range_V: 6.144, scale_per_V: 3.0",

@@ -394,6 +394,21 @@ def test_off_is_measured_after_a_mark_that_only_a_fresh_answer_can_carry(bench):
     assert bench.lines() == [b"", b"SOUT1", b"VOLT013", b"GETS", b"GETD"]
 
 
+@pytest.mark.parametrize("left", [b"054009001\rOK\r"[cut:] for cut in range(13)])
+def test_the_rest_of_an_answer_to_whoever_asked_before_holds_nobody_up(here, left):
+    """A program that ended in the middle of a question: the rest comes when the next one has begun to listen."""
+
+    def under_way():
+        here.far._output.append((here.clock.now() + 0.001, left))
+
+    under_way()
+    here.energise()
+    under_way()
+    began = here.clock.now()
+    assert here.made_safe().safe
+    assert here.clock.now() - began < 0.2  # at the first try
+
+
 def test_stop_now_waits_for_nothing(here):
     here.energise()
     before = here.clock.now()

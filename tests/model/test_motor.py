@@ -37,6 +37,17 @@ def test_the_lea_ships_with_the_papers_figures():
             "inner_diameter 0.238 m is not below outer_diameter 0.182",
         ),
         ("  ambient_K: 3.0", "  ambient_K: 298", "tolerances.ambient_K: 298: "),
+        (
+            "phase_resistance: 0.264 ",
+            "phase_resistance: true ",
+            "phase_resistance: True: input should be a valid number",
+        ),
+        ("pole_pairs: 41", "pole_pairs: true", "pole_pairs: True: input should be a valid integer"),
+        (
+            "rotor_inertia: 0.0024 ",
+            "rotor_inertia: '0.0024' ",
+            "rotor_inertia: '0.0024': input should be a valid number",
+        ),
     ],
 )
 def test_faults_name_their_place(tmp_path, old, new, message):

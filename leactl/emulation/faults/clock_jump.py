@@ -18,7 +18,9 @@ class ClockJump(Fault):
     example = "{fault: clock_jump, at_s: 2, jump_s: -1}"
     where_served = "the clock is that of the run's own process"
 
-    jump_s: Annotated[float, Field(ge=-1e6, le=1e6)] = Field(description="how far it jumps; negative: back")
+    jump_s: Annotated[float, Field(strict=True, ge=-1e6, le=1e6)] = Field(
+        description="how far it jumps; negative: back"
+    )
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:

@@ -18,8 +18,8 @@ from leactl.errors import InputError
 if TYPE_CHECKING:
     from leactl.emulation.emulated_bench import EmulatedBench
 
-Positive = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
-Share = Annotated[float, Field(gt=0, le=1)]
+Positive = Annotated[float, Field(strict=True, gt=0, le=1e6, allow_inf_nan=False)]
+Share = Annotated[float, Field(strict=True, gt=0, le=1)]
 Direction = Literal["both", "to_devices", "to_host"]
 Undo = Callable[[], None]
 Draw = np.random.Generator
@@ -61,7 +61,7 @@ class Fault(BaseModel, ABC):
     not_drilled: ClassVar[str] = ""  # why it is no part of `leactl safety drill`
 
     fault: str = Field(description="name of the fault")
-    at_s: Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)] = Field(
+    at_s: Annotated[float, Field(strict=True, ge=0, le=1e9, allow_inf_nan=False)] = Field(
         description="when it begins, in seconds of the emulated bench's time"
     )
 

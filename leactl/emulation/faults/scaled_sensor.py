@@ -8,7 +8,7 @@ from pydantic import Field
 from leactl.bench.benchfile import BenchFile
 from leactl.emulation.faults.contract import Draw, Drill, OfSensor
 
-Factor = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+Factor = Annotated[float, Field(strict=True, ge=-1e6, le=1e6, allow_inf_nan=False)]
 
 
 class ScaledSensor(OfSensor):

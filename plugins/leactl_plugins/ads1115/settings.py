@@ -11,7 +11,7 @@ MUX = {"A0-A1": 0, "A0-A3": 1, "A1-A3": 2, "A2-A3": 3, "A0": 4, "A1": 5, "A2": 6
 RANGES_V = {6.144: 0, 4.096: 1, 2.048: 2, 1.024: 3, 0.512: 4, 0.256: 5}
 RATES_SPS = (8, 16, 32, 64, 128, 250, 475, 860)
 TARE_SHARE = 0.05  # of the range: what a zero drifts by, and no load of note
-Volts = Annotated[float, Field(ge=-6.144, le=6.144)]
+Volts = Annotated[float, Field(strict=True, ge=-6.144, le=6.144)]
 
 
 class Input(BaseModel):
@@ -26,12 +26,12 @@ class Input(BaseModel):
     pins: Literal["A0-A1", "A0-A3", "A1-A3", "A2-A3", "A0", "A1", "A2", "A3"]
     range_V: float = 4.096  # noqa: N815 (a unit keeps its letter)
     rate_sps: Literal[8, 16, 32, 64, 128, 250, 475, 860] = 860
-    offset_V: Annotated[float, Field(ge=-6.144, le=6.144)] = 0.0  # noqa: N815
-    scale_per_V: Annotated[float, Field(gt=0)]  # noqa: N815
+    offset_V: Annotated[float, Field(strict=True, ge=-6.144, le=6.144)] = 0.0  # noqa: N815
+    scale_per_V: Annotated[float, Field(strict=True, gt=0)]  # noqa: N815
     sign: Literal[-1, 1] = 1
     low_V: Volts | None = None  # noqa: N815 (below and above these the sensor is at its rail, and its reading a fault)
     high_V: Volts | None = None  # noqa: N815
-    tare_limit_V: Annotated[float, Field(gt=0, le=6.144)] | None = None  # noqa: N815
+    tare_limit_V: Annotated[float, Field(strict=True, gt=0, le=6.144)] | None = None  # noqa: N815
 
     @property
     def window_V(self) -> tuple[float, float]:  # noqa: N802

@@ -41,22 +41,22 @@ class Bk1688bDialogue:
 
     def in_step(self) -> Script[Levels]:
         """Ask for the settings: what comes before six digits was meant for an earlier question, and is dropped."""
-        held: Levels = yield from _asked(Question("GETS", answers.levels, patient=True, last=OK))
+        held: Levels = yield from _asked(Question("GETS", _at_the_end(2, answers.levels), patient=True, last=OK))
         return held
 
     def output_off(self, progress: Progress) -> Script[Confirmation]:
         """Switch off until nothing is measured at the terminals, however often that takes.
 
         A voltage that the last nine tries did not set is set and read back each time: any answer before it was given
-        earlier, and an output that does not switch off is turned down.
+        earlier, whichever `OK` has been taken for whose, and an output that does not switch off is turned down.
         """
         while True:
             yield b"\r"
-            yield from _asked(Question(OFF, answers.done, patient=True, last=OK))
+            yield from _asked(Question(OFF, _at_the_end(1, answers.done), patient=True, last=OK))
             self._mark = (self._mark + 1) % MARKS
             volts = round(LEAST_V / STEP_V) + self._mark
-            yield from _asked(Question(f"VOLT{volts:03d}", answers.done, patient=True, last=OK))
-            yield from _asked(Question("GETS", _with(volts), patient=True, last=OK))
+            yield from _asked(Question(f"VOLT{volts:03d}", _at_the_end(1, answers.done), patient=True, last=OK))
+            yield from _asked(Question("GETS", _at_the_end(2, _with(volts)), patient=True, last=OK))
             shown: Display = yield from _asked(DISPLAY)
             if not self._on(shown):
                 return Confirmation(True, f"output off, {_told(shown)}")
@@ -159,6 +159,11 @@ class Bk1688bDialogue:
 
     def _spelt(self, held: Levels) -> str:
         return f"{held.volts * STEP_V:.1f} V and {held.amperes * self._step:.2f} A"
+
+
+def _at_the_end(lines: int, means: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
+    """The last lines of an answer: the end of an earlier one, without its own `OK`, may stand before them."""
+    return lambda answer: means(b"\n".join(answer.split(b"\n")[-lines:]))
 
 
 def _with(volts: int) -> Callable[[bytes], Levels]:

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from leactl.driver.contract import DriverSettings
 from leactl_plugins.bk1688b.models import LEAST_V, RATINGS, Rating
 
-Least = Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)]
+Least = Annotated[float, Field(strict=True, gt=0, le=1, allow_inf_nan=False)]
 
 
 class Bk1688bSettings(DriverSettings):
@@ -15,12 +15,12 @@ class Bk1688bSettings(DriverSettings):
 
     model: Literal["1685B", "1687B", "1688B"]
     feeds: Literal["leads", "bus"]  # two leads of the role's motor, or the drives' DC link
-    voltage_limit_V: Annotated[float, Field(ge=2 * LEAST_V, le=60, allow_inf_nan=False)]  # noqa: N815 (a unit keeps its letter)
-    current_limit_A: Annotated[float, Field(gt=0, le=20, allow_inf_nan=False)]  # noqa: N815
+    voltage_limit_V: Annotated[float, Field(strict=True, ge=2 * LEAST_V, le=60, allow_inf_nan=False)]  # noqa: N815 (a unit keeps its letter)
+    current_limit_A: Annotated[float, Field(strict=True, gt=0, le=20, allow_inf_nan=False)]  # noqa: N815
     off_voltage_V: Least = 0.5  # noqa: N815
     off_current_A: Least = 0.05  # noqa: N815
-    period_s: Annotated[float, Field(ge=0.02, le=60, allow_inf_nan=False)] = 0.2
-    answer_s: Annotated[float, Field(ge=0.05, le=5, allow_inf_nan=False)] = 0.3
+    period_s: Annotated[float, Field(strict=True, ge=0.02, le=60, allow_inf_nan=False)] = 0.2
+    answer_s: Annotated[float, Field(strict=True, ge=0.05, le=5, allow_inf_nan=False)] = 0.3
 
     @model_validator(mode="after")
     def _within_the_model(self) -> "Bk1688bSettings":

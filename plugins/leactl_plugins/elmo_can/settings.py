@@ -27,30 +27,30 @@ class VoltageObject(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    index: Annotated[int, Field(ge=0x2000, le=0x9FFF)]
-    subindex: Annotated[int, Field(ge=0, le=255)] = 0
+    index: Annotated[int, Field(strict=True, ge=0x2000, le=0x9FFF)]
+    subindex: Annotated[int, Field(strict=True, ge=0, le=255)] = 0
     type: Literal["i16", "i32"] = "i16"
-    scale_V: Annotated[float, Field(gt=0)]  # noqa: N815 (a unit keeps its letter)
+    scale_V: Annotated[float, Field(strict=True, gt=0)]  # noqa: N815 (a unit keeps its letter)
 
 
 class ElmoSettings(DriverSettings):
     """Everything that differs from drive to drive; scales come from the drive itself."""
 
-    node: Annotated[int, Field(ge=1, le=127)]
-    counts_per_turn: Annotated[int, Field(ge=4, le=2**28)]
+    node: Annotated[int, Field(strict=True, ge=1, le=127)]
+    counts_per_turn: Annotated[int, Field(strict=True, ge=4, le=2**28)]
     sign: Literal[-1, 1] = 1
     current_convention: CurrentConvention = CurrentConvention.AMPLITUDE
-    host_node: Annotated[int, Field(ge=1, le=127)] = 127
-    consumer_heartbeat_ms: Annotated[int, Field(ge=10, le=round(SAFE_STATE_S * 1000))] = 100
-    producer_heartbeat_ms: Annotated[int, Field(ge=5, le=5000)] = 50
+    host_node: Annotated[int, Field(strict=True, ge=1, le=127)] = 127
+    consumer_heartbeat_ms: Annotated[int, Field(strict=True, ge=10, le=round(SAFE_STATE_S * 1000))] = 100
+    producer_heartbeat_ms: Annotated[int, Field(strict=True, ge=5, le=5000)] = 50
     abort_option: Literal[1, 2, 3] = 2
-    torque_slope_per_mille_s: Annotated[int, Field(ge=1, le=2**32 - 1)] | None = None
+    torque_slope_per_mille_s: Annotated[int, Field(strict=True, ge=1, le=2**32 - 1)] | None = None
     q_axis_voltage: VoltageObject | None = None
-    bus_voltage_period_s: Annotated[float, Field(ge=0.05, le=60)] = 1.0
-    sdo_timeout_s: Annotated[float, Field(gt=0, le=SAFE_STATE_S)] = 0.3
+    bus_voltage_period_s: Annotated[float, Field(strict=True, ge=0.05, le=60)] = 1.0
+    sdo_timeout_s: Annotated[float, Field(strict=True, gt=0, le=SAFE_STATE_S)] = 0.3
     reset_fault_at_start: bool = False
     # what the emulated drive holds in 0x6075; a real drive's own value is read from it. 13.7 A continuous / sqrt(3/2)
-    emulated_rated_current_mA: Annotated[int, Field(ge=1, le=1_000_000)] = 11186  # noqa: N815
+    emulated_rated_current_mA: Annotated[int, Field(strict=True, ge=1, le=1_000_000)] = 11186  # noqa: N815
     vendor_id: int | None = 0x9A
 
     @property

@@ -20,8 +20,8 @@ class Input(BaseModel):
     role: Literal["test", "load"] = "test"
     channel: Annotated[str, Field(pattern=r"^ai[0-9]{1,3}$")]
     terminals: Literal["differential", "rse", "nrse"] = "differential"
-    range_V: Annotated[float, Field(gt=0, le=100)] = 10.0  # noqa: N815 (the device takes the next that it has)
-    scale_per_V: Annotated[float, Field(gt=0, le=1e4)] = 1.0  # noqa: N815 (of a divider before the input)
+    range_V: Annotated[float, Field(strict=True, gt=0, le=100)] = 10.0  # noqa: N815 (the device takes the next that it has)
+    scale_per_V: Annotated[float, Field(strict=True, gt=0, le=1e4)] = 1.0  # noqa: N815 (of a divider before the input)
     sign: Literal[-1, 1] = 1
 
     @property
@@ -36,9 +36,13 @@ class NiDaqSettings(DriverSettings):
     library: Literal["nidaqmx", "emulated"]  # NI's driver, or the emulated converter of an emulated bench
     device: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=60)] = "Dev1"
     product: Annotated[str, Field(max_length=40)] = ""  # another one is refused, where it is given
-    rate_Hz: Annotated[float, Field(gt=0, le=2e6, allow_inf_nan=False)] = 10_000.0  # noqa: N815 (of every input)
-    duration_s: Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)] | None = None  # none: to the run's end
-    scale_std_ppm: Annotated[float, Field(ge=0, le=1e5)] = 0.0  # standard uncertainty of the device's scale
+    rate_Hz: Annotated[float, Field(strict=True, gt=0, le=2e6, allow_inf_nan=False)] = 10_000.0  # noqa: N815 (of every input)
+    duration_s: Annotated[float, Field(strict=True, gt=0, le=86_400, allow_inf_nan=False)] | None = (
+        None  # none: to the run's end
+    )
+    scale_std_ppm: Annotated[float, Field(strict=True, ge=0, le=1e5)] = (
+        0.0  # standard uncertainty of the device's scale
+    )
     inputs: Annotated[tuple[Input, ...], Field(min_length=1, max_length=6)]
 
     @property

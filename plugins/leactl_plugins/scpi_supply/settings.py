@@ -14,12 +14,12 @@ class ScpiSupplySettings(DriverSettings):
     model: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_./ -]*$", max_length=40)]  # 2nd field of *IDN?
     serial_number: Annotated[str, Field(max_length=40)] = ""  # 3rd field of *IDN?; the E36xx series leaves it 0
     feeds: Literal["leads", "bus"]  # two leads of the role's motor, or the drives' DC link
-    voltage_limit_V: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)]  # noqa: N815 (a unit keeps its letter)
-    current_limit_A: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)]  # noqa: N815
+    voltage_limit_V: Annotated[float, Field(strict=True, gt=0, le=1000, allow_inf_nan=False)]  # noqa: N815 (a unit keeps its letter)
+    current_limit_A: Annotated[float, Field(strict=True, gt=0, le=1000, allow_inf_nan=False)]  # noqa: N815
     output_range: Literal["low", "high"] | None = None  # of supplies with two; none: as the instrument stands
-    off_current_A: Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)] = 0.1  # noqa: N815
-    period_s: Annotated[float, Field(ge=0.2, le=60, allow_inf_nan=False)] = 1.0
-    answer_s: Annotated[float, Field(ge=0.05, le=5, allow_inf_nan=False)] = 0.3
+    off_current_A: Annotated[float, Field(strict=True, gt=0, le=1, allow_inf_nan=False)] = 0.1  # noqa: N815
+    period_s: Annotated[float, Field(strict=True, ge=0.2, le=60, allow_inf_nan=False)] = 1.0
+    answer_s: Annotated[float, Field(strict=True, ge=0.05, le=5, allow_inf_nan=False)] = 0.3
 
     @model_validator(mode="after")
     def _has_ranges(self) -> "ScpiSupplySettings":

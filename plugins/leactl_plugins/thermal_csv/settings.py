@@ -54,7 +54,7 @@ class TimeOf(BaseModel):
     date: Annotated[str, StringConstraints(strict=True, pattern=r"^\d{4}-\d\d-\d\d$")] | None = None  # of the first row
     year: Annotated[int, Field(strict=True, ge=1990, le=2100)] | None = None  # of a day of the year
     zone: str | None = None  # of a wall clock that tells none: Europe/Berlin, +08:00
-    frame_rate_Hz: Annotated[float, Field(gt=0, le=10_000, allow_inf_nan=False)] | None = None
+    frame_rate_Hz: Annotated[float, Field(strict=True, gt=0, le=10_000, allow_inf_nan=False)] | None = None
     backward: Literal["refuse", "leave_out"] = "refuse"  # stamps that go back
 
     @field_validator("zone")
