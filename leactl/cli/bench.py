@@ -141,15 +141,16 @@ def serve(
 def faults(name: str = typer.Argument("", help="One fault, to be explained."), as_json: bool = AS_JSON) -> None:
     """List the faults that an emulated bench rehearses, or explain one: its parameters and a line for a bench file."""
     from leactl.emulation.faults import find_fault, known_faults
+    from leactl.report.listing import row
 
     chosen = {name: find_fault(name)} if name else known_faults()
     described = [found.described(key) for key, found in sorted(chosen.items())]
     if as_json:
         typer.echo(json.dumps({"faults": described}))
         return
-    for row in described:
-        typer.echo(f"{row['fault']:<20} {row['summary']}")
+    for fault in described:
+        typer.echo(row(f"{fault['fault']:<20} ", fault["summary"]))
     if name:
         for key, text in described[0]["parameters"].items():
-            typer.echo(f"  {key:<18} {text}")
+            typer.echo(row(f"  {key:<18} ", text))
         typer.echo(f"\nemulated:\n  faults:\n    - {described[0]['example']}")

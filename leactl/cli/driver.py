@@ -12,6 +12,7 @@ AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 def list_drivers(as_json: bool = AS_JSON) -> None:
     """List every registered driver, broken ones included."""
     from leactl.driver import registry
+    from leactl.report.listing import row
 
     found = registry.survey()
     if as_json:
@@ -29,8 +30,8 @@ def list_drivers(as_json: bool = AS_JSON) -> None:
         return
     width = max((len(item.name) for item in found), default=0)
     for item in found:
-        text = f"{item.driver.transport:<7} {item.driver.summary}" if item.driver else f"broken  {item.error}"
-        typer.echo(f"{item.name:<{width}} {text}")
+        transport, text = (item.driver.transport, item.driver.summary) if item.driver else ("broken", item.error)
+        typer.echo(row(f"{item.name:<{width}} {transport:<7} ", text))
 
 
 @app.command()

@@ -73,14 +73,15 @@ def effects(
     name: str | None = typer.Argument(None, help="One effect; without it all are listed."), as_json: bool = AS_JSON
 ) -> None:
     """Explain what a model may lack: equation, where it shows, what it is confused with, what shows it."""
-    from leactl.gap.explained import as_text, explained, overview
+    from leactl.gap.explained import explained
+    from leactl.report.effects import all_effects, one_effect
     from leactl.vocabulary.effect import effect_names
 
     if as_json:
         found = [explained(one) for one in ([name] if name else effect_names())]
         typer.echo(json.dumps(found[0] if name else {"effects": found}))
         return
-    typer.echo(as_text(name) if name else overview())
+    typer.echo(one_effect(name) if name else all_effects())
 
 
 @app.command("plan")

@@ -19,6 +19,7 @@ BENCH = typer.Option("", "--bench", help="Check the setpoints against this bench
 def list_protocols(as_json: bool = AS_JSON) -> None:
     """List the protocols that ship with leactl."""
     from leactl.protocol.protocolfile import load, names
+    from leactl.report.listing import row
 
     plans = [load(name) for name in names()]
     if as_json:
@@ -27,7 +28,7 @@ def list_protocols(as_json: bool = AS_JSON) -> None:
         return
     width = max(len(plan.name) for plan in plans)
     for plan in plans:
-        typer.echo(f"{plan.name:<{width}}  {plan.setup:<8} {_duration(plan.duration_s):>10}  {plan.title}")
+        typer.echo(row(f"{plan.name:<{width}}  {plan.setup:<8} {_duration(plan.duration_s):>10}  ", plan.title))
 
 
 @app.command()

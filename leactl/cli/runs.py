@@ -32,6 +32,7 @@ def list_runs(directory: Path = typer.Argument(Path("runs")), as_json: bool = AS
 @app.command()
 def show(run: Path, as_json: bool = AS_JSON) -> None:
     """Show what a run holds: attributes, streams with units, steps, events and notes."""
+    from leactl.report.listing import row
     from leactl.runfile.reader import Run
 
     with Run.open(run) as found:
@@ -65,9 +66,9 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
             typer.echo(f"  {channel.name:<12} {channel.role:<6} {channel.quantity:<26} {channel.unit}")
     typer.echo(f"{len(steps)} steps, {len(events)} events")
     for event in events:
-        typer.echo(f"  {event.time:10.3f} s  {event.level:<8} {event.source}: {event.message}")
+        typer.echo(row(f"  {event.time:10.3f} s  {event.level:<8} ", f"{event.source}: {event.message}"))
     for note in notes:
-        typer.echo(f"note {note.time} {note.author}: {note.text}")
+        typer.echo(row(f"note {note.time} ", f"{note.author}: {note.text}"))
 
 
 @app.command()
