@@ -26,13 +26,15 @@ def main() -> int:
     """Parse, run, judge, print."""
     parser = argparse.ArgumentParser(prog="python -m tests.coverage_of_intervals", description=__doc__)
     parser.add_argument("directory", type=Path, help="where the runs are kept; those that are there are not run again")
-    parser.add_argument("--seeds", type=int, default=200)
+    parser.add_argument("--seeds", type=int, default=200, help="how many")
+    parser.add_argument("--first", type=int, default=1, help="the first of them")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--only", choices=EXPERIMENTS, action="append", help="an experiment; without it, all of them")
     parser.add_argument("--condition", choices=CONDITIONS, action="append", help="a preload; without it, all of them")
     asked = parser.parse_args()
     asked.directory.mkdir(parents=True, exist_ok=True)
-    rehearsals = wanted(asked.directory, asked.seeds, asked.only or EXPERIMENTS, asked.condition or CONDITIONS)
+    seeds = range(asked.first, asked.first + asked.seeds)
+    rehearsals = wanted(asked.directory, seeds, asked.only or EXPERIMENTS, asked.condition or CONDITIONS)
     for count, made in enumerate(rehearse(rehearsals, asked.processes), start=1):
         print(f"{count}: {made.path.name}", file=sys.stderr)
     judgements = judged(rehearsals)

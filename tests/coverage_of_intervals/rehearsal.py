@@ -35,11 +35,10 @@ class Rehearsal(NamedTuple):
 
 
 def wanted(
-    directory: Path, seeds: int, experiments: Sequence[str] = EXPERIMENTS, conditions: Sequence[str] = CONDITIONS
+    directory: Path, seeds: Sequence[int], experiments: Sequence[str], conditions: Sequence[str]
 ) -> list[Rehearsal]:
     """All runs, seed by seed, so that those of an interrupted rehearsal are evenly spread."""
-    numbers = range(1, seeds + 1)
-    return [Rehearsal(directory, name, label, seed) for seed in numbers for label in conditions for name in experiments]
+    return [Rehearsal(directory, name, label, seed) for seed in seeds for label in conditions for name in experiments]
 
 
 def rehearse(rehearsals: Sequence[Rehearsal], processes: int) -> Iterator[Rehearsal]:
