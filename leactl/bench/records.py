@@ -12,7 +12,7 @@ from leactl.driver import registry
 from leactl.driver.batch import BatchSource, Record, RecordSettings
 from leactl.driver.clock import MonotonicClock
 from leactl.driver.contract import Driver, DriverSettings
-from leactl.errors import InputError, LeactlError
+from leactl.errors import InputError
 from leactl.runfile.attaching import Joined, attach, join
 from leactl.runfile.reader import Run
 
@@ -123,14 +123,16 @@ def collect(drivers: Mapping[str, Driver], document: yamlfile.Document, run: Pat
     """
     told = []
     for name, source in awaited(drivers).items():
-        exports = source.exports
-        files = exports.fresh()
         try:
-            if not files:
-                absent = ", which is no folder that can be looked into" * exports.absent
-                raise InputError(f"no export has come into {exports.folder}{absent}")
-            device = RecordDevice(document, name)
-            device.attach(device.join(device.read(files), run), run)
-        except LeactlError as fault:
+            _attach_fresh(source, RecordDevice(document, name), run)
+        except Exception as fault:  # noqa: BLE001 (one plug-in's mistake is no reason to lose the records of the others)
             told.append(f"{name}: its record is not in the run: {fault}; leactl runs attach {run} FILE --device {name}")
     return told
+
+
+def _attach_fresh(source: BatchSource, device: RecordDevice, run: Path) -> None:
+    files = source.exports.fresh()
+    if not files:
+        absent = ", which is no folder that can be looked into" * source.exports.absent
+        raise InputError(f"no export has come into {source.exports.folder}{absent}")
+    device.attach(device.join(device.read(files), run), run)

@@ -5,7 +5,9 @@ part in the control loop: its stamps mean nothing on the run's clock until the w
 that is in a run file is never moved again. The record joins the run after its end (`leactl runs attach`).
 """
 
+import itertools
 import os
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,6 +19,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
 from leactl.driver.contract import DriverSettings
+from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 
 Array = npt.NDArray[np.float64]
@@ -110,8 +113,8 @@ class ExportFolder:
         self._before = self._files()
 
     def fresh(self) -> list[Path]:
-        """Files that have come or changed since the last look, by name."""
-        return sorted(path for path, changed in self._files().items() if self._before.get(path) != changed)
+        """Files that have come or changed since the last look, by name: frame2 before frame10."""
+        return sorted((path for path, was in self._files().items() if self._before.get(path) != was), key=number_order)
 
     def _files(self) -> dict[Path, int]:
         found: dict[Path, int] = {}
@@ -121,6 +124,26 @@ class ExportFolder:
                     if path.is_file():
                         found[path] = path.stat().st_mtime_ns
         return found
+
+
+def number_order(path: Path) -> list[tuple[int, str]]:
+    """What sorts files by name, the numbers in their names by value."""
+    parts = re.split(r"([0-9]+)", str(path))  # text, number, text, ...
+    return [(int(part), part) if odd else (0, part) for part, odd in zip(parts, itertools.cycle((False, True)))]
+
+
+def in_number_order(paths: Sequence[Path]) -> None:
+    """See that files whose order is all that tells their time are not in the order of their names as text.
+
+    Raises
+    ------
+    InputError : a list that a shell has sorted has frame10 before frame2.
+    """
+    expected = sorted(paths, key=number_order)
+    if list(paths) == sorted(paths) != expected:
+        at = next(k for k, (given, meant) in enumerate(zip(paths, expected, strict=True)) if given != meant)
+        told = f"comes where {expected[at].name} was expected; give the files in the order of their numbers"
+        raise InputError(f"{paths[at]}: {told}")
 
 
 @runtime_checkable

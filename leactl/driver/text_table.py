@@ -23,6 +23,7 @@ NAMED = {"\t": "tab"}
 BOMS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"))
 SEP_LINE = re.compile(r"\s*\"?sep=(.)\"?\s*\Z", re.IGNORECASE)
 UNIT_IN_BRACKETS = re.compile(r"\s*[\[(\uff08]([^\[\]()]*)[\])\uff09]\s*\Z")
+STAMPED = re.compile(r"[^:=]*[0-9]\s*:[0-9]")  # `PM 12:00:00`, which is no aside
 ASIDE = re.compile(r"\s*([^\W\d][^:=]*?)\s*[:=]\s*(.*)", re.DOTALL)  # `Emissivity: 0.95`, `Time = 12:00`
 
 
@@ -104,6 +105,8 @@ def text_of(path: Path, encoding: str | None) -> tuple[str, str]:
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: {other_readings(raw, chosen, error.start, told=bool(found or encoding))}") from None
     text = text.removeprefix("\ufeff")
+    if not text.strip():
+        raise InputError(f"{path}: holds nothing but the mark of {chosen}")
     if "\0" in text:
         raise InputError(f"{path}: line {text.count(chr(10), 0, text.index(chr(0))) + 1}: NUL in the text; damaged?")
     return text, chosen
@@ -125,8 +128,8 @@ def other_readings(raw: bytes, encoding: str, start: int, told: bool) -> str:
     return f"not UTF-8 at byte {start}; its line reads {' or '.join(readings)}; encoding decides"
 
 
-def read_table(path: Path, form: TextForm, wanted: Sequence[str]) -> Table:
-    """Read the table that holds the wanted headings.
+def read_table(path: Path, form: TextForm, wanted: Sequence[str], every_row: bool = False) -> Table:
+    """Read the table that holds the wanted headings; with `every_row`, as where rows are the clock, empty ones count.
 
     Raises
     ------
@@ -149,7 +152,7 @@ def read_table(path: Path, form: TextForm, wanted: Sequence[str]) -> Table:
     table.told.append(f"{encoding}, {NAMED.get(delimiter, repr(delimiter))} between cells, headings in line {at + 1}")
     for k, line in enumerate(lines[first:at], start=first + 1):
         note_aside(table, k, trimmed(line.split(delimiter)))
-    fill(table, lines[at:], at, delimiter)
+    fill(table, lines[at:], at, delimiter, every_row)
     if table.rows and not text.endswith(("\n", "\r")) and table.lines[-1] == len(lines):
         table.told.append(f"the last row, line {table.lines.pop()}, has no end and may be cut: left out")
         table.rows.pop()
@@ -190,7 +193,7 @@ def no_header(lines: Sequence[str], candidates: Sequence[str], wanted: Sequence[
     return f"no line has the headings {', '.join(lacking)}; the file has {has}"
 
 
-def fill(table: Table, lines: Sequence[str], before: int, delimiter: str) -> None:
+def fill(table: Table, lines: Sequence[str], before: int, delimiter: str, every_row: bool) -> None:
     """Read everything from the header on; each line is a row, a heading again, an aside, blank, or a fault."""
     reader = csv.reader(lines, delimiter=delimiter)
     faults: list[str] = []
@@ -200,22 +203,35 @@ def fill(table: Table, lines: Sequence[str], before: int, delimiter: str) -> Non
         if repeated := sorted({name for name in headings if name and headings.count(name) > 1}):
             table.told.append(f"headings that stand twice: {', '.join(repeated)}")
         width, rows, stamps = len(headings), table.rows, table.lines
+        empty: list[tuple[int, list[str]]] = []  # rows without a number, which count where others follow
+        ended = reader.line_num
         for cells in reader:
+            if reader.line_num > ended + 1:
+                told = "a quote opens a cell that does not end in its line"
+                raise InputError(f"{table.path}: line {before + ended + 1}: {told}")
+            ended = reader.line_num
             plain = len(cells) == width and cells[0][:1].isdigit() and cells[0] != headings[0]
             if not plain:
                 filled = trimmed(cells)
                 if not filled:
+                    if every_row and len(cells) >= width:
+                        empty.append((before + reader.line_num, cells))
                     continue
                 if filled == headings:
                     table.repeated_headers += 1
+                    empty.clear()
                     continue
-                if note_aside(table, before + reader.line_num, filled):
+                if not STAMPED.match(filled[0]) and note_aside(table, before + reader.line_num, filled):
                     continue
             if uneven is not None:
                 faults.append(width_fault(table, *uneven, width))
                 uneven = None
                 if len(faults) == MOST_FAULTS:
                     break
+            for line, nothing in empty:
+                rows.append(nothing)
+                stamps.append(line)
+            empty.clear()
             if plain or len(filled) <= width <= len(cells):
                 rows.append(cells)
                 stamps.append(before + reader.line_num)

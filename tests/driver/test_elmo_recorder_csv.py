@@ -46,6 +46,8 @@ def test_amperes_become_the_q_axis_and_counts_become_angle(tmp_path):
 def test_a_recording_without_stamps_takes_the_interval_that_is_set(tmp_path):
     text = "Active Current [A];Velocity [cnt/sec]\n1,25;40000\n2,5;20000\n"
     record = read(tmp_path, text, time_column=None, interval_s=0.001)
+    missed = read(tmp_path, text.replace("\n2,5", "\n;\n2,5"), time_column=None, interval_s=0.001)
+    np.testing.assert_allclose(missed.values[:, 0], math.sqrt(1.5) * np.array([1.25, np.nan, 2.5]))
     np.testing.assert_allclose(record.time, [0.0, 0.001])
     np.testing.assert_allclose(record.values[:, 0], math.sqrt(1.5) * np.array([1.25, 2.5]))
 
@@ -62,6 +64,17 @@ def test_a_recording_without_stamps_takes_the_interval_that_is_set(tmp_path):
             {"signals": SIGNALS | {"current": SIGNALS["current"] | {"units": "A"}}},
             "units say A",
         ),
+        (
+            FILE.replace("[A]", "[%]"),
+            {"signals": SIGNALS | {"current": SIGNALS["current"] | {"units": "A"}}},
+            "is in %; units say A",
+        ),
+        (
+            FILE.replace(" [ms]", "").replace("\n1,", "\n1 ms,"),
+            {"time_units": "s"},
+            "'Time' is in ms; time_units says s",
+        ),
+        (FILE.replace("\n1,", "\n1 s,"), {}, "holds times in ms and s"),
         (FILE, {"counts_per_turn": None}, "counts_per_turn is needed"),
         (FILE.replace("Velocity", "Speed"), {}, "no line has the headings 'Velocity'"),
         (FILE.replace("1.0,", ">100,"), {}, "holds '>100'; a number was expected"),

@@ -218,6 +218,10 @@ def stamped(*stamps, values=None):
         (("00:00:01.5", "00:00:02.5"), {}, [0, 1], None),
         (("59:59.5", "60:00.5"), {"kind": "elapsed"}, [0, 1], None),
         (("25:00:00", "25:00:01"), {}, [0, 1], None),
+        (("59:59", "1:00:00"), {}, [0, 1], None),
+        (("10:15", "10:16"), {"colons": "hours_minutes"}, [0, 60], None),
+        (("10:15", "10:16"), {"colons": "minutes_seconds"}, [0, 1], None),
+        (("2026-11-20 10:15", "2026-11-20 10:16"), {"zone": "+00:00"}, [0, 60], "2026-11-20T10:15:00+00:00"),
         (
             ("324:10:15:30.5", "324:10:15:31.5"),
             {"kind": "wall", "year": 2026, "zone": "+00:00"},
@@ -247,6 +251,14 @@ def test_clocks_of_every_kind(tmp_path, stamps, given, times, began):
         (("13:00:00 PM", "13:00:01 PM"), {}, "hour 13 with PM"),
         (("10:00:00", "10:61:00"), {}, "10:61:0 is no time"),
         (("30.02.2026 10:00:00",), {}, "30/2/2026 is no date"),
+        (("10:15", "10:16"), {}, "10:15 is hours and minutes or minutes and seconds; time.colons decides"),
+        (("10:15", "10:16"), {"kind": "elapsed"}, "time.colons decides"),
+        (("15:30.5", "15:31.0"), {"kind": "wall"}, "15:30 is minutes and seconds, which tell no time of day"),
+        (("2026-11-20 15:30.5", "2026-11-20 15:31.0"), {}, "15:30 is minutes and seconds, which tell no time of day"),
+        (("10:16", "10:75"), {"colons": "hours_minutes"}, "10:75 is no time"),
+        (("2026-11-20T10:15:30+99:99",), {}, r"zone '\+99:99' is not known"),
+        (("23:59:59.8", "00:00:00.0", "23:59:59.9", "00:00:00.1"), {"kind": "wall"}, "line 4.*goes back by 0.1 s"),
+        (("0", "33 ms", "66 ms"), {"units": "s"}, "elapsed time in ms; time.units says s"),
         (("17", "18"), {"kind": "frame"}, "time.frame_rate_Hz is needed"),
         (("17", "18.5"), {"kind": "frame", "frame_rate_Hz": 10.0}, "18.5 is no frame number"),
         (("noon", "midnight"), {}, "'noon' is no date and time"),
@@ -319,6 +331,64 @@ def test_an_export_in_parts_goes_on_from_file_to_file(tmp_path):
         camera(time=time).read_files([second, first])
 
 
+def test_parts_that_tell_their_day_are_on_one_clock_without_a_zone(tmp_path):
+    first, second = tmp_path / "a.csv", tmp_path / "b.csv"
+    first.write_text(stamped("2026-11-20 10:00:00", "2026-11-20 10:00:01"), encoding="utf-8")
+    second.write_text(stamped("2026-11-21 12:00:00"), encoding="utf-8")
+    record = camera(time={"column": "Time"}).read_files([first, second])
+    np.testing.assert_allclose(record.time, [0, 1, 93600])
+    assert record.began is None
+
+
+def test_parts_of_one_count_of_frames_go_on_from_file_to_file(tmp_path):
+    first, second = tmp_path / "a.csv", tmp_path / "b.csv"
+    first.write_text(stamped("7", "8"), encoding="utf-8")
+    second.write_text(stamped("9", "11"), encoding="utf-8")
+    time = {"column": "Time", "kind": "frame", "frame_rate_Hz": 10.0}
+    np.testing.assert_allclose(camera(time=time).read_files([first, second]).time, [0, 0.1, 0.2, 0.4])
+
+
+@pytest.mark.parametrize(
+    ("lines", "times"),
+    [
+        (["1,5", ",", "2,6", ",", ",", "3,7", ",", ","], [0, 2, 5]),  # those at the end are Excel's
+        (["1,5", "", "2,6"], [0, 1]),  # no row at all
+        (["1,5", ",", "R1 Avg (K),R2 Avg (K)", "2,6"], [0, 1]),  # between two blocks
+    ],
+)
+def test_a_row_of_empty_cells_keeps_its_place_where_rows_are_the_clock(tmp_path, lines, times):
+    text = "\n".join(["R1 Avg (K),R2 Avg (K)", *lines, ""])
+    record = read(tmp_path, text, time={"frame_rate_Hz": 1.0})
+    np.testing.assert_allclose(record.time[np.isfinite(record.values).all(axis=1)], times)
+    assert np.isnan(record.values).all(axis=1).sum() == max(times) + 1 - len(times)
+
+
+def test_a_stamp_with_its_half_of_the_day_before_it_is_no_remark(tmp_path):
+    text = "Time,R1 Avg (K)\nAM 11:59:59,5\nPM 12:00:00,6\nPM 12:00:01,\n"
+    region = {"active_1": REGIONS["active_1"]}
+    record = read(tmp_path, text, regions=region)
+    np.testing.assert_allclose(record.time, [0, 1, 2])
+    np.testing.assert_allclose(record.values[:, 0] + 273.15, [5, 6, np.nan])
+
+
+def test_a_quote_that_does_not_end_in_its_line_is_refused(tmp_path):
+    rows = [f"{k},5,6,x" for k in range(8)]
+    rows[2] = '2,5,6,"x'
+    with pytest.raises(InputError, match=r"line 4: a quote opens a cell that does not end in its line"):
+        read(tmp_path, "\n".join(["Time (s),R1 Avg (K),R2 Avg (K),Spot", *rows, ""]))
+
+
+@pytest.mark.parametrize("raw", [b"\xef\xbb\xbf", b"\xff\xfe", b"\xef\xbb\xbf\r\n"])
+@pytest.mark.parametrize(
+    "regions", [REGIONS, {"a": {"quantity": "winding_temperature", "rows": [0, 0], "columns": [0, 0]}}]
+)
+def test_a_byte_order_mark_alone_is_no_file(tmp_path, raw, regions):
+    path = tmp_path / "mark.csv"
+    path.write_bytes(raw)
+    with pytest.raises(InputError, match="holds nothing but"):
+        camera(regions=regions, time={"column": "Time", "frame_rate_Hz": 1.0}).read_files([path])
+
+
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
@@ -371,6 +441,29 @@ def test_frames_of_pixels_under_lines_that_tell_their_time(tmp_path):
 def test_frames_that_cannot_be_are_refused(tmp_path, text, words):
     with pytest.raises(InputError, match=words):
         read(tmp_path, text, regions=PIXELS, time={"frame_rate_Hz": 10.0, "kind": "frame"}, unit="degC")
+
+
+@pytest.mark.parametrize("mark", ["NaN", "nan", "N/A", "null", "--"])
+def test_a_missed_pixel_at_the_edge_is_a_pixel(tmp_path, mark):
+    """A row that begins with one is no remark, and a frame of nothing else keeps its place."""
+    masked = f"{mark};26.0;27.0\n{mark};36.0;37.0\n"
+    nothing = f"{mark};{mark};{mark}\n" * 2
+    right = {"right": {"quantity": "winding_temperature", "rows": [0, 0], "columns": [1, 2]}}
+    text = f"{masked}\n{nothing}\n{FRAME}"
+    record = read(tmp_path, text, regions=right, time={"frame_rate_Hz": 1.0}, unit="degC")
+    np.testing.assert_allclose(record.values[:, 0], [26.5, np.nan, 26.5])
+    np.testing.assert_allclose(record.time, [0, 1, 2])
+
+
+def test_files_of_a_frame_each_come_in_the_order_of_their_numbers(tmp_path):
+    source = camera(regions=PIXELS, time={"frame_rate_Hz": 1.0}, unit="degC", exports_folder=str(tmp_path))
+    source.open()
+    for k in range(1, 13):
+        (tmp_path / f"frame{k}.csv").write_text(FRAME.replace("37", str(100 + k)), encoding="utf-8")
+    fresh = source.exports.fresh()
+    np.testing.assert_allclose(source.read_files(fresh).values[:, 0], np.arange(101, 113))
+    with pytest.raises(InputError, match=r"frame10.csv: comes where frame2.csv was expected"):
+        source.read_files(sorted(fresh))
 
 
 def test_a_last_frame_cut_short_is_left_out(tmp_path):

@@ -9,6 +9,7 @@ import subprocess
 import numpy as np
 import pytest
 import yaml
+from leactl_plugins.thermal_csv.driver import ThermalCsv
 from leactl_plugins.thermal_csv.emulator import BEFORE_S, FAST_PPM
 
 from leactl.analysis.experiments import analyze_runs
@@ -192,6 +193,13 @@ def test_missing_frames_are_told_and_stay_missing(heated, tmp_path):
         assert np.diff(place.time).max() == pytest.approx(46 / 30, abs=1e-3)
     with export_of(tmp_path).open(encoding="utf-8", newline="") as file:
         assert len(list(csv.reader(file))) > 700
+
+
+def test_a_plug_in_that_fails_is_told_and_the_run_is_whole(heated, monkeypatch):
+    monkeypatch.setattr(ThermalCsv, "read_files", lambda _self, paths: paths[99])
+    outcome, _bench = heated()
+    assert (outcome.status, outcome.error, verify(outcome.path)) == ("complete", None, [])
+    assert outcome.notes[0].startswith("camera: its record is not in the run: list index out of range")
 
 
 def test_what_another_program_writes_there_is_refused_and_told(heated, tmp_path):

@@ -20,7 +20,7 @@ from leactl.driver.text_form import Numbers, read_numbers
 from leactl.driver.text_table import Table, read_table, unit_of
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
-from leactl.units import SECONDS, converter
+from leactl.units import CONVERSIONS, SECONDS, converter
 from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, Signal
 
 SECONDS_NAMED = {**SECONDS, "sec": 1.0, "seconds": 1.0, "msec": 1e-3, "usec": 1e-6, "µs": 1e-6}
@@ -87,7 +87,8 @@ class ElmoRecorderCsv(Driver):
             raise InputError(f"{len(paths)} files; a recording is one file, attach them one by one")
         settings = self.settings
         timed = [settings.time_column] if settings.time_column else []
-        table = read_table(paths[0], settings, [*timed, *(signal.column for signal in settings.signals.values())])
+        headings = [*timed, *(signal.column for signal in settings.signals.values())]
+        table = read_table(paths[0], settings, headings, every_row=not timed)
         wanted = {name: table.heading(signal.column) for name, signal in settings.signals.items()}
         stamp = table.heading(settings.time_column) if settings.time_column else ""
         columns = {
@@ -120,7 +121,10 @@ class ElmoRecorderCsv(Driver):
         if stamps is None:
             interval = settings.interval_s or math.nan
             return interval * np.arange(len(table.rows), dtype=np.float64), f"one row each {interval:g} s, as set"
-        named = unit_of(heading)
+        in_cells = {text for text in stamps.units if text}
+        named = unit_of(heading) or "".join(in_cells)
+        if in_cells - {named}:
+            raise InputError(f"{table.path}: {heading!r} holds times in {' and '.join(sorted(in_cells | {named}))}")
         units = settings.time_units or (named if named in SECONDS_NAMED else None)
         if units is None:
             raise InputError(f"{table.path}: {heading!r} names no unit of time; time_units decides")
@@ -137,7 +141,7 @@ class ElmoRecorderCsv(Driver):
         if signal.units is not None:
             if (
                 named
-                and signal.takes(named)
+                and (signal.takes(named) or any(named in units for units in CONVERSIONS.values()))
                 and named != signal.units
                 and not {named, signal.units} <= {*signal.counted}
             ):

@@ -122,9 +122,15 @@ def joined(sheets: Sequence[Sheet]) -> tuple[np.ndarray[Any, Any], np.ndarray[An
     """
     midnights = [sheet.clock.midnight for sheet in sheets]
     known = [moment.timestamp() for moment in midnights if moment is not None]
-    if known and len(known) < len(sheets):
-        raise InputError(f"{sheets[midnights.index(None)].where(0)}: no day or no zone, which other files have")
+    days = [sheet.clock.day for sheet in sheets]
+    for given in (midnights, days):
+        if None in given and any(given):
+            raise InputError(f"{sheets[given.index(None)].where(0)}: no day or no zone, which other files have")
     began = min(known) if known else None
-    shifts = [moment - began for moment in known] if began is not None else [0.0] * len(sheets)
+    if began is not None:
+        shifts = [moment - began for moment in known]
+    else:
+        dated = [day for day in days if day is not None]
+        shifts = [(day - min(dated)).total_seconds() for day in dated] or [0.0] * len(sheets)
     time = np.concatenate([sheet.clock.time + shift for sheet, shift in zip(sheets, shifts, strict=True)])
     return time, np.concatenate([sheet.values for sheet in sheets]), began

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from leactl.driver.batch import in_number_order
 from leactl.driver.text_form import read_numbers
 from leactl.driver.text_table import DELIMITERS, NAMED, SEP_LINE, Aside, text_of, trimmed
 from leactl.errors import InputError
@@ -20,11 +21,13 @@ from leactl_plugins.thermal_csv.series import (
     marks_told,
     to_celsius,
     unit_in,
+    unit_of_stamps,
 )
 from leactl_plugins.thermal_csv.settings import Region, ThermalCsvSettings
 from leactl_plugins.thermal_csv.stamps import looks_plain, read_plain, read_stamps
 
 LETTER = re.compile(r"[^\W\d_]")
+CELL_ENDS = re.compile(f"[{''.join(DELIMITERS)}]")
 STATISTICS: dict[str, Callable[..., Array]] = {"mean": np.mean, "max": np.max, "min": np.min}
 NAME_VALUE = re.compile(r"\s*([^:=]*?)\s*[:=]\s*(.*)")
 
@@ -53,10 +56,12 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Sheet:
         lines = text.splitlines()
         delimiter = delimiter_of(path, lines, settings)
         told.append(f"{encoding}, {NAMED.get(delimiter, repr(delimiter))} between cells")
-        frames += frames_in(path, lines, delimiter)
+        frames += frames_in(path, lines, delimiter, settings)
         if not text.endswith(("\n", "\r")):
             told.append(f"{path.name} has no end of its last line: the last pixel may be cut")
     told = list(dict.fromkeys(told))
+    if settings.time.line is None:
+        in_number_order(paths)
     frames, width, left_out = even(frames, delimiter)
     told += [f"{len(frames)} frames of {len(frames[0].rows)} rows and {width} columns", *left_out]
 
@@ -87,8 +92,8 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Sheet:
         stamps = [stamp_of(frame, settings.time.line) for frame in frames]
         if looks_plain(stamps[0]):
             plain, _ = read_numbers({settings.time.line: stamps}, settings, lambda _, row: where(row), {})
-            numbers = plain[settings.time.line]
-            clock = read_plain(numbers.values, "".join(numbers.units), settings.time, settings.time.line, where)
+            numbers, line = plain[settings.time.line], settings.time.line
+            clock = read_plain(numbers.values, unit_of_stamps("", numbers, where), settings.time, line, where)
         else:
             clock = read_stamps(stamps, settings.time, where)
     told += [str(convention), f"temperatures in {unit}", clock.told, *marks_told(headings, found)]
@@ -100,7 +105,7 @@ def delimiter_of(path: Path, lines: Sequence[str], settings: ThermalCsvSettings)
     declared = SEP_LINE.match(lines[0])
     if settings.delimiter or declared:
         return settings.delimiter or (declared[1] if declared else "")
-    sample = [line for line in lines[:200] if line.strip() and not LETTER.match(line.lstrip("\"' "))][:50]
+    sample = [line for line in lines[:200] if line.strip() and not tells(line, settings)][:50]
     fitting = [
         mark
         for mark in DELIMITERS
@@ -115,14 +120,20 @@ def delimiter_of(path: Path, lines: Sequence[str], settings: ThermalCsvSettings)
     return fitting[0]
 
 
-def frames_in(path: Path, lines: Sequence[str], delimiter: str) -> list[Frame]:
+def tells(line: str, settings: ThermalCsvSettings) -> bool:
+    """Whether a line says something and is no row of pixels; a pixel that was missed may be marked by letters."""
+    first = CELL_ENDS.split(line, maxsplit=1)[0].strip("\"' ")
+    return LETTER.match(first) is not None and first not in settings.missing
+
+
+def frames_in(path: Path, lines: Sequence[str], delimiter: str, settings: ThermalCsvSettings) -> list[Frame]:
     """Cut a file into frames."""
     frames = [Frame(path, 1)]
     for number, line in enumerate(lines, start=1):
         if SEP_LINE.match(line):
             continue
         cells = trimmed(line.split(delimiter))
-        if not cells or LETTER.match(cells[0].lstrip("\"'")):
+        if not cells or tells(line, settings):
             if frames[-1].rows:
                 frames.append(Frame(path, number + 1))
             if cells:

@@ -40,7 +40,7 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> Sheet:
     time = settings.time
     regions = {name: str(region.column) for name, region in settings.regions.items()}
     stamped = [name for name in (time.date_column, time.column) if name is not None]
-    table = read_table(path, settings, [*stamped, *regions.values()])
+    table = read_table(path, settings, [*stamped, *regions.values()], every_row=not stamped)
     columns = {name: table.column(column) for name, column in regions.items()}
     stamps = [" ".join(parts).strip() for parts in zip(*(table.column(name) for name in stamped), strict=True)]
     plain = not stamps or looks_plain(stamps[0])
@@ -58,7 +58,7 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> Sheet:
     if not stamps:
         clock = by_order(len(table.rows), settings, where)
     elif plain:
-        clock = read_plain(found[heading].values, unit_of(heading), time, heading, where)
+        clock = read_plain(found[heading].values, unit_of_stamps(heading, found[heading], where), time, heading, where)
     else:
         clock = read_stamps(stamps, time, where)
     by_name = {name: found[table.heading(column)] for name, column in regions.items()}
@@ -70,6 +70,19 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> Sheet:
     told += emissivities(table.asides) + emissivity_columns(table)
     values = np.stack([to_celsius(numbers.values, unit) for numbers in by_name.values()], axis=1)
     return Sheet(clock, values, where, told)
+
+
+def unit_of_stamps(heading: str, stamps: Numbers, where: Callable[[int], str]) -> str:
+    """The unit that a heading or the cells below it name.
+
+    Raises
+    ------
+    InputError : several units.
+    """
+    named = sorted({unit_of(heading), *stamps.units} - {""})
+    if len(named) > 1:
+        raise InputError(f"{where(0)}: times in {' and '.join(named)}")
+    return "".join(named)
 
 
 def by_order(rows: int, settings: ThermalCsvSettings, where: Callable[[int], str]) -> Clock:

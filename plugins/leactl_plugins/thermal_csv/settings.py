@@ -49,7 +49,8 @@ class TimeOf(BaseModel):
     line: Heading | None = None  # of frames: what the line above each one calls its time or number
     kind: Literal["wall", "elapsed", "frame"] | None = None
     units: Literal["s", "ms", "us", "min", "h"] | None = None  # of a plain number
-    colons: Literal["days_first", "fraction_last"] | None = None  # of stamps such as 010:15:30:33
+    # of stamps such as 010:15:30:33 the first two, of such as 10:15 the last two
+    colons: Literal["days_first", "fraction_last", "hours_minutes", "minutes_seconds"] | None = None
     date_order: Literal["ymd", "dmy", "mdy"] | None = None
     date: Annotated[str, StringConstraints(strict=True, pattern=r"^\d{4}-\d\d-\d\d$")] | None = None  # of the first row
     year: Annotated[int, Field(strict=True, ge=1990, le=2100)] | None = None  # of a day of the year
@@ -108,10 +109,10 @@ def zone_of(name: str) -> timezone | ZoneInfo:
     ------
     ValueError : there is none of that name.
     """
-    if name[:1] in "+-" and len(name) == 6 and name[3] == ":" and (name[1:3] + name[4:]).isdigit():
-        sign = -1 if name[0] == "-" else 1
-        return timezone(sign * timedelta(hours=int(name[1:3]), minutes=int(name[4:])))
     try:
+        if name[:1] in "+-" and len(name) == 6 and name[3] == ":" and (name[1:3] + name[4:]).isdigit():
+            sign = -1 if name[0] == "-" else 1
+            return timezone(sign * timedelta(hours=int(name[1:3]), minutes=int(name[4:])))
         return ZoneInfo(name)
     except (ZoneInfoNotFoundError, ValueError, OSError):
         raise ValueError(f"zone {name!r} is not known; a name such as Europe/Berlin or +01:00 was expected") from None

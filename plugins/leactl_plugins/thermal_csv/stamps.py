@@ -35,6 +35,7 @@ class Clock(NamedTuple):
 
     time: Array  # s; of the first day's midnight where the clock is a wall clock
     midnight: datetime | None  # UTC moment of time zero, where day and zone are known
+    day: date | None  # of that midnight, where it is known
     resolution: float  # s
     told: str
 
@@ -69,22 +70,26 @@ def read_stamps(texts: Sequence[str], settings: TimeOf, where: Where) -> Clock:
     kind = kind_of(stamps, settings, where)
     base = base_day(set(day_of.values()), next(iter(stamps.values())), settings, kind)
     days_first = digits > 0 or settings.colons == "days_first"
+    hours_first = two_fields_are_hours(stamps, settings, kind, digits, where)
     seconds = {}
     for key, stamp in stamps.items():
         own = day_of[stamp.day]
         days = (own - base).days if own is not None and base is not None else 0
-        seconds[key] = days * DAY_S + clock_seconds(stamp, days_first, where(heads[key]), kind)
+        seconds[key] = days * DAY_S + clock_seconds(stamp, days_first, hours_first, where(heads[key]), kind)
     time_s = np.array([seconds[key] for key in places]) + fractions
     told = {"wall": "time of day", "elapsed": "elapsed time"}.get(kind, "time of day or elapsed time")
     if kind == "wall" and None in day_of.values():
-        passed = np.cumsum(np.diff(time_s, prepend=time_s[0]) < -0.5 * DAY_S)
+        step = np.diff(time_s, prepend=time_s[0])
+        over = (step < -0.5 * DAY_S).astype(int) - (step > 0.5 * DAY_S)  # a row out of order goes back over midnight
+        passed = np.cumsum(over)
         time_s = time_s + DAY_S * passed
         told += f", {int(passed[-1])} midnights passed"
-    whole = 60.0 if kind == "wall" and all(len(stamp.fields) == 2 for stamp in stamps.values()) else 1.0
+    whole = 60.0 if hours_first and all(len(stamp.fields) == 2 for stamp in stamps.values()) else 1.0
     resolution = 10.0**-digits if digits else whole
     midnight, told_zone = midnight_of(base, {stamp.zone for stamp in stamps.values()}, settings, time_s, where)
     said = [told, told_order, told_zone if kind == "wall" else "", f"resolved to {resolution:g} s"]
-    return Clock(time_s, midnight if kind == "wall" else None, resolution, ", ".join(filter(None, said)))
+    wall = kind == "wall"
+    return Clock(time_s, midnight if wall else None, base if wall else None, resolution, ", ".join(filter(None, said)))
 
 
 def without_fractions(texts: Sequence[str]) -> tuple[list[tuple[str, str]], Array, int]:
@@ -181,7 +186,35 @@ def base_day(days: set[date | None], first: Stamp, settings: TimeOf, kind: str) 
     return None
 
 
-def clock_seconds(stamp: Stamp, days_first: bool, where: str, kind: str) -> float:
+def two_fields_are_hours(
+    stamps: dict[tuple[str, str], Stamp], settings: TimeOf, kind: str, digits: int, where: Where
+) -> bool:
+    """Whether stamps such as 10:15 are hours and minutes, and not minutes and seconds.
+
+    Raises
+    ------
+    InputError : they may be both, or minutes and seconds where a time of day is needed.
+    """
+    short = next((stamp for stamp in stamps.values() if len(stamp.fields) == 2), None)
+    if short is None:
+        return False
+    dated = any(stamp.day is not None or stamp.half for stamp in stamps.values())
+    whole_hours = any(len(stamp.fields) > 2 for stamp in stamps.values())  # 59:59 and then 1:00:00
+    text = ":".join(f"{part:02d}" for part in short.fields)
+    if settings.colons in ("hours_minutes", "minutes_seconds"):
+        hours = settings.colons == "hours_minutes"
+    elif digits or whole_hours or dated:
+        hours = dated and not digits
+    else:
+        raise InputError(f"{where(0)}: {text} is hours and minutes or minutes and seconds; time.colons decides")
+    if hours and digits:
+        raise InputError(f"{where(0)}: {text} has a fraction of a second, which hours and minutes have not")
+    if kind == "wall" and not hours:
+        raise InputError(f"{where(0)}: {text} is minutes and seconds, which tell no time of day")
+    return hours
+
+
+def clock_seconds(stamp: Stamp, days_first: bool, hours_first: bool, where: str, kind: str) -> float:
     """Seconds of the day, or since the start, without the fraction."""
     fields, days = stamp.fields, 0
     if len(fields) == 4 and not days_first:
@@ -190,13 +223,13 @@ def clock_seconds(stamp: Stamp, days_first: bool, where: str, kind: str) -> floa
     if len(fields) == 4:
         days, fields = fields[0], fields[1:]
     if len(fields) == 2:
-        fields = (*fields, 0) if kind == "wall" else (0, *fields)  # hours and minutes, or minutes and seconds
+        fields = (*fields, 0) if hours_first else (0, *fields)
     hours, minutes, seconds = fields
     if stamp.half:
         if not 1 <= hours <= 12:
             raise InputError(f"{where}: hour {hours} with {stamp.half.upper()}; 1 to 12 was expected")
         hours = hours % 12 + (12 if stamp.half == "pm" else 0)
-    if (minutes > 59 and len(stamp.fields) > 2) or seconds > 59 or (kind == "wall" and hours > 23):
+    if (minutes > 59 and (hours_first or len(stamp.fields) > 2)) or seconds > 59 or (kind == "wall" and hours > 23):
         raise InputError(f"{where}: {':'.join(map(str, stamp.fields))} is no time")
     return days * DAY_S + hours * 3600 + minutes * 60 + seconds
 
@@ -215,7 +248,10 @@ def midnight_of(
     midnight = datetime.combine(base, time())
     if name is None:
         return None, "no zone"
-    zone = zone_of(name)
+    try:
+        zone = zone_of(name)
+    except ValueError as error:
+        raise InputError(f"{where(0)}: {error}") from None
     moments = [midnight + timedelta(seconds=float(at)) for at in (time_s.min(), time_s.max())]
     offsets = {moment.replace(tzinfo=zone, fold=fold).utcoffset() for moment in moments for fold in (0, 1)}
     if len(offsets) > 1:
@@ -232,13 +268,16 @@ def read_plain(values: Array, heading_unit: str, settings: TimeOf, heading: str,
     ------
     InputError : neither the heading nor a setting says which.
     """
-    unit = settings.units or (heading_unit if heading_unit in SECONDS else None)
+    named = heading_unit if heading_unit in SECONDS else None
+    unit = settings.units or named
+    if named is not None and named != unit:
+        raise InputError(f"{where(0)}: elapsed time in {named}; time.units says {unit}")
     if settings.kind == "wall":
         raise InputError(f"{where(0)}: a plain number; time.kind says wall")
     if settings.kind != "frame" and unit is not None:
         spread = np.diff(np.unique(values[np.isfinite(values)]))
         resolution = SECONDS[unit] * float(spread.min()) if len(spread) else SECONDS[unit]
-        return Clock(values * SECONDS[unit], None, min(resolution, 1.0), f"elapsed time in {unit}")
+        return Clock(values * SECONDS[unit], None, None, min(resolution, 1.0), f"elapsed time in {unit}")
     if settings.kind == "elapsed":
         raise InputError(f"{where(0)}: elapsed time in no unit that {heading!r} names; time.units decides")
     if settings.kind != "frame":
@@ -255,4 +294,4 @@ def read_frames(values: Array, settings: TimeOf, where: Where) -> Clock:
     if len(wrong) and math.isfinite(values[wrong[0]]):
         raise InputError(f"{where(int(wrong[0]))}: {values[wrong[0]]:g} is no frame number")
     rate = settings.frame_rate_Hz
-    return Clock((values - values[0]) / rate, None, 1.0 / rate, f"frame numbers at {rate:g} Hz")
+    return Clock(values / rate, None, None, 1.0 / rate, f"frame numbers at {rate:g} Hz")
