@@ -20,6 +20,7 @@ from leactl.analysis.readings import usable
 from leactl.analysis.signs import refuse_below_zero
 from leactl.analysis.torque_constant import TORQUE
 from leactl.analysis.trials import mean_of
+from leactl.analysis.wrong_units import doubted
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
 
@@ -85,6 +86,7 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
         except NotIdentifiable as fault:
             notes.append(str(fault))
     notes += doubts({"the torque sensor": gain}, "all torques")
+    notes[:0] = doubted(runs, results, [TORQUE], [VELOCITY])
     paths = tuple(str(run.path) for run in runs)
     return Result("back-drive", paths, tuple(results), tuple(notes), tuple(plots))
 

@@ -18,8 +18,10 @@ from leactl.analysis.harmonics import harmonics_of
 from leactl.analysis.leads import PAIRS
 from leactl.analysis.linefit import expect_setup, place_of
 from leactl.analysis.pole_pairs import counted, whole
+from leactl.analysis.regression import t_quantile
 from leactl.analysis.turning import Part, parts_of
 from leactl.analysis.wave_means import Shares, constant_of, drift_of
+from leactl.analysis.wrong_units import doubted
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run
 
@@ -72,6 +74,8 @@ def analyze(
     whole_machine = [poles * part.mean_of_pairs for part in parts]
     both = all(part.complete for part in parts)
     line = constant_of("line_to_line_constant", UNITS, whole_machine, shares if both else shares.of_one_pair)
+    if any(part.left_over > SUM_OF_THREE for part in parts):
+        line = covering(line, series, notes)
     kb = scaled(line, TO_Q[winding], "back_emf_constant", UNITS)
     results = [kb, line]
     results += [
@@ -87,6 +91,7 @@ def analyze(
     results += harmonics_of(parts)
 
     notes += remarks(parts, series, shares, both)
+    notes[:0] = doubted(runs, [kb], ["phase_voltage"])
     paths = tuple(str(run.path) for run in runs)
     return Result(
         "back-emf", paths, tuple(results), tuple(notes), (plot_over_time(parts, poles), plot_of_wave(parts, poles))
@@ -141,6 +146,18 @@ def scaled(item: Estimate, factor: float, name: str, units: str) -> Estimate:
     return Estimate(name, value, std, low, high, units)
 
 
+def covering(line: Estimate, series: dict[str, list[np.ndarray]], notes: list[str]) -> Estimate:
+    """The mean of pairs of which one is wrong, nobody knows which: its interval holds how they scatter about it."""
+    means = [float(np.mean([np.nanmean(size) for size in found])) for found in series.values()]
+    error = float(np.std(means, ddof=1)) / math.sqrt(len(means))
+    half = math.hypot(0.5 * (line.high - line.low), t_quantile(len(means) - 1) * error)
+    notes.append(
+        "line_to_line_constant and back_emf_constant: the pairs contradict each other, so that the uncertainty holds"
+        f" their scatter of {error / line.value:.2%} on the mean"
+    )
+    return Estimate(line.name, line.value, math.hypot(line.std, error), line.value - half, line.value + half, UNITS)
+
+
 def unevenness(series: dict[str, list[np.ndarray]], shares: Shares) -> Estimate:
     """Largest less smallest pair over their mean; the scale that they share is in none of it."""
     own = [constant_of(name, UNITS, found, shares.between_pairs) for name, found in series.items()]
@@ -172,10 +189,10 @@ def torque_constant_ratio(
     source = "as given" if given is not None else "of the model in the run"
     ratio = told / kb.value
     relative = math.hypot(kb.std / kb.value, (std or 0.0) / told)
-    why = current_convention.named(ratio)
+    why = current_convention.named_by_voltages(ratio, given is not None)
     if why:
         notes.append(f"the torque constant {told:g} N*m/A, {source}, is {ratio:.3f} times the back-EMF constant: {why}")
-    half = 1.96 * relative * ratio
+    half = ratio * math.hypot(0.5 * (kb.high - kb.low) / kb.value, 1.96 * (std or 0.0) / told)
     doubt = "its own uncertainty is in the ratio's" if std else "its own uncertainty is not in the ratio's"
     notes.append(f"torque_constant_ratio is with {told:g} N*m/A, {source}; {doubt}")
     return [Estimate("torque_constant_ratio", ratio, relative * ratio, ratio - half, ratio + half, "1")]

@@ -21,6 +21,7 @@ from leactl.analysis.readings import usable
 from leactl.analysis.regression import Array, least_squares
 from leactl.analysis.signs import refuse_below_zero
 from leactl.analysis.trials import Trial, mean_of
+from leactl.analysis.wrong_units import doubted
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Channel, Run, Step
 
@@ -108,6 +109,7 @@ def analyze(
     for place_in_fit, (name, unit) in enumerate(OVER_INERTIA.items()):
         values = [run_out.fit[place_in_fit] for run_out in found]
         results.append(mean_of(values, trials, f"{name}_over_inertia", unit))
+    notes[:0] = doubted(runs, results, [CURRENT], [VELOCITY], torque_constant)
     paths = tuple(str(run.path) for run in runs)
     return Result("coast-down", paths, tuple(results), tuple(notes), (plot_of(found),))
 

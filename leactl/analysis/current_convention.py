@@ -1,9 +1,10 @@
-"""Ratios of torque constants by which a wrong convention of current shows.
+"""Ratios of torque constants by which a wrong convention of current shows, or of voltages by a back-EMF constant.
 
 q-axis current, power-invariant, is sqrt(3/2) times the amplitude of a phase and sqrt(3) times its rms value.
 """
 
 import math
+from collections.abc import Mapping
 
 CONVENTIONS = {
     math.sqrt(3 / 2): "the current may be a phase amplitude taken for q-axis current",
@@ -11,10 +12,27 @@ CONVENTIONS = {
     math.sqrt(3): "the current may be a phase rms taken for q-axis current",
     math.sqrt(1 / 3): "the current may be q-axis current taken for a phase rms",
 }
+VOLTAGES = {
+    math.sqrt(3): "the voltages may be those from lead to star point, taken for line to line",
+    math.sqrt(1 / 3): "the voltages may be line to line already, and multiplied by sqrt(3) as if they were of a phase",
+}
 WITHIN = 0.02
 
 
 def named(ratio: float) -> str:
     """What a torque constant this many times too large says of its current; empty where it says nothing."""
-    found = (why for factor, why in CONVENTIONS.items() if abs(ratio / factor - 1.0) < WITHIN)
-    return next((f"{why}; check current_convention" for why in found), "")
+    why = of(ratio, CONVENTIONS)
+    return f"{why}; check current_convention" if why else ""
+
+
+def named_by_voltages(ratio: float, measured: bool) -> str:
+    """The same where it is too large for a back-EMF constant; in a model that has it no current was `measured`."""
+    why, volts = named(ratio), of(ratio, VOLTAGES)
+    if why and not measured:
+        why = "the model's torque constant may be one per ampere of another current than that of the q axis"
+    return "; or ".join(filter(None, (why, volts) if measured else (volts, why)))
+
+
+def of(ratio: float, reasons: Mapping[float, str]) -> str:
+    """The reason whose factor this is; empty where there is none."""
+    return next((why for factor, why in reasons.items() if abs(ratio / factor - 1.0) < WITHIN), "")

@@ -20,6 +20,7 @@ from leactl.analysis.linefit import LineFit, expect_setup, fit_lines, place_of, 
 from leactl.analysis.readings import usable
 from leactl.analysis.regression import Array
 from leactl.analysis.signs import SWAPPED
+from leactl.analysis.wrong_units import doubted
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run
 
@@ -99,6 +100,8 @@ def analyze(
     paths = tuple(str(run.path) for run in runs)
     plot = plot_of(levels, torque, line, sign, unit)
     names = ("viscous_damping", "coulomb_friction", "offset", "r_squared")
+    whole = [item for item in results if not item.name.endswith(tuple(DIRECTIONS))]
+    notes[:0] = doubted(runs, whole, [CURRENT], [VELOCITY], torque_constant)
     results.sort(key=lambda item: next(k for k, name in enumerate(names) if item.name.startswith(name)))
     return Result("friction", paths, tuple(results), tuple(notes), (plot,))
 

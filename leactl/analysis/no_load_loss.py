@@ -19,6 +19,7 @@ from leactl.analysis.linefit import LineFit, expect_setup, place_of, remarks
 from leactl.analysis.readings import usable
 from leactl.analysis.regression import Array, t_quantile
 from leactl.analysis.signs import refuse_below_zero
+from leactl.analysis.wrong_units import doubted
 from leactl.errors import InputError
 from leactl.runfile.reader import Run
 
@@ -87,6 +88,7 @@ def analyze(
     results = coefficients(line, constants.relative_std)
     results += [Estimate("full_speed", full, NAN, NAN, NAN, "rad/s"), loss]
     results += iron(results, alone, notes)
+    notes[:0] = doubted(runs, results, [CURRENT], [VELOCITY], torque_constant)
     paths = tuple(str(run.path) for run in runs)
     return Result("no-load-loss", paths, tuple(results), tuple(notes), (plot_of(levels, torque, line),))
 

@@ -14,7 +14,8 @@ from leactl.analysis.jackknife import LevelValue, Reading, mean_of_levels, over_
 from leactl.analysis.linefit import expect_setup
 from leactl.analysis.step_curve import curve_of
 from leactl.analysis.step_metrics import GROWTH, overshoot, rise_time, settling_time
-from leactl.analysis.step_trials import BAND, Trial, trials_of, uneven, wandering
+from leactl.analysis.step_trials import BAND, Trial, of_another_size, trials_of, uneven, wandering
+from leactl.analysis.wrong_units import doubted
 from leactl.runfile.reader import Run
 
 SHOWN = 60  # points of a level in the plot
@@ -55,6 +56,7 @@ def step_response(experiment: str, runs: Sequence[Run], reference: str, response
             notes.append(f"{name} is not known: noise of the readings goes beyond {BAND:.0%} of the smallest step")
     results.append(mean_of_levels("steady_state_error", "%", [_steady_error(trials) for trials in levels]))
     until = FURTHER * results[2].value if math.isfinite(results[2].value) else math.inf
+    notes[:0] = of_another_size(levels, response) or doubted(runs, [], [response])
     paths = tuple(str(run.path) for run in runs)
     return Result(experiment, paths, tuple(results), tuple(notes), (_plot(levels, units, until),))
 

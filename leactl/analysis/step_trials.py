@@ -14,6 +14,7 @@ from leactl.analysis.estimate import tally
 from leactl.analysis.levels import Hold, span
 from leactl.analysis.regression import Array
 from leactl.analysis.saturation import piles_up, saturated
+from leactl.analysis.wrong_units import asked
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Channel, Run, Step
 
@@ -22,6 +23,7 @@ FEWEST_SAMPLES = 20  # before the jump or in the steady part
 MISSING = 0.1  # of a trial's samples
 EPS_S = 1e-6  # rounding of stamps; a row at either end of a step may belong to what is before or behind it
 FOLLOWS = 0.5  # of a step that the response makes of it at the least
+WHOLE = 1.0  # of a step, beyond which a response that misses its reference is no loop's doing
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +38,7 @@ class Trial:
     noise: float  # standard deviation of one sample in the steady part, of the step
     quantum: float  # resolution of the readings, of the step; 0 where none shows
     rest: float  # what was read before the jump, less what was asked for, of the step
+    times: float = 1.0  # the reference's jump, that the response makes
 
     def __str__(self) -> str:
         return f"{self.level:.3g}"
@@ -169,6 +172,7 @@ def _trial(asked: Channel, measured: Channel, jump: Jump) -> Trial | str:
         noise=float(np.sqrt(0.5 * np.mean(np.diff(rest) ** 2))),  # what drifts or slips is none
         quantum=quantum_of(values[good]) / abs(made),
         rest=(zero - start) / made,
+        times=made / sent,
     )
 
 
@@ -186,8 +190,8 @@ def wandering(levels: Sequence[Sequence[Trial]]) -> list[str]:
     """What a reader must know of levels that are not where they were sent, and of what is read before a jump."""
     notes = []
     for trials in levels:
-        short = float(np.mean([trial.steady_error for trial in trials]))
-        if abs(short) > BAND:
+        short = mean_error(trials)
+        if BAND < abs(short) <= WHOLE:
             notes.append(
                 f"at {trials[0]} the response stays {short:+.1%} of the step short of its reference: a channel that is"
                 " clipped or drifts, or a loop that lets it; every figure counts from where it stays"
@@ -199,6 +203,21 @@ def wandering(levels: Sequence[Sequence[Trial]]) -> list[str]:
                 " channel drifts, and overshoot and settling are off by what it drifts meanwhile"
             )
     return notes
+
+
+def of_another_size(levels: Sequence[Sequence[Trial]], response: str) -> list[str]:
+    """What a reader must know of levels whose response misses the reference by more than all of the step."""
+    far = [trials for trials in levels if abs(mean_error(trials)) > WHOLE]
+    if not far:
+        return []
+    times = float(np.mean([trial.times for trials in far for trial in trials]))
+    where = ", ".join(str(trials[0]) for trials in far)
+    return [f"at {where} the response makes {times:.4g} times the step of its reference: {asked(times, [response])}"]
+
+
+def mean_error(trials: Sequence[Trial]) -> float:
+    """By how much of the step a level's steady values fall short of the reference."""
+    return float(np.mean([trial.steady_error for trial in trials]))
 
 
 def uneven(levels: Sequence[Sequence[Trial]]) -> list[str]:

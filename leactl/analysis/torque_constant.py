@@ -20,6 +20,7 @@ from leactl.analysis.linefit import LineFit, expect_setup, fit_lines, place_of, 
 from leactl.analysis.readings import usable
 from leactl.analysis.regression import Array
 from leactl.analysis.signs import refuse_below_zero
+from leactl.analysis.wrong_units import doubted
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run
 
@@ -77,6 +78,7 @@ def analyze(
         results.append(magnitude(line.estimate("sticking_torque", "sticking_torque", unit, torque_std)))
     results.append(line.fit.estimate("offset", unit, line.mean_intercept, torque_std))
     results.append(Estimate("r_squared", line.fit.r_squared, NAN, NAN, NAN, "1"))
+    notes[:0] = doubted(runs, results[:1], [TORQUE], [CURRENT])
     paths = tuple(str(run.path) for run in runs)
     return Result("torque-constant", paths, tuple(results), tuple(notes), (plot_of(levels, line),))
 

@@ -23,6 +23,7 @@ from leactl.analysis.readings import usable
 from leactl.analysis.regression import Array, t_quantile
 from leactl.analysis.signs import refuse_below_zero
 from leactl.analysis.torque_constant import CURRENT, SIDES, TORQUE, convention, of_one_kind
+from leactl.analysis.wrong_units import doubted
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
 
@@ -106,7 +107,10 @@ def analyze(
         columns["sticking_torque"] = levels.direction.astype(np.float64)
     else:
         notes.append("all levels were reached from one side or none is said: sticking friction is not told apart")
-    line = fitted(current / peak, peak, torque, columns, levels, place)
+    try:
+        line = fitted(current / peak, peak, torque, columns, levels, place)
+    except NotIdentifiable as fault:  # as where a current is a thousand times its setpoints
+        raise NotIdentifiable("; ".join([str(fault), *doubted(runs, [], [TORQUE], [CURRENT])])) from None
     bent = Bent(line, peak)
     expected = np.hypot(levels.std[TORQUE], bent.constant * levels.std[CURRENT])
     notes += remarks(line, expected, levels.units[TORQUE])
@@ -128,6 +132,7 @@ def analyze(
         found = line.fit.estimate("sticking_torque", unit, -weights(line, {"sticking_torque": 1.0}), torque_std)
         results.append(found)
         notes.append("sticking_torque is what the rotor kept from the sensor: a lower bound of its Coulomb friction")
+    notes[:0] = doubted(runs, results[:1], [TORQUE], [CURRENT])
     paths = tuple(str(run.path) for run in runs)
     plot = plot_of(levels, bent)
     return Result("torque-pulses", paths, tuple(results), tuple(notes), (plot,))

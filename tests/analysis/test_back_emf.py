@@ -208,6 +208,37 @@ def test_ratios_of_wrong_current_conventions_are_named(leads, factor, said):
     assert not noted(analyzed(analyze, leads.run(), torque_constant=0.5), "convention")
 
 
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [(math.sqrt(1 / 3), "from lead to star point"), (math.sqrt(3.0), "multiplied by sqrt(3)")],
+)
+def test_against_a_model_s_torque_constant_the_voltages_are_asked_and_no_current_that_none_measured(
+    leads, factor, said
+):
+    result = found(leads, gains=(factor,) * 3)
+    (note,) = noted(result, "times the back-EMF constant")
+    assert said in note
+    assert "current_convention" not in note
+
+
+def test_pairs_that_contradict_each_other_are_all_in_the_interval_of_their_mean(leads):
+    result = found(leads, gains=(1.0, 1.1, 1.0))
+    mean = result.find("line_to_line_constant")
+    assert all(covered(mean, result.find(f"line_to_line_constant_{pair}").value) for pair in PAIRS)
+    assert covered(result.find("back_emf_constant"), KB)
+    assert covered(result.find("torque_constant_ratio"), 1.0)
+    assert noted(result, "the pairs contradict each other")
+
+    def windings(time, columns):  # uneven ones leave nothing of the sum: the mean is as well known as ever
+        columns["bc"] *= 1.04
+        columns["ca"][:] = -columns["ab"] - columns["bc"]
+
+    sharp = found(leads, edit=windings, told_skew=True, skew_s=0.0)
+    assert noted(sharp, "the pairs differ by")
+    assert not noted(sharp, "contradict")
+    assert sharp.find("line_to_line_constant").std < 1e-3 * LINE
+
+
 def test_a_delta_has_a_q_axis_of_its_own_frame(leads):
     result = found(leads, model="torque_constant: 0.49\npole_pairs: 41\nwinding: delta\n")
     assert result.find("back_emf_constant").value == pytest.approx(math.sqrt(1.5) * LINE, rel=1e-4)
