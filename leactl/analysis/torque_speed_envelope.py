@@ -14,13 +14,13 @@ from itertools import product
 import numpy as np
 
 from leactl.analysis.carried_model import rotor_inertia_of_model
-from leactl.analysis.corner import Limited, Mask, corner, groups_of
+from leactl.analysis.corner import Limited, Mask, corner, groups_of, repeats_of
 from leactl.analysis.drag import VELOCITY
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
 from leactl.analysis.gains import doubts, gain_std
 from leactl.analysis.intervals import step_of
 from leactl.analysis.levels import CURRENT_HELD, Levels, gather
-from leactl.analysis.linefit import expect_setup, place_of
+from leactl.analysis.linefit import DRIFTS_BELOW, expect_setup, place_of
 from leactl.analysis.readings import usable, within_range
 from leactl.analysis.regression import Array, departure, judged_by, least_squares, one_column_each, t_quantile
 from leactl.analysis.signs import SWAPPED
@@ -87,9 +87,12 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
     if stops:
         notes.append(f"the torque sensor stops at {max(stops):g} N*m: the highest torque lies above, and power may")
         highest = [above(one, max(stops)) for one in highest]
+    found = Limited(speed, flowing, limit, limited, held, levels.run)
+    at_corner = corner(runs, found, notes, place)
+    notes += drift_of(found, at_corner)
     results = [
         *highest,
-        corner(runs, Limited(speed, flowing, limit, limited, held, levels.run), notes, place),
+        at_corner,
         Estimate("current_limit", limit, NAN, NAN, NAN, "A"),
         *bus(runs, notes),
     ]
@@ -229,6 +232,31 @@ def best(
     half = math.hypot(t_quantile(fit.dof) * scattered, t_quantile(math.inf) * alike_std)
     std = math.hypot(scattered, alike_std)
     return [Estimate(f"highest_{name}", value, std, value - half, value + half, units), at]
+
+
+def drift_of(holds: Limited, found: Estimate) -> list[str]:
+    """A note where the corner moves from repeat to repeat by more than chance, and than its interval is wide.
+
+    What a change of resistance does to the current goes with the current itself; over the fall of the current with the
+    speed, and at the current asked for, it is how far the corner moves.
+    """
+    if math.isnan(found.value):
+        return []
+    speed, current, repeat = holds.speed[holds.limited], holds.current[holds.limited], repeats_of(holds)[holds.limited]
+    beyond = speed - found.value
+    fall = float((holds.asked - current) @ beyond / (beyond @ beyond))  # A for each rad/s
+    speeds, repeats = one_column_each(groups_of(speed)), one_column_each(repeat)
+    mean = speeds @ (speeds.T @ current / speeds.sum(axis=0))
+    shift = (speed + current / fall) * holds.asked / mean
+    if (departs := departure(speeds, shift, repeats)) is None or departs.probability > DRIFTS_BELOW:
+        return []
+    moved = float(np.linalg.lstsq(np.hstack([speeds, repeats[:, 1:]]), shift, rcond=None)[0][-1])
+    if abs(moved) < found.high - found.low:
+        return []
+    return [
+        f"the corner drifts by {moved:+.2g} rad/s from the first repeat to the last: the winding warms, or the supply"
+        " sags; corner_speed is that of their mean, and its interval that of a mean"
+    ]
 
 
 def bus(runs: Sequence[Run], notes: list[str]) -> list[Estimate]:

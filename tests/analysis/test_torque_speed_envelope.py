@@ -1,6 +1,7 @@
 """The envelope of a machine whose voltage equation is solved by itself."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -86,6 +87,24 @@ def test_repeats_that_find_the_winding_warmer_are_no_scatter_of_the_corner(bench
     found = analyzed(analyze, driven(bench, warmed=[(0.0, 0.0), (10.0, 0.0), (20.0, 0.0)])).find("corner_speed")
     assert found.value == pytest.approx(np.mean([true_corner(kelvin) for kelvin in (0, 10, 20)]), abs=0.01)
     assert found.high - found.low < 0.1
+
+
+@pytest.mark.parametrize("trials", [2, 3])
+def test_a_corner_that_drifts_with_the_winding_s_warmth_is_named_with_its_size(bench, trials):
+    warmed = [(8.0 * trial, 4.0) for trial in range(trials)]
+    result = analyzed(analyze, driven(bench, trials=trials, scatter=0.002, warmed=warmed))
+    [note] = [note for note in result.notes if note.startswith("the corner drifts")]
+    moved = true_corner(8.0 * (trials - 1) + 4.0) - true_corner(4.0)
+    assert float(re.search(r"by (\S+) rad/s from the first repeat to the last", note)[1]) == pytest.approx(
+        moved, rel=0.1
+    )
+    assert "corner_speed is that of their mean" in note
+
+
+def test_a_corner_that_stays_is_not_said_to_drift(bench):
+    for _ in range(20):
+        result = analyzed(analyze, driven(bench, scatter=0.01, trials=2, noise=0.01))
+        assert not any("drifts" in note for note in result.notes)
 
 
 def test_without_repeats_no_interval_is_given(bench):

@@ -12,6 +12,8 @@ from leactl.analysis.conditions.comparison import compare, compare_all
 from leactl.analysis.conditions.values import Values
 from leactl.analysis.experiments import analyze_runs
 from leactl.errors import InputError, NotIdentifiable
+from tests.analysis.envelopes import SPEEDS, driven
+from tests.analysis.run_outs import coasting
 from tests.analysis.synthetic import Bench
 from tests.cli.terminal import COMMAND, leactl
 
@@ -96,6 +98,64 @@ def test_by_run_takes_each_run_once(bench):
     paths = runs(bench) + runs(bench)
     found = {one.name: one for one in compare_all(paths, by_run=True)[1]}["coulomb_friction"]
     assert [group.count for group in found.groups] == [2, 2, 2]
+
+
+class Numbered(Bench):
+    """Writes run-outs with the number of their repeat, one each way in each."""
+
+    def write(self, experiment, time, columns, steps, **how):
+        numbered = [(*step, told | {"repeat": 1 + k // 4}) for k, (*step, told) in enumerate(steps)]
+        return super().write(experiment, time, columns, numbered, **how)
+
+
+def coasts(bench, actuators=("a1", "a2")):
+    """Runs whose single repeats cannot be analysed: one run-out each way has no scatter."""
+    numbered = Numbered(bench.directory, bench.rng)
+    return [
+        coasting(numbered, f=f + bench.rng.normal(0.0, 0.002), noise=0.01, condition=label, actuator=actuator)
+        for label, f in FRICTION.items()
+        for actuator in actuators
+    ]
+
+
+def test_one_value_a_run_is_taken_and_said_where_no_trial_can_be_analysed(bench):
+    names = [path.name for path in coasts(bench)]
+    body = json.loads(leactl("stats", *names, "--json").stdout)
+    found = {one["name"]: one for one in body["results"]}
+    assert [row["count"] for row in found["coulomb_friction"]["conditions"]] == [2, 2, 2]
+    assert found["coulomb_friction"]["shown"]
+    said = [note for note in found["coulomb_friction"]["notes"] if note.startswith("one value a run")]
+    assert len(said) == 1
+    assert "found 2 run-outs in 2 directions" in said[0]
+    text = " ".join(leactl("stats", *names).stdout.split())
+    assert "note: one value a run, its repeats together: no single trial could be analysed (" in text
+    asked = json.loads(leactl("stats", *names, "--by-run", "--json").stdout)["results"]
+    assert [one["anova"] for one in asked] == [one["anova"] for one in body["results"]]
+
+
+def test_too_few_runs_to_take_each_once_say_what_is_needed(bench):
+    with pytest.raises(NotIdentifiable, match="3 values of 3 conditions give no scatter") as caught:
+        compare_all(coasts(bench, ("a1",)))
+    assert all(
+        "repeat one run or more under a condition, or measure a further actuator" in line
+        for line in caught.value.faults
+    )
+    assert all("no single trial could be analysed" in line for line in caught.value.faults)
+
+
+def test_a_result_that_single_trials_do_not_tell_is_compared_by_runs_and_the_others_by_trials(bench):
+    repeats = np.repeat([1, 2], len(SPEEDS))
+    paths = [
+        driven(bench, scatter=0.01, noise=0.01, trials=2, repeats=repeats, condition=label)
+        for label in ("design", "loaded")
+        for _ in range(2)
+    ]
+    found = {one.name: one for one in compare_all(paths)[1]}
+    assert [group.count for group in found["highest_torque"].groups] == [2, 2]
+    assert any(note.startswith("one value a run") for note in found["highest_torque"].notes)
+    assert [group.count for group in found["corner_speed"].groups] == [4, 4]
+    assert not any(note.startswith("one value a run") for note in found["corner_speed"].notes)
+    assert [one.name for one in compare_all(paths, ["highest_torque"])[1]] == ["highest_torque"]
 
 
 def test_answers_of_analyze_are_repeats(bench, tmp_path):

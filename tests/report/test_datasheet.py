@@ -220,6 +220,61 @@ def test_two_sets_stand_side_by_side_with_their_difference(tmp_path):
     json.dumps(sheet.as_json(), allow_nan=False)
 
 
+def one_set(prefix, *told):
+    """A set of runs with an estimate for each actuator; None for one that has none."""
+    entries = [
+        Entry(Path(f"{prefix}{k}.h5"), f"{prefix}{k}", "", "lea", "no-load-loss", {"actuator": f"LEA-{k}"})
+        for k in range(1, len(told) + 1)
+    ]
+    answers = []
+    for entry, item in zip(entries, told, strict=True):
+        result = Result("no-load-loss", (str(entry.path),), () if item is None else (item,))
+        answers.append(Answer("lea", "no-load-loss", entry.group[0], "design", result, (entry,)))
+    return RunSet(prefix, tuple(entries), tuple(answers), {})
+
+
+def bound(low, high):
+    return Estimate("hysteresis_torque", float("nan"), float("nan"), low, high, "N*m")
+
+
+def known(value):
+    return Estimate("hysteresis_torque", value, 0.01, value - 0.02, value + 0.02, "N*m")
+
+
+def beside(*told):
+    """The row of a set with these estimates, beside a set of one actuator with a bound."""
+    sheet = Sheet((one_set("A", *told), one_set("B", bound(0.0, 0.2))))
+    [row] = [one for one in sheet.sections[0].rows["no-load-loss"] if one.name == "hysteresis_torque"]
+    said = next(one for one in sheet.as_json()["sections"][0]["rows"] if one["name"] == "hysteresis_torque")
+    cells = next(one for one in table(tree(sheet, Path("out.html"))) if one[0] == "hysteresis torque")
+    return row, said["values"][0], cells
+
+
+def test_bounds_of_several_actuators_are_compared_by_the_widest():
+    _, told, _ = beside(bound(0.01, 0.3), bound(0.0, 0.2))
+    assert (told["value"], told["low"], told["high"]) == (None, 0.0, 0.3)
+    assert told["runs"] == ["A1", "A2"]
+    assert told["actuators"] == ["LEA-1", "LEA-2"]
+    alone = Sheet((one_set("A", bound(0.01, 0.3), bound(0.0, 0.2)),)).sections[0].rows["no-load-loss"]
+    assert [row.actuator for row in alone if row.name == "hysteresis_torque"] == ["LEA-1", "LEA-2", "2 actuators"]
+
+
+@pytest.mark.parametrize("other", [bound(0.0, 0.2), bound(np.nan, np.nan), None])
+def test_what_one_actuator_alone_knows_is_compared_and_said_to_be_its_own(other):
+    row, said, cells = beside(known(0.1), other)
+    assert row.cells[0].estimate.value == 0.1
+    assert (said["runs"], said["actuators"]) == (["A1"], ["LEA-1"])
+    assert cells[2].endswith("of LEA-1 alone")
+    assert "alone" not in cells[3]
+
+
+def test_a_mean_over_some_actuators_says_of_which():
+    row, said, cells = beside(known(0.1), bound(0.0, 0.2), known(0.3))
+    assert row.cells[0].estimate.value == pytest.approx(0.2)
+    assert (said["runs"], said["actuators"]) == (["A1", "A3"], ["LEA-1", "LEA-3"])
+    assert cells[2].endswith("of LEA-1, LEA-3 alone")
+
+
 def test_points_lie_where_the_axes_say_and_captions_name_their_runs(campaign, sheet):
     root = tree(sheet, campaign / "out.html")
     section = next(one for one in root.iter("section") if one.get("id") == "m0-friction")

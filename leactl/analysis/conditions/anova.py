@@ -105,7 +105,8 @@ def anova(values: Values) -> Anova:
         )
     if count - rank < 1:
         raise NotIdentifiable(
-            f"{values.name}: {count} values of {_cells(design)} give no scatter to judge by; repeat them"
+            f"{values.name}: {count} values of {_cells(design)} give no scatter to judge by; repeat one run or more"
+            " under a condition, or measure a further actuator under each"
         )
     error = Error(_squared(left) / (count - rank), count - rank)
     if not error.mean_square > 1e-24 * float(np.max(np.abs(y))) ** 2:

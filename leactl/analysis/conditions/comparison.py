@@ -161,24 +161,46 @@ def compare_all(
     InputError : see `values.of_runs`, or a result that there is not.
     NotIdentifiable : no result can be compared.
     """
-    experiment, every = of_runs(paths, by_run, **options)
-    known = [one.name for one in every]
+    taken = of_runs(paths, by_run, **options)
+    experiment, known = taken.experiment, list(dict.fromkeys([*taken.runs, *taken.trials]))
     for name in names:
         if name not in known:
             raise InputError(f"{experiment} has no result '{name}' to compare; it has {', '.join(known) or 'none'}")
+    every = [*taken.trials.values(), *taken.runs.values()]
     held = {condition for one in every for condition in one.condition.tolist()}
     if len(held) == 1:
         raise NotIdentifiable(f"{experiment}: found one condition, '{held.pop()}'; two conditions or more are needed")
     found, refused = [], []
-    for values in every:
-        if not names or values.name in names:
+    for name in known:
+        if not names or name in names:
             try:
-                found.append(compare(values))
+                found.append(_best(taken.trials.get(name), taken.runs.get(name)))
             except NotIdentifiable as fault:
                 refused.append(str(fault))
     if not found:
-        raise NotIdentifiable(refused or f"{experiment}: no result with an uncertainty to compare")
+        nothing = (
+            f"{experiment}: no result with an uncertainty to compare; `leactl analyze` of one run says what it lacks"
+        )
+        raise NotIdentifiable(refused or nothing)
     return experiment, found, refused
+
+
+def _best(trials: Values | None, runs: Values | None) -> Comparison:
+    """Compare single trials where they tell every condition, or else one value a run, or else what trials there are.
+
+    Raises
+    ------
+    NotIdentifiable : what was tried first cannot be compared, and what comes after it neither.
+    """
+    if runs is None or (trials is not None and set(runs.condition.tolist()) <= set(trials.condition.tolist())):
+        assert trials is not None
+        return compare(trials)
+    try:
+        return compare(runs)
+    except NotIdentifiable as fault:
+        if trials is not None and len(set(trials.condition.tolist())) > 1:
+            return compare(trials)
+        raise NotIdentifiable(f"{fault}; {runs.notes[0]}") from None
 
 
 def in_words(test: FTest) -> str:

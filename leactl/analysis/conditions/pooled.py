@@ -1,4 +1,4 @@
-"""One estimate over several actuators, and the difference of two, with 95 % intervals."""
+"""One estimate or bound over several actuators, and the difference of two estimates, with 95 % intervals."""
 
 import math
 from collections.abc import Sequence
@@ -35,6 +35,12 @@ def over_actuators(estimates: Sequence[Estimate]) -> Estimate:
     own = _mean([one.std for one in known])
     half = math.hypot(float(t.ppf(0.975, count - 1)) * error, _mean([(one.high - one.low) / 2.0 for one in known]))
     return Estimate(first.name, mean, math.hypot(error, own), mean - half, mean + half, first.units)
+
+
+def widest(bounds: Sequence[Estimate]) -> Estimate:
+    """Bounds that hold for every actuator, where none has a value; a side that is not known of one is not known."""
+    low, high = float(np.min([one.low for one in bounds])), float(np.max([one.high for one in bounds]))
+    return Estimate(bounds[0].name, NAN, NAN, low, high, bounds[0].units)
 
 
 def difference(first: Estimate, second: Estimate) -> Estimate:

@@ -1,4 +1,7 @@
-"""The values that are compared: one result of an analysis, once a trial, with its actuator and condition."""
+"""The values that are compared: one result of an analysis, once a trial, with its actuator and condition.
+
+Some analyses need more than one pass of the repeats, for a result or for anything: those are there once a run besides.
+"""
 
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -86,10 +89,20 @@ class _OneTrial(Run):
         return [step for step in super().steps if step.parameters.get("repeat", self._repeat) == self._repeat]
 
 
-def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> tuple[str, list[Values]]:
-    """Experiment, and the values of each of its results, from runs and from answers of `leactl analyze --json`.
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """Values of an experiment's results by name."""
 
-    A run gives one value for each pass of its repeats, a run without repeats and an answer one.
+    experiment: str
+    trials: dict[str, Values]
+    runs: dict[str, Values]  # one a run; empty where single trials tell every result in each run
+
+
+def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> Taken:
+    """Values of each result, from runs and from answers of `leactl analyze --json`.
+
+    A run gives one value for each pass of its repeats, a run without repeats and an answer one. Where a result is not
+    in every run's trials, whole runs give one value each besides.
 
     Parameters
     ----------
@@ -99,7 +112,7 @@ def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> tupl
     Raises
     ------
     InputError : files that are neither, of different experiments, given twice or altered, or without a condition.
-    NotIdentifiable : no trial could be analysed.
+    NotIdentifiable : neither a trial nor a whole run could be analysed.
     """
     answers = [path for path in paths if path.suffix == ".json"]
     files = [path for path in paths if path.suffix != ".json"]
@@ -132,12 +145,31 @@ def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> tupl
         if len(kinds) > 1:
             told = ", ".join(f"{path} is '{kind}'" for kind, path in kinds.items())
             raise InputError(f"different experiments: {told}; give runs of one experiment")
+        whole, of_whole = list(trials), [""]
         for number, run in enumerate(runs, start=len(trials)):
             trials += _of_run(run, number, by_run, notes, options)
+        wanting = not by_run and any(len(_repeats(run)) > 1 for run in runs) and _lacking(trials, len(whole), len(runs))
+        for number, run in enumerate(runs if wanting else [], start=len(whole)):
+            whole += _of_run(run, number, True, of_whole, options)
     experiment = next(iter(kinds))
-    if not trials:
-        raise NotIdentifiable(f"{experiment}: no trial could be analysed: {listed(notes, 2)}")
-    return experiment, _columns(trials, notes)
+    if not trials and not (wanting and whole):
+        raise NotIdentifiable(f"{experiment}: no {'run' if by_run else 'trial'} could be analysed: {listed(notes, 2)}")
+    partly = "single trials give no uncertainty of it, or not under every condition"
+    why = partly if trials else f"no single trial could be analysed ({notes[-1]})"
+    of_whole[0] = f"one value a run, its repeats together: {why}"
+    return Taken(experiment, _columns(trials, notes), _columns(whole, of_whole) if wanting else {})
+
+
+def _lacking(trials: Sequence[Trial], first: int, count: int) -> bool:
+    """Whether a result has no uncertainty in any trial of one of the `count` runs from number `first` on."""
+    names = {item.name for trial in trials for item in trial.results}
+    told = {(trial.run, item.name) for trial in trials for item in trial.results if np.isfinite(item.std)}
+    return any(not names or (run, name) not in told for run in range(first, first + count) for name in names or {""})
+
+
+def _repeats(run: Run) -> list[int]:
+    """Numbers of the passes of its repeats; none where its steps tell none."""
+    return sorted({int(step.parameters["repeat"]) for step in run.steps if "repeat" in step.parameters})
 
 
 def _of_run(run: Run, number: int, by_run: bool, notes: list[str], options: dict[str, Any]) -> list[Trial]:
@@ -149,7 +181,7 @@ def _of_run(run: Run, number: int, by_run: bool, notes: list[str], options: dict
     if not condition:
         raise InputError(f"{run.path}: the run has no condition; `leactl run --condition` names it")
     notes += remarks_on(run)
-    repeats = sorted({int(step.parameters["repeat"]) for step in run.steps if "repeat" in step.parameters})
+    repeats = _repeats(run)
     parts = [run] if by_run or len(repeats) < 2 else [_OneTrial(run, repeat) for repeat in repeats]
     found, lost = [], []
     for repeat, part in zip(repeats or [1], parts, strict=False):
@@ -159,7 +191,8 @@ def _of_run(run: Run, number: int, by_run: bool, notes: list[str], options: dict
             lost.append((repeat, str(fault).removeprefix(f"{run.path}: ")))
     if lost:
         which = listed(repeat for repeat, _ in lost)
-        notes.append(f"{run.path}: {len(lost)} of {len(parts)} trials gave nothing ({which}): {lost[0][1]}")
+        what = f"{len(lost)} of {len(parts)} trials gave nothing ({which})" if len(parts) > 1 else "it gave nothing"
+        notes.append(f"{run.path}: {what}: {lost[0][1]}")
     return found
 
 
@@ -188,7 +221,7 @@ def _of_answer(path: Path, first: int) -> tuple[str, list[Trial], set[Path]]:
     return answer.experiment, trials, {Path(run).resolve() for run in answer.runs}
 
 
-def _columns(trials: Sequence[Trial], notes: Sequence[str]) -> list[Values]:
+def _columns(trials: Sequence[Trial], notes: Sequence[str]) -> dict[str, Values]:
     """One result each: those with an uncertainty that are no part of another, such as one direction alone."""
     named: dict[str, str] = {}
     for trial in trials:
@@ -196,7 +229,7 @@ def _columns(trials: Sequence[Trial], notes: Sequence[str]) -> list[Values]:
             part = any(item.name.startswith(f"{other}_") for other in named)
             if np.isfinite(item.std) and not part and named.setdefault(item.name, item.units) != item.units:
                 raise InputError(f"{item.name} is in {named[item.name]} and in {item.units}; one unit was expected")
-    found = []
+    found = {}
     for name, units in named.items():
         by_trial = [next((item.value for item in one.results if item.name == name), np.nan) for one in trials]
         values = np.array(by_trial, np.float64)
@@ -205,15 +238,13 @@ def _columns(trials: Sequence[Trial], notes: Sequence[str]) -> list[Values]:
         if not good.all():
             said.append(f"{name}: {int((~good).sum())} of {len(values)} values are missing and left out")
         kept = [trial for trial, one in zip(trials, good, strict=True) if one]
-        found.append(
-            Values(
-                name,
-                units,
-                values[good],
-                np.array([trial.actuator for trial in kept], np.str_),
-                np.array([trial.condition for trial in kept], np.str_),
-                np.array([trial.run for trial in kept], np.int64),
-                tuple(said),
-            )
+        found[name] = Values(
+            name,
+            units,
+            values[good],
+            np.array([trial.actuator for trial in kept], np.str_),
+            np.array([trial.condition for trial in kept], np.str_),
+            np.array([trial.run for trial in kept], np.int64),
+            tuple(said),
         )
     return found

@@ -156,7 +156,10 @@ def over_conditions(rows: Sequence[Row], sets: Sequence[RunSet]) -> Html:
         own = [row for row in rows if row.name == name]
         strips = [
             Interval(
-                ", ".join(filter(None, (row.condition, row.actuator, sets[k].name if len(sets) > 1 else ""))) or "all",
+                ", ".join(
+                    filter(None, (row.condition, row.actuator, sets[k].name if len(sets) > 1 else "", cell.whose))
+                )
+                or "all",
                 f"dot s{k % COLOURS}",
                 cell.estimate.value,
                 cell.estimate.low,

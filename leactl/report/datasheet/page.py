@@ -17,7 +17,7 @@ from leactl.report.datasheet.motor_file import motor_table
 from leactl.report.datasheet.runset import Answer, Entry, RunSet
 from leactl.report.datasheet.sheet import Section, Sheet
 from leactl.report.datasheet.style import STYLE
-from leactl.report.datasheet.table import links, rows_table, two_lines
+from leactl.report.datasheet.table import in_lines, links, rows_table
 from leactl.report.html import Html, document, joined, table, tag
 from leactl.report.terminal import figures as paper
 from leactl.report.terminal import interval_text, value_text
@@ -153,10 +153,10 @@ def runs_table(own: RunSet, out: Path, named: bool) -> Html:
         cells.append(
             [
                 tag("span", entry.label, id=entry.label),
-                two_lines(tag("a", name, href=address(entry.path, out)), plain(entry.experiment)),
+                in_lines(tag("a", name, href=address(entry.path, out)), plain(entry.experiment)),
                 *(about.get(key, "") for key in ("actuator", "condition", "mechanical")),
-                two_lines(about.get("bench", ""), by),
-                two_lines(about.get("created", "").replace("T", " ")[:16], about.get("status", "")),
+                in_lines(about.get("bench", ""), by),
+                in_lines(about.get("created", "").replace("T", " ")[:16], about.get("status", "")),
                 tag("span", f"not analysed: {entry.fault}" if entry.fault else "analysed", class_="fault"),
             ]
         )

@@ -1,11 +1,11 @@
 """The table of a datasheet: a row for each result, condition and actuator, a cell for each set of runs."""
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
-from leactl.analysis.conditions.pooled import difference, over_actuators
+from leactl.analysis.conditions.pooled import difference, over_actuators, widest
 from leactl.analysis.estimate import Estimate
 from leactl.analysis.experiments import names
 from leactl.report.datasheet.runset import Answer, Entry, RunSet
@@ -21,6 +21,13 @@ class Cell:
     estimate: Estimate | None
     entries: tuple[Entry, ...] = ()
     lacks: str = ""
+    actuators: tuple[str, ...] = ()  # that it is of
+    whose: str = ""  # which those are, where it is compared and the set has others
+
+    @property
+    def actuator(self) -> str:
+        """The actuator, or how many were put together; empty where none was measured."""
+        return f"{len(self.actuators)} actuators" if len(self.actuators) > 1 else "".join(self.actuators)
 
 
 @dataclass(frozen=True)
@@ -59,7 +66,12 @@ class Row:
             "units": self.units,
             "paper": self.paper or None,
             "values": [
-                {"set": one.name, "runs": [entry.label for entry in cell.entries], "lacks": cell.lacks or None}
+                {
+                    "set": one.name,
+                    "runs": [entry.label for entry in cell.entries],
+                    "actuators": list(cell.actuators),
+                    "lacks": cell.lacks or None,
+                }
                 | numbers(cell.estimate)
                 for one, cell in zip(sets, self.cells, strict=True)
             ],
@@ -76,8 +88,8 @@ def numbers(estimate: Estimate | None) -> dict[str, float | None]:
 def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list[Row]:
     """Rows of one experiment; motor k is that of set k.
 
-    One set has a row for each actuator, and one for all where there are several; of two sets only the latter are
-    beside each other.
+    One set has a row for each actuator, and one for all where several know the result; of two sets only what all of
+    each know together is side by side.
     """
     answers = [
         [one for one in own.answers if (one.motor, one.experiment) == (motor, experiment)]
@@ -92,11 +104,19 @@ def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list
     for name in result_names(experiment, every):
         for condition in conditions(experiment, every, name):
             paper = figures(experiment, condition).get(name, "")
-            cells = [list(cells_of(own, lost, name, condition)) for own, lost in zip(answers, faulty, strict=True)]
-            shown = [list(one) for one in zip(*cells, strict=True)] if len(sets) == 1 else [[own[-1] for own in cells]]
-            found += [
-                Row(experiment, name, condition, who(row), tuple(cell for _, cell in row), paper) for row in shown
-            ]
+            cells = [cells_of(own, lost, name, condition) for own, lost in zip(answers, faulty, strict=True)]
+            shown: list[tuple[Cell, ...]]
+            if len(sets) == 1:
+                whole = together(cells[0])
+                shown = [(cell,) for cell in [*cells[0], *([whole] if len(whole.actuators) > 1 else [])]]
+            else:
+                shown = [
+                    tuple(
+                        attributed(together(of_set), own, motor)
+                        for of_set, own, motor in zip(cells, sets, motors, strict=True)
+                    )
+                ]
+            found += [Row(experiment, name, condition, who(row), row, paper) for row in shown]
     return found
 
 
@@ -132,28 +152,40 @@ def ordered_conditions(answers: Sequence[Answer]) -> list[str]:
     return list(dict.fromkeys([*papers, *(answer.condition for answer in answers)]))
 
 
-def cells_of(
-    answers: Sequence[Answer], faulty: Sequence[Entry], name: str, condition: str
-) -> Iterator[tuple[str, Cell]]:
-    """Actuator and cell of each that was measured, then of all together; one empty cell where none was."""
+def cells_of(answers: Sequence[Answer], faulty: Sequence[Entry], name: str, condition: str) -> list[Cell]:
+    """A cell for each actuator that was measured; an empty one where none was."""
     own = [answer for answer in answers if answer.condition == condition]
     found = [(answer, item) for answer in own for item in answer.result.results if item.name == name]
     if not found:
         lost = tuple(one for one in faulty if condition in ("", one.group[1]))
-        yield "", Cell(None, lost, "not analysed" if lost else NOT_MEASURED)
-        return
-    for answer, item in found:
-        yield answer.actuator, Cell(item, answer.entries)
-    if len(found) > 1:
-        known = [item for _, item in found if math.isfinite(item.value)]
-        entries = tuple(entry for answer, _ in found for entry in answer.entries)
-        if len(known) > 1:
-            yield f"{len(known)} actuators", Cell(over_actuators(known), entries)
+        return [Cell(None, lost, "not analysed" if lost else NOT_MEASURED)]
+    return [Cell(item, answer.entries, actuators=(answer.actuator,)) for answer, item in found]
 
 
-def who(row: Sequence[tuple[str, Cell]]) -> str:
+def together(cells: Sequence[Cell]) -> Cell:
+    """What actuators say together: the mean of those that know a value, or else the bounds that hold for all."""
+    pairs = [(cell, cell.estimate) for cell in cells if cell.estimate is not None]
+    valued = [(cell, item) for cell, item in pairs if math.isfinite(item.value)]
+    bounded = [(cell, item) for cell, item in pairs if not (math.isnan(item.low) and math.isnan(item.high))]
+    told = valued or bounded or pairs
+    if len(told) < 2:
+        return told[0][0] if told else cells[0]
+    estimate = (over_actuators if valued else widest)([item for _, item in told])
+    entries = tuple(entry for cell, _ in told for entry in cell.entries)
+    return Cell(estimate, entries, actuators=tuple(name for cell, _ in told for name in cell.actuators))
+
+
+def attributed(cell: Cell, own: RunSet, motor: str) -> Cell:
+    """The cell with the names of its actuators where its set has others besides."""
+    every = {entry.group[0] for entry in own.entries if entry.experiment and entry.motor == motor}
+    if not cell.actuators or every <= set(cell.actuators):
+        return cell
+    return replace(cell, whose=f"of {', '.join(name or 'one without a name' for name in cell.actuators)} alone")
+
+
+def who(cells: Sequence[Cell]) -> str:
     """The actuator of a row, where its cells have the same one."""
-    told = dict.fromkeys(actuator for actuator, cell in row if cell.estimate is not None)
+    told = dict.fromkeys(cell.actuator for cell in cells if cell.estimate is not None)
     return next(iter(told)) if len(told) == 1 else ""
 
 

@@ -33,7 +33,7 @@ def row_of(row: Row, several: bool) -> Html:
     """One result."""
     cells: list[str] = [row.condition] + ([] if several else [row.actuator])
     if several:
-        cells += [two_lines(*shown(cell)) for cell in row.cells]
+        cells += [in_lines(*shown(cell), cell.whose) for cell in row.cells]
         cells.append(difference_cell(row.difference))
     else:
         cells += shown(row.cells[0])
@@ -51,16 +51,16 @@ def shown(cell: Cell) -> list[str]:
     return [value_text(cell.estimate), interval_text(cell.estimate)]
 
 
-def two_lines(first: str, second: str) -> Html:
-    """One below the other where there is a second, for tables that need the width."""
-    return joined([text(first), tag("span", second, class_="second")]) if second else text(first)
+def in_lines(first: str, *others: str) -> Html:
+    """One below the other, those that say something, for tables that need the width."""
+    return joined([text(first), *(tag("span", other, class_="second") for other in others if other)])
 
 
 def difference_cell(found: Estimate | None) -> Html:
     """The difference of two sets, strong where its interval does not hold zero; none without an uncertainty."""
     if found is None or not math.isfinite(found.std):
         return Html("")
-    cell = two_lines(value_text(found), interval_text(found))
+    cell = in_lines(value_text(found), interval_text(found))
     return tag("strong", cell) if found.low > 0.0 or found.high < 0.0 else cell
 
 
