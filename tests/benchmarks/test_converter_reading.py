@@ -10,14 +10,18 @@ from tests.benchmarks.rounds import compare
 
 LIMIT = 2.5
 READINGS = 3000
-IDLE_CONFIG, COUNT = 0x8583, 0x1234  # what the converter answers: not busy, and its reading
+IDLE, COUNT = 0x8000, 0x1234  # what the converter answers: the config written, not busy, and its reading
 BLOCK = 8  # I2C_SMBUS_I2C_BLOCK_DATA, whose first byte is a length
+held = {0: COUNT}  # registers
 
 
 def answer(descriptor, request, message=None):
     """Stands for the kernel: fills in what a converter would send, most significant byte first."""
+    if request == smbus2.I2C_SMBUS and message.read_write == smbus2.I2C_SMBUS_WRITE:
+        high, low = message.data.contents.block[0:2]
+        held[message.command] = high << 8 | low | IDLE
     if request == smbus2.I2C_SMBUS and message.read_write == smbus2.I2C_SMBUS_READ:
-        value = IDLE_CONFIG if message.command else COUNT
+        value = held[message.command]
         at = 1 if message.size == BLOCK else 0
         block = message.data.contents.block
         block[at], block[at + 1] = value >> 8, value & 0xFF

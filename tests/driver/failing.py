@@ -126,6 +126,10 @@ class FailingConverter(Ads1115Emulator):
         """Never end another conversion."""
         self._stalled = True
 
+    def reset(self) -> None:
+        """Lose the supply for a moment: nothing under way, and registers as after power-up."""
+        super().__init__(self._pin)
+
     def _finish(self, now: float) -> None:
         super()._finish(-math.inf if self._stalled else now)
 

@@ -151,6 +151,35 @@ def test_an_absent_converter_is_named(make_adc):
         bench.adc.open()
 
 
+def test_a_converter_that_was_reset_is_a_fault_not_a_value():
+    bench = AdcBench()
+    bench.adc.open()
+    bench.far.apply(1.0)
+    assert bench.rows(1)[0].values == (pytest.approx(3.0),)
+    bench.far.reset()
+    faulty, after = bench.rows(2)
+    assert math.isnan(faulty.values[0])
+    assert faulty.fault == (
+        "input torque was converted by config 0x8583, 0x83E3 was written; was the converter reset, or is there"
+        " another program on the bus?"
+    )
+    assert (after.values, after.fault) == ((pytest.approx(3.0),), "")
+
+
+@pytest.mark.parametrize("waited", [0.0, 0.0012])
+def test_a_conversion_that_another_program_asked_for_is_a_fault_not_a_value(waited):
+    bench = AdcBench()
+    bench.adc.open()
+    bench.far.apply(1.0, 0.0, 2.0)
+    bench.adc.take()
+    bench.clock.sleep_until(bench.clock.now() + waited)
+    bench.port.write(0x48, 1, 0xE3E3)  # A2
+    faulty, after = bench.rows(2)
+    assert math.isnan(faulty.values[0])
+    assert faulty.fault.startswith("input torque was converted by config 0xE3E3, 0x83E3 was written")
+    assert (after.values, after.fault) == ((pytest.approx(3.0),), "")
+
+
 def test_a_conversion_that_never_ends_is_no_answer(bench):
     bench.far.stall()
     with pytest.raises(NoAnswer, match="has not ended"):
@@ -164,6 +193,7 @@ def test_settings_are_checked():
         {"quantity": "torqe"},
         {"rate_sps": 900},
         {"scale_per_V": 0},
+        {"scale_per_V": math.inf},
         {"low_V": 2.0, "high_V": 1.0},
     ):
         with pytest.raises(ValidationError):

@@ -286,6 +286,8 @@ GARBAGE = {
     "cut short": b"05400900\rOK\r".hex(),
     "another question's": b"080090\rOK\r".hex(),
     "a plain OK": b"OK\r".hex(),
+    "more volts than it can give": b"854009001\rOK\r".hex(),
+    "more amperes than it can give": b"054099001\rOK\r".hex(),
     "with a line feed": b"054009001\r\nOK\r\n".hex(),
     "empty": b"\r".hex(),
     "lost": None,
@@ -301,6 +303,15 @@ def test_one_bad_answer_costs_a_round_and_none_is_guessed(here, answer):
     assert all(row.values == (5.4, 9.0) for row in rows)
     lost = [text for text in here.supply.notices() if text.startswith("a round was lost")]
     assert 1 <= len(lost) <= 2  # half a line may spoil the next answer as well
+
+
+def test_more_than_it_can_give_is_told(here):
+    here.energise()
+    here.until(lambda _: b"GETD" in here.said)
+    here.far.spoil(b"854009001\rOK\r".hex())
+    here.rows(1)
+    complaint = "a round was lost: GETD was answered by 85.40 V and 9.00 A where no more than 18 V and 20 A can be"
+    assert complaint in here.supply.notices()
 
 
 def test_a_late_answer_is_not_taken_for_the_next_question_s(here):

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from leactl_plugins.scpi_supply import answers
+from leactl_plugins.scpi_supply.dialects import DIALECTS
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 from pydantic import ValidationError
 
@@ -312,6 +313,47 @@ def test_one_bad_answer_costs_a_round_and_none_is_guessed(here, answer):
     assert len(notices) == 1
 
 
+@pytest.mark.parametrize("question", [b"MEAS:VOLT?", b"MEAS:CURR?"])
+@pytest.mark.parametrize(
+    ("own", "answer"),
+    [
+        *(({}, b"+6.00000000E+00\r\n"[lost:]) for lost in range(1, 15)),
+        ({}, b"+6.0000000E+00\r\n"),  # a byte lost within
+        *((RIGOL, b"6.0000\n"[lost:]) for lost in range(1, 6)),
+        (RIGOL, b"6.00\n"),
+    ],
+)
+def test_an_answer_that_lost_bytes_is_no_reading(own, answer, question):
+    bench = SupplyBench(**own)
+    bench.energise()
+    bench.until(lambda _: question in bench.said)
+    bench.far.spoil(answer.hex())
+    rows = bench.rows(2)
+    assert all(row.values == (pytest.approx(5.4), pytest.approx(9.0)) for row in rows)
+    (lost,) = [text for text in bench.supply.notices() if text.startswith("a round was lost")]
+    found = f"{question.decode()} was answered by {answer.decode().rstrip()!r}"
+    assert lost == f"a round was lost: {found} where a reading was expected"
+
+
+@pytest.mark.parametrize(
+    ("own", "question", "answer", "complaint"),
+    [
+        ({}, "MEAS:VOLT?", b"+2.50000000E+01\r\n", "25 where no more than 20 can be"),
+        ({}, "MEAS:CURR?", b"-9.00000000E+01\r\n", "-90 where no more than 20 can be"),
+        (RIGOL, "MEAS:VOLT?", b"85.4000\n", "85.4 where no more than 40 can be"),
+        (RIGOL, "MEAS:CURR?", b"12.5000\n", "12.5 where no more than 10 can be"),
+    ],
+)
+def test_more_than_the_model_can_give_is_no_reading(own, question, answer, complaint):
+    bench = SupplyBench(**own)
+    bench.energise()
+    bench.until(lambda _: question.encode() in bench.said)
+    bench.far.spoil(answer.hex())
+    rows = bench.rows(2)
+    assert all(row.values == (pytest.approx(5.4), pytest.approx(9.0)) for row in rows)
+    assert f"a round was lost: {question} was answered by {complaint}" in bench.supply.notices()
+
+
 def test_a_lost_answer_is_lived_with_on_every_transport(make_supply):
     bench = make_supply()
     bench.energise()
@@ -437,6 +479,15 @@ def test_a_supply_that_does_not_switch_off_is_not_called_safe(bench, admits, det
     assert bench.far.output()[2] == 9.0
 
 
+@pytest.mark.parametrize("lost", range(1, 15))
+def test_a_current_that_lost_bytes_makes_no_stuck_supply_safe(here, lost):
+    here.energise()
+    here.far.stuck_on(False)
+    left = b"+9.00000000E+00\r\n"[lost:]
+    here.far.spoil(b"HEWLETT-PACKARD,E3633A,0,1.7-5.0-1.0\r\n".hex(), b"0\r\n".hex(), left.hex())
+    assert not here.made_safe().safe
+
+
 def test_a_name_that_was_given_to_whoever_asked_before_puts_nobody_out_of_step():
     """A program that ended in the middle of a question: the answer comes when the next one has begun to listen."""
     bench = SupplyBench(**RIGOL)  # an E36xx forgets what it has not sent yet when it is switched off
@@ -528,6 +579,17 @@ def test_an_answer_is_read_or_refused_never_anything_else(line):
 def test_every_number_that_a_supply_prints_is_read(value, form):
     text = form.format(value)
     assert answers.number(text.encode()) == float(text)
+
+
+@given(st.floats(-20, 20), st.sampled_from(["e36xx", "dp800"]))
+def test_every_reading_that_a_supply_prints_is_read_and_no_rest_of_one_is_another(value, dialect):
+    form = DIALECTS[dialect].reading
+    text = FailingSupplyEnd(dialect)._number(value)
+    assert answers.reading(text.encode(), form, 20.0) == float(text)
+    if dialect == "e36xx":
+        for lost in range(1, len(text)):
+            with pytest.raises(Unreadable):
+                answers.reading(text[lost:].encode(), form, 20.0)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ CONVERSION, CONFIG = 0x00, 0x01
 START = 0x8000  # OS: start when written, idle when read
 SINGLE_SHOT = 0x0100
 COMPARATOR_OFF = 0x0003
+CONVERTED_BY = 0x7FE0  # pins, range, mode and rate; the bits of the comparator, which is off, are no matter
 POWER_DOWN = 0x8583 & ~START  # the reset value, without starting a conversion
 RATE_TOLERANCE = 1.1  # the internal clock is good to 10 %
 WAKE_UP_S = 25e-6
@@ -133,11 +134,12 @@ class Ads1115(Driver):
         waited = self._clock.now() - started
         if waited < converter.conversion_s / RATE_TOLERANCE:
             return ()
-        if not self._port.read(self._address, CONFIG) & START:
+        held = self._port.read(self._address, CONFIG)
+        if not held & START:
             if waited > GIVE_UP_FACTOR * converter.conversion_s:
                 raise NoAnswer(f"{self.name}: a conversion has not ended after {waited:.4f} s")
             return ()
-        row = self._row(converter, self._port.read(self._address, CONVERSION), started)
+        row = self._row(converter, held, self._port.read(self._address, CONVERSION), started)
         self._turn = (self._turn + 1) % len(self._converters)
         self._start()
         return (row,)
@@ -167,18 +169,22 @@ class Ads1115(Driver):
         self._port.write(self._address, CONFIG, self._converters[self._turn].config)
         self._started = self._clock.now()
 
-    def _row(self, converter: _Converter, raw: int, started: float) -> Row:
+    def _row(self, converter: _Converter, held: int, raw: int, started: float) -> Row:
         count = raw - 0x10000 if raw & 0x8000 else raw
         stamp = started + converter.conversion_s / 2
-        if not converter.lowest <= count <= converter.highest:
-            return self._unreadable(converter.settings, count, converter.stream, stamp)
+        if (held ^ converter.config) & CONVERTED_BY or not converter.lowest <= count <= converter.highest:
+            return Row(converter.stream, stamp, (math.nan,), self._fault(converter, held, count))
         return Row(converter.stream, stamp, (count * converter.per_count - converter.offset,))
 
-    def _unreadable(self, item: Input, count: int, stream: str, stamp: float) -> Row:
+    def _fault(self, converter: _Converter, held: int, count: int) -> str:
+        item = converter.settings
+        if (held ^ converter.config) & CONVERTED_BY:
+            return (
+                f"input {item.name} was converted by config 0x{held:04X}, 0x{converter.config:04X} was written; was the"
+                " converter reset, or is there another program on the bus?"
+            )
         if count in (0x7FFF, -0x8000):
-            fault = f"input {item.name} is saturated at {'+' if count > 0 else '-'}{item.range_V} V"
-        else:
-            low, high = item.window_V
-            volts = count * item.range_V / 32768
-            fault = f"input {item.name} at {volts:.4g} V is outside the {low:.4g} to {high:.4g} V that its sensor tells"
-        return Row(stream, stamp, (math.nan,), fault)
+            return f"input {item.name} is saturated at {'+' if count > 0 else '-'}{item.range_V} V"
+        low, high = item.window_V
+        volts = count * item.range_V / 32768
+        return f"input {item.name} at {volts:.4g} V is outside the {low:.4g} to {high:.4g} V that its sensor tells"

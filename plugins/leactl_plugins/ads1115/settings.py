@@ -27,7 +27,7 @@ class Input(BaseModel):
     range_V: float = 4.096  # noqa: N815 (a unit keeps its letter)
     rate_sps: Literal[8, 16, 32, 64, 128, 250, 475, 860] = 860
     offset_V: Annotated[float, Field(strict=True, ge=-6.144, le=6.144)] = 0.0  # noqa: N815
-    scale_per_V: Annotated[float, Field(strict=True, gt=0)]  # noqa: N815
+    scale_per_V: Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]  # noqa: N815
     sign: Literal[-1, 1] = 1
     low_V: Volts | None = None  # noqa: N815 (below and above these the sensor is at its rail, and its reading a fault)
     high_V: Volts | None = None  # noqa: N815

@@ -13,7 +13,7 @@ from leactl.driver.serial_supply import Progress, Reading
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
 from leactl_plugins.bk1688b import answers
 from leactl_plugins.bk1688b.answers import OK, Display, Levels
-from leactl_plugins.bk1688b.models import LEAST_V, STEP_V
+from leactl_plugins.bk1688b.models import HIGHEST, LEAST_V, STEP_V
 from leactl_plugins.bk1688b.settings import Bk1688bSettings
 
 ON, OFF = "SOUT0", "SOUT1"  # the manual's own sense
@@ -22,6 +22,7 @@ LOOKS = 40  # at the display, some 40 ms each, until a switched output has risen
 MARKS = 10  # settings from 1.0 V to 1.9 V
 SETTINGS_S = 1.0  # between two looks at what is set, which a person may change at the panel
 RATED = 0.15  # share of its rating by which a model's own limits may differ
+BEYOND = 1.2  # times its limits: what a supply does not show
 ASTRAY, ASTRAY_S = 0.03, 1.0  # share by which, and time for which, the output may be off what is set
 ASTRAY_V, ASTRAY_A = 0.1, 0.1  # and beside that
 
@@ -34,6 +35,7 @@ class Bk1688bDialogue:
     def __init__(self, settings: Bk1688bSettings) -> None:
         self._settings, self._step = settings, settings.rating.step_A
         self._held = Levels(round(LEAST_V / STEP_V), 0)  # what was commanded
+        self._most = HIGHEST  # V and A; until it has told its own limits, it may be another model
         self._mark = 0
         self._looked = 0.0
         self._astray_since: float | None = None  # None: nothing has been put out since the last command
@@ -85,6 +87,7 @@ class Bk1688bDialogue:
                     f"limits of {volts:.1f} V and {amperes:.1f} A answer; a {self._settings.model} with"
                     f" {rating.voltage:g} V and {rating.current:g} A was expected"
                 )
+            self._most = volts, amperes
         yield from self._put(Levels(round(LEAST_V / STEP_V), 0))
         return found
 
@@ -121,10 +124,20 @@ class Bk1688bDialogue:
         raise DeviceFault(f"the output does not switch {'on' if on else 'off'}, {_told(shown)}")
 
     def measured(self) -> Script[Reading]:
-        """Voltage, current and what is regulated; once in a while what is set."""
+        """Voltage, current and what is regulated; once in a while what is set.
+
+        Raises
+        ------
+        Unreadable : a display far beyond the supply's limits.
+        """
         answer = yield DISPLAY
         assert answer is not None
         shown: Display = answer.value
+        volts, amperes = self._most
+        if shown.voltage > BEYOND * volts or shown.current > BEYOND * amperes:
+            raise Unreadable(
+                f"GETD was answered by {_told(shown)} where no more than {volts:g} V and {amperes:g} A can be"
+            )
         on = self._on(shown)
         mode = ("constant current" if shown.limited else "constant voltage") if on else ""
         if answer.seen - self._looked >= SETTINGS_S:

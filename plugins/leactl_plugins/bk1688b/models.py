@@ -19,3 +19,4 @@ RATINGS: Final = {
     "1687B": Rating(36.0, 10.0, 0.1),
     "1688B": Rating(18.0, 20.0, 0.1),
 }
+HIGHEST: Final = max(one.voltage for one in RATINGS.values()), max(one.current for one in RATINGS.values())

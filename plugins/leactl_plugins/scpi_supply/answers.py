@@ -8,6 +8,7 @@ from leactl.driver.conversation import Unreadable
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?")
 ERROR = re.compile(r'([+-]?\d{1,5}),\s*"(.*)"')
 MOST = 1e4  # V or A; SCPI-1999 volume 1, 7.2.1.4 and 7.2.1.5: 9.9E37 stands for infinity, 9.91E37 for not a number
+BEYOND = 1.2  # times its rating: what a supply does not show even where its protections are at their highest
 TRUE, FALSE = ("1", "ON", "YES"), ("0", "OFF", "NO")
 
 
@@ -28,7 +29,7 @@ class Entry(NamedTuple):
 
 
 def number(line: bytes) -> float:
-    """A voltage or a current.
+    """A level that is set.
 
     Raises
     ------
@@ -38,6 +39,22 @@ def number(line: bytes) -> float:
     if not NUMBER.fullmatch(text) or not abs(float(text)) <= MOST:
         raise Unreadable(f"{text!r} where a number was expected")
     return float(text)
+
+
+def reading(line: bytes, form: re.Pattern[str], rating: float) -> float:
+    """A measured voltage or current, which nothing else confirms: the rest of an answer may be a number as well.
+
+    Raises
+    ------
+    Unreadable : not of the family's own form to the last digit, or far above what the model is good for.
+    """
+    text = _text(line)
+    if not form.fullmatch(text):
+        raise Unreadable(f"{text!r} where a reading was expected")
+    value = float(text)
+    if not abs(value) <= min(BEYOND * rating, MOST):
+        raise Unreadable(f"{value:g} where no more than {rating:g} can be")
+    return value
 
 
 def truth(line: bytes) -> bool:

@@ -1,5 +1,6 @@
-"""How two families of supplies spell what SCPI leaves open: protection, ranges, truth, and a way out of a deadlock."""
+"""How two families of supplies spell what SCPI leaves open: protection, ranges, readings, a way out of a deadlock."""
 
+import re
 from typing import Final, NamedTuple
 
 
@@ -20,6 +21,7 @@ class Dialect(NamedTuple):
     voltage: Protection
     current: Protection
     set_range: str  # empty: the family has no ranges that can be set
+    reading: re.Pattern[str]  # what is answered to MEAS, to the last digit
     clear: bytes  # gives up what the instrument is about, where it knows such a byte
 
     @property
@@ -47,6 +49,7 @@ DIALECTS: Final = {
             "CURR:PROT:TRIP?",
         ),
         "VOLT:RANG",
+        re.compile(r"[+-]\d\.\d{8}E[+-]\d\d", re.ASCII),
         b"\x03",  # device clear on RS-232 (E3632A User's Guide, page 61)
     ),
     "dp800": Dialect(
@@ -57,6 +60,7 @@ DIALECTS: Final = {
             "over-current protection", "OUTP:OCP:VAL", "OUTP:OCP:VAL?", "OUTP:OCP ON", "OUTP:OCP?", "OUTP:OCP:QUES?"
         ),
         "",
+        re.compile(r"-?\d{1,2}\.\d{3,4}", re.ASCII),  # 12.0035; three decimals stand in the guide as well
         b"",
     ),
 }

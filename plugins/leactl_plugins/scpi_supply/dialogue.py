@@ -4,13 +4,14 @@ Every setting is read back, so that no more than one command is ever under way a
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from leactl.driver.contract import Confirmation
 from leactl.driver.conversation import Question, Script
 from leactl.driver.serial_supply import Progress, Reading
 from leactl.errors import DeviceError, DeviceFault
-from leactl_plugins.scpi_supply import answers
+from leactl_plugins.scpi_supply import answers, models
 from leactl_plugins.scpi_supply.answers import Entry, Identity
 from leactl_plugins.scpi_supply.dialects import DIALECTS, Protection
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
@@ -20,8 +21,6 @@ REGULATED = {1: "constant current", 2: "constant voltage"}  # STAT:QUES:COND?, t
 IDENTIFY = Question("*IDN?", answers.identity, patient=True)
 OUTPUT = Question("OUTP?", answers.truth)
 FIRST = OUTPUT._replace(patient=True)  # after who it is: an answer to whoever asked before may be taken for that one
-VOLTAGE = Question("MEAS:VOLT?", answers.number)
-CURRENT = Question("MEAS:CURR?", answers.number)
 CONDITION = Question("STAT:QUES:COND?", answers.register)
 ERROR = Question("SYST:ERR?", answers.entry)
 
@@ -31,6 +30,10 @@ class ScpiDialogue:
 
     def __init__(self, settings: ScpiSupplySettings) -> None:
         self._settings, self._dialect = settings, DIALECTS[settings.dialect]
+        volts, amperes = models.most(settings.model)
+        reading = partial(answers.reading, form=self._dialect.reading)
+        self._voltage = Question("MEAS:VOLT?", partial(reading, rating=volts))
+        self._current = Question("MEAS:CURR?", partial(reading, rating=amperes))
 
     @property
     def off(self) -> bytes:
@@ -54,7 +57,7 @@ class ScpiDialogue:
             if on:
                 progress.said = "the output is still on"
                 continue
-            current = yield from _asked(CURRENT)
+            current = yield from _asked(self._current)
             if abs(current) <= self._settings.off_current_A:
                 return Confirmation(True, f"output off, {current:.3f} A")
             progress.said = f"the output is said to be off and {current:.3f} A flow"
@@ -112,8 +115,8 @@ class ScpiDialogue:
 
     def measured(self) -> Script[Reading]:
         """Voltage, current, and how the instrument fares."""
-        voltage = yield VOLTAGE
-        current = yield CURRENT
+        voltage = yield self._voltage
+        current = yield self._current
         assert voltage is not None and current is not None
         on = yield from _asked(OUTPUT)
         condition = yield from _asked(CONDITION)

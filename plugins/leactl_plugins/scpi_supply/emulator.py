@@ -10,16 +10,12 @@ from collections import deque
 from collections.abc import Callable
 
 from leactl.driver.far_end import SupplyLoad
+from leactl_plugins.scpi_supply.models import RANGES
 
 REGULATE_S = 0.05  # the load's resistance changes within seconds
 MOST_INPUT = 512
 QUEUE = 20
-RATINGS = {  # volts and amperes of each range, the low one first
-    "E3632A": ((15.0, 7.0), (30.0, 4.0)),
-    "E3633A": ((8.0, 20.0), (20.0, 10.0)),
-    "E3634A": ((25.0, 7.0), (50.0, 4.0)),
-}
-OTHER_RATING = ((60.0, 60.0),)
+OTHER_RATING = ((60.0, 60.0),)  # a DP800 as well, whose range is set at the instrument
 OVER_RATING = 1.03  # what can still be programmed
 OVER_PROTECTION = 1.1
 NO_ERROR = (0, "No error")
@@ -43,7 +39,7 @@ class ScpiSupplyEmulator:
     ) -> None:
         self.dialect, self.model, self.serial_number = dialect, model, serial_number
         self._load, self._answer_s = load, answer_s
-        self._ratings = RATINGS.get(model, OTHER_RATING)
+        self._ratings = RANGES.get(model, OTHER_RATING) if dialect == "e36xx" else OTHER_RATING
         self._range = 0
         volts, amperes = max(v for v, _ in self._ratings), max(a for _, a in self._ratings)
         self.set_volts, self.set_amperes = 0.0, self._rating[1]
@@ -225,7 +221,7 @@ class ScpiSupplyEmulator:
         return f'{number:+d},"{text}"' if self.dialect == "e36xx" else f'{number},"{text}"'
 
     def _number(self, value: float) -> str:
-        return f"{value:+.8E}" if self.dialect == "e36xx" else f"{value:.4f}"
+        return f"{round(value, 8):+.8E}" if self.dialect == "e36xx" else f"{value:.4f}"
 
     def _register(self, value: int) -> str:
         return f"{value:+d}" if self.dialect == "e36xx" else f"{value}"

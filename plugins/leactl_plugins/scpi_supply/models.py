@@ -1,0 +1,18 @@
+"""What each model is good for; one that is not listed here can give anything as far as is known."""
+
+import math
+from typing import Final
+
+RANGES: Final = {  # volts and amperes of each range, the low one first
+    "E3632A": ((15.0, 7.0), (30.0, 4.0)),
+    "E3633A": ((8.0, 20.0), (20.0, 10.0)),
+    "E3634A": ((25.0, 7.0), (50.0, 4.0)),
+    "DP811": ((20.0, 10.0), (40.0, 5.0)),
+    "DP811A": ((20.0, 10.0), (40.0, 5.0)),
+}
+
+
+def most(model: str) -> tuple[float, float]:
+    """Highest voltage and highest current of any range."""
+    ranges = RANGES.get(model, ((math.inf, math.inf),))
+    return max(volts for volts, _ in ranges), max(amperes for _, amperes in ranges)
