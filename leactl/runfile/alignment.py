@@ -7,20 +7,20 @@ prior on the slope, so that a single tie gives an offset that is worth less the 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
+from leactl.runfile.likeness import FAR_APART, FEWEST_COMMON, ends_search, peaks
 
 Array = npt.NDArray[np.float64]
 NORMAL_95 = 1.959964
-FEWEST_COMMON = 20  # samples of each channel that an estimated offset must rest on
 LIKENESS = 0.8  # correlation below which two channels did not measure the same
 LEAST_SHARE = 0.05  # a channel's noise and its own derivative cancel from sample to sample
-ENOUGH = 4000  # samples to look for the likeliest offset with
+LEAST_PART = 1.0 / 3.0  # of what the best shift explains: a record's part that explains less may fit by chance
 BLOCKS = 12  # of the common time, each of which gives a tie
 FEWEST_IN_BLOCK = 30  # samples
 LEAST_DRIFT = 1e-12
@@ -107,37 +107,6 @@ def tied(method: str, ties: Sequence[Tie], drift_within: float, systematic: floa
     )
 
 
-def lag(
-    time: Array, values: Array, base: Array, reference: Array, within: float, near: float = 0.0
-) -> tuple[float, float]:
-    """The shift of `time` at which values correlate best with the reference, and that correlation.
-
-    Coarse over the whole range, then ten times finer around the best until a hundredth of the shorter interval.
-    """
-    good, sound = np.isfinite(values), np.isfinite(reference)
-    time, values, base, reference = time[good], values[good], base[sound], reference[sound]
-    if min(len(time), len(base)) < FEWEST_COMMON:
-        return near, 0.0
-    finest = 0.01 * min(float(np.median(np.diff(time))), float(np.median(np.diff(base))))
-
-    def likeness(shift: float, every: int = 1) -> float:
-        moved, seen = time[::every] + shift, values[::every]
-        inside = (moved >= base[0]) & (moved <= base[-1])
-        if inside.sum() < FEWEST_COMMON:
-            return -1.0
-        own, there = seen[inside], np.interp(moved[inside], base, reference)
-        spread = float(np.std(own) * np.std(there))
-        return float(np.mean((own - own.mean()) * (there - there.mean()))) / spread if spread > 0 else -1.0
-
-    step, shifts = within / 200.0, near + np.linspace(-within, within, 401)
-    best = float(max(shifts, key=lambda shift: likeness(shift, max(1, len(time) // ENOUGH))))
-    while step > finest:
-        shifts, step = np.linspace(best - step, best + step, 21), step / 10.0
-        best = float(max(shifts, key=likeness))
-    at_edge = abs(abs(best - near) - within) < 1e-9 * within
-    return best, -1.0 if at_edge else likeness(best)
-
-
 def ties_by_likeness(
     time: Array, values: Array, base: Array, reference: Array, shift: float, rate: float = 1.0
 ) -> list[Tie]:
@@ -208,6 +177,39 @@ def autocorrelated(scores: Array, least: float = LEAST_SHARE) -> float:
     return max(total, least * alone) * count / max(count - 3, 1)
 
 
+def misfit(own: tuple[Array, Array], reference: tuple[Array, Array], better: Alignment, worse: Alignment) -> float:
+    """By how many standard deviations one alignment misfits more than another, over the samples that both compare.
+
+    Where both fit alike, the squares that they leave are noise of the same kind, whose sum is as uncertain as that of
+    the better one shows. What one sampling interval changes tells nothing: where in it an edge lay is not seen.
+    """
+    (time, values), (base, there) = own, reference
+    interval = float(np.median(np.diff(base)))
+    # samples between those of the reference share its noise
+    every = max(1, round(interval / float(np.median(np.diff(time)))))
+    time, values = time[::every], values[::every]
+    interval = max(interval, float(np.median(np.diff(time))))
+    moved = [alignment.on_run(time) for alignment in (better, worse)]
+    inside = np.logical_and.reduce([(stamps >= base[0]) & (stamps <= base[-1]) for stamps in moved])
+    if inside.sum() < FEWEST_COMMON:
+        return 0.0
+
+    def levelled(stamps: Array) -> Array:
+        return np.stack([np.interp(stamps, base, there), np.ones(len(stamps))], axis=1)
+
+    seen = values[inside]
+    model = levelled(moved[0][inside])
+    gain = np.linalg.lstsq(model, seen, rcond=None)[0]
+    left = (seen - model @ gain) ** 2
+    more = apart_from(levelled(moved[1][inside]), seen) ** 2 - left
+    half = 0.5 * interval
+    step = (levelled(moved[0][inside] + half) - levelled(moved[0][inside] - half)) @ gain
+    # the noise of two samples is in that step, too, and makes no edge
+    unseen = max(float(step @ step) - 2.0 * float(left.sum()), 0.0)
+    sd = math.sqrt(2.0 * autocorrelated(left, least=1.0))
+    return (float(more.sum()) - unseen) / max(sd, 1e-12 * float(seen @ seen), 1e-300)
+
+
 def by_likeness(
     own: tuple[Array, Array],
     reference: tuple[Array, Array],
@@ -226,16 +228,50 @@ def by_likeness(
 
     Raises
     ------
-    InputError : they did not measure the same, or do not change enough to tell when.
+    InputError : they did not measure the same, do not change enough to tell when, or are as alike at another offset.
     """
-    shift, likeness = lag(*own, *reference, within, near)
+    good, sound = np.isfinite(own[1]), np.isfinite(reference[1])
+    own, reference = (own[0][good], own[1][good]), (reference[0][sound], reference[1][sound])
+    found = peaks(*own, *reference, within, near)
+    likeness = max((peak.likeness for peak in found), default=0.0)
     if likeness < LIKENESS:
         raise InputError(f"{what} correlate by {likeness:.2f} at best; expected {LIKENESS} within {within:g} s")
-    method = f"likeness of {what} ({likeness:.3f})"
+    # a short part of a record may fit by chance; where it fits better than the whole, neither is sure
+    most = max(peak.explained for peak in found if peak.likeness >= LIKENESS)
+    best = next(peak for peak in found if peak.explained >= LEAST_PART * most)
+    method = f"likeness of {what} ({best.likeness:.3f})"
+    alignment = placed(own, reference, best.shift, method, drift_within, systematic)
+    for rival in found:
+        whole = rival.explained >= LEAST_PART * most
+        if rival is best or ends_search(rival, within, near) or not (whole or rival.likeness >= LIKENESS):
+            continue
+        other = placed(own, reference, rival.shift, method, drift_within, systematic)
+        doubtful = misfit(own, reference, alignment, other) <= FAR_APART
+        if doubtful if whole else misfit(own, reference, other, alignment) > FAR_APART:
+            raise InputError(
+                f"{what} are as alike at {best.shift:.6g} s as at {rival.shift:.6g} s; a smaller within_s around the true"
+                " one (near_s), or another signal, decides"
+            )
+    if ends_search(best, within, near):
+        raise InputError(f"{what} are likest at {best.shift:.6g} s, where the search ends; expected a peak before that")
+    if not alignment.ties:
+        raise InputError(f"{what} change too little beside their noise to tell when")
+    return alignment
+
+
+def placed(
+    own: tuple[Array, Array],
+    reference: tuple[Array, Array],
+    shift: float,
+    method: str,
+    drift_within: float,
+    systematic: float,
+) -> Alignment:
+    """The alignment near a shift; without ties, and at the shift itself, where the channels do not tell."""
     found = Alignment(method, shift, 1.0, (0.0, 0.0, 0.0), systematic, NORMAL_95, 0)
     for _ in range(2):
         ties = ties_by_likeness(*own, *reference, found.offset, found.rate)
         if not ties:
-            raise InputError(f"{what} change too little beside their noise to tell when")
+            return replace(found, ties=0)
         found = tied(method, ties, drift_within, systematic)
     return found

@@ -211,5 +211,5 @@ def aligned(streams: dict[str, Stream], name: str, wanted: StreamMapping, docume
             what=what,
         )
     except InputError as fault:
-        hint = "set clock.offset_s or widen within_s"
+        hint = "clock.offset_s or another within_s decides"
         raise InputError(document.fault(("streams", name, "clock", "estimate"), f"{fault}; {hint}")) from None

@@ -1,5 +1,7 @@
 """Clocks tied to each other: closed forms for lines, simulated pairs of channels whose true offset is known."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -9,6 +11,7 @@ from leactl.runfile.alignment import Tie, by_likeness, tied
 from leactl.runfile.onsets import jumps, onset, ties_by_onset
 
 DRIFT = 1e-4  # 95 %
+UNSEEN = 0.0005  # s, half a recorder's interval, as it is stated for a record that is attached
 
 
 def stepping(time, rng_of_signal=5):
@@ -84,6 +87,113 @@ def test_unlike_channels_and_channels_at_rest_are_refused():
     ramp = (np.arange(0, 20, 0.01), np.zeros(2000))
     with pytest.raises(InputError, match="correlate"):
         by_likeness(ramp, ramp, 2.0, "a and b")
+
+
+def seen_twice(signal, offset, noise=0.01, seed=1, seconds=16.0, rate=1.0):
+    """A signal as a recorder of another clock and as the run has it, 500 Hz for 60 s."""
+    rng = np.random.default_rng(seed)
+    base, own = np.arange(0, 60, 0.002), np.arange(0, seconds, 0.001)
+    values, reference = signal(offset + rate * own), signal(base)
+    return (own, values + noise * rng.normal(size=len(own))), (base, reference + noise * rng.normal(size=len(base)))
+
+
+def sine(hertz):
+    return lambda time: 5 * np.sin(2 * np.pi * hertz * time)
+
+
+def fading(time):
+    """A sine whose amplitude falls by 0.2 % per period."""
+    return sine(1.0)(time) * np.exp(-0.002 * time)
+
+
+def creeping(time):
+    """A sine that slows down by 20 ppm per second, which a clock's drift could be."""
+    return sine(1.0)(time * (1 - 1e-5 * time))
+
+
+def climbing(time):
+    """A sine on a ramp that outweighs it: likeness never falls by much between two periods."""
+    return sine(1.0)(time) + 5 * time
+
+
+def chirp(time):
+    return 5 * np.sin(2 * np.pi * (0.2 * time + 0.05 * time**2))
+
+
+def square(time):
+    return 5 * np.sign(np.sin(2 * np.pi * time + 0.3))
+
+
+def marked(time):
+    """A square wave of 1 s that stands still once for 0.3 s."""
+    return np.where((time > 28.1) & (time < 28.4), 0.0, square(time))
+
+
+def rustle(time):
+    """White noise of 250 Hz, at any times."""
+    return np.interp(time, np.arange(0, 80, 0.004), np.random.default_rng(8).normal(size=20000))
+
+
+@pytest.mark.parametrize(
+    ("signal", "period", "noise"),
+    [
+        (sine(1.0), 1.0, 0.01),
+        (sine(1.0), 1.0, 0.0),
+        (sine(1.0), 1.0, 1.5),
+        (sine(43.0), 1 / 43, 0.01),
+        (square, 1.0, 0.05),
+        (climbing, 1.0, 0.01),
+        (fading, 1.0, 0.5),
+    ],
+)
+def test_a_signal_that_repeats_itself_within_the_search_is_refused_with_two_shifts_told(signal, period, noise):
+    own, reference = seen_twice(signal, 20.3, noise)
+    with pytest.raises(InputError, match=r"a and b are as alike at .*near_s") as refused:
+        by_likeness(own, reference, 5.0, "a and b", near=20.0, drift_within=DRIFT)
+    one, other = (float(told) for told in re.findall(r"at ([-\d.]+) s", str(refused.value)))
+    apart = (one - other) / period
+    assert round(apart) != 0
+    assert apart == pytest.approx(round(apart), abs=0.05)
+
+
+@pytest.mark.parametrize("signal", [sine(1.0), fading, creeping, climbing, square])
+def test_a_signal_that_repeats_itself_is_aligned_where_the_search_is_shorter_than_its_period(signal):
+    for offset in (20.3, 19.95, 20.55):
+        own, reference = seen_twice(signal, offset)
+        found = by_likeness(own, reference, 0.4, "a and b", near=20.2, drift_within=DRIFT, systematic=UNSEEN)
+        assert found.on_run(np.array([8.0]))[0] - 8.0 == pytest.approx(offset, abs=3 * found.uncertainty(8.0))
+
+
+@pytest.mark.parametrize("signal", [chirp, stepping, marked, rustle])
+def test_a_signal_that_never_repeats_itself_whole_is_aligned_over_a_wide_search(signal):
+    for offset in (16.2, 20.3037):
+        own, reference = seen_twice(signal, offset)
+        found = by_likeness(own, reference, 5.0, "a and b", near=20.0, drift_within=DRIFT, systematic=UNSEEN)
+        assert found.on_run(np.array([8.0]))[0] - 8.0 == pytest.approx(offset, abs=3 * found.uncertainty(8.0))
+
+
+@pytest.mark.parametrize(("signal", "offset"), [(stepping, -12.0), (chirp, 53.0)])
+def test_a_record_of_which_the_run_saw_a_part_is_aligned_in_spite_of_shorter_parts_that_fit(signal, offset):
+    own, reference = seen_twice(signal, offset, noise=0.05)
+    found = by_likeness(own, reference, 14.0, "a and b", near=offset + 3.0, drift_within=DRIFT)
+    assert found.on_run(np.array([8.0]))[0] - 8.0 == pytest.approx(offset, abs=3 * found.uncertainty(8.0))
+
+
+@pytest.mark.parametrize("signal", [sine(0.7), fading, creeping, climbing, square, marked, chirp, stepping])
+def test_whatever_is_answered_is_true(signal):
+    rng = np.random.default_rng(11)
+    for seed in range(6):
+        offset, rate, noise = rng.uniform(1, 40), 1 + rng.normal(0, DRIFT / 2), 10 ** rng.uniform(-3, -0.3)
+        within = rng.uniform(0.2, 4.0)
+        own, reference = seen_twice(signal, offset, noise, seed, rng.uniform(4, 16), rate)
+        try:
+            near = offset + within * rng.uniform(-0.9, 0.9)
+            found = by_likeness(own, reference, within, "a and b", near, DRIFT, UNSEEN)
+        except InputError:
+            continue
+        at = 0.5 * own[0][-1]
+        error = found.on_run(np.array([at]))[0] - offset - rate * at
+        assert abs(error) < 3 * found.uncertainty(at), (seed, offset, within, noise)
 
 
 def heating(time, starts, ends):
