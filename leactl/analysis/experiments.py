@@ -4,12 +4,15 @@ A module of this package with a function `analyze(runs, **options) -> Result` is
 """
 
 import importlib
+import importlib.util
 import inspect
 import math
 import pkgutil
+import re
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +28,13 @@ Analysis = Callable[..., Result]
 
 def names() -> list[str]:
     """Experiments that can be analysed."""
-    return sorted(module.replace("_", "-") for module in _modules() if _analysis_in(module) is not None)
+    return sorted(module.replace("_", "-") for module in _modules() if _analyzes(module))
+
+
+def is_known(experiment: str) -> bool:
+    """Whether an experiment can be analysed."""
+    module = _module_of(experiment)
+    return module in _modules() and _analyzes(module)
 
 
 def analysis_of(experiment: str, place: str) -> Analysis:
@@ -35,8 +44,9 @@ def analysis_of(experiment: str, place: str) -> Analysis:
     ------
     InputError : there is none; `place` opens the message.
     """
-    module = experiment.replace("-", "_")
-    if module in _modules() and (function := _analysis_in(module)) is not None:
+    if is_known(experiment):
+        loaded = importlib.import_module(f"{leactl.analysis.__name__}.{_module_of(experiment)}")
+        function: Analysis = loaded.analyze
         return function
     asked = f"analysis '{experiment}' is not known" if experiment else "the run names no analysis"
     raise InputError(f"{place}: {asked}; known: {', '.join(names())}")
@@ -49,17 +59,21 @@ def method_of(experiment: str) -> str:
 
 
 def experiment_of(run: Run) -> str:
-    """What a run is to be analysed as: `analysis` of its protocol, else the protocol's name.
+    """What a run is to be analysed as: `analysis` of its protocol, else the protocol's name; empty if nothing says."""
+    return asked_in(run.source("protocol") or "") or str(run.attributes.get("protocol", ""))
 
-    A protocol text that cannot be read counts as none, since the run may come from elsewhere; empty where nothing says.
+
+def asked_in(protocol: str) -> str:
+    """`analysis` of a protocol's text; empty where it has none.
+
+    A text that cannot be read counts as none, since the run may come from elsewhere.
     """
-    text = run.source("protocol")
     try:
-        data = yamlfile.parse(text).data if text is not None else None
+        data = yamlfile.parse(protocol).data
     except InputError:
-        data = None
+        return ""
     named = data.get("analysis") if isinstance(data, dict) else None
-    return named if isinstance(named, str) and named else str(run.attributes.get("protocol", ""))
+    return named if isinstance(named, str) else ""
 
 
 def analyze_runs(paths: Sequence[Path | str], **options: Any) -> Result:
@@ -177,13 +191,18 @@ def refuse_unknown(experiment: str, analyze: Analysis, options: dict[str, Any]) 
             raise InputError(f"{experiment} cannot be told {name}; it can be told {has} (by --set NAME=NUMBER)")
 
 
+def _module_of(experiment: str) -> str:
+    return experiment.replace("-", "_")
+
+
 def _modules() -> list[str]:
     """Modules of this package."""
     return [module.name for module in pkgutil.iter_modules(leactl.analysis.__path__)]
 
 
-def _analysis_in(module: str) -> Analysis | None:
-    """What a module of this package analyses with; None where it serves others."""
-    loaded = importlib.import_module(f"{leactl.analysis.__name__}.{module}")
-    function: Analysis | None = getattr(loaded, "analyze", None)
-    return function
+@cache
+def _analyzes(module: str) -> bool:
+    """Whether a module is an experiment, by its text: importing them all takes scipy and a second."""
+    spec = importlib.util.find_spec(f"{leactl.analysis.__name__}.{module}")
+    text = Path(spec.origin).read_text(encoding="utf-8") if spec is not None and spec.origin is not None else ""
+    return re.search(r"^def analyze\(", text, re.MULTILINE) is not None

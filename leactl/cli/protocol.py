@@ -44,8 +44,10 @@ def show(name: str, as_json: bool = AS_JSON) -> None:
 def check(protocol: str, as_json: bool = AS_JSON) -> None:
     """Check a protocol by name or path: every fault with file, line and column."""
     from leactl.protocol.protocolfile import load
+    from leactl.runner.acceptance import check_analysis
 
     plan = load(protocol)
+    check_analysis(plan, protocol)
     if as_json:
         typer.echo(json.dumps({**_head(plan), "peaks": _peaks(plan), "actions": len(plan.actions)}))
         return

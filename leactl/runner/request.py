@@ -10,6 +10,7 @@ from leactl.emulation.faults import check_faults
 from leactl.errors import InputError
 from leactl.protocol import by_hand, protocolfile
 from leactl.protocol.plan import Plan
+from leactl.runner.acceptance import check_analysis
 from leactl.runner.session import Request
 from leactl.safety.refusals import check_rate
 from leactl.yamlfile import Document
@@ -39,6 +40,7 @@ def prepare(
     seed = _seed(overrides.pop("seed", None))
     placed = _placed(bench, buses)
     plan = protocolfile.load(protocol, overrides, condition)
+    check_analysis(plan, protocol)
     made = _request(plan, placed, directory, realtime, served)
     return replace(made, actuator=actuator, operator=operator, seed=seed)
 

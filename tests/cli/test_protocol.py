@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 from importlib import resources
 
 import pytest
@@ -64,6 +65,21 @@ def test_check_tells_every_fault_at_its_place(mine):
         f"leactl: {mine}:10:18  steps[2].mode.test: 'of': input should be 'off', 'current', 'torque_profile',"
         " 'velocity' or 'angle'",
     ]
+
+
+def test_check_tells_an_analysis_that_is_not_known(mine):
+    mine.write_text(MINE.replace("rate_Hz", "analysis: coastdown\nrate_Hz"))
+    done = leactl("protocol", "check", mine)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"leactl: {mine}:4:11  analysis: 'coastdown' is not known; known: back-drive, ")
+
+
+def test_check_does_not_wait_for_scipy():
+    told = "import sys; from leactl.cli.main import main\ntry: main()\nfinally: print('scipy' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", told, "protocol", "check", "coast-down"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines()[1:] == ["False"]
 
 
 def test_a_condition_that_the_emulated_bench_does_not_have_is_refused_before_anything_is_planned():
