@@ -30,9 +30,11 @@ def show(motor: str, ambient: float = AMBIENT, bus_voltage: float = BUS, as_json
     found, document = load_sheet(motor)
     one = known(motor, Setting(ambient, bus_voltage))
     if as_json:
-        figures = {row["name"]: row["values"][0] for row in comparison([one])["rows"]}
+        compared = comparison([one])
+        figures = {row["name"]: row["values"][0] for row in compared["rows"]}
         told = found.model_dump(exclude_defaults=True) | {"name": found.name}
-        typer.echo(json.dumps(told | {"motor_constant": figures["motor_constant"], "figures": figures}))
+        follows = {"motor_constant": figures["motor_constant"], "figures": figures, "notes": compared["notes"]}
+        typer.echo(json.dumps(told | follows))
         return
     # what follows from the file is a comment to it: redirected, the whole is a motor file
     typer.echo(document.text.rstrip() + "\n\n" + indent(comparison_text([one]), "# ", lambda line: True).rstrip())

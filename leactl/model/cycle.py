@@ -26,6 +26,8 @@ FEWEST_ROWS, MOST_ROWS = 12, 100_000
 FEWEST_HARMONICS = 4  # that a joint's angle is told with
 CLOSED_WITHIN = 0.05  # of its range, that a quantity may end from where it began
 CLOSED_UNTOLD = 0.01  # the same where the last row alone tells how long the cycle takes
+NOTED = 0.02  # of its range, that the series may leave of the angle untold; a sensor's noise leaves under 0.01
+SLIPPED = 0.5  # of that is left without its worst sample: it was a slip; of an angle that turns sharply 0.7 is left
 STRIDE_S = (0.05, 60.0)
 NAMES = {
     "phase": ("cycle_percent", "time_s"),
@@ -67,7 +69,7 @@ def read_cycle(
     InputError : no such file, columns without the units above, rows that are no numbers, values that no joint has, rows
         too far apart, or no whole cycle.
     """
-    columns, table = _table(path)
+    columns, lines, table = _table(path)
     phase, angle, torque = table.T
     for name, values, size in ((columns[1], angle, np.ptp(angle)), (columns[2], torque, np.abs(torque).max())):
         if size > MOST[name]:
@@ -98,8 +100,7 @@ def read_cycle(
         notes.append(f"{kept} harmonics of the angle are kept: its rows are too far apart for {harmonics}")
     even = np.arange(POINTS) / POINTS
     series, slope, bend, fitted = _series(part, angle, kept, even)
-    spread = float(np.ptp(angle))
-    left_out = float(np.sqrt(np.mean((fitted - angle) ** 2))) / spread if spread > 0.0 else 0.0
+    left_out, missed = _left_out(part, angle, fitted, lines, kept)
     return Cycle(
         name=path.stem,
         period=period,
@@ -109,7 +110,7 @@ def read_cycle(
         torque=np.interp(even, part, torque, period=1.0),
         harmonics=kept,
         left_out=left_out,
-        notes=tuple(notes),
+        notes=(*notes, *missed),
     )
 
 
@@ -143,6 +144,26 @@ def _series(part: Array, values: Array, harmonics: int, at: Array) -> tuple[Arra
     coefficients = np.linalg.lstsq(waves(part, 0), values, rcond=None)[0]
     first, second, third = (waves(at, order) @ coefficients for order in (0, 1, 2))
     return first, second, third, waves(part, 0) @ coefficients
+
+
+def _left_out(part: Array, angle: Array, fitted: Array, lines: list[int], harmonics: int) -> tuple[float, list[str]]:
+    """What the series leaves of the angle, root mean square of its range, and what a reader must know of that."""
+    spread = float(np.ptp(angle))
+    if spread == 0.0:
+        return 0.0, []
+    left = float(np.sqrt(np.mean((fitted - angle) ** 2))) / spread
+    worst = int(np.argmax(np.abs(fitted - angle)))
+    slip = ""
+    # with fewer rows a series through all but one fits whichever is left away
+    if abs(fitted[worst] - angle[worst]) > NOTED * spread and len(part) > 2 * (2 * harmonics + 1):
+        others = np.delete(np.arange(len(part)), worst)
+        there, _slope, _bend, again = _series(part[others], angle[others], harmonics, part[[worst]])
+        if np.sqrt(np.mean((again - angle[others]) ** 2)) < SLIPPED * left * spread:
+            apart = abs(float(there[0] - angle[worst])) / spread
+            slip = f"; line {lines[worst]} alone is {apart:.0%} of it off what the others tell: is it a slip?"
+    if left <= NOTED and not slip:
+        return left, []
+    return left, [f"{harmonics} harmonics leave out {100.0 * left:.1f} % of the angle's range (rms){slip}"]
 
 
 def _parts(path: Path, name: str, phase: Array, stride_time: float | None) -> tuple[Array, float]:
@@ -182,8 +203,8 @@ def _expect_closed(path: Path, name: str, values: Array, closing: bool, told: bo
         )
 
 
-def _table(path: Path) -> tuple[tuple[str, str, str], Array]:
-    """Names of the columns used, and their values, one row a line."""
+def _table(path: Path) -> tuple[tuple[str, str, str], list[int], Array]:
+    """Names of the columns used, the number of each line, and the values, one row a line."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             lines = [(number, row) for number, row in enumerate(csv.reader(stream), start=1) if any(row)]
@@ -213,7 +234,7 @@ def _table(path: Path) -> tuple[tuple[str, str, str], Array]:
     if len(after):
         line = rows[int(after[0]) + 1][0]
         raise InputError(f"{path}:{line}: {names[0]} {values[after[0] + 1, 0]:g} is not after {values[after[0], 0]:g}")
-    return (names[0], names[1], names[2]), values
+    return (names[0], names[1], names[2]), [line for line, _row in rows], values
 
 
 def _number(path: Path, line: int, row: list[str], column: int, name: str) -> float:

@@ -61,8 +61,22 @@ def continuous_torques(motor: MotorSheet, ambient: float) -> Torques:
     return Torques(held[0], held[1], dense[0], dense[1])
 
 
+def without_friction(motor: MotorSheet) -> list[str]:
+    """What a file lacks for a no-load speed with friction."""
+    return motor.missing("torque_constant", "phase_resistance", "viscous_damping", "coulomb_friction")
+
+
 def no_load_speed(motor: MotorSheet, bus_voltage: float) -> float | None:
-    """Speed at which the back-EMF takes the whole bus [rad/s]."""
+    """Speed at which the back-EMF, and the current that friction takes, leave nothing of the bus [rad/s].
+
+    The root of R i + Kb w = V at i = (f + b w) / Kt, cold; w = V / Kb `without_friction`.
+    """
     if motor.back_emf_constant is None:
         return None
-    return voltage_ceiling(bus_voltage, motor.winding) / motor.back_emf_constant
+    voltage = voltage_ceiling(bus_voltage, motor.winding)
+    constant, resistance = motor.torque_constant, motor.phase_resistance
+    damping, friction = motor.viscous_damping, motor.coulomb_friction
+    if constant is None or resistance is None or damping is None or friction is None:
+        return voltage / motor.back_emf_constant
+    left = voltage - resistance * friction / constant
+    return max(left, 0.0) / (motor.back_emf_constant + resistance * damping / constant)

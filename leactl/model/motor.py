@@ -1,6 +1,7 @@
 """Motor files: the parameters of one actuator in SI, checked when read, with the quantities that follow from them."""
 
 import math
+from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, TypeVar
@@ -9,9 +10,13 @@ from pydantic import Field
 
 from leactl import yamlfile
 from leactl.errors import InputError
+from leactl.model.figures import continuous_torques
 from leactl.model.sheet import MotorLimits, MotorSheet, NotNegative, Positive, Thermal
 
 Sheet = TypeVar("Sheet", bound=MotorSheet)
+RESISTANCES = 1e-5, 1e3  # ohm
+SLOWEST_WINDING = 1.0  # s; of real actuators inductance over resistance is 0.1 to 20 ms
+ROOM = 25.0  # degC
 
 
 class Motor(MotorSheet):
@@ -69,14 +74,64 @@ def load_sheet(name_or_path: str) -> tuple[MotorSheet, yamlfile.Document]:
 
 
 def _plausible(motor: Sheet, document: yamlfile.Document) -> Sheet:
-    """Refuse a rotor that is not inside of its body; a model's inertia may be that of all that turns with it."""
+    """Refuse figures that no actuator has; a model's may be those of all that turns with it."""
+    faults = [
+        *_rotor_outside_of_its_body(motor, document),
+        *_friction_beyond_the_winding(motor, document),
+        *_no_winding(motor, document),
+    ]
+    if faults:
+        raise InputError(faults)
+    return motor
+
+
+def _rotor_outside_of_its_body(motor: MotorSheet, document: yamlfile.Document) -> Iterator[str]:
     mass, diameter = motor.body.mass, motor.body.outer_diameter
     if motor.rotor_inertia is not None and mass is not None and diameter is not None:
         most = mass * (0.5 * diameter) ** 2
         if motor.rotor_inertia > most:
             told = f"{motor.rotor_inertia:g} is more than all of the body's mass has at its rim, {most:.3g} kg*m^2"
-            raise InputError(document.fault(("rotor_inertia",), f"{told}; is it in kg*m^2?"))
-    return motor
+            yield document.fault(("rotor_inertia",), f"{told}; is it in kg*m^2?")
+
+
+def _friction_beyond_the_winding(motor: MotorSheet, document: yamlfile.Document) -> Iterator[str]:
+    """Friction that no current of the file overcomes, or that takes more than half of the speed at any voltage."""
+    held = continuous_torques(motor, ROOM)
+    told = [held.stated, held.network, motor.printed.nominal_torque, motor.printed.peak_torque_20_s]
+    most = max((torque for torque in told if torque is not None), default=math.inf)
+    if motor.coulomb_friction is not None and motor.coulomb_friction > most:
+        yield document.fault(
+            ("coulomb_friction",),
+            f"{motor.coulomb_friction:g} N*m is more than the most torque that the file's currents and printed torques"
+            f" give, {most:.3g} N*m; is it in N*m?",
+        )
+    damping, resistance = motor.viscous_damping, motor.phase_resistance
+    if damping is None or resistance is None or motor.torque_constant is None or motor.back_emf_constant is None:
+        return
+    shorted = motor.torque_constant * motor.back_emf_constant / resistance
+    if damping > shorted:
+        yield document.fault(
+            ("viscous_damping",),
+            f"{damping:g} N*m*s/rad is more than the shorted winding brakes with, {shorted:.3g} N*m*s/rad; is it in"
+            " N*m*s/rad, and phase_resistance in ohm?",
+        )
+
+
+def _no_winding(motor: MotorSheet, document: yamlfile.Document) -> Iterator[str]:
+    resistance, inductance = motor.phase_resistance, motor.phase_inductance
+    if resistance is None:
+        return
+    least, most = RESISTANCES
+    if not least <= resistance <= most:
+        yield document.fault(
+            ("phase_resistance",), f"{resistance:g} ohm: from {least:g} to {most:g} ohm was expected; is it in ohm?"
+        )
+    elif inductance is not None and inductance / resistance > SLOWEST_WINDING:
+        yield document.fault(
+            ("phase_inductance",),
+            f"{inductance:g} H over {resistance:g} ohm is a time constant of {inductance / resistance:.3g} s, at most"
+            f" {SLOWEST_WINDING:g} s was expected; is it in H?",
+        )
 
 
 def _document(name_or_path: str) -> yamlfile.Document:

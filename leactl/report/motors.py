@@ -7,13 +7,21 @@ from typing import Any
 
 from leactl import yamlfile
 from leactl.errors import InputError
-from leactl.model.figures import continuous_torques, electrical, motor_constant, network_current, no_load_speed
+from leactl.model.figures import (
+    continuous_torques,
+    electrical,
+    motor_constant,
+    network_current,
+    no_load_speed,
+    without_friction,
+)
 from leactl.model.motor import Motor, load_sheet
 from leactl.model.sheet import LoopFigures, MotorSheet
 from leactl.report.terminal import aligned, wrapped
 from leactl.safety.thermal.capability import Nominal, nominal
 
 PEAK_S = 20.0  # as the paper tells it
+SLOW_WINDING_S = 0.1  # of real actuators inductance over resistance is 0.1 to 20 ms; in mH it is a thousand times that
 TWINS_WITHIN = 0.1  # saturation and the current's convention account for a few per cent, a unit for far more
 WIDTH = 80
 
@@ -115,19 +123,32 @@ def remarks(motors: Sequence[Known]) -> list[str]:
         for one in motors
         if one.lacks
     ]
+    found += [
+        f"{one.sheet.name}: its no-load speed is without friction, for its file lacks {', '.join(lacking)}"
+        for one in motors
+        if one.sheet.back_emf_constant is not None and (lacking := without_friction(one.sheet))
+    ]
     for one in motors:
         found += [f"{one.sheet.name}: {note}" for note in (*against_print(one), *against_itself(one.sheet))]
     return list(dict.fromkeys(found))
 
 
 def against_itself(sheet: MotorSheet) -> list[str]:
-    """Where two values of one file cannot both be: what a winding takes of electrical power it gives as mechanical."""
+    """Where two values of one file cannot both be."""
+    found = []
     torque, voltage = sheet.torque_constant, sheet.back_emf_constant
-    if torque is None or voltage is None or abs(voltage / torque - 1.0) <= TWINS_WITHIN:
-        return []
-    return [
-        f"torque constant {torque:.3g} N*m/A and back-EMF constant {voltage:.3g} V*s/rad: they are one number in SI"
-    ]
+    # what a winding takes of electrical power it gives as mechanical
+    if torque is not None and voltage is not None and abs(voltage / torque - 1.0) > TWINS_WITHIN:
+        found.append(
+            f"torque constant {torque:.3g} N*m/A and back-EMF constant {voltage:.3g} V*s/rad: they are one number in SI"
+        )
+    inductance, resistance = sheet.phase_inductance, sheet.phase_resistance
+    if inductance is not None and resistance is not None and inductance / resistance > SLOW_WINDING_S:
+        found.append(
+            f"phase inductance {inductance:.3g} H over phase resistance {resistance:.3g} ohm is"
+            f" {inductance / resistance:.3g} s, of most actuators below 0.02 s: is it in H?"
+        )
+    return found
 
 
 def against_print(one: Known) -> list[str]:

@@ -54,6 +54,37 @@ def test_one_motor_keeps_its_text_and_tells_what_follows():
     body = json.loads(asked("show", "lea", "--json"))
     assert body["motor_constant"] == pytest.approx(0.954, abs=1e-3)
     assert body["torque_constant"] == 0.49
+    assert body["figures"]["no_load_speed"] == pytest.approx(41.40, abs=1e-2)
+    assert not [note for note in body["notes"] if "no-load" in note]
+
+
+def test_a_no_load_speed_without_friction_says_so():
+    told = "ec-4pole-30: its no-load speed is without friction, for its file lacks coulomb_friction"
+    assert told in json.loads(asked("compare", "--json"))["notes"]
+    assert told in json.loads(asked("show", "ec-4pole-30", "--json"))["notes"]
+    assert "no-load speed is without friction" in asked("show", "ec-4pole-30")
+    assert "no-load speed" not in asked("compare", "lea", "u8-kv100")
+
+
+def test_what_harmonics_leave_out_is_told_with_its_share_and_its_line(walk):
+    options = (walk, "--stride-time", "1.1", "--body-mass", "70", "--motor", "lea")
+    assert json.loads(asked("energy", *options, "--json"))["cycles"][0]["notes"] == []
+    lines = walk.read_text().splitlines()
+    lines[51] = "50,150.0,-1.5"
+    walk.write_text("\n".join(lines) + "\n")
+    cycle = json.loads(asked("energy", *options, "--json"))["cycles"][0]
+    (note,) = cycle["notes"]
+    assert note.startswith(f"10 harmonics leave out {100.0 * cycle['angle_left_out']:.1f} % of the angle's range (rms)")
+    assert "; line 52 alone is " in note
+    text = " ".join(asked("energy", *options).split())
+    assert note in text
+
+
+def test_a_phase_inductance_in_mh_is_told(tmp_path):
+    text = asked("show", "lea").partition("\n#")[0].replace("phase_inductance: 0.000128", "phase_inductance: 0.128")
+    (tmp_path / "mine.yaml").write_text(text)
+    note = json.loads(asked("show", tmp_path / "mine.yaml", "--json"))["notes"][-1]
+    assert "phase inductance 0.128 H over phase resistance 0.264 ohm is 0.485 s" in note
 
 
 def test_energy_of_three_motors_at_their_best_ratios_and_at_one(walk):

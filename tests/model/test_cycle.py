@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from leactl.errors import InputError
-from leactl.model.cycle import POINTS, read_cycle
+from leactl.model.cycle import POINTS, _left_out, _series, read_cycle
 
 
 @pytest.fixture
@@ -81,6 +83,54 @@ def test_noise_of_an_angle_does_not_become_acceleration(written):
     noisy = read_cycle(written(edit=shaken), stride_time=1.0)
     assert np.std(noisy.acceleration - clean.acceleration) < 0.2 * np.std(clean.acceleration)
     assert 0.001 < noisy.left_out < 0.01
+    assert not noisy.notes
+
+
+def slipped(*rows, by):
+    def edit(table):
+        table[list(rows), 1] += by
+        return table
+
+    return edit
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_a_single_sample_that_the_series_smooths_away_is_told_with_its_line(written, closed):
+    cycle = read_cycle(written(edit=slipped(50, by=80.0), closed=closed), stride_time=1.1)
+    (note,) = cycle.notes
+    assert note.startswith(f"10 harmonics leave out {100.0 * cycle.left_out:.1f} % of the angle's range (rms)")
+    assert "; line 52 alone is " in note
+
+
+def test_samples_that_are_many_are_told_without_a_line(written):
+    (note,) = read_cycle(written(edit=slipped(*range(5, 100, 10), by=20.0)), stride_time=1.1).notes
+    assert "line" not in note
+    assert "10 harmonics leave out" in note
+
+
+def test_a_small_slip_of_one_sample_is_told_too(written):
+    cycle = read_cycle(written(edit=slipped(50, by=6.0)), stride_time=1.1)
+    assert cycle.left_out < 0.02
+    assert "; line 52 alone is 15% of it off what the others tell" in cycle.notes[0]  # 6 of 40 deg
+
+
+def test_an_angle_that_begins_again_sharply_is_no_slip_of_a_sample(written):
+    """A heel strike: from one row to the next the angle turns, and within 3 % of the cycle back."""
+
+    def struck(table):
+        table[:, 1] += 15.0 * np.exp(-table[:, 0] / 15.0) * (1.0 - np.exp(-table[:, 0] / 1.5))
+        return table
+
+    assert not read_cycle(written(edit=struck), stride_time=1.1).notes
+
+
+@settings(max_examples=40)
+@given(seed=st.integers(0, 10_000), rows=st.integers(22, 101))
+def test_noise_is_no_slip(seed, rows):
+    rng = np.random.default_rng(seed)
+    part = np.arange(rows) / rows
+    angle = np.sin(2.0 * np.pi * part) + rng.normal(0.0, 0.1, rows)
+    assert "line" not in "".join(_left_out(part, angle, _series(part, angle, 10, part)[3], list(range(rows)), 10)[1])
 
 
 def cut(table):

@@ -5,7 +5,7 @@ import pytest
 from leactl import yamlfile
 from leactl.bench import benchfile
 from leactl.errors import InputError
-from leactl.model.figures import continuous_torques, motor_constant, network_current
+from leactl.model.figures import continuous_torques, motor_constant, network_current, no_load_speed
 from leactl.model.motor import load_motor, load_sheet, motor_names
 from leactl.model.nominal import Model
 from leactl.model.sheet import MotorSheet
@@ -63,6 +63,21 @@ def test_little_is_enough_for_a_sheet(tmp_path):
     sheet = load_sheet(str(path))[0]
     assert motor_constant(sheet) is None
     assert continuous_torques(sheet, 25.0).stated is None
+
+
+def test_the_no_load_speed_is_that_of_a_motor_that_carries_its_own_friction():
+    lea, u8, maxon = (load_sheet(name)[0] for name in ("lea", "u8-kv100", "ec-4pole-30"))
+    # wye: 29.6 / sqrt(2) V; (20.930 - 0.264 * 0.208 / 0.49) / (0.49 + 0.264 * 0.0238 / 0.49) rad/s
+    assert no_load_speed(lea, 29.6) == pytest.approx(41.403, abs=1e-3)
+    # delta: 29.6 * sqrt(3/2) V; (36.252 - 0.279 * 0.017 / 0.14) / (0.14 + 0.279 * 0.0002 / 0.14) rad/s
+    assert no_load_speed(u8, 29.6) == pytest.approx(257.97, abs=1e-2)
+    # the same in the frame of its wye: a third of R, sqrt(3) less Kt, the same friction and speed
+    seen = {"winding": "wye", "phase_resistance": 0.279 / 3, "torque_constant": 0.14 / 3**0.5}
+    as_wye = u8.model_copy(update=seen | {"back_emf_constant": 0.14 / 3**0.5})
+    assert no_load_speed(as_wye, 29.6) == pytest.approx(no_load_speed(u8, 29.6))
+    # its Coulomb friction is not known: 29.6 / sqrt(2) V over 0.02 V*s/rad
+    assert no_load_speed(maxon, 29.6) == pytest.approx(1046.5, abs=0.1)
+    assert no_load_speed(lea, 0.1) == 0.0  # 0.14 A do not break 0.208 N*m loose
 
 
 @pytest.mark.parametrize(

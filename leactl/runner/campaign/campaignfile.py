@@ -33,6 +33,7 @@ from leactl import yamlfile
 from leactl.errors import InputError
 from leactl.protocol.schema import Block, Seed
 from leactl.runner.campaign.order import USUAL, Cell, Level, arranged
+from leactl.yamlfile import Location
 
 MOST_RUNS = 10_000
 OWN_COMMANDS = ("list", "run", "show", "status")  # of `leactl campaign`; no shipped campaign has such a name
@@ -87,14 +88,28 @@ class Step:
     """A step as it is to be made, in one variant of the campaign."""
 
     name: str
+    document: yamlfile.Document  # the campaign's
+    place: Location  # in it
     protocol: str
     bench: str
     actuators: Sequence[str]
-    conditions: Sequence[str]
+    conditions: Mapping[str, Location]  # labels, and where each is written
     repeats: int
-    settings: Sequence[str]  # `name=value`, as on the command line
+    settings: Mapping[str, Location]  # `name=value`, as on the command line, and where each is written
     prompt: str
     insert_cooldown: bool
+
+    def fault(self, condition: str, told: str) -> str:
+        """A fault of a run of it with its place: that of the setting or condition that it is of, or of the step."""
+        found = self.place
+        if condition and told.startswith(f"condition '{condition}' "):
+            found = self.conditions[condition]
+        for setting, place in self.settings.items():
+            # before a fault of the value itself, and behind one of the protocol's line that takes it
+            shorter = told.removeprefix(f"--set {setting}: ").replace(f" from --set {setting}", "")
+            if shorter != told:
+                found, told = place, shorter
+        return self.document.fault(found, told)
 
 
 @dataclass(frozen=True)
@@ -153,9 +168,9 @@ def load(name_or_path: str, variant: str = "", seed: int | None = None) -> Campa
         faults.append(document.fault(("variants",), f"variant '{variant}' is not known; known: {known}"))
     if faults:
         raise InputError(faults)
-    steps = {entry.name: _step(file, entry, path.parent) for entry in file.steps}
+    steps = {entry.name: _step(document, file, index, path.parent) for index, entry in enumerate(file.steps)}
     for name, change in file.variants.get(variant, {}).items():
-        steps[name] = _varied(steps[name], change)
+        steps[name] = _varied(steps[name], change, ("variants", variant, name))
     count = sum(len(step.actuators) * len(step.conditions) * step.repeats for step in steps.values())
     if count > MOST_RUNS:
         raise InputError(document.fault(("steps",), f"{count} runs; at most {MOST_RUNS} were expected"))
@@ -189,9 +204,7 @@ def _faults(document: yamlfile.Document, file: CampaignFile) -> Iterator[str]:
             yield from _faults_of_block(document, change, place)
 
 
-def _faults_of_block(
-    document: yamlfile.Document, block: StepEntry | Variation, place: yamlfile.Location
-) -> Iterator[str]:
+def _faults_of_block(document: yamlfile.Document, block: StepEntry | Variation, place: Location) -> Iterator[str]:
     yield from _doubled(document, (*place, "actuators"), block.actuators or ())
     yield from _doubled(document, (*place, "conditions"), block.conditions or ())
     if "seed" in block.set:
@@ -201,39 +214,46 @@ def _faults_of_block(
             yield document.fault((*place, "set", name), "a number, a text or a list of these was expected")
 
 
-def _doubled(document: yamlfile.Document, place: yamlfile.Location, items: Sequence[str]) -> Iterator[str]:
+def _doubled(document: yamlfile.Document, place: Location, items: Sequence[str]) -> Iterator[str]:
     for index, item in enumerate(items):
         if item in items[:index]:
             yield document.fault((*place, index), f"'{item}' stands twice")
 
 
-def _step(file: CampaignFile, entry: StepEntry, folder: Path) -> Step:
+def _step(document: yamlfile.Document, file: CampaignFile, index: int, folder: Path) -> Step:
+    entry, place = file.steps[index], ("steps", index)
     return Step(
         name=entry.name,
+        document=document,
+        place=place,
         protocol=_from(folder, entry.protocol or entry.name),
         bench=_from(folder, entry.bench or file.bench),
         actuators=entry.actuators or file.actuators or ("",),
-        conditions=entry.conditions or file.conditions or ("",),
+        conditions=_conditions(entry.conditions, place) or _conditions(file.conditions, ()) or {"": place},
         repeats=entry.repeats,
-        settings=_settings(entry.set),
+        settings=_settings(entry.set, place),
         prompt=entry.prompt,
         insert_cooldown=entry.insert_cooldown,
     )
 
 
-def _varied(step: Step, change: Variation) -> Step:
-    kept = [setting for setting in step.settings if setting.partition("=")[0] not in change.set]
+def _varied(step: Step, change: Variation, place: Location) -> Step:
+    kept = {setting: at for setting, at in step.settings.items() if setting.partition("=")[0] not in change.set}
     return replace(
         step,
         actuators=change.actuators or step.actuators,
-        conditions=change.conditions or step.conditions,
+        conditions=_conditions(change.conditions, place) or step.conditions,
         repeats=change.repeats or step.repeats,
-        settings=[*kept, *_settings(change.set)],
+        settings=kept | _settings(change.set, place),
     )
 
 
-def _settings(values: Mapping[str, Any]) -> list[str]:
-    return [f"{name}={_word(value)}" for name, value in values.items()]
+def _conditions(labels: Labels | None, place: Location) -> dict[str, Location]:
+    return {label: (*place, "conditions", index) for index, label in enumerate(labels or ())}
+
+
+def _settings(values: Mapping[str, Any], place: Location) -> dict[str, Location]:
+    return {f"{name}={_word(value)}": (*place, "set", name) for name, value in values.items()}
 
 
 def _word(value: Any) -> str:

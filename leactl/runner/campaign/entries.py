@@ -25,20 +25,20 @@ class Entry:
     cell: Cell
     request: Request
     digest: str  # of all that determines what the run is
-    prompt: str  # the step's own
+    step: Step
 
     @property
     def mounted(self) -> tuple[str, ...]:
         """What a person has to see to before it; the next run with the same needs nobody."""
         request = self.request
-        return request.bench.name, request.plan.setup, self.cell.actuator, self.cell.condition, self.prompt
+        return request.bench.name, request.plan.setup, self.cell.actuator, self.cell.condition, self.step.prompt
 
     @property
     def asks(self) -> str:
         """What the operator is asked for when it is not mounted."""
         actuator = f"actuator '{self.cell.actuator}', " if self.cell.actuator else ""
         condition = f"condition '{self.cell.condition}', " if self.cell.condition else ""
-        own = f": {self.prompt}" if self.prompt else ""
+        own = f": {self.step.prompt}" if self.step.prompt else ""
         bench = self.request.bench.name
         return f"bench '{bench}': {actuator}{condition}set-up {self.request.plan.setup}, for {self.cell.step}{own}"
 
@@ -64,7 +64,7 @@ def entries_of(campaign: Campaign, conditions: Conditions) -> list[Entry]:
 
     Raises
     ------
-    InputError : faults of protocols, benches and settings, each with its step.
+    InputError : faults of protocols, benches and settings, each with its place in the campaign.
     """
     faults: list[str] = []
     prepared: dict[tuple[str, str], Request] = {}
@@ -73,7 +73,7 @@ def entries_of(campaign: Campaign, conditions: Conditions) -> list[Entry]:
             try:
                 prepared[step.name, condition] = _prepared(step, condition, conditions)
             except InputError as error:
-                faults += [f"step '{step.name}': {fault}" for fault in error.faults]
+                faults += [step.fault(condition, fault) for fault in error.faults]
     if faults:
         raise InputError(list(dict.fromkeys(faults)))
     return [
@@ -86,7 +86,7 @@ def _prepared(step: Step, condition: str, told: Conditions) -> Request:
     made = prepare(
         step.protocol,
         step.bench,
-        step.settings,
+        list(step.settings),
         "",
         condition,
         told.operator,
@@ -118,7 +118,7 @@ def _entry(cell: Cell, campaign: Campaign, prepared: Request, step: Step) -> Ent
         "repeat": str(cell.repeat),
         "digest": digest,
     }
-    return Entry(cell, replace(prepared, actuator=cell.actuator, seed=seed, part_of=part_of), digest, step.prompt)
+    return Entry(cell, replace(prepared, actuator=cell.actuator, seed=seed, part_of=part_of), digest, step)
 
 
 def previews(entries: Sequence[Entry], check: Callable[[], None] = lambda: None) -> Mapping[tuple[str, str], Preview]:
@@ -130,8 +130,8 @@ def previews(entries: Sequence[Entry], check: Callable[[], None] = lambda: None)
 
     Raises
     ------
-    InputError : a run that its bench does not allow, windings that would grow too hot from ambient, with the step; too
-        small a disk.
+    InputError : a run that its bench does not allow, windings that would grow too hot from ambient, with its place in
+        the campaign; too small a disk.
     SafetyTrip : a bench is latched.
     DeviceError : what a device needs is not on this machine.
     """
@@ -146,7 +146,7 @@ def previews(entries: Sequence[Entry], check: Callable[[], None] = lambda: None)
             found[place] = preview(entry.request)
         except InputError as error:
             found[place] = Preview(0.0, 0.0)
-            faults |= {f"step '{entry.cell.step}': {fault}": None for fault in error.faults}
+            faults |= dict.fromkeys(entry.step.fault(entry.cell.condition, fault) for fault in error.faults)
     if faults:
         raise InputError(list(faults))
     _check_disk(entries, found)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from leactl.analysis.heating.resistance import LEAST_ON_S
 from leactl.errors import InputError
+from leactl.protocol.protocolfile import locate as protocol
 from leactl.protocol.protocolfile import names as protocols
 from leactl.runner.campaign.campaignfile import OWN_COMMANDS, load, names
 from leactl.runner.campaign.entries import Conditions, entries_of, previews
@@ -71,9 +72,62 @@ def test_a_variant_goes_over_its_steps_key_by_key(written):
     text = HEAD + ONE.replace("friction", "friction, repeats: 3, set: {trials: 5, hold_s: 2}")
     text += "variants: {v: {one: {repeats: 1, conditions: [b], set: {trials: 1}}}}\n"
     step = load(written(text), "v").steps["one"]
-    assert (step.repeats, step.conditions, step.actuators) == (1, ("b",), ("x", "y"))
+    assert (step.repeats, tuple(step.conditions), step.actuators) == (1, ("b",), ("x", "y"))
     assert set(step.settings) == {"trials=1", "hold_s=2"}
     assert set(load(written(text)).steps["one"].settings) == {"trials=5", "hold_s=2"}
+
+
+@pytest.mark.parametrize(
+    ("steps", "words"),
+    [
+        (
+            "  - {name: coast-down, set: {bogus: 4}}",
+            "6:37  steps[0].set.bogus: no such parameter; known: speed_rad_s, ",
+        ),
+        (
+            "  - {name: no-load-loss, set: {speeds_rad_s: [1, abc]}}",
+            "6:46  steps[0].set.speeds_rad_s: [1, 'abc']: a list of finite numbers was expected, as in the default ",
+        ),
+        (
+            "  - {name: friction, set: {hold_s: 20, trials: 1.5}}",
+            "6:48  steps[0].set.trials: {}friction.yaml:26:14  steps[1].repeat.times: 1.5: a whole number was expected"
+            " ($trials)",
+        ),
+        ("  - {name: friction}\n  - {name: nope}", "7:5  steps[1]: protocol 'nope' is not known; known: "),
+        ("  - {name: friction, bench: nob}", "6:5  steps[0]: bench 'nob' is not known; known: "),
+        (
+            "  - {name: friction}\nvariants:\n  v: {friction: {set: {bogus: 3}}}",
+            "8:31  variants.v.friction.set.bogus: no such parameter; known: ",
+        ),
+    ],
+)
+def test_a_fault_of_what_is_set_has_its_place_in_the_campaign(written, tmp_path, steps, words):
+    text = HEAD.replace("[a, b]", "[design, loaded]") + "steps:\n" + steps + "\n"
+    with pytest.raises(InputError) as refused:
+        entries_of(load(written(text), "v" if "variants" in text else ""), Conditions(tmp_path / "out"))
+    (fault,) = refused.value.faults
+    folder = f"{protocol('friction').parent}/"
+    assert fault.startswith(f"{tmp_path / 'small.yaml'}:{words.format(folder)}")
+    assert "--set" not in fault
+
+
+def test_a_fault_that_a_bench_finds_has_its_place_in_the_campaign(written, tmp_path, monkeypatch):
+    monkeypatch.setenv("LEACTL_STATE", str(tmp_path))
+    text = HEAD.replace("[a, b]", "[design, desing]") + (
+        "steps:\n"
+        "  - {name: coast-down}\n"
+        "  - {name: friction, conditions: [lodaed]}\n"
+        "  - {name: torque-pulses, conditions: [design], set: {levels_A: [40]}}\n"
+    )
+    with pytest.raises(InputError) as refused:
+        previews(entries_of(load(written(text)), Conditions(tmp_path / "out")))
+    file = tmp_path / "small.yaml"
+    known = "is not one of the emulated bench's: unloaded, design, loaded"
+    assert sorted(refused.value.faults) == [
+        f"{file}:3:22  conditions[1]: condition 'desing' {known}",
+        f"{file}:7:35  steps[1].conditions[0]: condition 'lodaed' {known}",
+        f"{file}:8:5  steps[2]: test q_axis_current_reference: 41.5 A is above the bench limit of 30 A",
+    ]
 
 
 def test_lists_and_texts_reach_a_protocol_as_they_are_written(written, tmp_path):

@@ -137,13 +137,21 @@ def test_nothing_is_begun_where_a_later_run_is_at_fault(bench):
             + "  - {name: strong, protocol: spin.yaml, set: {current_A: 300, x: 1}}\n"
         )
     lines = str(refused.value).splitlines()
-    assert any("step 'none': protocol 'no-such' is not known" in line for line in lines)
-    assert any("step 'strong': --set x=1: no such parameter" in line for line in lines)
+    assert any("small.yaml:8:5  steps[2]: protocol 'no-such' is not known" in line for line in lines)
+    assert any("small.yaml:9:66  steps[3].set.x: no such parameter" in line for line in lines)
     with pytest.raises(InputError) as refused:
         bench.conduct(SMALL.replace("design]", "icy]").replace("current_A: 0.5", "current_A: 50"))
     lines = str(refused.value).splitlines()
-    assert any("step 'slow': " in line and "50 A" in line for line in lines)
-    assert any("step 'fast': condition 'icy' is not one of the emulated bench's" in line for line in lines)
+    assert any("  steps[0]: " in line and "50 A" in line for line in lines)
+    icy = "small.yaml:4:24  conditions[1]: condition 'icy' is not one of the emulated bench's"
+    assert any(icy in line for line in lines)
+    assert bench.begun == []
+
+
+def test_an_analysis_that_is_not_known_is_refused_before_the_first_run(bench):
+    (bench.folder.parent / "coast.yaml").write_text(SPIN.replace("analysis: friction", "analysis: coastdown"))
+    with pytest.raises(InputError, match=r"  steps\[2\]: .*coast\.yaml:4:11  analysis: 'coastdown' is not known"):
+        bench.conduct(SMALL + "  - {name: coast, protocol: coast.yaml}\n")
     assert bench.begun == []
 
 
@@ -151,7 +159,7 @@ def test_a_protocol_too_hot_from_ambient_is_refused_before_the_first_run(bench):
     hot = SPIN.replace("setup: free", "setup: locked")
     (bench.folder.parent / "hot.yaml").write_text(hot)
     step = "  - {name: hot, protocol: hot.yaml, conditions: [design], set: {current_A: 28, hold_s: 6}}\n"
-    with pytest.raises(InputError, match=r"step 'hot': .*may take the test winding to its limit"):
+    with pytest.raises(InputError, match=r"small\.yaml:8:5  steps\[2\]: .*may take the test winding to its limit"):
         bench.conduct(SMALL + step)
     assert bench.begun == []
 
