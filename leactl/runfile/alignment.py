@@ -249,8 +249,8 @@ def by_likeness(
         doubtful = misfit(own, reference, alignment, other) <= FAR_APART
         if doubtful if whole else misfit(own, reference, other, alignment) > FAR_APART:
             raise InputError(
-                f"{what} are as alike at {best.shift:.6g} s as at {rival.shift:.6g} s; a smaller within_s around the true"
-                " one (near_s), or another signal, decides"
+                f"{what} are as alike at {best.shift:.6g} s as at {rival.shift:.6g} s; a smaller within_s around the"
+                " true one (near_s), or another signal, decides"
             )
     if ends_search(best, within, near):
         raise InputError(f"{what} are likest at {best.shift:.6g} s, where the search ends; expected a peak before that")
