@@ -102,9 +102,8 @@ class Emulated(BaseModel):
     back_emf_harmonics: tuple[Harmonic, ...] = ()  # of either actuator
     temperature_noise_K: Fraction = 0.05  # noqa: N815
     temperature_offset_K: Annotated[float, Field(strict=True, ge=-20, le=20)] = 0.0  # noqa: N815 (of every sensor's zero)
-    temperature_gain: Annotated[float, Field(strict=True, ge=0.5, le=2)] = (
-        1.0  # of the rise above ambient, as a sensor shows it
-    )
+    # of the rise above ambient, as a sensor shows it
+    temperature_gain: Annotated[float, Field(strict=True, ge=0.5, le=2)] = 1.0
 
     def expect(self, condition: str) -> None:
         """Refuse a condition that it does not have, where it has any.

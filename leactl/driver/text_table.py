@@ -81,6 +81,19 @@ def unit_of(heading: str) -> str:
     return found[1].strip() if found else ""
 
 
+def one_unit(heading: str, in_cells: Sequence[str], place: str) -> str:
+    """The unit that a heading or the numbers below it are written with; empty where none is.
+
+    Raises
+    ------
+    InputError : several units; `place` opens the message.
+    """
+    named = sorted({unit_of(heading), *in_cells} - {""})
+    if len(named) > 1:
+        raise InputError(f"{place} holds numbers in {' and '.join(named)}")
+    return "".join(named)
+
+
 def text_of(path: Path, encoding: str | None) -> tuple[str, str]:
     """The text of a file and the encoding it is in: as told, by its byte order mark, or UTF-8 where it is that.
 

@@ -74,7 +74,12 @@ def test_a_recording_without_stamps_takes_the_interval_that_is_set(tmp_path):
             {"time_units": "s"},
             "'Time' is in ms; time_units says s",
         ),
-        (FILE.replace("\n1,", "\n1 s,"), {}, "holds times in ms and s"),
+        (FILE.replace("\n1,", "\n1 s,"), {}, "'Time \\[ms\\]' holds numbers in ms and s"),
+        (
+            FILE.replace(" [ms]", "").replace("\n1,", "\n1 s,").replace("\n2,", "\n2 ms,"),
+            {},
+            "'Time' holds numbers in ms and s",
+        ),
         (FILE, {"counts_per_turn": None}, "counts_per_turn is needed"),
         (FILE.replace("Velocity", "Speed"), {}, "no line has the headings 'Velocity'"),
         (FILE.replace("1.0,", ">100,"), {}, "holds '>100'; a number was expected"),

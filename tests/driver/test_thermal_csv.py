@@ -259,6 +259,7 @@ def test_clocks_of_every_kind(tmp_path, stamps, given, times, began):
         (("2026-11-20T10:15:30+99:99",), {}, r"zone '\+99:99' is not known"),
         (("23:59:59.8", "00:00:00.0", "23:59:59.9", "00:00:00.1"), {"kind": "wall"}, "line 4.*goes back by 0.1 s"),
         (("0", "33 ms", "66 ms"), {"units": "s"}, "elapsed time in ms; time.units says s"),
+        (("0", "33 ms", "1 s"), {}, "line 2, column 'Time' holds numbers in ms and s"),
         (("17", "18"), {"kind": "frame"}, "time.frame_rate_Hz is needed"),
         (("17", "18.5"), {"kind": "frame", "frame_rate_Hz": 10.0}, "18.5 is no frame number"),
         (("noon", "midnight"), {}, "'noon' is no date and time"),

@@ -17,7 +17,7 @@ from leactl.driver.contract import Confirmation, Driver
 from leactl.driver.far_end import BuslessEmulator, Physics
 from leactl.driver.ordering import in_order
 from leactl.driver.text_form import Numbers, read_numbers
-from leactl.driver.text_table import Table, read_table, unit_of
+from leactl.driver.text_table import Table, one_unit, read_table, unit_of
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.units import CONVERSIONS, SECONDS, converter
@@ -121,10 +121,7 @@ class ElmoRecorderCsv(Driver):
         if stamps is None:
             interval = settings.interval_s or math.nan
             return interval * np.arange(len(table.rows), dtype=np.float64), f"one row each {interval:g} s, as set"
-        in_cells = {text for text in stamps.units if text}
-        named = unit_of(heading) or "".join(in_cells)
-        if in_cells - {named}:
-            raise InputError(f"{table.path}: {heading!r} holds times in {' and '.join(sorted(in_cells | {named}))}")
+        named = one_unit(heading, stamps.units, f"{table.path}: {heading!r}")
         units = settings.time_units or (named if named in SECONDS_NAMED else None)
         if units is None:
             raise InputError(f"{table.path}: {heading!r} names no unit of time; time_units decides")

@@ -57,9 +57,8 @@ class ElmoRecorderCsvSettings(TextForm, RecordSettings):
     signals: Annotated[dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], Signal], Field(min_length=1)]
     time_column: Heading | None = None
     time_units: Literal["s", "ms", "us"] | None = None  # where the heading names none
-    interval_s: Annotated[float, Field(strict=True, gt=0, le=10, allow_inf_nan=False)] | None = (
-        None  # of files without stamps
-    )
+    # of files without stamps
+    interval_s: Annotated[float, Field(strict=True, gt=0, le=10, allow_inf_nan=False)] | None = None
     current_convention: CurrentConvention = CurrentConvention.AMPLITUDE
     counts_per_turn: PositiveInt | None = None
     sign: Literal[-1, 1] = 1

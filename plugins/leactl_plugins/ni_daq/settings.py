@@ -37,12 +37,10 @@ class NiDaqSettings(DriverSettings):
     device: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=60)] = "Dev1"
     product: Annotated[str, Field(max_length=40)] = ""  # another one is refused, where it is given
     rate_Hz: Annotated[float, Field(strict=True, gt=0, le=2e6, allow_inf_nan=False)] = 10_000.0  # noqa: N815 (of every input)
-    duration_s: Annotated[float, Field(strict=True, gt=0, le=86_400, allow_inf_nan=False)] | None = (
-        None  # none: to the run's end
-    )
-    scale_std_ppm: Annotated[float, Field(strict=True, ge=0, le=1e5)] = (
-        0.0  # standard uncertainty of the device's scale
-    )
+    # none: to the run's end
+    duration_s: Annotated[float, Field(strict=True, gt=0, le=86_400, allow_inf_nan=False)] | None = None
+    # standard uncertainty of the device's scale
+    scale_std_ppm: Annotated[float, Field(strict=True, ge=0, le=1e5)] = 0.0
     inputs: Annotated[tuple[Input, ...], Field(min_length=1, max_length=6)]
 
     @property

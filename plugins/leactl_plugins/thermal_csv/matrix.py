@@ -9,7 +9,7 @@ import numpy as np
 
 from leactl.driver.batch import in_number_order
 from leactl.driver.text_form import read_numbers
-from leactl.driver.text_table import DELIMITERS, NAMED, SEP_LINE, Aside, text_of, trimmed
+from leactl.driver.text_table import DELIMITERS, NAMED, SEP_LINE, Aside, one_unit, text_of, trimmed
 from leactl.errors import InputError
 from leactl_plugins.thermal_csv.series import (
     COLDEST,
@@ -21,7 +21,6 @@ from leactl_plugins.thermal_csv.series import (
     marks_told,
     to_celsius,
     unit_in,
-    unit_of_stamps,
 )
 from leactl_plugins.thermal_csv.settings import Region, ThermalCsvSettings
 from leactl_plugins.thermal_csv.stamps import looks_plain, read_plain, read_stamps
@@ -93,7 +92,7 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Sheet:
         if looks_plain(stamps[0]):
             plain, _ = read_numbers({settings.time.line: stamps}, settings, lambda _, row: where(row), {})
             numbers, line = plain[settings.time.line], settings.time.line
-            clock = read_plain(numbers.values, unit_of_stamps("", numbers, where), settings.time, line, where)
+            clock = read_plain(numbers.values, one_unit("", numbers.units, where(0)), settings.time, line, where)
         else:
             clock = read_stamps(stamps, settings.time, where)
     told += [str(convention), f"temperatures in {unit}", clock.told, *marks_told(headings, found)]

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.driver.text_form import Numbers, read_numbers
-from leactl.driver.text_table import Aside, Table, read_table, unit_of
+from leactl.driver.text_table import Aside, Table, one_unit, read_table, unit_of
 from leactl.errors import InputError
 from leactl.units import converter
 from leactl_plugins.thermal_csv.settings import ThermalCsvSettings, unit_named
@@ -58,7 +58,9 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> Sheet:
     if not stamps:
         clock = by_order(len(table.rows), settings, where)
     elif plain:
-        clock = read_plain(found[heading].values, unit_of_stamps(heading, found[heading], where), time, heading, where)
+        clock = read_plain(
+            found[heading].values, one_unit(heading, found[heading].units, where(0)), time, heading, where
+        )
     else:
         clock = read_stamps(stamps, time, where)
     by_name = {name: found[table.heading(column)] for name, column in regions.items()}
@@ -70,19 +72,6 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> Sheet:
     told += emissivities(table.asides) + emissivity_columns(table)
     values = np.stack([to_celsius(numbers.values, unit) for numbers in by_name.values()], axis=1)
     return Sheet(clock, values, where, told)
-
-
-def unit_of_stamps(heading: str, stamps: Numbers, where: Callable[[int], str]) -> str:
-    """The unit that a heading or the cells below it name.
-
-    Raises
-    ------
-    InputError : several units.
-    """
-    named = sorted({unit_of(heading), *stamps.units} - {""})
-    if len(named) > 1:
-        raise InputError(f"{where(0)}: times in {' and '.join(named)}")
-    return "".join(named)
 
 
 def by_order(rows: int, settings: ThermalCsvSettings, where: Callable[[int], str]) -> Clock:
