@@ -5,15 +5,20 @@ from pathlib import Path
 
 import typer
 
+from leactl.cli import finite
+
 
 def analyze(
     runs: list[Path] = typer.Argument(metavar="RUN...", help="Run files of one experiment; repeats are combined."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
     torque_constant: float | None = typer.Option(
-        None, metavar="N*m/A", help="Torque constant for friction and back-emf, in place of the one in the run's model."
+        None,
+        metavar="N*m/A",
+        help="Torque constant for friction and back-emf, in place of the one in the run's model.",
+        callback=finite,
     ),
     torque_constant_std: float | None = typer.Option(
-        None, metavar="N*m/A", help="Its standard uncertainty, to be part of those of the results."
+        None, metavar="N*m/A", help="Its standard uncertainty, to be part of those of the results.", callback=finite
     ),
     settings: list[str] = typer.Option(
         [], "--set", metavar="NAME=NUMBER", help="What an analysis may be told, such as camera_gain_std=0.01."

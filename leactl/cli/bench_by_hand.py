@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from leactl.cli import finite
+
 if TYPE_CHECKING:
     from leactl.runner.session import Outcome
     from leactl.runner.underway import Underway
@@ -24,7 +26,9 @@ AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 
 def stop(
     bench: str = typer.Argument("", help="A bench by name or as a .yaml; without one, every run of this user."),
-    wait_s: float = typer.Option(END_S, "--wait", metavar="SECONDS", min=0, help="How long to wait for the end."),
+    wait_s: float = typer.Option(
+        END_S, "--wait", metavar="SECONDS", min=0, help="How long to wait for the end.", callback=finite
+    ),
     as_json: bool = AS_JSON,
 ) -> None:
     """Stop the run on a bench and say how it ended; status 0 where every device confirmed that it is safe, else 5."""
@@ -95,7 +99,7 @@ def _end(run: "Underway", ended: bool, waited_s: float) -> dict[str, Any]:
 
 def read(
     bench: str = BENCH,
-    hold_s: float = typer.Option(2.0, "--for", metavar="SECONDS", help="How long to read."),
+    hold_s: float = typer.Option(2.0, "--for", metavar="SECONDS", help="How long to read.", callback=finite),
     setup: str = SETUP,
     out: Path = OUT,
     realtime: bool = REALTIME,
@@ -149,11 +153,15 @@ def zero(
 def jog(
     bench: str = BENCH,
     role: str = typer.Option("test", help="test or load."),
-    current: float = typer.Option(None, metavar="AMPERE", help="Hold this q-axis current."),
-    velocity: float = typer.Option(None, metavar="RAD/S", help="Turn at this velocity."),
-    angle: float = typer.Option(None, metavar="RAD", help="Turn by this angle from where the shaft stands."),
-    hold_s: float = typer.Option(1.0, "--for", metavar="SECONDS", help="How long to hold it."),
-    rate: float = typer.Option(None, help="A/s, rad/s^2 or rad/s on the way; 5, 10 or 0.5 unless given."),
+    current: float = typer.Option(None, metavar="AMPERE", help="Hold this q-axis current.", callback=finite),
+    velocity: float = typer.Option(None, metavar="RAD/S", help="Turn at this velocity.", callback=finite),
+    angle: float = typer.Option(
+        None, metavar="RAD", help="Turn by this angle from where the shaft stands.", callback=finite
+    ),
+    hold_s: float = typer.Option(1.0, "--for", metavar="SECONDS", help="How long to hold it.", callback=finite),
+    rate: float = typer.Option(
+        None, help="A/s, rad/s^2 or rad/s on the way; 5, 10 or 0.5 unless given.", callback=finite
+    ),
     setup: str = SETUP,
     out: Path = OUT,
     realtime: bool = REALTIME,

@@ -6,10 +6,14 @@ from textwrap import indent
 
 import typer
 
+from leactl.cli import finite
+
 app = typer.Typer(help="Motor parameter sets and motor design.", no_args_is_help=True, rich_markup_mode=None)
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
-AMBIENT = typer.Option(25.0, "--ambient", min=-40.0, max=60.0, help="Of the air around the actuator [degC].")
-BUS = typer.Option(29.6, "--bus-voltage", min=0.1, max=1000.0, help="Of the drive's bus [V].")
+AMBIENT = typer.Option(
+    25.0, "--ambient", min=-40.0, max=60.0, help="Of the air around the actuator [degC].", callback=finite
+)
+BUS = typer.Option(29.6, "--bus-voltage", min=0.1, max=1000.0, help="Of the drive's bus [V].", callback=finite)
 
 
 @app.command("list")
@@ -57,9 +61,13 @@ def compare(
 
 @app.command()
 def scale(
-    radius: float = typer.Option(..., "--radius", metavar="MM", help="Air-gap radius of the motor to be."),
+    radius: float = typer.Option(
+        ..., "--radius", metavar="MM", help="Air-gap radius of the motor to be.", callback=finite
+    ),
     motor: str = typer.Option("u8-kv100", help="The motor that is known, by name or path."),
-    known_radius: float | None = typer.Option(None, "--known-radius", metavar="MM", help="Its air-gap radius."),
+    known_radius: float | None = typer.Option(
+        None, "--known-radius", metavar="MM", help="Its air-gap radius.", callback=finite
+    ),
     as_json: bool = AS_JSON,
 ) -> None:
     """Scale a known motor by its air-gap radius, thickness and length kept, as the LEA was sized."""
@@ -83,14 +91,18 @@ def scale(
 def energy(
     cycles: list[Path] = typer.Argument(metavar="CYCLE.csv...", help="Angle and torque of a joint over one cycle."),
     motors: list[str] = typer.Option([], "--motor", help="Names or paths; all that ship by default."),
-    stride_time: float | None = typer.Option(None, metavar="S", help="How long a cycle takes."),
-    body_mass: float | None = typer.Option(None, metavar="KG", help="For torque_Nm_per_kg."),
-    ratio: float | None = typer.Option(None, help="Turns of the motor for one of the joint; by default the best."),
-    efficiency: float = typer.Option(1.0, help="Of the transmission, either way."),
+    stride_time: float | None = typer.Option(None, metavar="S", help="How long a cycle takes.", callback=finite),
+    body_mass: float | None = typer.Option(None, metavar="KG", help="For torque_Nm_per_kg.", callback=finite),
+    ratio: float | None = typer.Option(
+        None, help="Turns of the motor for one of the joint; by default the best.", callback=finite
+    ),
+    efficiency: float = typer.Option(1.0, help="Of the transmission, either way.", callback=finite),
     bus_voltage: float = BUS,
-    line_current: float | None = typer.Option(None, metavar="A", help="Largest amplitude in a lead of the drive."),
+    line_current: float | None = typer.Option(
+        None, metavar="A", help="Largest amplitude in a lead of the drive.", callback=finite
+    ),
     winding_temperature: float | None = typer.Option(
-        None, min=-50.0, max=250.0, metavar="DEGC", help="By default where many cycles lead to."
+        None, min=-50.0, max=250.0, metavar="DEGC", help="By default where many cycles lead to.", callback=finite
     ),
     ambient: float = AMBIENT,
     harmonics: int = typer.Option(10, min=1, max=100, help="Of the angle that are kept."),
@@ -130,8 +142,12 @@ def energy(
 @app.command("preload")
 def preload_of(
     motor: str = typer.Option("lea", help="Name or path; its file has a `bearings:` block."),
-    gap: list[float] = typer.Option([0.0, 0.5, 0.75], "--gap", metavar="MM", help="Between flexure and stator."),
-    rest_gap: float = typer.Option(0.5, "--rest-gap", metavar="MM", help="At which a flexure is at rest."),
+    gap: list[float] = typer.Option(
+        [0.0, 0.5, 0.75], "--gap", metavar="MM", help="Between flexure and stator.", callback=finite
+    ),
+    rest_gap: float = typer.Option(
+        0.5, "--rest-gap", metavar="MM", help="At which a flexure is at rest.", callback=finite
+    ),
     as_json: bool = AS_JSON,
 ) -> None:
     """Work out the preload of bearings on flexures from their deflection, and whether the bearings take it."""

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import typer
 
+from leactl.cli import finite
+
 
 def stats(
     runs: list[Path] = typer.Argument(
@@ -12,7 +14,9 @@ def stats(
     ),
     result: list[str] = typer.Option([], "--result", help="Results to compare; all with an uncertainty by default."),
     by_run: bool = typer.Option(False, "--by-run", help="One value a run instead of one for each of its repeats."),
-    torque_constant: float | None = typer.Option(None, metavar="N*m/A", help="Torque constant for friction."),
+    torque_constant: float | None = typer.Option(
+        None, metavar="N*m/A", help="Torque constant for friction.", callback=finite
+    ),
     settings: list[str] = typer.Option(
         [], "--set", metavar="NAME=NUMBER", help="What the analysis may be told, such as phase_resistance=0.28."
     ),

@@ -6,9 +6,13 @@ from typing import Any
 
 import typer
 
+from leactl.cli import finite
+
 app = typer.Typer(help="Limits, state and forecast of windings.", no_args_is_help=True, rich_markup_mode=None)
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
-AMBIENT = typer.Option(25.0, "--ambient", min=-40.0, max=60.0, help="Of the air around the actuator [degC].")
+AMBIENT = typer.Option(
+    25.0, "--ambient", min=-40.0, max=60.0, help="Of the air around the actuator [degC].", callback=finite
+)
 BENCH = typer.Option("emulated", help="Name of a shipped bench, or a path to a .yaml.")
 SET = typer.Option([], "--set", metavar="NAME=VALUE", help="Set a parameter of the protocol.")
 ACTUATOR = typer.Option("", help="Label of the one under test.")
@@ -20,7 +24,7 @@ def limits(
     motor: str = typer.Option("lea", help="Name of a shipped motor, or a path to a .yaml."),
     ambient: float = AMBIENT,
     speed: list[float] = typer.Option(
-        [31.4], min=0.0, max=1000.0, help="Further speeds [rad/s], for the heat of friction."
+        [31.4], min=0.0, max=1000.0, help="Further speeds [rad/s], for the heat of friction.", callback=finite
     ),
     as_json: bool = AS_JSON,
 ) -> None:

@@ -1,8 +1,12 @@
 """A command line that cannot be read: one line with the value and the way to the usage."""
 
+import inspect
 import re
 
 import pytest
+from typer.testing import CliRunner
+
+from leactl.cli.main import app
 
 from .terminal import leactl
 
@@ -32,3 +36,24 @@ def test_a_command_without_a_word_gets_its_help():
     done = leactl("motor")
     assert done.returncode in (0, 2)  # click below 8.2 and from there
     assert "Commands:" in done.stdout + done.stderr
+
+
+def floats(app, path=()):
+    """Yield every option of the commands that takes a float, with the path of its command."""
+    for group in app.registered_groups:
+        yield from floats(group.typer_instance, (*path, group.name))
+    for command in app.registered_commands:
+        for name, parameter in inspect.signature(command.callback).parameters.items():
+            if "float" in str(parameter.annotation):
+                option = next(iter(parameter.default.param_decls or ()), "--" + name.replace("_", "-"))
+                yield (*path, command.name or command.callback.__name__), option
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+def test_no_option_takes_a_number_that_is_not_finite(value):
+    options = list(floats(app))
+    assert len(options) > 20
+    for path, option in options:
+        done = CliRunner().invoke(app, [*path, f"{option}={value}"])
+        assert done.exit_code == 2, (path, option, done.output)
+        assert f"'{option}'" in done.output, (path, option, done.output)
