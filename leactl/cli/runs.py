@@ -6,6 +6,8 @@ from typing import Any
 
 import typer
 
+from leactl.cli import finite
+
 app = typer.Typer(help="List, show, verify and mend run files.", no_args_is_help=True, rich_markup_mode=None)
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 
@@ -162,3 +164,45 @@ def attached_told(stream: dict[str, Any]) -> str:
     found = stream["attached"]
     within = f"stamps good to {found['alignment_uncertainty_s']:.2g} s (95 %)"
     return f", attached from {found['record_files']}, {within} by {found['alignment_method']}"
+
+
+@app.command()
+def plot(
+    run: Path,
+    channels: list[str] = typer.Argument(
+        None, metavar="[CHANNEL]...", help="Name, stream/name, quantity or quantity:role; every channel by default."
+    ),
+    step: str = typer.Option("", metavar="NAME", help="Only from the first step of this name to its last."),
+    start: float | None = typer.Option(None, "--from", metavar="SECONDS", help="Only from here.", callback=finite),
+    stop: float | None = typer.Option(None, "--to", metavar="SECONDS", help="Only up to here.", callback=finite),
+    html: Path | None = typer.Option(None, "--html", metavar="FILE", help="Write a page that zooms instead."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Plot channels over time, steps shaded: in the terminal, or as a page with --html."""
+    import shutil
+
+    from leactl.report import outputs
+    from leactl.report.run_page import BINS, page
+    from leactl.report.run_plot import text
+    from leactl.runfile.publish import replacement
+    from leactl.runfile.reader import Run
+    from leactl.runfile.traces import channel_names, part_of_run, trace
+
+    if html:
+        outputs.check([html], [run])
+    columns, rows = shutil.get_terminal_size((80, 24))
+    with Run.open(run) as opened:
+        part = part_of_run(opened, step, start, stop)
+        bins = BINS if html or as_json else 2 * columns
+        traces = [trace(opened, name, *part, bins) for name in channel_names(opened, channels or [])]
+        if html:
+            with replacement(html) as path:
+                path.write_text(page(opened, traces, *part), encoding="utf-8")
+        steps = opened.steps
+    if as_json:
+        body = {"run": str(run), "start_s": part[0], "stop_s": part[1], "page": str(html) if html else None}
+        typer.echo(json.dumps(body | {"channels": [item.as_json() for item in traces]}, allow_nan=False))
+    elif html:
+        typer.echo(str(html))
+    else:
+        typer.echo(text(traces, steps, part, columns, rows), nl=False)

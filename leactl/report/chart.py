@@ -154,6 +154,8 @@ def chart(
         *(layer.drawn(x, y) for layer in layers),
         viewBox=f"0 0 {FULL:g} {FULL:g}",
         preserveAspectRatio="none",
+        data_x=f"{x.low:.12g} {x.high:.12g}",
+        data_y=f"{y.low:.12g} {y.high:.12g}",
         role="img",
         aria_label=f"{y_label} over {x_label}: {', '.join(name for _, name in keys)}",
     )

@@ -51,21 +51,31 @@ def draw(plot: Plot, width: int, height: int = 16, ascii_only: bool = False) -> 
         canvas.line(list(pairs(line)))
     for mark, series in zip(MARKS, shown, strict=False):
         canvas.points(mark, list(pairs(series)))
-    bar, tee, corner, flat = ("|", "+", "+", "-") if ascii_only else ("│", "┤", "└", "─")
-    left = {canvas.row(value): text for value, text in y.ticks.items()}
-    rows = [
-        f"{left.get(index, ''):>{gutter}} {tee if index in left else bar}{''.join(cells)}".rstrip()
-        for index, cells in enumerate(canvas.cells)
-    ]
-    floor = [flat] * columns
-    for value in x.ticks:
-        floor[canvas.column(value)] = "+" if ascii_only else "┴"
     names = [f"{mark} {series.label}" for mark, series in zip(MARKS, shown, strict=False)]
     names += [f"{SEVERAL} several"] if canvas.overlaps else []
     labels, marks = f"{plot.y_label} over {plot.x_label}:", "   ".join(names)
     legend = [f"{labels}  {marks}"] if len(labels) + 2 + len(marks) <= width else [labels[:width], marks[:width]]
-    under = tick_line({canvas.column(value): text for value, text in x.ticks.items()}, columns)
-    return [*legend, *rows, f"{'':{gutter}} {corner}{''.join(floor)}", f"{'':{gutter}}  {under}".rstrip()]
+    return [*legend, *rows_with_axis(canvas, gutter), *floor_with_axis(canvas, gutter)]
+
+
+def rows_with_axis(canvas: "Canvas", gutter: int) -> list[str]:
+    """The canvas with its y axis to the left, tick labels in a gutter of so many columns."""
+    bar, tee = ("|", "+") if canvas.ascii_only else ("│", "┤")
+    ticks = {canvas.row(value): text for value, text in canvas.y.ticks.items()}
+    return [
+        f"{ticks.get(index, ''):>{gutter}} {tee if index in ticks else bar}{''.join(cells)}".rstrip()
+        for index, cells in enumerate(canvas.cells)
+    ]
+
+
+def floor_with_axis(canvas: "Canvas", gutter: int) -> list[str]:
+    """The x axis below the canvas and its tick labels."""
+    corner, flat, tick = ("+", "-", "+") if canvas.ascii_only else ("└", "─", "┴")
+    floor = [flat] * canvas.columns
+    for value in canvas.x.ticks:
+        floor[canvas.column(value)] = tick
+    under = tick_line({canvas.column(value): text for value, text in canvas.x.ticks.items()}, canvas.columns)
+    return [f"{'':{gutter}} {corner}{''.join(floor)}", f"{'':{gutter}}  {under}".rstrip()]
 
 
 def pairs(series: Series) -> Iterator[tuple[float, float]]:
@@ -88,7 +98,7 @@ class Canvas:
     """Cells of characters, the topmost row first."""
 
     def __init__(self, columns: int, rows: int, x: Axis, y: Axis, ascii_only: bool) -> None:
-        self.columns, self.rows, self._x, self._y = columns, rows, x, y
+        self.columns, self.rows, self.x, self.y, self.ascii_only = columns, rows, x, y, ascii_only
         self.cells = [[" "] * columns for _ in range(rows)]
         self.overlaps = False
         self._fine = (1, 1) if ascii_only else (2, 4)
@@ -97,11 +107,11 @@ class Canvas:
 
     def column(self, value: float) -> int:
         """The column of a value along x."""
-        return place(self._x.share(value), self.columns)
+        return place(self.x.share(value), self.columns)
 
     def row(self, value: float) -> int:
         """The row of a value along y."""
-        return place(1.0 - self._y.share(value), self.rows)
+        return place(1.0 - self.y.share(value), self.rows)
 
     def points(self, mark: str, points: Sequence[tuple[float, float]]) -> None:
         """Set a mark at each point."""
@@ -117,8 +127,8 @@ class Canvas:
         """Draw from point to point in the finest dots there are."""
         wide, high = self.columns * self._fine[0], self.rows * self._fine[1]
         for (x0, y0), (x1, y1) in itertools.pairwise(points):
-            a0, b0 = self._x.share(x0) * wide, (1.0 - self._y.share(y0)) * high
-            a1, b1 = self._x.share(x1) * wide, (1.0 - self._y.share(y1)) * high
+            a0, b0 = self.x.share(x0) * wide, (1.0 - self.y.share(y0)) * high
+            a1, b1 = self.x.share(x1) * wide, (1.0 - self.y.share(y1)) * high
             steps = math.ceil(max(abs(a1 - a0), abs(b1 - b0), 1.0))
             for k in range(steps + 1):
                 share = k / steps

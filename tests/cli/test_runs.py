@@ -1,6 +1,7 @@
 """`leactl runs` at the command line, on a run that was written to the end and on one that was not."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -77,3 +78,34 @@ def test_a_missing_file_is_one_line_and_status_2(tmp_path, command):
     answer = leactl("runs", command, tmp_path / "nothing.h5")
     assert answer.returncode == 2
     assert len(answer.stderr.splitlines()) == 1
+
+
+def test_plot_draws_named_channels_in_the_terminal(run):
+    done = leactl("runs", "plot", run, "torque", "iq", COLUMNS="80", LINES="24", **os.environ)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    assert "loop/torque: torque of test [N*m]" in done.stdout
+    assert "level" in done.stdout
+
+
+def test_plot_writes_a_page_and_json(run, tmp_path):
+    done = leactl("runs", "plot", run, "--html", tmp_path / "run.html", "--json")
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert [channel["values"] for channel in answer["channels"]] == [[0.0, 2.0, 4.0, 6.0], [1.0, 3.0, 5.0, 7.0]]
+    assert (tmp_path / "run.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["torqe"], "no channel 'torqe'; did you mean 'torque'"),
+        (["--step", "lift"], "no step 'lift'; the run has level"),
+        (["--from", "3", "--to", "1"], "--to has to be after --from"),
+        (["--html", "nowhere/run.html"], "no folder nowhere"),
+    ],
+)
+def test_plot_refuses_in_one_line(run, words, message):
+    done = leactl("runs", "plot", run, *words)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert message in done.stderr

@@ -69,8 +69,15 @@ addEventListener("load", () => {
 def look(tmp_path, page, widths, schemes):
     """Faults, or `fits`; the tags as the browser read them; and what it wrote to its console."""
     frames = "".join(FRAME % (width, one, one, escape(page, quote=True)) for width in widths for one in schemes)
-    (tmp_path / "probe.html").write_text(PROBE % frames, encoding="utf-8")
-    command = [CHROMIUM, *FLAGS, f"--user-data-dir={tmp_path / 'profile'}", f"--window-size={max(widths) + 100},3000"]
+    text, console = dumped(tmp_path, PROBE % frames, max(widths) + 100)
+    said, _, tags = text.partition("|")
+    return said, tags.split(), console
+
+
+def dumped(tmp_path, probe, width):
+    """What a probe page wrote into its element `out`, and what it wrote to its console."""
+    (tmp_path / "probe.html").write_text(probe, encoding="utf-8")
+    command = [CHROMIUM, *FLAGS, f"--user-data-dir={tmp_path / 'profile'}", f"--window-size={width},3000"]
     done = subprocess.run(
         [*command, "--virtual-time-budget=2000", "--dump-dom", (tmp_path / "probe.html").as_uri()],
         capture_output=True,
@@ -79,5 +86,5 @@ def look(tmp_path, page, widths, schemes):
         check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    said, _, tags = re.search('<pre id="out">(.*?)</pre>', done.stdout, re.DOTALL)[1].partition("|")
-    return said, tags.split(), [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+    text = re.search('<pre id="out">(.*?)</pre>', done.stdout, re.DOTALL)[1]
+    return text, [line for line in done.stderr.splitlines() if "CONSOLE" in line]

@@ -1,0 +1,91 @@
+"""A run's channels over time in characters: a panel each, the steps of the run along the foot."""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from leactl.report.html import fit
+from leactl.report.plot import Axis, Canvas, floor_with_axis, rows_with_axis
+from leactl.report.terminal import encodable, encoding_of_stdout, shows_all
+from leactl.runfile.reader import Step
+from leactl.runfile.traces import Trace
+
+TICKS = (6, 4)  # at most about so many along time and value: a panel has few rows
+ROWS_ABOUT = 5  # of a panel besides its rows: title, axis, tick labels, steps, a blank line
+LOWEST, HIGHEST = 5, 16  # rows of a panel
+SHADE = ("░", "-")  # of every other step, in Unicode and in ASCII
+
+
+def text(
+    traces: Sequence[Trace], steps: Sequence[Step], part: tuple[float, float], width: int, screen_rows: int
+) -> str:
+    """Return the panels of a part of a run (start and stop [s]) for stdout: up to three fill the screen."""
+    encoding = encoding_of_stdout()
+    height = min(max(screen_rows // max(len(traces), 1) - ROWS_ABOUT, LOWEST), HIGHEST)
+    lines = panels(traces, steps, part, width, height, not shows_all(encoding))
+    return encodable("\n".join(lines) + "\n", encoding)
+
+
+def panels(
+    traces: Sequence[Trace],
+    steps: Sequence[Step],
+    part: tuple[float, float],
+    width: int,
+    height: int,
+    ascii_only: bool = False,
+) -> list[str]:
+    """Return lines of text, none wider than `width`, one panel of `height` rows below the other.
+
+    A channel that has no finite sample in this part says so in place of its panel.
+    """
+    start, stop = part
+    time = Axis([start, stop], TICKS[0])
+    axes = [value_axis(trace) for trace in traces]
+    labels = [text for axis in axes if axis for text in axis.ticks.values()]
+    gutter = max(map(len, labels), default=0)
+    columns = max(width - gutter - 2, 10)
+    lines: list[str] = []
+    for trace, axis in zip(traces, axes, strict=True):
+        channel = trace.channel
+        title = f"{trace.name}: {channel.quantity or 'quantity not given'} of {channel.role or 'no role'}"
+        lines.append(fit(f"{title} [{channel.units}]")[:width])
+        if axis is None:
+            lines += ["  no value in this part of the run", ""]
+            continue
+        canvas = Canvas(columns, height, time, axis, ascii_only)
+        for segment in segments(trace):
+            canvas.line(segment)
+        lines += [*rows_with_axis(canvas, gutter), *floor_with_axis(canvas, gutter)]
+        if ruler := step_ruler(steps, canvas, start, stop):
+            lines.append(f"{'':{gutter}}  {ruler}".rstrip())
+        lines.append("")
+    return [*lines, "time in s"]
+
+
+def value_axis(trace: Trace) -> Axis | None:
+    """Return the axis over a trace's finite values; None where it has none."""
+    finite = trace.values[np.isfinite(trace.values)]
+    return Axis([float(finite.min()), float(finite.max())], TICKS[1]) if len(finite) else None
+
+
+def segments(trace: Trace) -> list[list[tuple[float, float]]]:
+    """Return the stretches of a trace between its missing samples, so that no line is drawn across a gap."""
+    points = zip(trace.time.tolist(), trace.values.tolist(), strict=True)
+    runs = itertools.groupby(points, key=lambda point: bool(np.isfinite(point[1])))
+    stretches = [list(group) for finite, group in runs if finite]
+    return [stretch if len(stretch) > 1 else stretch * 2 for stretch in stretches]  # a lone sample is a dot
+
+
+def step_ruler(steps: Sequence[Step], canvas: Canvas, start: float, stop: float) -> str:
+    """Return one line that shades every other step and names those that are wide enough for their name."""
+    cells = [" "] * canvas.columns
+    for index, step in enumerate(steps):
+        if step.stop <= start or step.start >= stop:
+            continue
+        first, last = canvas.column(max(step.start, start)), canvas.column(min(step.stop, stop))
+        shade = SHADE[canvas.ascii_only] if index % 2 else " "
+        cells[first:last] = [shade] * (last - first)
+        if len(step.name) < last - first:
+            cells[first : first + len(step.name)] = fit(step.name)
+    return "".join(cells).rstrip()
