@@ -42,6 +42,14 @@ class Series:
 
 
 @dataclass(frozen=True)
+class Band:
+    """The part of a map whose values lie between two levels, as polygons of (x, y) corners."""
+
+    label: str
+    polygons: tuple[tuple[tuple[float, float], ...], ...]
+
+
+@dataclass(frozen=True)
 class Plot:
     """Points of an experiment and the fitted lines through them, each from end to end."""
 
@@ -51,6 +59,8 @@ class Plot:
     lines: tuple[Series, ...]
     actuator: str = ""
     condition: str = ""
+    x_log: bool = False  # x spans decades, as a frequency does
+    bands: tuple[Band, ...] = ()  # of a map, lowest first, empty ones among them
 
 
 @dataclass(frozen=True)

@@ -124,9 +124,9 @@ def plots_of(responses: Mapping[float, Response], known: Mapping[float, Mask], u
     minus_3_db = Series("-3 dB", ends, (20.0 * math.log10(HALF_POWER),) * 2)
     threshold = Series("known from here", ends, (COHERENT,) * 2)
     return (
-        Plot("frequency [Hz]", "gain [dB]", tuple(gains), (minus_3_db, *limits)),
-        Plot("frequency [Hz]", "phase [deg]", tuple(phases), ()),
-        Plot("frequency [Hz]", "coherence [1]", tuple(coherences), (threshold,)),
+        Plot("frequency [Hz]", "gain [dB]", tuple(gains), (minus_3_db, *limits), x_log=True),
+        Plot("frequency [Hz]", "phase [deg]", tuple(phases), (), x_log=True),
+        Plot("frequency [Hz]", "coherence [1]", tuple(coherences), (threshold,), x_log=True),
     )
 
 

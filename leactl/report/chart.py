@@ -125,13 +125,37 @@ class Stretch:
         return tag("path", d=path, class_=f"area {self.style}")
 
 
-Layer = Curve | Points | Bins | Stretch
+@dataclass(frozen=True, eq=False)
+class Area:
+    """Polygons of one colour, corners (x, y) each."""
+
+    name: str
+    style: str
+    polygons: Sequence[Sequence[tuple[float, float]]]
+
+    def reach(self) -> tuple[Array, Array]:
+        """All corners."""
+        corners = np.array([corner for polygon in self.polygons for corner in polygon]).reshape(-1, 2)
+        return corners[:, 0], corners[:, 1]
+
+    def drawn(self, x: Axis, y: Axis) -> Html:
+        """One path."""
+        rings = ["L".join(f"{across(x, a)} {down(y, b)}" for a, b in polygon) for polygon in self.polygons]
+        return tag("path", d="".join(f"M{ring}Z" for ring in rings), class_=f"band {self.style}")
+
+
+Layer = Curve | Points | Bins | Stretch | Area
 Key = tuple[str, str]
 NO_CURVE = Curve("", "", np.empty(0), np.empty(0))
 
 
 def chart(
-    layers: Sequence[Layer], x_label: str, y_label: str, beside: Sequence[Layer] = (), keys: Sequence[Key] = ()
+    layers: Sequence[Layer],
+    x_label: str,
+    y_label: str,
+    beside: Sequence[Layer] = (),
+    keys: Sequence[Key] = (),
+    x_log: bool = False,
 ) -> Html:
     """Layers over each other, with ticks at round numbers and a legend.
 
@@ -140,7 +164,8 @@ def chart(
     beside : layers of another chart, which the axes are to hold too.
     keys : of the legend, style and name each; by default those of the layers, once a name.
     """
-    x, y = (axis([layer.reach()[k] for layer in (*layers, *beside)], TICKS[k]) for k in (0, 1))
+    reaches = [layer.reach() for layer in (*layers, *beside)]
+    x, y = axis([reach[0] for reach in reaches], TICKS[0], x_log), axis([reach[1] for reach in reaches], TICKS[1])
     if not keys:
         unnamed = [layer for layer in layers if not (isinstance(layer, Curve) and layer.told)]
         of_name = {layer.name: layer.style for layer in reversed(unnamed)}  # alike in name, the first has the key
@@ -191,11 +216,11 @@ def legend(entries: Iterable[Key]) -> Html:
     return tag("div", *items, class_="legend")
 
 
-def axis(values: Sequence[Array], ticks: int) -> Axis:
-    """An axis over all finite values."""
+def axis(values: Sequence[Array], ticks: int, log: bool = False) -> Axis:
+    """An axis over all finite values, on a logarithmic one over those above zero."""
     every = np.concatenate(values)
-    finite = every[np.isfinite(every)]
-    return Axis([float(finite.min()), float(finite.max())] if len(finite) else [0.0, 1.0], ticks)
+    finite = every[np.isfinite(every) & ((every > 0.0) | (not log))]
+    return Axis([float(finite.min()), float(finite.max())] if len(finite) else [0.0, 1.0], ticks, log)
 
 
 def across(x: Axis, value: float) -> float:

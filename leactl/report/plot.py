@@ -15,20 +15,39 @@ BRAILLE = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 
 
 class Axis:
-    """One direction of the plot: its range, and ticks at round numbers."""
+    """One direction of the plot: its range, and ticks at round numbers; `log` spaces decades evenly."""
 
-    def __init__(self, values: Sequence[float], ticks: int) -> None:
+    def __init__(self, values: Sequence[float], ticks: int, log: bool = False) -> None:
+        self.log = log
+        if log:
+            values = [math.log10(value) for value in values if value > 0.0] or [0.0, 1.0]
         low, high = min(values), max(values)
         room = (high - low) * MARGIN or abs(high) * 0.1 or 1.0
         self.low, self.high = low - room, high + room
+        if log:
+            self.ticks = decades(self.low, self.high, ticks)
+            return
         step = round_step((self.high - self.low) / ticks)
         first, last = math.ceil(self.low / step), math.floor(self.high / step)
         digits = max(0, -math.floor(math.log10(step) + 1e-9))
         self.ticks = {k * step: f"{k * step:.{digits}f}" for k in range(first, last + 1)}
 
     def share(self, value: float) -> float:
-        """Where a value lies, 0 to 1 from low to high."""
+        """Where a value lies, 0 to 1 from low to high; what no logarithm takes lies at the low end."""
+        if self.log:
+            value = math.log10(value) if value > 0.0 else self.low
         return (value - self.low) / (self.high - self.low)
+
+
+def decades(low: float, high: float, most: int) -> dict[float, str]:
+    """Ticks of a logarithmic axis between two powers of ten: 1, 2 and 5 of each decade, or whole decades alone."""
+    powers = range(math.floor(low), math.ceil(high) + 1)
+    for mantissas in ((1, 2, 5), (1, 3), (1,)):
+        ticks = [factor * 10.0**power for power in powers for factor in mantissas]
+        inside = [value for value in ticks if low <= math.log10(value) <= high]
+        if len(inside) <= most:
+            break
+    return {value: f"{value:g}" for value in inside[:: math.ceil(len(inside) / most) or 1]}
 
 
 def round_step(least: float) -> float:
@@ -43,7 +62,8 @@ def draw(plot: Plot, width: int, height: int = 16, ascii_only: bool = False) -> 
     if not shown:
         return []
     every = [pair for series in (*shown, *plot.lines) for pair in pairs(series)]
-    x, y = Axis([pair[0] for pair in every], TICKS[0]), Axis([pair[1] for pair in every], TICKS[1])
+    x = Axis([pair[0] for pair in every], TICKS[0], plot.x_log)
+    y = Axis([pair[1] for pair in every], TICKS[1])
     gutter = max(len(text) for text in y.ticks.values())
     columns = max(width - gutter - 2, 10)
     canvas = Canvas(columns, height, x, y, ascii_only)

@@ -147,7 +147,7 @@ def number(value: float, std: float) -> str:
     exponent = math.floor(math.log10(float(f"{std:.1e}")))
     if exponent < -8:
         return f"{value:.{max(math.floor(math.log10(abs(value) or std)) - exponent + 1, 1)}e}"
-    return f"{round(value, 1 - exponent):.{max(1 - exponent, 0)}f}"
+    return f"{round(value, 1 - exponent) + 0.0:.{max(1 - exponent, 0)}f}"  # no negative zero
 
 
 def bare(value: float) -> str:

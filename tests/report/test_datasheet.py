@@ -2,6 +2,7 @@
 
 import json
 import re
+from html import escape
 from pathlib import Path
 from urllib.parse import unquote
 from xml.etree import ElementTree
@@ -13,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import leactl.analysis
-from leactl.analysis.estimate import Estimate, Grid, Plot, Result, Series
+from leactl.analysis.estimate import Band, Estimate, Grid, Plot, Result, Series
 from leactl.analysis.experiments import analyze_runs
 from leactl.analysis.experiments import names as experiments
 from leactl.errors import InputError
@@ -24,7 +25,7 @@ from leactl.report.datasheet.runset import Answer, Entry, RunSet, read_runs, ref
 from leactl.report.datasheet.sheet import Sheet
 from leactl.report.terminal import interval_text, printed, units_in_paper, value_text
 from tests.analysis.synthetic import Bench
-from tests.report.browser import look, needs_chromium
+from tests.report.browser import dumped, look, needs_chromium
 
 LEA = "0.49\nname: lea"  # the value of a YAML key, and a key more
 COULOMB = {"unloaded": 0.2419, "design": 0.208, "loaded": 0.3037}
@@ -220,6 +221,18 @@ def test_two_sets_stand_side_by_side_with_their_difference(tmp_path):
     json.dumps(sheet.as_json(), allow_nan=False)
 
 
+def test_sets_under_different_conditions_are_not_compared_and_the_sheet_says_so(tmp_path):
+    for name, condition in (("spring", ""), ("autumn", "design")):
+        (tmp_path / name).mkdir()
+        bench = Bench(tmp_path / name)
+        bench.count = len(name)
+        bench.friction(condition=condition, torque_constant=LEA)
+    sets = tuple(read_runs([tmp_path / name], label, {}, quiet) for name, label in (("spring", "A"), ("autumn", "B")))
+    line = "friction: not compared, measured in spring under no condition and autumn under design; "
+    assert sum(note.startswith(line) for note in Sheet(sets).notes) == 1
+    assert not any("not compared" in note for note in Sheet((sets[0], sets[0])).notes)
+
+
 def one_set(prefix, *told):
     """A set of runs with an estimate for each actuator; None for one that has none."""
     entries = [
@@ -365,6 +378,48 @@ def test_contours_are_told_on_the_longest_of_their_name_and_fitted_lines_have_no
     assert [words(one) for one in root.iter("div") if one.get("class") == "legend"] == ["all"]
     drawn = [one.get("d") for one in root.iter("path") if one.get("class") == "curve line thin other"]
     assert [path.count("M") for path in drawn] == [1, 1, 1, 1]
+
+
+def drawn(plot, folder):
+    """The page of one experiment with one plot."""
+    entry = Entry(Path("x.h5"), "R1", "", "lea", "friction")
+    result = Result("friction", ("x.h5",), (), (), (plot,))
+    own = RunSet("s", (entry,), (Answer("lea", "friction", "", "", result, (entry,)),), {})
+    return tree(Sheet((own,)), folder / "out.html")
+
+
+def test_a_frequency_is_drawn_by_decades(tmp_path):
+    gain = Series("5 A", (1.0, 10.0, 100.0, 1000.0), (0.0, 0.0, -3.0, -20.0))
+    root = drawn(Plot("frequency [Hz]", "gain [dB]", (gain,), (), x_log=True), tmp_path)
+    marks = next(one.get("d") for one in root.iter("path") if one.get("class") == "marks dot s0")
+    across = [float(mark.split()[0]) for mark in marks.split("M")[1:]]
+    assert np.ptp(np.diff(across)) <= 0.2  # tenths are what a drawing is rounded to
+    ticks = next(one for one in root.iter("div") if one.get("class") == "x")
+    assert [one.text for one in ticks] == ["1", "10", "100", "1000"]
+
+
+def test_a_map_is_filled_by_bands_with_a_key_each(tmp_path):
+    corners = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0))
+    bands = (Band("below 0%", (corners,)), Band("0% to 50%", ()), Band("50% and more", (corners,)))
+    points = Series("0 to 50 %", (0.5,), (0.5,))
+    line = Series("50%", (0.0, 0.5, 1.0), (0.0, 0.5, 1.0))
+    root = drawn(Plot("speed [rad/s]", "torque [N*m]", (points,), (line,), bands=bands), tmp_path)
+    assert [one.get("class") for one in root.iter("path") if "band" in one.get("class", "")] == ["band b0", "band b2"]
+    legend = next(one for one in root.iter("div") if one.get("class") == "legend")
+    assert [words(key) for key in legend] == ["below 0%", "50% and more", "measured"]
+
+
+@needs_chromium
+def test_a_telephone_shows_every_value(campaign, sheet, tmp_path):
+    probe = """<!DOCTYPE html><meta charset="utf-8"><iframe style="border:0;width:420px;height:3000px" srcdoc="%s">
+    </iframe><pre id="out">waiting</pre><script>addEventListener("load", () => {
+    const cells = [...document.querySelector("iframe").contentDocument.querySelectorAll(".datasheet td")];
+    const outside = cells.filter(cell => cell.getBoundingClientRect().right > 420).length;
+    document.getElementById("out").textContent = cells.length + " " + outside; });</script>"""
+    text, _ = dumped(tmp_path, probe % escape(page(sheet, campaign / "out.html"), quote=True), 500)
+    cells, outside = map(int, text.split())
+    assert cells > 100
+    assert outside == 0
 
 
 def test_a_condition_has_one_colour_however_the_order_of_its_runs_was_drawn(tmp_path):

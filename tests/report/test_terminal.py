@@ -19,6 +19,7 @@ from leactl.report.terminal import interval_text, render, value_text
         (9.97, 9.96, "10 ± 10"),
         (-0.000036, 0.000061, "-0.000036 ± 0.000061"),
         (0.5, 0.0, "0.5 ± 0"),
+        (-4e-9, 5.2e-6, "0.0000000 ± 0.0000052"),
         (5.0, NAN, "5.0000"),
         (NAN, NAN, "not known"),
     ],
@@ -39,6 +40,16 @@ def test_r_squared_is_never_rounded_to_one():
 def test_intervals_have_the_digits_of_the_value():
     assert interval_text(Estimate("x", 0.49, 0.0012, 0.48764, 0.49236, "A")) == "0.4876 .. 0.4924"
     assert interval_text(Estimate("x", 0.49, NAN, NAN, NAN, "A")) == ""
+
+
+def test_a_logarithmic_axis_spaces_decades_evenly_and_takes_zero_to_its_edge():
+    response = Series("gain", (1.0, 10.0, 100.0), (0.0, 1.0, 2.0))
+    lines = draw(
+        Plot("frequency [Hz]", "gain [dB]", (response,), (Series("level", (0.0, 100.0), (1.0, 1.0)),), x_log=True), 60
+    )
+    columns = [line.index("o", 4) for line in reversed(lines[1:]) if "o" in line[4:]]
+    assert abs((columns[1] - columns[0]) - (columns[2] - columns[1])) <= 1
+    assert lines[-1].split() == ["1", "3", "10", "30", "100"]
 
 
 LINE = Plot(

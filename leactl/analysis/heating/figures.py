@@ -62,16 +62,16 @@ def merged(series: Sequence[Series]) -> tuple[Series, ...]:
 
 
 def plot_of_currents(currents: Sequence[Estimate]) -> Plot:
-    """Peak current over the logarithm of the duration, with both ends of the intervals as lines."""
+    """Peak current over its duration, decade by decade, with both ends of the intervals as lines."""
     points, lines = [], []
     for label, motion in (("all phases alike", "s"), ("standing", "s_standing")):
         peaks = [one for one in currents if one.name.startswith("peak")]
         chosen = [one for one in peaks if one.name.removeprefix("peak_current_").lstrip("0123456789.") == motion]
-        time = tuple(float(np.log10(duration_of(one))) for one in chosen)
+        time = tuple(duration_of(one) for one in chosen)
         points.append(Series(label, time, tuple(one.value for one in chosen)))
         lines.append(Series(f"{label}, low", time, tuple(one.low for one in chosen)))
         lines.append(Series(f"{label}, high", time, tuple(one.high for one in chosen)))
-    return Plot("log10 of the duration [s]", "current [A]", tuple(points), tuple(lines))
+    return Plot("duration [s]", "current [A]", tuple(points), tuple(lines), x_log=True)
 
 
 def duration_of(peak: Estimate) -> float:

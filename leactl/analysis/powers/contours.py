@@ -6,6 +6,8 @@ from leactl.analysis.regression import Array
 
 Crossing = tuple[int, int]  # the two corners of an edge that a line crosses, the lower number first
 Line = tuple[tuple[float, ...], tuple[float, ...]]
+Corner = tuple[float, float, float]  # x, y, z
+Polygon = tuple[tuple[float, float], ...]  # x, y of each corner
 
 
 def contours(x: Array, y: Array, z: Array, level: float) -> list[Line]:
@@ -47,6 +49,42 @@ def contours(x: Array, y: Array, z: Array, level: float) -> list[Line]:
         points = [at(edge) for edge in path]
         lines.append((tuple(p[0] for p in points), tuple(p[1] for p in points)))
     return lines
+
+
+def band(x: Array, y: Array, z: Array, low: float, high: float) -> list[Polygon]:
+    """Polygons of the grid where `low <= z < high`, z being linear in each triangle; cells with a NaN corner have none.
+
+    Parameters
+    ----------
+    x, y, z : of the grid's corners, shape (rows, columns) each.
+    """
+    corners = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
+    polygons = []
+    for numbers in triangles(*z.shape):
+        polygon: list[Corner] = [(float(a), float(b), float(c)) for a, b, c in corners[list(numbers)]]
+        if not np.isfinite(polygon).all():
+            continue
+        for level, upwards in ((low, True), (high, False)):
+            polygon = above(polygon, level, upwards)
+        if len(polygon) > 2:
+            polygons.append(tuple((a, b) for a, b, _ in polygon))
+    return polygons
+
+
+def above(polygon: list[Corner], level: float, upwards: bool) -> list[Corner]:
+    """The part of a polygon on one side of a level (Sutherland, Hodgman 1974)."""
+    if not np.isfinite(level):
+        return polygon
+    kept: list[Corner] = []
+    for here, ahead in zip(polygon, [*polygon[1:], *polygon[:1]], strict=True):
+        inside = (here[2] >= level) == upwards
+        if inside:
+            kept.append(here)
+        if inside != ((ahead[2] >= level) == upwards):
+            share = (level - here[2]) / (ahead[2] - here[2])
+            a, b = (start + share * (end - start) for start, end in zip(here[:2], ahead[:2], strict=True))
+            kept.append((a, b, level))
+    return kept
 
 
 def triangles(rows: int, columns: int) -> list[tuple[int, int, int]]:

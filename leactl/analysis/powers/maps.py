@@ -1,11 +1,12 @@
 """Maps as the paper draws them: torque over speed, current over voltage, driven points to the left of zero."""
 
+import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from leactl.analysis.estimate import Grid, Plot, Series
-from leactl.analysis.powers.contours import contours
+from leactl.analysis.estimate import Band, Grid, Plot, Series
+from leactl.analysis.powers.contours import Polygon, band, contours
 from leactl.analysis.powers.means import MapMeans
 from leactl.analysis.regression import Array
 
@@ -59,6 +60,8 @@ def _plot(
 ) -> Plot:
     points: dict[str, tuple[list[float], list[float]]] = {label: ([], []) for label in CLASSES}
     lines = []
+    steps = list(itertools.pairwise((-np.inf, *LEVELS, np.inf)))
+    polygons: list[list[Polygon]] = [[] for _ in steps]
     for means in maps:
         across, up, efficiency = x(means), y(means), means.over_map("efficiency")
         for label, (low, high) in CLASSES.items():
@@ -67,5 +70,15 @@ def _plot(
             points[label][1].extend(up[inside].tolist())
         for level in LEVELS:
             lines += [Series(f"{level:.0%}", *line) for line in contours(across, up, efficiency, level)]
+        for part, (low, high) in zip(polygons, steps, strict=True):
+            part += band(across, up, efficiency, low, high)
     shown = tuple(Series(label, tuple(a), tuple(b)) for label, (a, b) in points.items() if a)
-    return Plot(x_label, y_label, shown, tuple(lines))
+    bands = tuple(Band(words_of(*step), tuple(part)) for step, part in zip(steps, polygons, strict=True))
+    return Plot(x_label, y_label, shown, tuple(lines), bands=bands)
+
+
+def words_of(low: float, high: float) -> str:
+    """The name of the band between two efficiencies, one of which may be infinite."""
+    if low == -np.inf:
+        return f"below {high:.0%}"
+    return f"{low:.0%} and more" if high == np.inf else f"{low:.0%} to {high:.0%}"

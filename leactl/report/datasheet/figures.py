@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.analysis.estimate import Plot, Series
-from leactl.report.chart import Curve, Key, Layer, Points, chart
+from leactl.report.chart import Area, Curve, Key, Layer, Points, chart
 from leactl.report.datasheet.rows import Row, ordered_conditions
 from leactl.report.datasheet.runset import Answer, Entry, RunSet
 from leactl.report.html import Html, joined, tag
@@ -61,7 +61,7 @@ def figure(one: Figure, beside: Sequence[Layer], whose: str, link: Link) -> Html
     """A chart with its caption and links to its runs."""
     said = tag("figcaption", f"{whose}{one.caption}; ", link(one.entries))
     labels = pretty(one.plot.x_label), pretty(one.plot.y_label)
-    return tag("figure", said, chart(one.layers, *labels, beside, one.keys))
+    return tag("figure", said, chart(one.layers, *labels, beside, one.keys, one.plot.x_log))
 
 
 def figures_of(answers: Sequence[Answer], index: int, colours: Mapping[str, str]) -> list[Figure]:
@@ -84,6 +84,8 @@ def figures_of(answers: Sequence[Answer], index: int, colours: Mapping[str, str]
 
 def alone(plot: Plot) -> list[Layer]:
     """A colour for each kind of points and for the lines through them; lines of their own, as contours, are grey."""
+    if plot.bands:
+        return map_layers(plot)
     colours = {series.label: f"s{k % COLOURS}" for k, series in enumerate(plot.points)}
     marks = {series.label: MARKS[k % len(MARKS)] for k, series in enumerate(plot.points)}
     layers: list[Layer] = []
@@ -94,6 +96,14 @@ def alone(plot: Plot) -> list[Layer]:
         layers.append(Curve(line.label, style, *arrays(line), whole=True, told=told and not kind))
     layers += [points(one, one.label, colours[one.label], marks[one.label], plot) for one in plot.points]
     return points_first(layers)
+
+
+def map_layers(plot: Plot) -> list[Layer]:
+    """A map's bands in their colours, contours with their levels on them, and where it was measured."""
+    bands: list[Layer] = [Area(one.label, f"b{k}", one.polygons) for k, one in enumerate(plot.bands) if one.polygons]
+    contours = [Curve(line.label, "contour", *arrays(line), whole=True, told=True) for line in plot.lines]
+    x, y = (np.concatenate([arrays(series)[k] for series in plot.points]) for k in (0, 1))
+    return [*bands, *contours, Points("measured", "fine other", x, y)]
 
 
 def subject(plot: Plot) -> str:

@@ -67,6 +67,7 @@ class Sheet:
                 f"difference: {self.sets[1].name} less {self.sets[0].name}, the two taken as independent; an error that"
                 " their instruments have in common is not in a difference, which is then known better than told here"
             )
+            found += [line for section in self.sections for line in without_common_condition(self.sets, section)]
         return found
 
     def refuse_empty(self) -> None:
@@ -117,6 +118,24 @@ class Sheet:
             ],
             "notes": self.notes,
         }
+
+
+def without_common_condition(sets: Sequence[RunSet], section: Section) -> list[str]:
+    """Return a line for each experiment that both sets measured, but under no condition in common."""
+    lines = []
+    for experiment in section.rows:
+        measured = [
+            dict.fromkeys(
+                answer.condition or "no condition"
+                for answer in own.answers
+                if (answer.motor, answer.experiment) == (motor, experiment)
+            )
+            for own, motor in zip(sets, section.motors, strict=True)
+        ]
+        if all(measured) and not set.intersection(*map(set, measured)):
+            each = " and ".join(f"{own.name} under {', '.join(of)}" for own, of in zip(sets, measured, strict=True))
+            lines.append(f"{experiment}: not compared, measured in {each}; `leactl run --condition` names a condition")
+    return lines
 
 
 def section_of(sets: Sequence[RunSet], motors: tuple[str, ...]) -> Section:

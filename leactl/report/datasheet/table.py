@@ -25,12 +25,12 @@ def rows_table(sets: Sequence[RunSet], section: Section, place: str) -> Html:
         name = heading(experiment)
         title = tag("a", name, href=f"#{place}-{experiment}") if measured else name
         opening = tag("tr", tag("th", title, scope="rowgroup", colspan=str(len(headings))), class_="group")
-        bodies.append(tag("tbody", opening, *(row_of(row, several) for row in own_rows)))
+        bodies.append(tag("tbody", opening, *(row_of(row, several, headings) for row in own_rows)))
     return tag("div", tag("table", head, *bodies, class_="datasheet"), class_="scroll", tabindex="0")
 
 
-def row_of(row: Row, several: bool) -> Html:
-    """One result."""
+def row_of(row: Row, several: bool, headings: Sequence[str]) -> Html:
+    """One result; each cell carries its heading, which a narrow screen shows beside it."""
     cells: list[str] = [row.condition] + ([] if several else [row.actuator])
     if several:
         cells += [in_lines(*shown(cell), cell.whose) for cell in row.cells]
@@ -40,7 +40,11 @@ def row_of(row: Row, several: bool) -> Html:
     sources = [entry for cell in row.cells for entry in cell.entries]
     cells += ["" if row.units == "1" else pretty(row.units), row.paper, links(sources)]
     lacking = all(cell.estimate is None for cell in row.cells)
-    data = [*(tag("td", cell) for cell in cells[:-2]), *(tag("td", cell, class_="wrap") for cell in cells[-2:])]
+    wraps = ["short"] * (len(cells) - 2) + ["wrap"] * 2
+    data = [
+        tag("td", cell, data_label=heading, class_=wrap)
+        for cell, heading, wrap in zip(cells, headings[1:], wraps, strict=True)
+    ]
     return tag("tr", tag("th", plain(row.name), scope="row"), *data, class_="lacking" if lacking else "known")
 
 
