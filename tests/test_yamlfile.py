@@ -2,6 +2,7 @@
 
 import math
 import re
+from typing import Literal
 
 import pytest
 import yaml as pyyaml
@@ -67,7 +68,7 @@ def test_scalars_follow_the_core_schema(text, value):
         ("a: &x [*x]\n", "f.yaml:1:4", "aliases"),
         ("a: !!python/object:os.system 1\n", "f.yaml:1:4", "tag"),
         ("a: .inf\n", "f.yaml:1:4", "finite"),
-        ("a: [1\n", "f.yaml:2:1", "expected"),
+        ("a: [1\n", "f.yaml:1:6", "expected"),
         ("a: 1\n---\nb: 2\n", "f.yaml:2:1", "another document"),
     ],
 )
@@ -112,7 +113,45 @@ def test_all_faults_come_at_once_with_line_and_column():
     with pytest.raises(InputError) as caught:
         document.validate(Outer)
     assert caught.value.faults == [
-        "p.yaml:2:16  steps[0].current_A: -3: input should be greater than 0",
+        "p.yaml:2:16  steps[0].current_A: -3: more than 0 was expected",
         "p.yaml:3:5  steps[1].current_A: is required and missing",
         "p.yaml:3:16  steps[1].current_a: unknown key",
     ]
+
+
+class Choice(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    size: float | Inner | None = None
+    sizes: tuple[Inner, ...] = Field(default=(), min_length=1, max_length=2)
+    kind: Literal["a", "b"] = "a"
+    name: str = Field("a", pattern="^a$", max_length=3)
+    count: int = Field(1, multiple_of=2, lt=9)
+    on: bool = False
+
+
+# pydantic's words: they speak of Python's types, and of inputs
+NOT_OURS = ("input", "valid", "instance", "tuple", "dictionary", "string", "should", "pydantic", "boolean", "type=")
+
+
+@given(plain.filter(lambda value: value is not None), st.sampled_from(sorted(Choice.model_fields)))
+def test_no_word_of_the_library_stands_in_a_fault(value, key):
+    document = yamlfile.parse(pyyaml.safe_dump({key: value}), "f.yaml")
+    document.data = {key: value}
+    try:
+        document.validate(Choice)
+    except InputError as error:
+        for fault in error.faults:
+            words = fault.partition("  ")[2].rpartition(": ")[2]
+            assert not [word for word in NOT_OURS if word in words], fault
+
+
+def test_several_kinds_that_may_stand_in_a_place_are_one_fault():
+    with pytest.raises(InputError) as caught:
+        yamlfile.parse("size: large\n", "f.yaml").validate(Choice)
+    assert caught.value.faults == ["f.yaml:1:7  size: 'large': a number or a mapping was expected"]
+
+
+def test_a_faulty_item_is_no_short_list_besides():
+    with pytest.raises(InputError) as caught:
+        yamlfile.parse("sizes: [{current_A: 0}]\n", "f.yaml").validate(Choice)
+    assert caught.value.faults == ["f.yaml:1:21  sizes[0].current_A: 0: more than 0 was expected"]

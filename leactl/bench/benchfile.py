@@ -17,17 +17,16 @@ from leactl.model.nominal import BenchModel
 from leactl.quantities import UNITS
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.limits import Limits
+from leactl.yamlblock import Block
 
-STRICT = ConfigDict(frozen=True, extra="forbid")
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
 Fraction = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
 SHIPPED = Path(__file__).parent / "files"
 
 
-class CanBus(BaseModel):
+class CanBus(Block):
     """A CAN bus by python-can's own words; an emulated bench answers in its place."""
 
-    model_config = STRICT
     kind: Literal["can"]
     interface: str = "socketcan"
     channel: str | int = "can0"
@@ -35,18 +34,16 @@ class CanBus(BaseModel):
     options: dict[str, Any] = {}
 
 
-class I2cBus(BaseModel):
+class I2cBus(Block):
     """An I2C bus by its number, /dev/i2c-N."""
 
-    model_config = STRICT
     kind: Literal["i2c"]
     number: Annotated[int, Field(strict=True, ge=0, le=255)] = 1
 
 
-class SerialBus(BaseModel):
+class SerialBus(Block):
     """A serial line to one device; an emulated bench answers in its place."""
 
-    model_config = STRICT
     kind: Literal["serial"]
     port: Annotated[str, Field(min_length=1)] = "/dev/ttyUSB0"
     baudrate: Annotated[int, Field(strict=True, ge=300, le=4_000_000)] = 9600
@@ -64,10 +61,9 @@ class SerialBus(BaseModel):
 Bus = CanBus | I2cBus | SerialBus
 
 
-class Device(BaseModel):
+class Device(Block):
     """One device: its driver, the bus it hangs on, its role, and the driver's own settings."""
 
-    model_config = STRICT
     driver: str
     bus: Name | None = None
     role: Literal["test", "load", "bench"]
@@ -75,19 +71,17 @@ class Device(BaseModel):
     on_demand: bool = False  # left alone by protocols that neither need nor want what it measures
 
 
-class Harmonic(BaseModel):
+class Harmonic(Block):
     """A harmonic of the emulated back-EMF, of a phase; a wye's line-to-line voltages lack every third."""
 
-    model_config = STRICT
     order: Annotated[int, Field(strict=True, ge=2, le=100)]
     share: Annotated[float, Field(strict=True, ge=0, le=1)]  # of the fundamental
     phase_rad: Annotated[float, Field(strict=True, ge=-10, le=10)] = 0.0
 
 
-class Emulated(BaseModel):
+class Emulated(Block):
     """What an emulated bench is made of; a bench file without this block is a real bench."""
 
-    model_config = STRICT
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = 1
     test: dict[str, Any] = {}  # parameters over the motor's own
     load: dict[str, Any] = {}
@@ -117,10 +111,9 @@ class Emulated(BaseModel):
             raise InputError(f"condition '{condition}' is not one of the emulated bench's: {known}")
 
 
-class BenchFile(BaseModel):
+class BenchFile(Block):
     """A whole bench."""
 
-    model_config = STRICT
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=60)]
     title: str = ""
     setup: Literal["free", "locked", "coupled", "heated"] | None = None  # none: whatever the protocol asks for

@@ -33,6 +33,7 @@ from leactl.cli import (
 from leactl.errors import InputError, LeactlError, Stopped
 
 CTRL_C_OF_TYPER = 130
+MOST_LINES = 50  # of faults: a screen, where a file has one in each of its lines
 UsageError: Any = typer.BadParameter.__base__  # whose module typer has moved
 
 app = typer.Typer(
@@ -122,6 +123,8 @@ def _let_go_of_stdout() -> None:
 
 
 def _end(lines: list[str], status: int) -> NoReturn:
-    for line in lines:
+    for line in lines[:MOST_LINES]:
         print(f"leactl: {line}", file=sys.stderr)
+    if len(lines) > MOST_LINES:
+        print(f"leactl: and {len(lines) - MOST_LINES} more", file=sys.stderr)
     sys.exit(status)

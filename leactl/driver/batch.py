@@ -16,11 +16,12 @@ from typing import Annotated, Protocol, Self, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import Field, StringConstraints, model_validator
 
 from leactl.driver.contract import DriverSettings
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
+from leactl.yamlblock import Block
 
 Array = npt.NDArray[np.float64]
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -44,19 +45,17 @@ class Record:
     files: tuple[Path, ...]
 
 
-class Estimate(BaseModel):
+class Estimate(Block):
     """Find a clock's offset from two channels that measured the same."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
     channel: Called
     against: Place
     within_s: Above = 1.0
 
 
-class Onset(BaseModel):
+class Onset(Block):
     """Find a clock's offset from events: `against` jumps, and from then on `channel` rises or falls."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
     channel: Called
     against: Place
     jump: Above  # of `against`, in its units
@@ -64,10 +63,9 @@ class Onset(BaseModel):
     within_s: Above = 60.0
 
 
-class RecordClock(BaseModel):
+class RecordClock(Block):
     """How the stamps of a record are tied to the clock of the run; one way has to be chosen."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
     wall_within_s: Above | None = None  # both clocks show the time of day, and agree within this (95 %)
     offset_s: Number | None = None  # added to the record's own stamps
     offset_within_s: AtLeastZero | None = None  # what that offset is good for (95 %)

@@ -9,8 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
-from pydantic import BaseModel, ConfigDict
-
+from leactl import yamlblock
 from leactl.driver.clock import Clock
 from leactl.driver.far_end import BuslessEmulator, CanEmulator, I2cEmulator, Physics, SerialEmulator
 from leactl.errors import InputError
@@ -23,10 +22,8 @@ if TYPE_CHECKING:
 SAFE_STATE_S = 1.0  # what a device has to confirm its safe state; no answer and no watchdog may take longer
 
 
-class DriverSettings(BaseModel):
+class DriverSettings(yamlblock.Block):
     """Settings of one device in the bench file; every field's name carries its unit."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     def shown(self) -> "list[Shown]":
         """What the device can tell of its quantities, where the settings say it: a limit outside would never trip."""

@@ -8,17 +8,17 @@ SI throughout; for a linear axis the same keys stand for m, N and kg, and `units
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Field, model_validator
+from pydantic import Field, model_validator
 
 from leactl import yamlfile
-from leactl.model.sheet import STRICT, MotorSheet, NotNegative, Positive, Thermal
+from leactl.model.sheet import MotorSheet, NotNegative, Positive, Thermal
 from leactl.vocabulary.effect import effect_definition, effect_names
+from leactl.yamlblock import Block
 
 
-class BenchModel(BaseModel):
+class BenchModel(Block):
     """What the supply, the sensors and the loops do."""
 
-    model_config = STRICT
     bus_voltage: Positive | None = None  # V
     current_loop_bandwidth: Positive | None = None  # Hz, first order
     setpoint_lead: NotNegative = 0.0  # share by which the drive's current setpoint counts for more at first
@@ -28,10 +28,9 @@ class BenchModel(BaseModel):
     shaft_stiffness: Positive | None = None  # N*m/rad, between test and load actuator
 
 
-class LoadModel(BaseModel):
+class LoadModel(Block):
     """What hangs on the shaft: nothing, or a pendulum of a point mass on an arm; friction of a load actuator."""
 
-    model_config = STRICT
     type: Literal["none", "pendulum"] = "none"
     mass: NotNegative = 0.0  # kg
     length: NotNegative = 0.0  # m
@@ -41,19 +40,17 @@ class LoadModel(BaseModel):
     coulomb_friction: NotNegative | None = None  # N*m, the same
 
 
-class DriveModel(BaseModel):
+class DriveModel(Block):
     """A position servo that turns the angle error into a voltage."""
 
-    model_config = STRICT
     type: Literal["position_servo"]
     gain: NotNegative = 0.0  # V/rad
     voltage_limit: Positive  # V
 
 
-class EffectEntry(BaseModel):
+class EffectEntry(Block):
     """An effect of the library with its parameters."""
 
-    model_config = STRICT
     effect: str
     parameters: dict[str, Annotated[float, Field(strict=True, allow_inf_nan=False)]] = {}
 

@@ -7,7 +7,9 @@ SI throughout, temperatures in degC; q axis, power-invariant transform, in the w
 import math
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from leactl.yamlblock import Block
 
 Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
@@ -15,13 +17,11 @@ Percent = Annotated[float, Field(strict=True, ge=0, le=1000)]
 Tolerance = Annotated[float, Field(strict=True, ge=0, le=0.5)]
 Length = Annotated[float, Field(strict=True, gt=0, le=10)]
 DENSEST = 2e4  # kg/m^3: tungsten
-STRICT = ConfigDict(frozen=True, extra="forbid")
 
 
-class ThermalSheet(BaseModel):
+class ThermalSheet(Block):
     """The paper's two-node network, winding and housing against ambient, as far as it is known."""
 
-    model_config = STRICT
     winding_ambient_resistance: Positive | None = None  # K/W
     winding_housing_resistance: Positive | None = None  # K/W
     housing_ambient_resistance: Positive | None = None  # K/W
@@ -52,14 +52,13 @@ class Thermal(ThermalSheet):
     housing_capacitance: Positive  # J/K
 
 
-class Tolerances(BaseModel):
+class Tolerances(Block):
     """How far the bench's actuator may be from this file: fractions of each value, unless a unit is in the name.
 
     `current` is that of the drive's current reading, ripple and d axis included; `ambient_K` that of the ambient that a
     bench file tells.
     """
 
-    model_config = STRICT
     phase_resistance: Tolerance
     resistance_coefficient: Tolerance
     winding_ambient_resistance: Tolerance
@@ -73,10 +72,9 @@ class Tolerances(BaseModel):
     ambient_K: Annotated[float, Field(strict=True, ge=0, le=30)]  # noqa: N815 (a unit keeps its letter)
 
 
-class LimitsSheet(BaseModel):
+class LimitsSheet(Block):
     """What the maker allows."""
 
-    model_config = STRICT
     winding_temperature: Annotated[float, Field(strict=True, gt=25, le=250)] | None = None  # degC
 
 
@@ -86,10 +84,9 @@ class MotorLimits(LimitsSheet):
     winding_temperature: Annotated[float, Field(strict=True, gt=25, le=250)]  # degC
 
 
-class Body(BaseModel):
+class Body(Block):
     """Mass and size, of what may be: a figure in g or mm is told from one in kg or m."""
 
-    model_config = STRICT
     mass: Positive | None = None  # kg
     outer_diameter: Length | None = None  # m
     inner_diameter: Length | None = None  # m
@@ -114,10 +111,9 @@ class Body(BaseModel):
         return self
 
 
-class LoopFigures(BaseModel):
+class LoopFigures(Block):
     """How a control loop answers, in the terms of data sheets."""
 
-    model_config = STRICT
     rise_time: Positive | None = None  # s
     overshoot_percent: Percent | None = None
     settling_time: Positive | None = None  # s
@@ -126,18 +122,16 @@ class LoopFigures(BaseModel):
     bandwidth_at_least: Positive | None = None  # Hz, where no end was seen
 
 
-class Control(BaseModel):
+class Control(Block):
     """Both loops with the drive they were measured on."""
 
-    model_config = STRICT
     current: LoopFigures = LoopFigures()
     position: LoopFigures = LoopFigures()
 
 
-class Bearings(BaseModel):
+class Bearings(Block):
     """Bearings on flexures around a large rotor, each pushed against its race by the bending of its own."""
 
-    model_config = STRICT
     each_side: Annotated[int, Field(strict=True, ge=1, le=1000)]
     static_radial_load: Positive  # N, that one bearing takes
     deflection_at_static_load: Positive  # m, of the flexure's free end
@@ -145,10 +139,9 @@ class Bearings(BaseModel):
     told_preload: Positive  # N, of one bearing
 
 
-class Printed(BaseModel):
+class Printed(Block):
     """What the source prints beside its own values, or against them; nothing is worked out from these."""
 
-    model_config = STRICT
     motor_constant: Positive | None = None  # N*m/sqrt(W)
     rotor_inertia: Positive | None = None  # kg*m^2
     resistance_coefficient: Positive | None = None  # 1/K
@@ -156,10 +149,9 @@ class Printed(BaseModel):
     peak_torque_20_s: Positive | None = None  # N*m
 
 
-class MotorSheet(BaseModel):
+class MotorSheet(Block):
     """One actuator as far as it is known."""
 
-    model_config = STRICT
     name: Annotated[str, Field(min_length=1)]
     winding: Literal["wye", "delta"]
     pole_pairs: Annotated[int, Field(strict=True, ge=1, le=500)] | None = None

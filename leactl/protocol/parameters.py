@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from leactl import yamlfile
 from leactl.errors import InputError
-from leactl.yamlfile import Document, Location
+from leactl.yamlfile import Document, Location, printable, shown
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 NAME = re.compile(r"[a-z][A-Za-z0-9_]*\Z")
 REFERENCE = re.compile(r"\$([a-z][A-Za-z0-9_]*)\Z")
 KEPT = ("name", "parameters", "conditions")  # keys of the file in which nothing is put in
-LONGEST_LINE = 400
 UNKNOWN = "is no parameter"
 EXPECTED = "a finite number, a text that is no $name, or a list of one of these was expected"
 
@@ -57,15 +56,12 @@ class Substituted(Document):
                 self.below.setdefault(location[:length], []).append(text)
 
     def fault(self, location: Sequence[str | int], message: str) -> str:
-        """One printable line: place, path, message, and the parameter that brought the value there."""
+        """The line for a fault, and the parameter that brought the value there."""
         found = tuple(location)
         ancestors = [found[:length] for length in range(len(found), 0, -1)]
         used = next(([self.uses[place]] for place in ancestors if place in self.uses), self.below.get(found, []))
         line = super().fault(location, message)
-        if len(line) > LONGEST_LINE:
-            line = f"{line[: LONGEST_LINE // 2]} ... {line[-LONGEST_LINE // 2 :]}"
-        line += f" ({', '.join(dict.fromkeys(used))})" if used else ""
-        return "".join(c if c.isprintable() else repr(c)[1:-1] for c in line)
+        return line + printable(f" ({', '.join(dict.fromkeys(used))})" if used else "")
 
     def explain(self, error: "ValidationError", under: Location = ()) -> list[str]:
         """A model's faults, without those of a `$name` that is already said to be unknown."""
@@ -86,7 +82,7 @@ def resolve(document: Document, overrides: Mapping[str, str], condition: str, fa
                 document.fault(("parameters", name), "a name of a letter a-z, then letters, digits, _ was expected")
             )
         elif _kind(value) is None:
-            faults.append(document.fault(("parameters", name), f"{_shown(value)}: {EXPECTED}"))
+            faults.append(document.fault(("parameters", name), f"{shown(value)}: {EXPECTED}"))
         resolved.take(name, value, f"line {document.places['parameters', name][0]}")
     known = dict(resolved.values)
     if not isinstance(conditions, Mapping | None):
@@ -136,7 +132,7 @@ def _misfit(name: str, value: Any, known: Mapping[str, Any]) -> str:
     if expected is None:
         return ""  # the default itself is at fault, and said to be
     if kind != expected:
-        return f"{_shown(value)}: a {expected} was expected, as in the default {_shown(known[name])}"
+        return f"{shown(value)}: a {expected} was expected, as in the default {shown(known[name])}"
     return ""
 
 
@@ -150,11 +146,6 @@ def _kind(value: Any) -> str | None:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     return "finite number" if abs(value) < 1e300 else None  # NaN compares false
-
-
-def _shown(value: Any) -> str:
-    text = repr(value) if isinstance(value, str) else str(value)
-    return text if len(text) <= 60 else f"{text[:60]} ..."
 
 
 def substitute(document: Document, resolved: Resolved | None, faults: list[str]) -> Substituted:

@@ -1,24 +1,14 @@
 """What every block of a protocol file has in common: closed sets of keys, strict numbers, and the file's head."""
 # ruff: noqa: N815 (a unit keeps its letter)
 
-from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    ModelWrapValidatorHandler,
-    ValidationError,
-    model_validator,
-)
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic import AfterValidator, Field
 
 from leactl.protocol.setpointkeys import Spelling
 from leactl.quantities import UNITS
 from leactl.vocabulary.effect import effect_names
+from leactl.yamlblock import Block
 
 MAX_DURATION_S = 7 * 24 * 3600.0
 MAX_ACTIONS = 100_000
@@ -36,68 +26,6 @@ Seed = Annotated[int, Field(strict=True, ge=0, lt=2**63)]
 Levels = Annotated[tuple[Setpoint, ...], Field(min_length=1)]
 Role = Literal["test", "load"]
 Sign = Literal[1, -1]
-
-
-MOST_GUESSES = 20  # unknown keys of one block for which the one that was meant is looked for
-_PLAINLY = {
-    "float_type": "a number was expected",
-    "int_type": "a whole number was expected",
-    "string_type": "a text was expected",
-    "list_type": "a list was expected",
-    "tuple_type": "a list was expected",
-    "too_short": "at least one item was expected",
-    "string_too_short": "a text was expected",
-    "finite_number": "a finite number was expected",
-}
-
-
-class Block(BaseModel):
-    """A mapping with a closed set of keys; a key that it lacks is answered with the one that was probably meant."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    @model_validator(mode="wrap")
-    @classmethod
-    def _name_what_was_expected(cls, given: Any, build: ModelWrapValidatorHandler[Self]) -> Self:
-        try:
-            return build(given)
-        except ValidationError as error:
-            meant = cls._meant(given)
-            items = error.errors(include_url=False)
-            kept = [item for item in items if not cls._follows_from_another(item, items, meant)]
-            raise ValidationError.from_exception_data(
-                cls.__name__, [cls._reworded(item, meant) for item in kept]
-            ) from None
-
-    @classmethod
-    def _meant(cls, given: Any) -> dict[str, str]:
-        if not isinstance(given, Mapping):
-            return {}
-        unknown = [key for key in given if key not in cls.model_fields][:MOST_GUESSES]
-        free = [key for key in cls.model_fields if key not in given]
-        close = {key: get_close_matches(str(key)[:80], free, n=1) for key in unknown}
-        return {key: found[0] for key, found in close.items() if found}
-
-    @staticmethod
-    def _follows_from_another(item: Any, items: Sequence[Any], meant: Mapping[str, str]) -> bool:
-        """A key is missing because it is misspelt; a list is too short because an item of it is faulty."""
-        place = item["loc"]
-        if item["type"] == "missing":
-            return len(place) == 1 and place[0] in meant.values()
-        return item["type"] == "too_short" and any(
-            len(other["loc"]) > len(place) for other in items if other["loc"][: len(place)] == place
-        )
-
-    @classmethod
-    def _reworded(cls, item: Any, meant: Mapping[str, str]) -> InitErrorDetails:
-        kind, message, place = item["type"], item["msg"], item["loc"]
-        if kind == "extra_forbidden" and len(place) == 1:
-            expected = meant.get(place[0]) or "one of " + ", ".join(cls.model_fields)
-            kind, message = "unknown_key", f"unknown key; {expected} was expected"
-        elif kind == "model_type" and not place:
-            message = f"a mapping with keys of {', '.join(cls.model_fields)} was expected"
-        message = _PLAINLY.get(kind, message)
-        return InitErrorDetails(type=PydanticCustomError(kind, message), loc=place, input=item["input"])
 
 
 class Driven(Block):

@@ -261,7 +261,7 @@ class Noise(Offset):
         with np.errstate(all="ignore"):
             filtered: Array = sosfilt(sections, np.random.default_rng(self.seed).standard_normal(len(times)))
             spread = float(filtered.std())
-            scaled = filtered * (float(self.given(spelling, "std")) / spread)
+            scaled = filtered * (float(self.given(spelling, "std")) / spread) if spread > 0 else filtered
         if not (spread > 1e-12 and np.isfinite(scaled).all()):
             raise ValueError("nothing is left behind the filter; a higher cutoff_Hz, lower order or longer duration_s")
         return scaled

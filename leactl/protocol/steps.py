@@ -29,8 +29,9 @@ from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
 
 from leactl.driver.contract import Mode
 from leactl.protocol.parameters import Substituted
-from leactl.protocol.schema import Amount, Block, Count, Driven, Duration, Levels, Rate, Rest, Role, Setpoint, Sign
+from leactl.protocol.schema import Amount, Count, Driven, Duration, Levels, Rate, Rest, Role, Setpoint, Sign
 from leactl.protocol.signals import SIGNALS
+from leactl.yamlblock import Block
 from leactl.yamlfile import Location
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]*$", max_length=40)]

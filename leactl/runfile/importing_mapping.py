@@ -7,25 +7,19 @@ a channel gets is `sign * (scale * column + offset)` in `units`, converted to th
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator, model_validator
+from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from leactl.driver.batch import Estimate
 from leactl.quantities import UNITS
 from leactl.units import converter, known_units
+from leactl.yamlblock import Block
 
-STRICT = ConfigDict(frozen=True, extra="forbid")
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Above = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 Text = Annotated[str, StringConstraints(strict=True, min_length=1)]
 Name = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
 Row = Annotated[int, Field(strict=True, ge=0)]
 Column = Text | Row
-
-
-class Block(BaseModel):
-    """A mapping with a closed set of keys."""
-
-    model_config = STRICT
 
 
 class FieldOf(Block):

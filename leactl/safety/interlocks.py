@@ -8,12 +8,12 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
 
 from leactl.quantities import UNITS, ChannelSpec
 from leactl.safety.limits import COLDEST_DEGC, HOTTEST_DEGC, Limits, Positive
+from leactl.yamlblock import Block
 
-STRICT = ConfigDict(frozen=True, extra="forbid")
 NEED_A_TRIP = ("drive_temperature", "housing_temperature")  # no limit of the bench covers them
 UNIT_KEYS = {"A": "A", "V": "V", "rad": "rad", "rad/s": "rad_s", "N*m": "Nm", "degC": "degC"}
 VALUES = ("warn", "trip", "warn_low", "warn_high", "trip_low", "trip_high", "rate")
@@ -30,10 +30,9 @@ def _key(unit: str, name: str) -> str:
     return f"{name}_{unit}_per_s" if name == "rate" else f"{name}_{unit}"
 
 
-class Entry(BaseModel):
+class Entry(Block):
     """What one quantity may do, of one role or of all; `warn` and `trip` are magnitudes, or `_low` and `_high`."""
 
-    model_config = STRICT
     unit: ClassVar[str] = ""
     lowest: ClassVar[float] = -1.0  # times a lone `trip` or `warn`: to either side
 
@@ -168,43 +167,38 @@ Entries = Annotated[
 ]
 
 
-class TorqueDisagreement(BaseModel):
+class TorqueDisagreement(Block):
     """How far the torque sensor may be from Kt i, friction and inertia allowed for, coupled or locked."""
 
-    model_config = STRICT
     tolerance_Nm: Positive  # noqa: N815 (a unit keeps its letter)
     for_s: Annotated[float, Field(strict=True, gt=0, le=60, allow_inf_nan=False)] = 0.1
 
 
-class Supply(BaseModel):
+class Supply(Block):
     """The DC link voltage that the supply regulates to, and how far and how long it may be away."""
 
-    model_config = STRICT
     expected_V: Positive  # noqa: N815
     band_V: Positive  # noqa: N815
     for_s: Duration = 0.0
 
 
-class LoopOverruns(BaseModel):
+class LoopOverruns(Block):
     """Cycles that took more than one period too long: how many in a row, or which share of a window."""
 
-    model_config = STRICT
     in_a_row: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 20
     share_percent: Annotated[float, Field(strict=True, gt=0, lt=100)] = 20.0
     window_s: Annotated[float, Field(strict=True, gt=0, le=600)] = 2.0
 
 
-class ClockJump(BaseModel):
+class ClockJump(Block):
     """The longest step of the bench's clock from one cycle to the next; five cycles at the least. Back is never."""
 
-    model_config = STRICT
     jump_s: Annotated[float, Field(strict=True, gt=0, le=10)] = 0.25
 
 
-class DiskSpace(BaseModel):
+class DiskSpace(Block):
     """Free space on the disk of the run file, beyond what the planned run takes at its start."""
 
-    model_config = STRICT
     trip_MB: Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)] = 100.0  # noqa: N815
     warn_MB: Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)] | None = None  # noqa: N815 (None: five times the trip)
 
@@ -220,10 +214,9 @@ class DiskSpace(BaseModel):
         return self
 
 
-class Interlocks(BaseModel):
+class Interlocks(Block):
     """The whole block: one entry or a list of them a quantity, and the loop, the clock and the disk."""
 
-    model_config = STRICT
     q_axis_current: Entries[InAmperes] = ()
     d_axis_current: Entries[InAmperes] = ()
     line_current: Entries[InAmperes] = ()

@@ -2,7 +2,9 @@
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from leactl.yamlblock import Block
 
 CYCLES_OF_SILENCE = 3
 LEADS = 2.0  # mean square current of the q axis that heats like a direct current through two leads, over its square
@@ -12,13 +14,11 @@ COLDEST_DEGC, HOTTEST_DEGC = -40.0, 200.0  # of anything on a bench; above, 25 d
 Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 
 
-class Limits(BaseModel):
+class Limits(Block):
     """The `limits:` block of a bench file; what protects a motor is required, none of that defaults to infinity.
 
     `cyclic_age_s` is for what a drive returns in every exchange, `age_s` for streams at a pace of their own.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     current_A: Positive  # noqa: N815 (a unit keeps its letter)
     velocity_rad_s: Positive

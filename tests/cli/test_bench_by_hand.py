@@ -148,7 +148,7 @@ def test_the_protocol_of_a_jog_runs_as_one(here):
         (["--current", "31"], "test q_axis_current_reference: 31 A is above the bench limit of 30 A"),
         (["--velocity", "-41", "--role", "load"], "load velocity_reference: 41 rad/s is above the bench limit"),
         (["--velocity", "1", "--for", "0.001"], "at least one cycle (0.02 s) was expected"),
-        (["--velocity", "1", "--setup", "loose"], "setup: 'loose': input should be 'free', 'locked'"),
+        (["--velocity", "1", "--setup", "loose"], "setup: 'loose': 'free', 'locked'"),
         (["no-such", "--velocity", "1"], "bench 'no-such' is not known; known: emulated, emulated-heated, testbed"),
     ],
 )

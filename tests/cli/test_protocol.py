@@ -62,8 +62,7 @@ def test_check_tells_every_fault_at_its_place(mine):
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.splitlines() == [
         f"leactl: {mine}:9:55  steps[1].sweep.hold_ms: 3: unknown key; hold_s was expected",
-        f"leactl: {mine}:10:18  steps[2].mode.test: 'of': input should be 'off', 'current', 'torque_profile',"
-        " 'velocity' or 'angle'",
+        f"leactl: {mine}:10:18  steps[2].mode.test: 'of': 'off', 'current', 'torque_profile', 'velocity' or 'angle'",
     ]
 
 
@@ -126,7 +125,7 @@ def test_plan_is_checked_against_a_bench(mine):
     [
         (
             "hold_s=-1",
-            ":9:54  steps[1].sweep.hold_s: -1: input should be greater than 0 ($hold_s from --set hold_s=-1)",
+            ":9:54  steps[1].sweep.hold_s: -1: more than 0 was expected ($hold_s from --set hold_s=-1)",
         ),
         ("hold=1", "--set hold=1: no such parameter; known: levels_A, hold_s"),
         ("hold_s", "--set hold_s: name=value was expected"),

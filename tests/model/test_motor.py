@@ -20,9 +20,13 @@ def test_the_lea_ships_with_the_papers_figures():
     ("old", "new", "message"),
     [
         ("pole_pairs: 41", "pole_pairs: 41.5", "lea.yaml:3:13  pole_pairs: 41.5"),
-        ("torque_constant: 0.49 ", "torque_constant: -1 ", "torque_constant: -1: input should be greater than 0"),
-        ("winding: wye", "winding: star", "'star': input should be 'wye' or 'delta'"),
-        ("  winding_capacitance: 22.9 ", "  winding_capacity: 22.9 ", "thermal.winding_capacity: unknown key"),
+        ("torque_constant: 0.49 ", "torque_constant: -1 ", "torque_constant: -1: more than 0 was expected"),
+        ("winding: wye", "winding: star", "'star': 'wye' or 'delta'"),
+        (
+            "  winding_capacitance: 22.9 ",
+            "  winding_capacity: 22.9 ",
+            "thermal.winding_capacity: 22.9: unknown",
+        ),
         ("rotor_inertia: 0.0024 ", "rotor_inertia: .nan ", "a finite number was expected"),
         ("  phase_resistance: 0.1\n", "  phase_resistance: -0.1\n", "tolerances.phase_resistance: -0.1: "),
         ("  winding_capacitance: 0.1\n", "  winding_capacitance: 0.51\n", "tolerances.winding_capacitance: 0.51: "),
@@ -62,13 +66,13 @@ def test_the_lea_ships_with_the_papers_figures():
         (
             "phase_resistance: 0.264 ",
             "phase_resistance: true ",
-            "phase_resistance: True: input should be a valid number",
+            "phase_resistance: true: a number was expected",
         ),
-        ("pole_pairs: 41", "pole_pairs: true", "pole_pairs: True: input should be a valid integer"),
+        ("pole_pairs: 41", "pole_pairs: true", "pole_pairs: true: a whole number was expected"),
         (
             "rotor_inertia: 0.0024 ",
             "rotor_inertia: '0.0024' ",
-            "rotor_inertia: '0.0024': input should be a valid number",
+            "rotor_inertia: '0.0024': a number was expected",
         ),
     ],
 )

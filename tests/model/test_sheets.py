@@ -87,10 +87,10 @@ def test_the_no_load_speed_is_that_of_a_motor_that_carries_its_own_friction():
         (SPARSE + "body: {mass: 894, outer_diameter: 0.182, length: 0.04}\n", "mass 894 in the room of its diameter"),
         (
             SPARSE + "body: {outer_diameter: 182}\n",
-            "body.outer_diameter: 182: input should be less than or",
+            "body.outer_diameter: 182: at most ",
         ),
         ("name: ''\nwinding: wye\n", "name: '': "),
-        (SPARSE + "body: {weight: 1}\n", "body.weight: unknown key"),
+        (SPARSE + "body: {weight: 1}\n", "body.weight: 1: unknown key; one of mass"),
         (SPARSE + "thermal: {winding_capacitance: 0}\n", "thermal.winding_capacitance: 0: "),
         (SPARSE + "encoder_lines: 0.5\n", "encoder_lines: 0.5: "),
         (SPARSE + "bearings: {each_side: 12}\n", "bearings.static_radial_load: is required and missing"),

@@ -131,6 +131,10 @@ def test_a_signal_tells_what_it_is_and_where_it_leaves_the_role():
             "kind: noise, std_A: 1, cutoff_Hz: 0.01, order: 40, seed: 1, duration_s: 1",
             "nothing is left behind the filter",
         ),
+        (
+            "kind: noise, std_A: 1, cutoff_Hz: 0.001, order: 60, seed: 1, duration_s: 1",
+            "nothing is left behind the filter",
+        ),
         ("kind: noise, std_A: 1, cutoff_Hz: 5, order: 40, duration_s: 1", "signal.seed: is required and missing"),
         (
             "kind: step, from_current_A: 0, to_current_A: 1, at_s: 1, duration_s: 1",

@@ -39,7 +39,7 @@ def test_the_largest_current_is_the_peak():
         ),
         (
             "supply: {test: {voltage_V: 8, current_A: 0}}",
-            "6:46  steps[0].supply.test.current_A: 0: input should be greater than 0",
+            "6:46  steps[0].supply.test.current_A: 0: more than 0 was expected",
         ),
         (
             "supply: {test: {voltage_V: .inf, current_A: 9}}",

@@ -29,7 +29,7 @@ def test_weights_rise_and_fall_with_none_at_both_ends():
     ("steps", "words"),
     [
         (["weigh: {masses_kg: [1, 0], arm_m: 0.5, hold_s: 5}"], "masses_kg"),
-        (["weigh: {masses_kg: [], arm_m: 0.5, hold_s: 5}"], "at least one item was expected"),
+        (["weigh: {masses_kg: [], arm_m: 0.5, hold_s: 5}"], "a list of 1 or more was expected"),
         (["weigh: {masses_kg: [1], arm_m: -0.5, hold_s: 5}"], "arm_m"),
         (["weigh: {masses_kg: [1], arm_m: 0.5, hold_s: 5, settle_s: 5}"], "leaves nothing of 5 s"),
         (

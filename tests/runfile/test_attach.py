@@ -245,7 +245,7 @@ SUPPLY = {"model": "1688B", "feeds": "leads", "voltage_limit_V": 10, "current_li
         ({"driver": "thermal_cvs", "role": "test"}, "driver 'thermal_cvs' is not registered"),
         ({"driver": "thermal_csv", "role": "test", "settings": {"regions": {}}}, "regions"),
         ({"driver": "bk1688b", "role": "test", "bus": "line", "settings": SUPPLY}, "its readings do not come in files"),
-        (device(colour="red"), "bench.yaml:.*devices.camera.settings.colour: unknown key"),
+        (device(colour="red"), "bench.yaml:.*devices.camera.settings.colour: 'red': unknown key"),
     ],
 )
 def test_faults_of_the_map_are_told_with_their_place(run, export, tmp_path, entry, words):

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice
 from leactl.driver import registry
@@ -14,6 +14,7 @@ from leactl.driver.far_end import Breakable, CanEmulator, FailingSupply, Frame
 from leactl.emulation.parameters import BenchParameters
 from leactl.emulation.signals import STILL, Signals
 from leactl.errors import InputError
+from leactl.yamlblock import Block
 
 if TYPE_CHECKING:
     from leactl.emulation.emulated_bench import EmulatedBench
@@ -52,10 +53,9 @@ class Drill(NamedTuple):
     stays_on: bool = False  # only its supply takes the power from the device
 
 
-class Fault(BaseModel, ABC):
+class Fault(Block, ABC):
     """A fault; the first sentence of a subclass says what it is on a real bench, its fields are its parameters."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
     example: ClassVar[str]  # an entry of `emulated: faults:`, on the shipped bench where that has what it needs
     where_served: ClassVar[str] = ""  # why it does nothing on a bench that is served to another process
     not_drilled: ClassVar[str] = ""  # why it is no part of `leactl safety drill`

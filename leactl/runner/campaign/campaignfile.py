@@ -31,8 +31,9 @@ from pydantic import Field, ValidationError
 
 from leactl import yamlfile
 from leactl.errors import InputError
-from leactl.protocol.schema import Block, Seed
+from leactl.protocol.schema import Seed
 from leactl.runner.campaign.order import USUAL, Cell, Level, arranged
+from leactl.yamlblock import Block
 from leactl.yamlfile import Location
 
 MOST_RUNS = 10_000

@@ -13,9 +13,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from leactl.errors import InputError
-from leactl.protocol.schema import Block
 from leactl.runfile.publish import replacement
 from leactl.runner.campaign.campaignfile import Campaign
+from leactl.yamlblock import Block
 
 NAME = "campaign.json"
 MOST_BYTES = 1 << 24

@@ -34,7 +34,7 @@ def written(tmp_path):
     [
         ("", ":1:1  a mapping with keys of name, title"),
         (HEAD, ":1:1  steps: is required and missing"),
-        (HEAD + "steps: []\n", "5:8  steps: at least one item was expected"),
+        (HEAD + "steps: []\n", "5:8  steps: a list of 1 or more was expected"),
         (HEAD + ONE + "  - {name: one}\n", "7:12  steps[1].name: 'one' is the name of the step in line 6 too"),
         (HEAD + ONE.replace("friction", "friction, repeats: -2"), "steps[0].repeats: -2: "),
         (HEAD + ONE.replace("friction", "friction, repeats: 0"), "steps[0].repeats: 0: "),
