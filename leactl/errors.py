@@ -14,7 +14,11 @@ LeactlError (1)
  +- AcceptanceFailed (6)    an acceptance limit of the protocol was not met
 """
 
+import re
 from collections.abc import Sequence
+from typing import Any
+
+_PLACED = re.compile(r"(.+?):(\d+):(\d+)  (.*)", re.DOTALL)  # as yamlfile writes the place of a fault
 
 
 class LeactlError(Exception):
@@ -31,6 +35,17 @@ class InputError(LeactlError):
     def __init__(self, faults: str | Sequence[str]) -> None:
         self.faults: list[str] = [faults] if isinstance(faults, str) else list(faults)
         super().__init__("\n".join(self.faults))
+
+    def as_json(self) -> list[dict[str, Any]]:
+        """Every fault as JSON takes it; file, line and column are null where it stands in no file."""
+        rows = []
+        for fault in self.faults:
+            found = _PLACED.match(fault)
+            file, line, column, message = found.groups() if found else (None, None, None, fault)
+            rows.append(
+                {"file": file, "line": line and int(line), "column": column and int(column), "message": message}
+            )
+        return rows
 
 
 class MissingChannel(InputError):

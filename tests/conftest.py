@@ -7,6 +7,9 @@ import sys
 import pytest
 from hypothesis import settings
 
+from leactl.analysis.estimate import Result
+from leactl.analysis.experiments import is_known, results_of
+
 HOLD = """
 import sys, time
 from leactl.bench import benchfile
@@ -44,3 +47,24 @@ def holder():
     yield process
     process.kill()
     process.communicate()
+
+
+# units of a linear axis of a foreign rig, which an analysis takes over; a result is declared for a turning one
+LINEAR = {"N": "N*m", "N/A": "N*m/A", "N*s/m": "N*m*s/rad", "N*s^2/m^2": "N*m*s^2/rad^2", "kg": "kg*m^2"}
+
+
+@pytest.fixture(scope="session", autouse=True)
+def results_are_declared():
+    """Every result that any test gets from an experiment is one that the experiment declares, in its unit."""
+    made = Result.__init__
+
+    def checked(self, *args, **kwargs):
+        made(self, *args, **kwargs)
+        declared = results_of(self.experiment) if is_known(self.experiment) else {}
+        for item in self.results if declared else ():
+            units = {item.units, LINEAR.get(item.units, item.units)}
+            assert declared.get(item.name) in units, f"{self.experiment}: {item.name} [{item.units}] is not declared"
+
+    Result.__init__ = checked
+    yield
+    Result.__init__ = made

@@ -24,6 +24,16 @@ from leactl.analysis.wrong_units import doubted
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
 
+RESULTS = {
+    "breakaway_torque": "N*m",
+    "viscous_damping": "N*m*s/rad",
+    "coulomb_friction": "N*m",
+    "quadratic_drag": "N*m*s^2/rad^2",
+    "cogging_order": "1",
+    "cogging_amplitude": "N*m",
+    "cogging_peak_to_peak": "N*m",
+}
+
 HELD = Held("velocity_rad_s", "rad/s", "load")
 ENABLED = "drive_enabled"
 DRAWN = 40  # speeds of a line in the figure

@@ -25,6 +25,31 @@ from leactl.analysis.wrong_units import doubted
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run
 
+RESULTS = {
+    "back_emf_constant": "V*s/rad",
+    "line_to_line_constant": "V*s/rad",
+    "line_to_line_constant_ab": "V*s/rad",
+    "line_to_line_constant_bc": "V*s/rad",
+    "line_to_line_constant_ca": "V*s/rad",
+    "unevenness": "1",
+    "pole_pairs": "1",
+    "electrical_frequency": "Hz",
+    "torque_constant_ratio": "1",
+    "total_harmonic_distortion": "1",
+    "harmonic_2": "1",
+    "harmonic_2_phase": "rad",
+    "harmonic_3": "1",
+    "harmonic_3_phase": "rad",
+    "harmonic_5": "1",
+    "harmonic_5_phase": "rad",
+    "harmonic_7": "1",
+    "harmonic_7_phase": "rad",
+    "harmonic_11": "1",
+    "harmonic_11_phase": "rad",
+    "harmonic_13": "1",
+    "harmonic_13_phase": "rad",
+}
+
 TO_Q = {"wye": 1.0 / math.sqrt(2.0), "delta": math.sqrt(1.5)}  # q axis of the winding's own frame over line to line
 TIME_BASE = 50e-6 / math.sqrt(3.0)  # a converter's quartz is good to 50 ppm (USB-6218 data sheet), evenly spread
 UNEVEN = 0.005  # between pairs, above which a note says so

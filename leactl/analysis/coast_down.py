@@ -25,6 +25,16 @@ from leactl.analysis.wrong_units import doubted
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Channel, Run, Step
 
+RESULTS = {
+    "rotor_inertia": "kg*m^2",
+    "coulomb_friction": "N*m",
+    "viscous_damping": "N*m*s/rad",
+    "quadratic_drag": "N*m*s^2/rad^2",
+    "coulomb_over_inertia": "rad/s^2",
+    "damping_over_inertia": "1/s",
+    "quadratic_over_inertia": "1/rad",
+}
+
 CURRENT, VELOCITY, ENABLED = "q_axis_current", "velocity", "drive_enabled"
 HELD = Held("velocity_rad_s", "rad/s")
 COAST = "coast"

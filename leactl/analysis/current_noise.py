@@ -7,6 +7,12 @@ from leactl.analysis.noise_records import Loop
 from leactl.analysis.noise_response import noise_response
 from leactl.runfile.reader import Run
 
+RESULTS = {
+    "bandwidth": "Hz",
+    "coherent_band_low": "Hz",
+    "coherent_band_high": "Hz",
+}
+
 LOOP = Loop("current-noise", "q_axis_current_reference", "q_axis_current", "offset_A", "locked", (10, 225.0))
 
 

@@ -6,6 +6,13 @@ from leactl.analysis.estimate import Result
 from leactl.analysis.step_response import step_response
 from leactl.runfile.reader import Run
 
+RESULTS = {
+    "rise_time": "s",
+    "overshoot": "%",
+    "settling_time": "s",
+    "steady_state_error": "%",
+}
+
 
 def analyze(runs: Sequence[Run]) -> Result:
     """Rise time, overshoot, settling time and steady-state error of the current; see `step_response`."""

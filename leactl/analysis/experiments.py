@@ -1,8 +1,10 @@
 """Find the analysis that a run asks for and apply it; experiment `torque-constant` is the module `torque_constant`.
 
 A module of this package with a function `analyze(runs, **options) -> Result` is an experiment; adding one adds a file.
+Its `RESULTS` are every result that it may give, with units, so that a limit on one is checked before a run.
 """
 
+import ast
 import importlib
 import importlib.util
 import inspect
@@ -56,6 +58,23 @@ def method_of(experiment: str) -> str:
     """How an experiment is analysed, in one sentence: the first of its module."""
     text = inspect.getdoc(inspect.getmodule(analysis_of(experiment, experiment))) or ""
     return " ".join(text.partition("\n\n")[0].split())
+
+
+@cache
+def results_of(experiment: str) -> dict[str, str]:
+    """Every result that an experiment may give, with its unit: RESULTS of its module, read without importing it.
+
+    Raises
+    ------
+    InputError : there is no such experiment.
+    """
+    if not is_known(experiment):
+        analysis_of(experiment, experiment)
+    for statement in ast.parse(_text_of(_module_of(experiment))).body:
+        if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "RESULTS":
+            declared: dict[str, str] = ast.literal_eval(statement.value)
+            return declared
+    return {}
 
 
 def experiment_of(run: Run) -> str:
@@ -203,6 +222,9 @@ def _modules() -> list[str]:
 @cache
 def _analyzes(module: str) -> bool:
     """Whether a module is an experiment, by its text: importing them all takes scipy and a second."""
+    return re.search(r"^def analyze\(", _text_of(module), re.MULTILINE) is not None
+
+
+def _text_of(module: str) -> str:
     spec = importlib.util.find_spec(f"{leactl.analysis.__name__}.{module}")
-    text = Path(spec.origin).read_text(encoding="utf-8") if spec is not None and spec.origin is not None else ""
-    return re.search(r"^def analyze\(", text, re.MULTILINE) is not None
+    return Path(spec.origin).read_text(encoding="utf-8") if spec is not None and spec.origin is not None else ""

@@ -24,6 +24,19 @@ from leactl.analysis.wrong_units import doubted
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run
 
+RESULTS = {
+    "viscous_damping": "N*m*s/rad",
+    "viscous_damping_forward": "N*m*s/rad",
+    "viscous_damping_backward": "N*m*s/rad",
+    "coulomb_friction": "N*m",
+    "coulomb_friction_forward": "N*m",
+    "coulomb_friction_backward": "N*m",
+    "offset": "N*m",
+    "r_squared": "1",
+    "r_squared_forward": "1",
+    "r_squared_backward": "1",
+}
+
 CURRENT, VELOCITY = "q_axis_current", "velocity"
 DIRECTIONS = {"forward": 1.0, "backward": -1.0}
 STANDSTILL = 0.01  # rad/s (m/s): slower does not count as turning

@@ -23,6 +23,16 @@ from leactl.analysis.wrong_units import doubted
 from leactl.errors import InputError
 from leactl.runfile.reader import Run
 
+RESULTS = {
+    "viscous_damping": "N*m*s/rad",
+    "coulomb_friction": "N*m",
+    "quadratic_drag": "N*m*s^2/rad^2",
+    "full_speed": "rad/s",
+    "no_load_loss": "W",
+    "hysteresis_torque": "N*m",
+    "eddy_damping": "N*m*s/rad",
+}
+
 CURRENT = "q_axis_current"
 HELD = Held("velocity_rad_s", "rad/s")
 IRON = {"hysteresis_torque": "coulomb_friction", "eddy_damping": "viscous_damping"}

@@ -39,6 +39,43 @@ from leactl.analysis.linefit import expect_setup, place_of
 from leactl.errors import InputError
 from leactl.runfile.reader import Run
 
+RESULTS = {
+    "winding_ambient_resistance": "K/W",
+    "winding_housing_resistance": "K/W",
+    "housing_ambient_resistance": "K/W",
+    "winding_capacitance": "J/K",
+    "housing_capacitance": "J/K",
+    "parallel_thermal_resistance": "K/W",
+    "line_resistance": "ohm",
+    "phase_resistance": "ohm",
+    "resistance_coefficient": "1/K",
+    "resistance_r_squared": "1",
+    "rmse": "K",
+    "rmse_winding": "K",
+    "rmse_housing": "K",
+    "rmse_over_noise": "1",
+    "change_in_30_min": "K",
+    "camera_lag": "s",
+    "camera_offset_winding": "K",
+    "camera_offset_housing": "K",
+    "continuous_current": "A",
+    "peak_current_1s": "A",
+    "peak_current_2s": "A",
+    "peak_current_5s": "A",
+    "peak_current_10s": "A",
+    "peak_current_20s": "A",
+    "peak_current_60s": "A",
+    "peak_current_300s": "A",
+    "continuous_current_standing": "A",
+    "peak_current_1s_standing": "A",
+    "peak_current_2s_standing": "A",
+    "peak_current_5s_standing": "A",
+    "peak_current_10s_standing": "A",
+    "peak_current_20s_standing": "A",
+    "peak_current_60s_standing": "A",
+    "peak_current_300s_standing": "A",
+}
+
 PHASE_OF_LINE = {"wye": 0.5, "delta": 1.5}  # each in its own frame
 LEFT_OUT = 0.01  # of the frames, above which it is told
 WINDING_LIMIT = 130.0  # degC, the paper's

@@ -24,6 +24,15 @@ from leactl.analysis.wrong_units import doubted
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run
 
+RESULTS = {
+    "torque_constant": "N*m/A",
+    "torque_constant_rising": "N*m/A",
+    "torque_constant_falling": "N*m/A",
+    "sticking_torque": "N*m",
+    "offset": "N*m",
+    "r_squared": "1",
+}
+
 CURRENT, TORQUE = "q_axis_current", "torque"
 SIDES = {"rising": 1, "falling": -1}
 

@@ -27,6 +27,15 @@ from leactl.analysis.wrong_units import doubted
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
 
+RESULTS = {
+    "torque_constant": "N*m/A",
+    "peak_current": "A",
+    "torque_at_peak": "N*m",
+    "loss_at_peak": "1",
+    "straight_up_to": "A",
+    "sticking_torque": "N*m",
+}
+
 FEWEST_LEVELS = 5  # magnitudes of current: one more than K, p, q and e need
 BENDS = {"second_power": 2, "fourth_power": 4}
 LEAST_UNDER = 0.1  # of the root's argument, on the way to the fit

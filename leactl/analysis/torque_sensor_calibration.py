@@ -23,6 +23,22 @@ from leactl.analysis.torque_constant import TORQUE
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run
 
+RESULTS = {
+    "sensitivity": "1",
+    "zero": "N*m",
+    "highest_torque": "N*m",
+    "uncertainty_repeatability": "N*m",
+    "uncertainty_sensitivity": "N*m",
+    "uncertainty_linearity": "N*m",
+    "uncertainty_hysteresis": "N*m",
+    "uncertainty_resolution": "N*m",
+    "uncertainty_zero_drift": "N*m",
+    "uncertainty_reference": "N*m",
+    "combined_uncertainty": "N*m",
+    "coverage_factor": "1",
+    "expanded_uncertainty": "N*m",
+}
+
 HELD = Held("weight_Nm", "N*m", "bench")
 WEIGHED_BY = 9.80665  # m/s^2, in the torque that the holds tell
 GRAVITY_WITHIN = 0.026  # m/s^2: 9.780 at the equator to 9.832 at the poles

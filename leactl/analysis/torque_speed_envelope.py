@@ -28,6 +28,16 @@ from leactl.analysis.torque_constant import CURRENT, TORQUE
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Channel, Run
 
+RESULTS = {
+    "highest_torque": "N*m",
+    "speed_of_highest_torque": "rad/s",
+    "highest_power": "W",
+    "speed_of_highest_power": "rad/s",
+    "corner_speed": "rad/s",
+    "current_limit": "A",
+    "bus_voltage": "V",
+}
+
 BUS = "bus_voltage"
 MISSING = 0.02  # of the current asked for: more, and the voltage is the limit
 HELD = 0.002  # of it: less, and the drive had all of it

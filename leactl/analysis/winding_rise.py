@@ -21,6 +21,13 @@ from leactl.analysis.regression import least_squares
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run
 
+RESULTS = {
+    "cold_resistance": "ohm",
+    "hot_resistance": "ohm",
+    "winding_rise": "K",
+    "change_in_last_30_min": "K",
+}
+
 Array = npt.NDArray[np.float64]
 ON = 0.2  # of the largest current, above which it counts as switched on
 COLD_S = 3.0  # after switching on, over which a parabola leads back to the cold winding; it takes 7 s to warm

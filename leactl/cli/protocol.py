@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from leactl.protocol.plan import Plan
 
 app = typer.Typer(help="List, show, check and expand protocols.", no_args_is_help=True, rich_markup_mode=None)
+STDIN = "<stdin>"  # stands in faults where a file's name would
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 SET = typer.Option([], "--set", metavar="NAME=VALUE", help="Value of a parameter; a list as [1, 2]. May be repeated.")
 CONDITION = typer.Option("", "--condition", metavar="LABEL", help="Take the protocol's parameters of this condition.")
@@ -41,13 +42,19 @@ def show(name: str, as_json: bool = AS_JSON) -> None:
 
 
 @app.command()
-def check(protocol: str, as_json: bool = AS_JSON) -> None:
-    """Check a protocol by name or path: every fault with file, line and column."""
-    from leactl.protocol.protocolfile import load
-    from leactl.runner.acceptance import check_analysis
+def check(
+    protocol: str = typer.Argument(help="Name of a shipped protocol, a path to a .yaml, or - for stdin."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Check a protocol: every fault with file, line and column, as JSON on stdout too with --json."""
+    from leactl.errors import InputError
 
-    plan = load(protocol)
-    check_analysis(plan, protocol)
+    try:
+        plan = _checked(protocol)
+    except InputError as error:
+        if as_json:
+            typer.echo(json.dumps({"faults": error.as_json()}))
+        raise
     if as_json:
         typer.echo(json.dumps({**_head(plan), "peaks": _peaks(plan), "actions": len(plan.actions)}))
         return
@@ -90,6 +97,25 @@ def plan(
     typer.echo(f"duration {_duration(expanded.duration_s)} ({expanded.duration_s:.3f} s)")
     for peak in _peaks(expanded):
         typer.echo(f"peak {peak['role']} {peak['quantity']} {peak['value']:g} {peak['unit']}")
+
+
+def _checked(protocol: str) -> "Plan":
+    """The plan of a protocol whose limits can be judged; CSV files of one on stdin are looked for where we are."""
+    import sys
+    from pathlib import Path
+
+    from leactl import yamlfile
+    from leactl.protocol.protocolfile import NO_OVERRIDES, expanded, load, locate
+    from leactl.runner.acceptance import check_analysis
+
+    if protocol == "-":
+        document = yamlfile.decoded(sys.stdin.buffer.read(yamlfile.MAX_BYTES + 1), STDIN)
+        plan = expanded(document, Path(), NO_OVERRIDES, "")
+        check_analysis(plan, STDIN)
+    else:
+        plan = load(protocol)
+        check_analysis(plan, str(locate(protocol)))
+    return plan
 
 
 def _head(found: "Plan") -> dict[str, Any]:

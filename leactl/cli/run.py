@@ -37,12 +37,13 @@ def run(
     request = replace(request, cold=cold, insert_cooldown=insert_cooldown)
     with to_the_end():
         outcome = perform(request)
-    answer = told(outcome) | {"acceptance": []}
+    answer = told(outcome) | {"acceptance": [dict(verdict.row) for verdict in outcome.verdicts]}
     unmet: list[str] = []
     if outcome.error is None and request.plan.acceptance:
         from leactl.runner.acceptance import judge
 
-        answer["acceptance"], unmet = judge(request.plan, outcome.path)
+        judged, unmet = judge(request.plan, outcome.path)
+        answer["acceptance"] += judged
     if as_json:
         typer.echo(json.dumps(answer))
     else:

@@ -205,6 +205,25 @@ class Acceptance:
     unit: str
 
 
+@dataclass(frozen=True)
+class ChannelLimit:
+    """Bounds, infinite where open, that a channel must keep in every step of a name, or in all steps."""
+
+    channel: str
+    role: str
+    step: str  # "": every step
+    statistic: str  # mean, min, max or std, of the step without its settle part
+    low: float
+    high: float
+    unit: str
+    stop: bool = False  # end the run as soon as it is broken
+
+    @property
+    def bounds(self) -> str:
+        """Both bounds, for a person."""
+        return f"{self.low:g} to {self.high:g} was required"
+
+
 class Row(NamedTuple):
     """One line of the timeline."""
 
@@ -228,7 +247,7 @@ class Plan:
     parameters: Mapping[str, Any]  # as resolved: --set over condition over default
     condition: str
     actions: tuple[Action, ...]
-    acceptance: tuple[Acceptance, ...]
+    acceptance: tuple[Acceptance | ChannelLimit, ...]
     text: str  # the protocol file, byte for byte
     separates: tuple[str, ...] = ()  # effects of the gap's vocabulary that its runs tell apart
     needs: tuple[str, ...] = ()  # quantities without which its runs would be of no use

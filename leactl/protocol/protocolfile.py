@@ -11,6 +11,7 @@ conditions: {loaded: {hold_s: 8}}
 steps: [...]                    # see steps.py
 acceptance:
   - {result: torque_constant, low: 0.4, high: 0.6, unit: N*m/A}
+  - {channel: torque, step: hold, statistic: max, high: 6, unit: N*m, stop: true}
 wants: [winding_temperature]    # that the analysis takes; a run says which of them no device of its bench measures
 separates: [time_skew, torque_sensor_lag]     # effects that `leactl gap diagnose` can tell apart by its runs
 needs: [phase_voltage_ab]                     # refused on a bench without; opens devices that are `on_demand` there
@@ -27,11 +28,11 @@ from pydantic import ValidationError
 
 from leactl import yamlfile
 from leactl.errors import InputError
-from leactl.protocol import steps
+from leactl.protocol import schema, steps
 from leactl.protocol.expansion import expand
 from leactl.protocol.parameters import Substituted, resolve, substitute
-from leactl.protocol.plan import Acceptance, Plan
-from leactl.protocol.schema import Head, Limit, divides
+from leactl.protocol.plan import Acceptance, ChannelLimit, Plan, Segment
+from leactl.protocol.schema import Head, ResultLimit, divides
 from leactl.protocol.timeline import Timeline
 
 NO_OVERRIDES: Mapping[str, str] = MappingProxyType({})
@@ -115,6 +116,10 @@ def expanded(document: yamlfile.Document, folder: Path, overrides: Mapping[str, 
         except InputError as error:
             timeline.faults.update(dict.fromkeys(error.faults))
         faults = list(timeline.faults)
+    names = list(dict.fromkeys(action.name for action in timeline.actions if isinstance(action, Segment)))
+    for number, limit in enumerate(head.acceptance) if head is not None and timeline.whole else ():
+        for key, message in limit.misfits(names):
+            faults.append(filled.fault(("acceptance", number, *([key] if key else [])), message))
     if faults or head is None or resolved is None:
         raise InputError(_in_order(document.name, faults))
     return Plan(
@@ -148,21 +153,15 @@ def _head(document: Substituted, faults: list[str]) -> Head | None:
     if head.record_Hz is not None and not divides(head.record_Hz, head.rate_Hz):
         message = f"{head.record_Hz:g} Hz: a whole part of rate_Hz ({head.rate_Hz:g} Hz) was expected"
         faults.append(document.fault(("record_Hz",), message))
-    for number, limit in enumerate(head.acceptance):
-        bounds = _bounds(limit)
-        if limit.low is None and limit.high is None:
-            faults.append(document.fault(("acceptance", number), "low, high or both were expected"))
-        elif bounds.low > bounds.high:
-            faults.append(
-                document.fault(("acceptance", number, "low"), f"{limit.low:g} is above high ({limit.high:g})")
-            )
     return head
 
 
-def _bounds(limit: Limit) -> Acceptance:
+def _bounds(limit: ResultLimit | schema.ChannelLimit) -> Acceptance | ChannelLimit:
     low = -math.inf if limit.low is None else limit.low
     high = math.inf if limit.high is None else limit.high
-    return Acceptance(limit.result, low, high, limit.unit)
+    if isinstance(limit, ResultLimit):
+        return Acceptance(limit.result, low, high, limit.unit)
+    return ChannelLimit(limit.channel, limit.role, limit.step, limit.statistic, low, high, limit.unit, limit.stop)
 
 
 def _number(found: object) -> float:

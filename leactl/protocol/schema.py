@@ -1,12 +1,15 @@
 """What every block of a protocol file has in common: closed sets of keys, strict numbers, and the file's head."""
 # ruff: noqa: N815 (a unit keeps its letter)
 
+from collections.abc import Collection, Iterator, Mapping
+from difflib import get_close_matches
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from leactl.protocol.setpointkeys import Spelling
 from leactl.quantities import UNITS
+from leactl.units import CONVERSIONS, converter
 from leactl.vocabulary.effect import effect_names
 from leactl.yamlblock import Block
 
@@ -39,15 +42,6 @@ class Driven(Block):
         return getattr(self, spelling.key(stem))
 
 
-class Limit(Block):
-    """Bounds that a result of the analysis must keep; `unit` is compared with the result's own by whoever judges."""
-
-    result: Annotated[str, Field(pattern=r"^[a-z][A-Za-z0-9_]*$", max_length=80)]
-    low: Annotated[float, Field(strict=True, allow_inf_nan=False)] | None = None
-    high: Annotated[float, Field(strict=True, allow_inf_nan=False)] | None = None
-    unit: Annotated[str, Field(min_length=1, max_length=20)]
-
-
 def _known_effect(name: str) -> str:
     if name not in effect_names():
         raise ValueError(f"effect '{name}' is not known; known: {', '.join(effect_names())}")
@@ -62,6 +56,65 @@ def _known_quantity(name: str) -> str:
 
 Quantity = Annotated[str, AfterValidator(_known_quantity)]
 EffectName = Annotated[str, AfterValidator(_known_effect)]
+Bound = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Unit = Annotated[str, Field(min_length=1, max_length=20)]
+
+
+class ResultLimit(Block):
+    """Bounds that a result of the analysis must keep."""
+
+    result: Annotated[str, Field(pattern=r"^[a-z][A-Za-z0-9_]*$", max_length=80)]
+    low: Bound | None = None
+    high: Bound | None = None
+    unit: Unit
+
+    def misfits(self, _steps: Collection[str]) -> Iterator[tuple[str, str]]:
+        """Keys that cannot be, and why; the analysis is asked for its results by whoever judges."""
+        yield from _disordered(self)
+
+
+class ChannelLimit(Block):
+    """Bounds that a channel must keep in every step of a name, without the step's settle part; needs no analysis."""
+
+    channel: Quantity
+    role: Literal["test", "load", "bench"] = "test"
+    step: Annotated[str, Field(max_length=40)] = ""
+    statistic: Literal["mean", "min", "max", "std"]
+    low: Bound | None = None
+    high: Bound | None = None
+    unit: Unit
+    stop: Annotated[bool, Field(strict=True)] = False
+
+    def misfits(self, steps: Collection[str]) -> Iterator[tuple[str, str]]:
+        """Keys that cannot be, and why; `steps` are the names of those that there are."""
+        yield from _disordered(self)
+        conversion = converter(self.unit, self.channel)
+        if conversion is None or conversion.target != UNITS[self.channel]:
+            known = ", ".join(CONVERSIONS[UNITS[self.channel]])
+            yield "unit", f"{self.unit!r}: {self.channel} is in {UNITS[self.channel]}; one of {known} was expected"
+        if self.step and self.step not in steps:
+            close = get_close_matches(self.step, steps, n=1)
+            expected = close[0] if close else f"one of {', '.join(steps)}" if steps else "a step with a duration"
+            yield "step", f"'{self.step}' is the name of no step; {expected} was expected"
+        at_once = {"max": self.high, "min": self.low}
+        if self.stop and at_once.get(self.statistic) is None:
+            yield "stop", "max with high, or min with low, is what can be known before a step is over"
+
+
+def _disordered(limit: ResultLimit | ChannelLimit) -> Iterator[tuple[str, str]]:
+    if limit.low is None and limit.high is None:
+        yield "", "low, high or both were expected"
+    elif limit.low is not None and limit.high is not None and limit.low > limit.high:
+        yield "low", f"{limit.low:g} is above high ({limit.high:g})"
+
+
+def _form(given: Any) -> str:
+    return "[channel]" if isinstance(given, Mapping) and "channel" in given else "[result]"
+
+
+Limit = Annotated[
+    Annotated[ResultLimit, Tag("[result]")] | Annotated[ChannelLimit, Tag("[channel]")], Discriminator(_form)
+]
 
 
 class Head(Block):

@@ -71,6 +71,7 @@ class RampStep(Driven):
 
     needs = ("to_setpoint",)
     takes = ("rate",)
+    guesses = {"to": "to_current_A, to_velocity_rad_s or to_angle_rad", "rate": "rate_A_s, rate_rad_s2 or rate_rad_s"}
     name: Name = "ramp"
     role: Role
     to_current_A: Setpoint | None = None
@@ -86,6 +87,7 @@ class RampStep(Driven):
 class HoldStep(Driven):
     """Stay at a setpoint; `name` tells analyses what the hold is for where it is not a level."""
 
+    guesses = {"current": "current_A", "velocity": "velocity_rad_s", "angle": "angle_rad", "hold_s": "duration_s"}
     takes = ("setpoint",)
     name: Name = "hold"
     role: Role | None = None
@@ -259,9 +261,12 @@ def _read_one(document: Substituted, raw: Any, place: Location, faults: list[str
     if adapter is None:
         if kind != "signal":
             close = get_close_matches(kind, [*KINDS, "signal"], n=1)
-            faults.append(
-                document.fault(inside, f"no such step; {close[0] if close else f'one of {known}'} was expected")
-            )
+            if kind in SIGNALS:
+                close = ["signal"]
+                expected = f"signal: {{kind: {kind}, ...}}"
+            else:
+                expected = close[0] if close else f"one of {known}"
+            faults.append(document.fault(inside, f"no such step; {expected} was expected"))
             kind = close[0] if close else "unknown"
         return Step(inside, kind, None)
     try:

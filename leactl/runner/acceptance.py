@@ -1,55 +1,87 @@
 """Acceptance limits of a protocol: refused before a run that nothing could judge, and judged on the run's analysis."""
 
 import math
+from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from leactl import yamlfile
 from leactl.errors import InputError
 from leactl.protocol.plan import Acceptance, Plan
-from leactl.protocol.protocolfile import locate
+from leactl.runfile.reader import Run
+from leactl.runner.channel_limits import ACCEPTANCE
 from leactl.units import CONVERSIONS, SECONDS
 
 if TYPE_CHECKING:
     from leactl.analysis.estimate import Result
 
 
-def check_analysis(plan: Plan, protocol: str) -> None:
-    """Refuse an analysis that is not known, and limits that no analysis would judge.
-
-    Which results an analysis gives is up to the run too, so that those of the limits are looked for after it.
+def check_analysis(plan: Plan, name: str) -> None:
+    """Refuse an analysis that is not known, and limits on results that it does not have or not in this unit.
 
     Parameters
     ----------
-    protocol : name or path that the plan was loaded from.
+    name : of the protocol's file, for messages.
 
     Raises
     ------
-    InputError : one line with file, line and column.
+    InputError : one line a fault with file, line and column.
     """
-    from leactl.analysis.experiments import asked_in, is_known, names
+    from leactl.analysis.experiments import asked_in, is_known, names, results_of
 
     asked = asked_in(plan.text)
-    if not (asked or plan.acceptance) or is_known(asked or plan.name):
+    limits = {n: limit for n, limit in enumerate(plan.acceptance) if isinstance(limit, Acceptance)}
+    if not (asked or limits):
         return
-    document = yamlfile.parse(plan.text, str(locate(protocol)))
-    known = f"known: {', '.join(names())}"
-    if asked:
-        raise InputError(document.fault(("analysis",), f"'{asked}' is not known; {known}"))
-    raise InputError(document.fault(("acceptance",), f"the protocol names no analysis to judge them by; {known}"))
+    document = yamlfile.parse(plan.text, name)
+    if not is_known(asked or plan.name):
+        known = f"known: {', '.join(names())}"
+        if asked:
+            raise InputError(document.fault(("analysis",), f"'{asked}' is not known; {known}"))
+        message = f"the protocol names no analysis to judge them by; {known}; limits on channels need none"
+        raise InputError(document.fault(("acceptance",), message))
+    results = results_of(asked or plan.name)
+    misfits = {n: _misfit(limit, asked or plan.name, results) for n, limit in limits.items()}
+    faults = [document.fault(("acceptance", n, found[0]), found[1]) for n, found in misfits.items() if found]
+    if faults:
+        raise InputError(faults)
+
+
+def _misfit(limit: Acceptance, experiment: str, results: Mapping[str, str]) -> tuple[str, str] | None:
+    """The key of a limit that the experiment's results do not fit, and why."""
+    units = results.get(limit.result)
+    if units is None:
+        close = get_close_matches(limit.result, results, n=1)
+        expected = close[0] if close else f"one of {', '.join(results)}"
+        return "result", f"{experiment} has no result '{limit.result}'; {expected} was expected"
+    if _factor(units, limit.unit) is None:
+        return "unit", f"{limit.unit!r}: {limit.result} is in {units}"
+    return None
 
 
 def judge(plan: Plan, run: Path) -> tuple[list[dict[str, Any]], list[str]]:
-    """Every limit with the value found, and one line for each that is not met; a value that is missing is not met."""
+    """Every limit on a result with its value, and one line for each limit, of channels too, that is not met.
+
+    A value that is missing is not met. How the channels did stands in the run's events.
+    """
     from leactl.analysis.experiments import analyze_runs
 
+    limits = [limit for limit in plan.acceptance if isinstance(limit, Acceptance)]
+    unmet = []
+    if len(limits) < len(plan.acceptance):
+        with Run.open(run) as opened:
+            events = [event for event in opened.events if (event.source, event.level) == (ACCEPTANCE, "warning")]
+        unmet = [f"acceptance: {event.message}" for event in events]
+    if not limits:
+        return [], unmet
     answer: Result | InputError
     try:
         answer = analyze_runs([run])
     except InputError as fault:  # the run stands; it does not answer
         answer = fault
-    judged = [_judged(limit, answer) for limit in plan.acceptance]
-    return [row for row, _line in judged], [f"acceptance: {line}" for _row, line in judged if line]
+    judged = [_judged(limit, answer) for limit in limits]
+    return [row for row, _line in judged], [*unmet, *(f"acceptance: {line}" for _row, line in judged if line)]
 
 
 def _judged(limit: Acceptance, answer: "Result | InputError") -> tuple[dict[str, Any], str]:

@@ -8,10 +8,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 from leactl.bench.bench import Bench
-from leactl.driver.contract import AnalogInput, Block, Mode
+from leactl.driver.contract import AnalogInput, Block, Mode, Row
 from leactl.errors import DeviceError, InputError
 from leactl.protocol.plan import Action, Engage, Hang, Plan, Profile, Prompt, Record, Segment, Supply, Tare, WaitUntil
 from leactl.runfile.writer import RunWriter
+from leactl.runner.channel_limits import ChannelLimits
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import Flush
 from leactl.runner.signals import StopRequest
@@ -41,10 +42,12 @@ class Loop:
         progress: Progress,
         operator: Operator,
         watchdog: Unwatched,
+        limits: ChannelLimits,
     ) -> None:
         self._plan, self._bench, self._supervisor, self._writer = plan, bench, supervisor, writer
         self._flush, self._stop, self._progress, self._operator = flush, stop, progress, operator
         self._watchdog, self._sign = watchdog, watchdog.sign
+        self._limits = limits
         self._clock = bench.clock
         self._period = 1.0 / plan.rate_Hz
         self._answer_s = max(ANSWER_SHARE * self._period, LEAST_ANSWER_S)
@@ -115,6 +118,7 @@ class Loop:
         if self._every and self._phase % self._every == 0 and row:
             writer.append_row("loop", began - start, row)
         self._phase += 1
+        judged: list[Block | Row] = []
         for reading in bench.take():
             if isinstance(reading, Block):
                 writer.append(reading.stream, reading.times - start, reading.values)
@@ -123,8 +127,14 @@ class Loop:
                 writer.append_row(reading.stream, reading.time - start, reading.values)
                 self._newest[reading.stream] = reading.values
             supervisor.receive(reading)
+            if self._limits.watches(reading.stream):
+                judged.append(reading)
         supervisor.check(self._clock.now())
         bench.feed()
+        if row:
+            self._limits.receive("loop", began - start, row, self._note_limit)
+        for reading in judged:
+            self._judge(reading)
         self._flush.after_cycle()
         self.cycles += 1
         self._sign[CYCLES] += 1
@@ -162,6 +172,15 @@ class Loop:
     def _note(self, level: str, source: str, message: str) -> None:
         self._writer.event(self._clock.now() - self._start, level, source, message)
 
+    def _judge(self, reading: Block | Row) -> None:
+        """Hold the limits on channels against what a device gave at its own pace."""
+        for row in reading.rows() if isinstance(reading, Block) else (reading,):
+            self._limits.receive(row.stream, row.time - self._start, row.values, self._note_limit)
+
+    def _note_limit(self, level: str, text: str) -> None:
+        self._note(level, "runner", text)
+        self._progress.warnings.append(text)
+
     # -- actions -----------------------------------------------------------------------------------------------------
 
     def _move(self, segment: Segment) -> None:
@@ -169,6 +188,8 @@ class Loop:
         began = self.time
         self._progress.step = segment.name
         setpoints = list(segment.setpoints.items())
+        if segment.duration_s > 0.0:
+            self._limits.enter(segment.name, began + segment.settle_s)
         try:
             if segment.duration_s <= 0.0:
                 self._command(setpoints, 0.0)
@@ -184,6 +205,7 @@ class Loop:
             self._command(setpoints, segment.duration_s)
         finally:
             if segment.duration_s > 0.0:
+                self._limits.leave(segment.name, self.time)
                 self._writer.step(segment.name, began, self.time, segment.settle_s, segment.parameters)
         self._planned += segment.duration_s
 

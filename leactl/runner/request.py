@@ -40,7 +40,7 @@ def prepare(
     seed = _seed(overrides.pop("seed", None))
     placed = _placed(bench, buses)
     plan = protocolfile.load(protocol, overrides, condition)
-    check_analysis(plan, protocol)
+    check_analysis(plan, str(protocolfile.locate(protocol)))
     made = _request(plan, placed, directory, realtime, served)
     return replace(made, actuator=actuator, operator=operator, seed=seed)
 

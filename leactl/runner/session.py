@@ -18,11 +18,12 @@ from leactl.bench.records import awaited, collect, placed
 from leactl.bench.wiring import MachineWiring, Wiring
 from leactl.driver.contract import Confirmation, MotionDevice
 from leactl.driver.stopping import doubt
-from leactl.errors import DeviceError, InputError, SafetyTrip, Stopped
+from leactl.errors import AcceptanceFailed, DeviceError, InputError, SafetyTrip, Stopped
 from leactl.model.motor import load_motor
-from leactl.protocol.plan import Engage, Plan, Record, Supply
+from leactl.protocol.plan import ChannelLimit, Engage, Plan, Record, Supply
 from leactl.runfile.writer import RunInfo, RunWriter, new_run_id
 from leactl.runner import exclusive, latch, underway
+from leactl.runner.channel_limits import ACCEPTANCE, ChannelLimits, Verdict
 from leactl.runner.loop import Loop, Operator
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import InlineFlush, ThreadedFlush
@@ -77,6 +78,7 @@ class Outcome:
     overruns: int
     notes: Sequence[str] = ()  # what went wrong beside the run and changes nothing of it
     zeros: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # of each tared channel, before and after
+    verdicts: Sequence[Verdict] = ()  # on the limits of channels
 
 
 def execute(request: Request, operator: Operator, watch: Watch, stops: Sequence[StopSource] = ()) -> Outcome:
@@ -147,6 +149,7 @@ def _ready(request: Request, windings: Windings) -> tuple[Request, Bench, Superv
     bench = Bench(request.bench, request.devices, _wiring(request))
     _check_roles(request, bench)
     _check_needs(request, bench)
+    _limits(request.plan, bench)
     refuse_blind(bench, request.bench_document)
     planned = _planned_bytes(request.plan, bench)
     check_room(request.bench.interlocks.disk_space, free_bytes(request.directory), planned)
@@ -182,7 +185,8 @@ def _run(
         paced = request.realtime or not request.in_process
         flush = ThreadedFlush(writer) if paced else InlineFlush(writer)
         progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
-        loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator, watchdog)
+        limits = _limits(plan, bench)
+        loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator, watchdog, limits)
     except BaseException:
         announcement.tell_safe(supervisor.make_safe())
         raise
@@ -219,6 +223,9 @@ def _run(
         writer.event(loop.time, level, name, f"safe state: {confirmation.detail}")
     for note in notes:
         writer.event(loop.time, "warning", "view", note)
+    verdicts = limits.verdicts() if error is None or isinstance(error, AcceptanceFailed) else []
+    for verdict in verdicts:
+        writer.event(loop.time, "info" if verdict.met else "warning", ACCEPTANCE, verdict.told)
     try:
         writer.close(*_status(error))
         notes += collect(bench.drivers, request.bench_document, writer.path)
@@ -226,7 +233,7 @@ def _run(
         error = _joined(error, failure)
     status, reason = _status(error)
     told = [*notes, *(f"warning: {text}" for text in progress.warnings)]
-    return Outcome(writer.path, status, reason, error, safe, loop.time, loop.overruns, told, loop.zeros)
+    return Outcome(writer.path, status, reason, error, safe, loop.time, loop.overruns, told, loop.zeros, verdicts)
 
 
 @contextmanager
@@ -282,6 +289,11 @@ def _check_needs(request: Request, bench: Bench) -> None:
             f"protocol '{request.plan.name}' needs {', '.join(missing)};"
             f" no device of bench '{request.bench.name}' measures that"
         )
+
+
+def _limits(plan: Plan, bench: Bench) -> ChannelLimits:
+    limits = [limit for limit in plan.acceptance if isinstance(limit, ChannelLimit)]
+    return ChannelLimits(limits, bench.streams(), bench.file.name)
 
 
 def _check_supplies(request: Request, supervisor: Supervisor) -> None:

@@ -56,13 +56,36 @@ def test_check(mine):
     assert answer["peaks"] == [{"role": "test", "quantity": "q_axis_current_reference", "value": 2.0, "unit": "A"}]
 
 
+def test_check_takes_a_protocol_from_stdin():
+    done = subprocess.run([*COMMAND, "protocol", "check", "-"], input=MINE, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "mine: 4 actions, 0:00:06, no faults\n")
+    limit = "acceptance: [{result: torque, high: 1, unit: N*m}]\n"
+    done = subprocess.run(
+        [*COMMAND, "protocol", "check", "-"], input=MINE + limit, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("leactl: <stdin>:11:13  acceptance: the protocol names no analysis to judge them by")
+
+
+def test_check_tells_faults_as_json(mine):
+    mine.write_text(MINE.replace("hold_s: $hold_s", "hold_ms: 3"))
+    done = leactl("protocol", "check", mine, "--json")
+    assert done.returncode == 2
+    message = "steps[1].sweep.hold_ms: 3: unknown key; hold_s was expected"
+    assert json.loads(done.stdout)["faults"] == [{"file": str(mine), "line": 9, "column": 55, "message": message}]
+    assert message in done.stderr
+    (fault,) = json.loads(leactl("protocol", "check", "nothing", "--json").stdout)["faults"]
+    assert (fault["file"], fault["line"], fault["column"]) == (None, None, None)
+
+
 def test_check_tells_every_fault_at_its_place(mine):
     mine.write_text(MINE.replace("hold_s: $hold_s", "hold_ms: 3").replace("{test: off}", "{test: of}"))
     done = leactl("protocol", "check", mine)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.splitlines() == [
         f"leactl: {mine}:9:55  steps[1].sweep.hold_ms: 3: unknown key; hold_s was expected",
-        f"leactl: {mine}:10:18  steps[2].mode.test: 'of': 'off', 'current', 'torque_profile', 'velocity' or 'angle'",
+        f"leactl: {mine}:10:18  steps[2].mode.test: 'of': 'off', 'current', 'torque_profile', 'velocity' or 'angle' was"
+        " expected",
     ]
 
 

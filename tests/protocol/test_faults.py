@@ -38,6 +38,14 @@ def faults(*steps, **head):
         # types and bounds
         ("hold: {duration_s: '1'}", "9:24  steps[1].hold.duration_s: '1': a number was expected"),
         ("hold: {duration_s: true}", "9:24  steps[1].hold.duration_s: true: a number was expected"),
+        (
+            "chirp: {role: test, from_Hz: 1}",
+            "9:12  steps[1].chirp: no such step; signal: {kind: chirp, ...} was expected",
+        ),
+        (
+            "ramp: {role: test, to: 3, duration_s: 1}",
+            "9:28  steps[1].ramp.to: 3: unknown key; to_current_A, to_velocity_rad_s or to_angle_rad was expected",
+        ),
         ("hold: {duration_s: 0}", "9:24  steps[1].hold.duration_s: 0: more than 0 was expected"),
         ("hold: {duration_s: 1e9}", "9:24  steps[1].hold.duration_s: 1000000000.0: at most 604800 was expected"),
         ("hold: 5", "9:11  steps[1].hold: 5: a mapping with keys of name, role, current_A"),

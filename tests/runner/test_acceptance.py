@@ -35,7 +35,7 @@ def analysed(monkeypatch):
     def analyze_runs(paths):
         asked.append(list(paths))
         rows = (Estimate(name, value, NAN, NAN, NAN, units) for name, (value, units) in FOUND.items())
-        return Result("friction", ("run.h5",), tuple(rows))
+        return Result("a trial", ("run.h5",), tuple(rows))
 
     monkeypatch.setattr(experiments, "analyze_runs", analyze_runs)
     return asked
@@ -86,7 +86,7 @@ def test_a_run_is_analysed_once_for_all_its_limits(analysed):
     assert analysed == [[Path("run.h5")]]
     assert [row["met"] for row in rows] == [True, False, False]
     assert unmet[0] == "acceptance: bandwidth is 10 Hz, 0 to 1 was required"
-    assert unmet[1].startswith("acceptance: backlash is not known, 0 to 1 was required: friction has no result")
+    assert unmet[1].startswith("acceptance: backlash is not known, 0 to 1 was required: a trial has no result")
 
 
 def refused(text, tmp_path):
@@ -132,3 +132,50 @@ def test_the_known_analyses_are_those_that_can_be_imported():
 @pytest.mark.parametrize("name", protocolfile.names())
 def test_every_protocol_that_ships_names_an_analysis_that_is_there(name):
     check_analysis(protocolfile.load(name), name)
+
+
+@pytest.mark.parametrize(
+    ("limit", "fault"),
+    [
+        (
+            "{result: torque_konstant, low: 0.4, unit: N*m/A}",
+            ":12:14  acceptance[0].result: torque-constant has no result 'torque_konstant'; torque_constant was",
+        ),
+        (
+            "{result: torque_constant, low: 0.4, unit: Nm}",
+            ":12:47  acceptance[0].unit: 'Nm': torque_constant is in N*m/A",
+        ),
+        ("{result: r_squared, low: 0.9, unit: N*m}", ":12:41  acceptance[0].unit: 'N*m': r_squared is in 1"),
+        (
+            "{channel: torqe, statistic: max, high: 1, unit: N*m}",
+            ":12:15  acceptance[0].channel: 'torqe': quantity 'torqe' is not in the vocabulary; known: ",
+        ),
+        (
+            "{channel: torque, statistic: max, high: 1, unit: A}",
+            ":12:54  acceptance[0].unit: 'A': torque is in N*m; one of N*m, mN*m, ",
+        ),
+        (
+            "{channel: torque, step: hodl, statistic: max, high: 1, unit: N*m}",
+            ":12:29  acceptance[0].step: 'hodl' is the name of no step; hold was expected",
+        ),
+        (
+            "{channel: torque, statistic: mean, high: 1, unit: N*m, stop: true}",
+            ":12:66  acceptance[0].stop: max with high, or min with low, is what can be known before a step is over",
+        ),
+        ("{channel: torque, statistic: max, unit: N*m}", ":12:5  acceptance[0]: low, high or both were expected"),
+        (
+            "{channel: torque, statistic: max, low: 2, high: 1, unit: N*m}",
+            ":12:44  acceptance[0].low: 2 is above high (1)",
+        ),
+        ("{channel: torque, statistic: peak, high: 1, unit: N*m}", ":12:34  acceptance[0].statistic: 'peak': 'mean', "),
+    ],
+)
+def test_a_limit_that_nothing_could_meet_is_refused_before_the_run(tmp_path, limit, fault):
+    text = SPIN.replace("rate_Hz", "analysis: torque-constant\nrate_Hz").lstrip("\n")
+    (told,) = refused(f"{text}acceptance:\n  - {limit}\n", tmp_path)
+    assert told.startswith(fault)
+
+
+@pytest.mark.parametrize("name", experiments.names())
+def test_every_experiment_declares_its_results(name):
+    assert experiments.results_of(name)
