@@ -98,6 +98,16 @@ def recover(run: Path, as_json: bool = AS_JSON) -> None:
 
 
 @app.command()
+def convert(runs: list[Path] = typer.Argument(..., metavar="RUN..."), as_json: bool = AS_JSON) -> None:
+    """Rewrite runs of a newer HDF5 format so that HDF5 1.10, MATLAB and older h5py read them; values stay."""
+    from leactl.runfile.conversion import convert as rewrite
+
+    for run in runs:
+        rewrite(run)
+    typer.echo(json.dumps({"runs": [str(run) for run in runs]}) if as_json else "\n".join(map(str, runs)))
+
+
+@app.command()
 def annotate(run: Path, text: str, author: str = typer.Option("", help="Who says so.")) -> None:
     """Add a note to a run; its data stay as they are, and that is checked."""
     from leactl.runfile.integrity import annotate as add_note

@@ -14,7 +14,7 @@ import h5py
 from leactl.errors import InputError
 from leactl.runfile import layout
 from leactl.runfile.checks import faults_of_streams, whole_rows
-from leactl.runfile.opening import faults_of_links, open_run_file, reading
+from leactl.runfile.opening import damage, faults_of_links, open_run_file, reading
 from leactl.runfile.publish import new_file, refuse_existing, replacement
 from leactl.runfile.reader import Run
 from leactl.runfile.repack import repack, text_bytes, write_table
@@ -41,7 +41,7 @@ def verify(path: Path) -> list[str]:
             findings += faults_of_streams(file.get("streams", {}), unfinished=False)
             return [f"{path}: {finding}" for finding in [*findings, *wrong_checksums(file)]]
         except (OSError, RuntimeError, KeyError) as fault:
-            return [f"{path}: damaged: {' '.join(str(fault).split())}"]
+            return [f"{path}: {damage(fault)}"]
 
 
 def altered(path: Path) -> list[str]:
@@ -186,10 +186,12 @@ def amend(path: Path, change: Callable[[Any], None], apart_from: Sequence[str] =
     with Run.open(path) as run:
         if run.unfinished:
             raise InputError(f"{path}: still being written or left by a kill; close or recover it first")
+    apart_from = ("/notes", *apart_from)
     before = checksums(path, apart_from)
     with replacement(path) as copy:
         shutil.copy2(path, copy)
-        with h5py.File(copy, "r+", libver="latest") as file:
+        # a run of a newer format opens for writing only where the newest is let in; what is added stays old
+        with h5py.File(copy, "r+", libver=(layout.HDF5_FORMAT[0], "latest")) as file:
             change(file)
         trim(copy)
         if checksums(copy, apart_from) != before:
@@ -211,8 +213,13 @@ def add_note(file: Any, text: str, author: str) -> None:
 
 
 def checksums(path: Path, apart_from: Sequence[str] = ()) -> dict[str, str]:
-    """Checksum of every dataset but the notes, taken from the values; refuses values that are not the stored ones."""
-    left_out = tuple(f"{place}/" for place in ("/notes", *apart_from))
+    """Checksum of every dataset, taken from the values; refuses values that are not the stored ones.
+
+    Parameters
+    ----------
+    apart_from : places below which datasets are left out.
+    """
+    left_out = tuple(f"{place}/" for place in apart_from)
     with h5py.File(path, "r") as file, reading(path):
         if findings := wrong_checksums(file):
             raise InputError([f"{path}: {finding}" for finding in findings])

@@ -13,6 +13,10 @@ import h5py
 from leactl.errors import InputError
 from leactl.runfile import layout
 
+TOO_NEW = (
+    f"written in a newer HDF5 format than h5py {h5py.__version__} with HDF5 {h5py.version.hdf5_version} reads; where it"
+    " opens, `leactl runs convert` makes it old again"
+)
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # Byte 11 of superblock version 3: bit 0, a writer has it open; bit 2, it writes in SWMR mode (HDF5 file format 3.0)
 FLAGS_AT, OPEN_FOR_WRITE, SWMR_WRITE = 11, 0x01, 0x04
@@ -48,7 +52,13 @@ def reading(path: Path, place: str = "") -> Iterator[None]:
         yield
     except (OSError, RuntimeError, KeyError) as fault:
         where = f"{path}: {place}" if place else f"{path}"
-        raise InputError(f"{where}: damaged: {' '.join(str(fault).split())}") from fault
+        raise InputError(f"{where}: {damage(fault)}") from fault
+
+
+def damage(fault: Exception) -> str:
+    """What HDF5 says of data that it cannot read, in words a person can act on."""
+    text = " ".join(str(fault).split())
+    return TOO_NEW if "bad version number" in text else f"damaged: {text}"
 
 
 def why(fault: OSError) -> str:

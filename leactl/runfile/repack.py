@@ -40,7 +40,7 @@ def repack(
     rows : how many rows of each stream count; a stream that is not named is left out.
     tables : the rows of `/steps` and `/events`.
     """
-    with h5py.File(target, "x", libver="latest") as clean:
+    with h5py.File(target, "x", libver=layout.HDF5_FORMAT) as clean:
         reserve(clean, 0)
         for name in source.attrs:
             clean.attrs[name] = source.attrs[name]

@@ -189,7 +189,7 @@ KEPT_OPEN: list[Any] = []
 
 def create(partial: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> Any:
     """Create everything a run will need, since SWMR mode allows no new objects, and switch SWMR on."""
-    file = h5py.File(partial, "x", libver="latest")
+    file = h5py.File(partial, "x", libver=layout.HDF5_FORMAT)
     try:
         columns = sum(1 + len(specs) for specs in streams.values())
         reserve(file, columns * COLUMN_BYTES + sum(text_bytes(text) for text in info.sources.values()))
