@@ -27,6 +27,7 @@ from leactl.cli import (
     run,
     runs,
     safety,
+    schema,
     stats,
     thermal,
 )
@@ -58,6 +59,7 @@ app.add_typer(safety.app, name="safety")
 app.add_typer(thermal.app, name="thermal")
 app.command("report", cls=report.SeveralCompared)(report.report)
 app.command("run")(run.run)
+app.command("schema")(schema.schema)
 app.command("stats")(stats.stats)
 app.command("demo")(demo.demo)
 app.command("doctor")(doctor.doctor)

@@ -1,0 +1,228 @@
+"""The keys of the YAML files as their models have them: JSON Schema for editors, and tables for the documents."""
+
+from collections.abc import Callable, Iterator
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from leactl import yamlfile
+
+JsonSchema = dict[str, Any]
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+REFERENCE = {"type": "string", "pattern": "^\\$[a-z][A-Za-z0-9_]*$", "description": "a parameter of the protocol"}
+# how a key's name ends, and the unit that this means
+UNITS = {
+    "A_per_s": "A/s",
+    "V_per_s": "V/s",
+    "Nm_per_s": "N*m/s",
+    "degC_per_s": "K/s",
+    "rad_per_s": "rad/s",
+    "rad_s_per_s": "rad/s^2",
+    "rad_s2": "rad/s^2",
+    "rad_s": "rad/s",
+    "A_s": "A/s",
+    "rad": "rad",
+    "degC": "degC",
+    "Nm": "N*m",
+    "Hz": "Hz",
+    "kg": "kg",
+    "MB": "MB",
+    "A": "A",
+    "V": "V",
+    "K": "K",
+    "m": "m",
+    "s": "s",
+}
+# of the entries of interlocks, which differ in the unit alone, one stands in the tables
+REPEATED = ("InVolts", "InRadians", "InRadiansPerSecond", "InNewtonMetres", "InDegrees")
+
+
+def _protocol() -> JsonSchema:
+    from leactl.protocol.schema import Head
+    from leactl.protocol.signals import SIGNALS
+    from leactl.protocol.steps import KINDS
+
+    whole = Head.model_json_schema()
+    blocks: JsonSchema = whole.setdefault("$defs", {})
+    steps: dict[str, JsonSchema] = {}
+    for kind, adapter in KINDS.items():
+        steps[kind] = _taken_in(adapter.json_schema(), blocks)
+    signals = [_taken_in(adapter.json_schema(), blocks) for adapter in SIGNALS.values()]
+    steps["signal"] = {"oneOf": signals}
+    blocks["Step"] = {
+        "description": "One step: a mapping of one key.",
+        "type": "object",
+        "minProperties": 1,
+        "maxProperties": 1,
+        "additionalProperties": False,
+        "properties": steps,
+    }
+    for block in (blocks["RepeatStep"], whole):
+        block["properties"]["steps"] |= {"items": {"$ref": "#/$defs/Step"}}
+    whole["properties"]["parameters"] = {"type": "object"}
+    whole["properties"]["conditions"] = {"type": "object", "additionalProperties": {"type": "object"}}
+    for role in ("test", "load"):
+        blocks["SupplyStep"]["properties"][role]["anyOf"].append({"const": "off"})
+    for name, block in blocks.items():
+        if name != "Step" and "properties" in block:
+            properties = block.get("properties", {})
+            block["properties"] = {
+                key: value if key == "kind" else _or_parameter(value) for key, value in properties.items()
+            }
+    return whole
+
+
+def _or_parameter(value: JsonSchema) -> JsonSchema:
+    """A value, or an item of it, that a parameter may stand for."""
+    for choice in (value, *value.get("anyOf", ())):
+        if "items" in choice:
+            choice["items"] = {"anyOf": [choice["items"], REFERENCE]}
+    return {"anyOf": [value, REFERENCE]} | ({"default": value["default"]} if "default" in value else {})
+
+
+def _taken_in(block: JsonSchema, blocks: JsonSchema) -> JsonSchema:
+    """Move a model's schema, and those that it needs, among the blocks; returns the reference to it."""
+    blocks.update(block.pop("$defs", {}))
+    if "properties" not in block:
+        return block
+    blocks[block["title"]] = block
+    return {"$ref": f"#/$defs/{block['title']}"}
+
+
+def _bench() -> JsonSchema:
+    from leactl.bench.benchfile import BenchFile
+
+    return BenchFile.model_json_schema()
+
+
+def _motor() -> JsonSchema:
+    from leactl.model.sheet import MotorSheet
+
+    return MotorSheet.model_json_schema()
+
+
+def _campaign() -> JsonSchema:
+    from leactl.runner.campaign.campaignfile import CampaignFile
+
+    return CampaignFile.model_json_schema()
+
+
+def _mapping() -> JsonSchema:
+    from leactl.runfile.importing_mapping import Mapping
+
+    return Mapping.model_json_schema()
+
+
+KINDS: dict[str, Callable[[], JsonSchema]] = {
+    "protocol": _protocol,
+    "bench": _bench,
+    "motor": _motor,
+    "campaign": _campaign,
+    "mapping": _mapping,
+}
+TABLES = ("protocol", "bench")  # kinds whose every key has a meaning
+
+
+def schema_of(kind: str) -> JsonSchema:
+    """The JSON Schema of a kind of file, each key with what it means where that is written down."""
+    whole = _with_choices(KINDS[kind]())
+    for name, block in _blocks(whole):
+        for key, value in block.get("properties", {}).items():
+            meaning = _meaning(name, key)
+            if meaning:
+                value["description"] = meaning
+            value.pop("title", None)
+    return {"$schema": DIALECT, **whole}
+
+
+def tables_of(kind: str) -> str:
+    """Every block of a kind of file as a table in Markdown: key, unit, what is accepted, default, meaning.
+
+    Raises
+    ------
+    KeyError : a key has no meaning yet.
+    """
+    whole = schema_of(kind)
+    lines: list[str] = []
+    for name, block in _blocks(whole):
+        if name in (*REPEATED, "Step") or "properties" not in block:
+            continue
+        lines += ["", f"### {name}", "", " ".join(block.get("description", "").split()), ""]
+        lines += ["| key | unit | accepted | default | meaning |", "|---|---|---|---|---|"]
+        for key, value in block["properties"].items():
+            needed = key in block.get("required", ())
+            default = "required" if needed else _default(value)
+            unit = next((unit for end, unit in UNITS.items() if key.endswith(f"_{end}")), "")
+            accepted = _accepted(value).replace("|", "\\|")
+            lines.append(f"| `{key}` | {unit} | {accepted} | {default} | {value['description']} |")
+    return "\n".join(lines).strip() + "\n"
+
+
+def _with_choices(whole: JsonSchema) -> JsonSchema:
+    """The schema with every named choice written out where it is asked for."""
+    choices = {name: block for name, block in whole.get("$defs", {}).items() if "enum" in block}
+
+    def written_out(part: Any) -> Any:
+        if isinstance(part, list):
+            return [written_out(item) for item in part]
+        if not isinstance(part, dict):
+            return part
+        name = str(part.get("$ref", "")).rpartition("/")[2]
+        if name in choices:
+            return {"type": "string", "enum": choices[name]["enum"]}
+        return {
+            key: written_out(value) for key, value in part.items() if not (key in choices and value in choices.values())
+        }
+
+    plain: JsonSchema = written_out(whole)
+    return plain
+
+
+def _blocks(whole: JsonSchema) -> Iterator[tuple[str, JsonSchema]]:
+    yield whole["title"], whole
+    yield from whole.get("$defs", {}).items()
+
+
+@cache
+def _meanings() -> dict[str, str]:
+    entry = resources.files("leactl.report") / "key_meanings.yaml"
+    meanings: dict[str, str] = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data
+    return meanings
+
+
+def _meaning(block: str, key: str) -> str:
+    stem = next((key.removesuffix(f"_{end}") for end in UNITS if key.endswith(f"_{end}")), key)
+    return next((_meanings()[name] for name in (f"{block}.{key}", key, stem) if name in _meanings()), "")
+
+
+def _default(value: JsonSchema) -> str:
+    default = value.get("default")
+    if default in (None, "", [], {}) or isinstance(default, dict):
+        return ""
+    return f"`{str(default).lower() if isinstance(default, bool) else default}`"
+
+
+def _accepted(value: JsonSchema) -> str:
+    """What may stand there, in few words."""
+    choices = value.get("anyOf") or value.get("oneOf")
+    if choices:
+        told = [_accepted(choice) for choice in choices if choice.get("type") != "null" and choice != REFERENCE]
+        return " or ".join(dict.fromkeys(told))
+    if "$ref" in value:
+        return value["$ref"].rpartition("/")[2]  # type: ignore[no-any-return]
+    if "enum" in value or "const" in value:
+        return ", ".join(f"`{choice}`" for choice in value.get("enum", [value.get("const")]))
+    kind = value.get("type")
+    if kind == "array":
+        items = value.get("items") or {}
+        return f"list of {_accepted(items)}" if items else "list"
+    if kind in ("number", "integer"):
+        ends = (
+            ("minimum", "from"),
+            ("exclusiveMinimum", "above"),
+            ("maximum", "to"),
+            ("exclusiveMaximum", "below"),
+        )
+        bounds = [f"{word} {value[end]:.10g}" for end, word in ends if end in value]
+        return " ".join(["whole number" if kind == "integer" else "number", *bounds])
+    return {"string": "text", "boolean": "`true`, `false`", "object": "mapping"}.get(str(kind), "any")
