@@ -72,7 +72,8 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
     with keyboard(shown=console.is_terminal) as keys:
 
         def watch(progress: Progress) -> AbstractContextManager[object]:
-            progress.hint, progress.title = keys.hint, f"{heading}{progress.title}"
+            progress.hint = keys.hint or f"leactl bench stop {request.bench.name} stops the run"
+            progress.title = f"{heading}{progress.title}"
             return live_view(progress, console)
 
         return execute(request, granted if emulated else keys.ask, watch, [keys.pressed])

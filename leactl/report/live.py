@@ -1,44 +1,52 @@
-"""The live view of a run in a terminal: step, progress, time left, and the newest value of every channel.
+"""The live view of a run: step, progress, time left, and the newest value of every channel.
 
-It draws from a thread of its own four times a second and only reads what the loop has left for it. A terminal that
-takes nothing (Ctrl-S, a dead connection) holds that thread and nothing else: the view is left behind, never waited for.
+On a terminal it is a picture, painted over four times a second; on a pipe, a file or a terminal that cannot move its
+cursor it is a line every few seconds. It draws from a thread of its own and only reads what the loop has left for it.
+A terminal that takes nothing (Ctrl-S, a dead connection) holds that thread and nothing else: the view is left behind,
+never waited for.
 """
 
 import io
 import math
 import os
+import textwrap
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
 
-from rich.console import Console, Group, RenderableType
-from rich.live import Live
-from rich.progress_bar import ProgressBar
-from rich.table import Table
+from rich.cells import cell_len, set_cell_size
+from rich.console import Console
 from rich.text import Text
 
 from leactl.quantities import ChannelSpec
+from leactl.report.html import fit
+from leactl.report.terminal import encodable, encoding_of, shows_all
 from leactl.runner.operators import HOW
 from leactl.runner.progress import Progress
 
 FRAMES_PER_S = 4
+FIRST_LINE_S = 5.0  # a run that is over before needs no line
+SLOWEST_LINE_S = 30.0
+LINES_A_DECADE = 10  # a line once a tenth of the time so far has passed again: long runs fill no log
 WARM_DEGC = 50.0  # from which on it is told how long a winding can go on
 PATIENCE_S = 1.0  # how long a view may take to clear the screen
+CELL = 40  # characters a name and its value need side by side
+WIDEST_CELL = 56  # beyond which a value stands too far from its name to be read with it
+WIDEST_BAR = 120
 SHORT = {"q_axis_": "", "_reference": " ref", "drive_enabled": "enabled", "_": " "}
+HIDE_CURSOR, SHOW_CURSOR = "\x1b[?25l", "\x1b[?25h"
+TO_THE_TOP, CLEAR_LINE, CLEAR_BELOW = "\x1b[H", "\x1b[K", "\x1b[J"
 
 
 @contextmanager
 def live_view(progress: Progress, console: Console) -> Iterator[None]:
-    """Show a run while the block lasts; a console that is no terminal shows nothing.
+    """Show a run while the block lasts.
 
     What goes wrong with the view is left in `progress.view_fault`.
     """
-    if not console.is_terminal:
-        yield
-        return
+    show = _paint if console.is_terminal and not console.is_dumb_terminal else _write
     ended = threading.Event()
-    thread = threading.Thread(target=_show, args=(progress, console, ended), name="leactl-view", daemon=True)
+    thread = threading.Thread(target=_shown, args=(show, progress, console, ended), name="leactl-view", daemon=True)
     thread.start()
     try:
         yield
@@ -46,53 +54,107 @@ def live_view(progress: Progress, console: Console) -> Iterator[None]:
         ended.set()
         thread.join(PATIENCE_S)
         if thread.is_alive():
-            progress.view_fault = f"the terminal takes no output; the view was left behind after {PATIENCE_S:g} s"
+            progress.view_fault = f"stderr takes no output; the view was left behind after {PATIENCE_S:g} s"
 
 
-def _show(progress: Progress, console: Console, ended: threading.Event) -> None:
+def _shown(
+    show: Callable[[Progress, Console, Callable[[float], bool]], None],
+    progress: Progress,
+    console: Console,
+    ended: threading.Event,
+) -> None:
     try:
-        own = _apart(console)
-        with Live(
-            console=own,
-            get_renderable=lambda: draw(progress, own.width),
-            auto_refresh=False,
-            transient=True,
-            redirect_stdout=False,
-            redirect_stderr=False,
-        ) as live:
-            while not ended.wait(1 / FRAMES_PER_S):
-                live.refresh()
+        show(progress, _apart(console), ended.wait)
     except Exception as error:  # noqa: BLE001 (nothing in a view is worth a run)
         progress.view_fault = f"the view has failed: {type(error).__name__}: {error}"
 
 
 def _apart(console: Console) -> Console:
     """The same terminal by a descriptor of its own: a write that never ends holds no lock that the run's end needs."""
+    encoding = encoding_of(console.file)
     try:
-        place = os.dup(console.file.fileno())
+        copy = os.dup(console.file.fileno())
     except (OSError, io.UnsupportedOperation):
         return console
-    return Console(file=os.fdopen(place, "w", encoding="utf-8", errors="replace"), force_terminal=True)
+    return Console(file=os.fdopen(copy, "w", encoding=encoding, errors="replace"), force_terminal=console.is_terminal)
 
 
-def draw(progress: Progress, width: int) -> RenderableType:
-    """One frame for a terminal of this width."""
-    left = progress.left_s
-    head = Table.grid(expand=True, padding=(0, 1))
-    head.add_column(ratio=1, no_wrap=True, overflow="ellipsis")
-    head.add_column(justify="right", no_wrap=True)
-    head.add_row(Text(progress.title, style="bold"), f"{duration(progress.done_s)} of {duration(progress.total_s)}")
-    shown = f"{progress.share:.0%}" + (f", {duration(left)} left" if math.isfinite(left) else "")
-    head.add_row(Text(progress.step or "starting"), shown)
-    bar = ProgressBar(total=1.0, completed=progress.share, width=min(width, 120))
-    parts: list[RenderableType] = [head, bar, _channels(progress, width)]
-    if progress.warnings:
-        parts.append(Text(f"warning: {progress.warnings[-1]}", style="bold yellow"))
+def _paint(progress: Progress, console: Console, wait: Callable[[float], bool]) -> None:
+    """Paint frames over each other until `wait` says that the run has ended, then clear them away.
+
+    A terminal that is resized folds or cuts what stands on it in ways of its own, and a question to the operator is
+    written by another thread: then nobody knows where the last frame lies, and the next begins at the top.
+    """
+    size, height = _size(console), 0
+    console.file.write(HIDE_CURSOR)
+    try:
+        while not wait(1 / FRAMES_PER_S):
+            now = _size(console)
+            lost = now != size or bool(progress.prompt)
+            size = now
+            lines = draw(progress, *size, console.encoding)
+            with console.capture() as capture:
+                for line in lines:
+                    console.print(line, end=f"{CLEAR_LINE}\n", soft_wrap=True, highlight=False)
+            back = TO_THE_TOP if lost else _back(height)
+            console.file.write(f"{back}{capture.get().removesuffix(chr(10))}{CLEAR_BELOW}")
+            console.file.flush()
+            height = len(lines)
+    finally:
+        console.file.write(f"{_back(height)}{CLEAR_BELOW}{SHOW_CURSOR}")
+        console.file.flush()
+
+
+def _back(height: int) -> str:
+    """From the last line of a frame to the start of its first."""
+    return f"\x1b[{height - 1}A\r" if height > 1 else "\r"
+
+
+def _size(console: Console) -> tuple[int, int]:
+    """Columns and lines as they are now: COLUMNS and LINES do not follow a window."""
+    try:
+        columns, lines = os.get_terminal_size(console.file.fileno())
+    except (OSError, io.UnsupportedOperation):
+        columns = lines = 0
+    return (columns, lines) if columns and lines else (console.width, console.height)
+
+
+def _write(progress: Progress, console: Console, wait: Callable[[float], bool]) -> None:
+    """Write a line every few seconds until `wait` says that the run has ended."""
+    passed = 0.0
+    while not wait(pause := min(max(FIRST_LINE_S, passed / LINES_A_DECADE), SLOWEST_LINE_S)):
+        passed += pause
+        text = encodable(fit(log_line(progress)), console.encoding)
+        console.file.write(f"{text}\n")
+        console.file.flush()
+
+
+def log_line(progress: Progress) -> str:
+    """A run as it stands, in one line."""
+    values = ", ".join(f"{name} {value}" for name, value in _values(progress))
+    parts = [f"{progress.title}: {progress.step or 'starting'}", _how_far(progress), _so_far(progress), values]
+    parts += [f"warning: {progress.warnings[-1]}"] if progress.warnings else []
+    return "; ".join(filter(None, [*parts, progress.prompt or progress.hint]))
+
+
+def draw(progress: Progress, width: int, height: int, encoding: str = "utf-8") -> list[Text]:
+    """One frame for a terminal of this size.
+
+    Where not all fits, the values go first, then title and bar; how to stop the run goes last.
+    """
+    across = width - 1  # a line that fills the terminal wraps on some
+    below = [(f"warning: {progress.warnings[-1]}", "bold yellow")] if progress.warnings else []
     if progress.prompt:
-        parts.append(Text(f"{progress.prompt}  {HOW}", style="bold yellow"))
+        below.append((f"{progress.prompt}  {HOW}", "bold yellow"))
     elif progress.hint:
-        parts.append(Text(progress.hint, style="bold"))
-    return Group(*parts)
+        below.append((progress.hint, "bold"))
+    foot = [Text(line, style) for text, style in below for line in textwrap.wrap(_plain(text, encoding), across)]
+    foot = foot[-height:]
+    step = _beside(progress.step or "starting", _how_far(progress), across, encoding)
+    title = _beside(progress.title, _so_far(progress), across, encoding, "bold")
+    room = height - len(foot)
+    head = [title, step, _bar(progress.share, min(across, WIDEST_BAR), encoding)] if room > 2 else [step][:room]
+    return [*head, *_table(_values(progress), across, room - len(head), encoding), *foot]
 
 
 def duration(seconds: float) -> str:
@@ -102,39 +164,78 @@ def duration(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
-def _channels(progress: Progress, width: int) -> Table:
-    """Values in as many columns as fit, one block a role."""
+def _how_far(progress: Progress) -> str:
+    remaining = progress.left_s
+    return f"{progress.share:.0%}" + (f", {duration(remaining)} left" if math.isfinite(remaining) else "")
+
+
+def _so_far(progress: Progress) -> str:
+    return f"{duration(progress.done_s)} of {duration(progress.total_s)}"
+
+
+def _bar(share: float, width: int, encoding: str) -> Text:
+    """What is done in another character than what is not: colours may be switched off."""
+    done, open_ = "━─" if shows_all(encoding) else "#-"
+    filled = round(share * width)
+    return Text.assemble((done * filled, "green"), (open_ * (width - filled), "dim"))
+
+
+def _beside(name: str, value: str, width: int, encoding: str, style: str = "") -> Text:
+    """A name at the left and a value at the right, which stays whole as long as it can where the name is cut."""
+    value = _plain(value, encoding)
+    if cell_len(value) >= width:
+        return Text(set_cell_size(value, width))
+    name = _plain(name, encoding)
+    room = width - cell_len(value) - 1
+    if cell_len(name) > room:
+        name = set_cell_size(name, max(room - 3, 0)) + "..."[:room]
+    return Text.assemble((set_cell_size(name, room), style), " ", value)
+
+
+def _plain(text: str, encoding: str) -> str:
+    return encodable(fit(" ".join(text.split())), encoding)
+
+
+def _table(cells: Sequence[tuple[str, str]], width: int, height: int, encoding: str) -> list[Text]:
+    """Values in as many columns as fit, one below the other; the last line counts those that have no room."""
+    columns = max(1, (width + 1) // CELL)
+    across = min(WIDEST_CELL, (width - 2 * (columns - 1)) // columns)
+    rows = -(-len(cells) // columns)
+    if rows > height:
+        if height < 1:
+            return []
+        shown = (height - 1) * columns
+        more = Text(_plain(f"{len(cells) - shown} more values in a higher window", encoding)[:width], "dim")
+        return [*_table(cells[:shown], width, height - 1, encoding), more]
+    lines = []
+    for row in range(rows):
+        line = [_beside(name, value, across, encoding, "dim") for name, value in cells[row::rows]]
+        lines.append(Text("  ").join(line))
+    return lines
+
+
+def _values(progress: Progress) -> list[tuple[str, str]]:
+    """Names and values of all channels and windings."""
     cells = []
     for stream, channels in progress.streams.items():
-        values = progress.values if stream == "loop" else progress.own.get(stream, ())
-        cells += _cells(channels, values)
+        cells += _cells(channels, progress.values if stream == "loop" else progress.own.get(stream, ()))
     estimates, bounds = progress.windings
     going = progress.time_left() if max(bounds.values(), default=0.0) > WARM_DEGC else {}
     for role, estimate in estimates.items():
         cells.append((f"{role} winding", f"{estimate:.0f}, at most {bounds[role]:.0f} degC"))
         if math.isfinite(going.get(role, math.inf)):
             cells.append((f"{role} winding at its limit in", duration(going[role])))
-    columns = max(1, width // 40)
-    table = Table.grid(expand=False, padding=(0, 2))
-    for _ in range(columns):
-        table.add_column(no_wrap=True, overflow="ellipsis", max_width=22)
-        table.add_column(justify="right", no_wrap=True, min_width=13)
-    rows = -(-len(cells) // columns)
-    for row in range(rows):
-        line: list[Any] = []
-        for name, value in cells[row::rows]:
-            line += [Text(name, style="dim"), Text(value)]
-        table.add_row(*line)
-    return table
+    return cells
 
 
 def _cells(channels: Sequence[ChannelSpec], values: Sequence[float]) -> list[tuple[str, str]]:
     cells = []
-    for place, channel in enumerate(channels):
-        value = values[place] if place < len(values) else math.nan
+    for index, channel in enumerate(channels):
+        value = values[index] if index < len(values) else math.nan
         if channel.quantity.endswith("_reference") and math.isnan(value):
             continue
-        cells.append((f"{channel.role} {_shortened(channel.quantity, SHORT)}", f"{value:.3f} {channel.unit}"))
+        shown = f"{value:g}" if channel.unit == "1" else f"{value:.3f} {channel.unit}"
+        cells.append((f"{channel.role} {_shortened(channel.quantity, SHORT)}", shown))
     return cells
 
 

@@ -13,7 +13,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import resources
-from typing import Any
+from typing import IO, Any
 
 from leactl import yamlfile
 from leactl.analysis.estimate import Estimate, Result
@@ -31,9 +31,14 @@ def print_result(result: Result, plot: bool = True) -> None:
 
 
 def encoding_of_stdout() -> str:
-    """What the terminal shows: under LC_ALL=C Python writes UTF-8 unasked, and the terminal may know ASCII alone."""
+    """What stdout's terminal shows."""
+    return encoding_of(sys.stdout)
+
+
+def encoding_of(stream: IO[str]) -> str:
+    """What a terminal shows: under LC_ALL=C Python writes UTF-8 unasked, and the terminal may know ASCII alone."""
     unasked = sys.flags.utf8_mode and not {"PYTHONUTF8", "PYTHONIOENCODING"} & os.environ.keys()
-    return locale.getencoding() if unasked else sys.stdout.encoding or "ascii"
+    return locale.getencoding() if unasked else getattr(stream, "encoding", None) or "ascii"
 
 
 def render(result: Result, width: int = 80, encoding: str = "utf-8", plot: bool = True) -> str:
