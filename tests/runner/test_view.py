@@ -1,6 +1,5 @@
 """The live view shows a run and never holds it: a stopped terminal, a broken view, a text that looks like markup."""
 
-import io
 import json
 import os
 import pty
@@ -11,7 +10,6 @@ import time
 from contextlib import contextmanager
 
 import pytest
-from rich.console import Console
 
 from leactl.report.live import draw
 from leactl.runfile.reader import Run
