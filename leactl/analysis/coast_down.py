@@ -167,6 +167,8 @@ def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Ch
     speed, drive = (settled_mean(channel, before[-1].start, before[-1].stop) for channel in (velocity, current))
     if speed is None or drive is None:
         raise NotIdentifiable("too little velocity or current in the hold before it")
+    if drive.value == 0.0:
+        raise NotIdentifiable("no current held the speed before it")
     if abs(speed.value - before[-1].setpoint) > MISSED * abs(before[-1].setpoint):
         raise NotIdentifiable("the velocity was not reached in the hold before it")
     side = 1 if speed.value > 0.0 else -1

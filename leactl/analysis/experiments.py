@@ -11,8 +11,8 @@ import inspect
 import math
 import pkgutil
 import re
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -21,6 +21,7 @@ from typing import Any
 import leactl.analysis
 from leactl import yamlfile
 from leactl.analysis.estimate import Covariance, Estimate, Grid, Plot, Result
+from leactl.analysis.quality.gate import doubts_of
 from leactl.errors import InputError
 from leactl.runfile.integrity import altered
 from leactl.runfile.reader import Run
@@ -111,6 +112,7 @@ def analyze_runs(paths: Sequence[Path | str], **options: Any) -> Result:
             raise InputError("no run to analyse; give one run file or more")
         refuse_repeated(runs)
         refuse_altered(runs)
+        doubts = [note for run in runs for note in doubts_of(run)]
         asked = {run.path: experiment_of(run) for run in runs}
         first = asked[runs[0].path]
         for run in runs[1:]:
@@ -126,8 +128,20 @@ def analyze_runs(paths: Sequence[Path | str], **options: Any) -> Result:
         for run in runs:
             key = str(run.attributes.get("actuator", "")), str(run.attributes.get("condition", ""))
             groups.setdefault(key, []).append(run)
-        answers = {key: analyze(members, **given) for key, members in groups.items()}
-        return combined(first, runs, answers)
+        with opened_by(doubts):
+            answers = {key: analyze(members, **given) for key, members in groups.items()}
+        return combined(first, runs, answers, doubts)
+
+
+@contextmanager
+def opened_by(doubts: Sequence[str]) -> Iterator[None]:
+    """Let the doubts of the channels open what an analysis is refused with: they are likely why."""
+    try:
+        yield
+    except InputError as fault:
+        if not doubts or fault.faults[0] in doubts:
+            raise
+        raise type(fault)(["; ".join([*doubts, fault.faults[0]]), *fault.faults[1:]]) from fault
 
 
 def numbers(settings: Sequence[str], **given: float | None) -> dict[str, float]:
@@ -155,13 +169,15 @@ def numbers(settings: Sequence[str], **given: float | None) -> dict[str, float]:
     return found
 
 
-def combined(experiment: str, runs: Sequence[Run], answers: dict[tuple[str, str], Result]) -> Result:
-    """One answer from that of each group; notes say whose they are where there is more than one."""
+def combined(
+    experiment: str, runs: Sequence[Run], answers: dict[tuple[str, str], Result], doubts: Sequence[str] = ()
+) -> Result:
+    """One answer from that of each group, doubts of their channels first; notes say whose they are if of several."""
     results: list[Estimate] = []
     plots: list[Plot] = []
     covariances: list[Covariance] = []
     grids: list[Grid] = []
-    notes = [note for run in runs for note in remarks_on(run)]
+    notes = [*doubts, *(note for run in runs for note in remarks_on(run))]
     shared = set.intersection(*(set(answer.notes) for answer in answers.values()))
     notes += [note for note in next(iter(answers.values())).notes if note in shared]
     for (actuator, condition), answer in answers.items():
@@ -172,7 +188,9 @@ def combined(experiment: str, runs: Sequence[Run], answers: dict[tuple[str, str]
         grids += [replace(item, actuator=actuator, condition=condition) for item in answer.grids]
         notes += [whose + note for note in answer.notes if note not in shared]
     paths = tuple(str(run.path) for run in runs)
-    return Result(experiment, paths, tuple(results), tuple(notes), tuple(plots), tuple(covariances), tuple(grids))
+    return Result(
+        experiment, paths, tuple(results), tuple(dict.fromkeys(notes)), tuple(plots), tuple(covariances), tuple(grids)
+    )
 
 
 def remarks_on(run: Run) -> list[str]:

@@ -14,6 +14,7 @@ from leactl import yamlfile
 from leactl.analysis.carried_model import model_of, positive
 from leactl.analysis.estimate import Estimate, listed
 from leactl.errors import InputError
+from leactl.quantities import UNITS as VOCABULARY
 from leactl.runfile.reader import Run
 
 # how many times a result may be what the model has, and under which names that has it, the first that is there
@@ -39,6 +40,7 @@ PREFIXES = {1: ("m", "k"), 2: ("u", "M")}  # powers of a thousand: the unit of t
 NEAR = 0.1  # of a power of a thousand: as close as machines are to their models for a unit to be named
 DEGREES = 180.0 / math.pi
 LIMITS = {"q_axis_current": "current_A", "torque": "torque_Nm", "velocity": "velocity_rad_s"}
+LIMITS |= {f"phase_voltage_{leads}": "bus_voltage_high_V" for leads in ("ab", "bc", "ca")}
 BEYOND = 3.0  # times a limit of the bench
 NEARLY_ALL = 0.99  # of the readings, so that a spike is none
 
@@ -119,7 +121,7 @@ def beyond_limits(runs: Sequence[Run], quantities: Sequence[str]) -> list[str]:
         far = [(run, *found) for run in runs if (found := beyond(run, quantity)) is not None]
         if far:
             _, most, limit = max(far, key=lambda item: item[1] / item[2])
-            unit = UNITS[quantity]
+            unit = VOCABULARY[quantity]
             notes.append(
                 f"{quantity} reads up to {most:.0f} {unit}, {most / limit:.3g} times the bench's limit of {limit:g}"
                 f" {unit} ({listed(run.path for run, *_ in far)}): check its units"

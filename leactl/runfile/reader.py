@@ -80,6 +80,7 @@ class Run:
         self.unfinished = live or self.status == layout.RECORDING
         self._file = file
         self._streams = file.get("streams", {})
+        self.condemned: dict[str, str] = {}  # by `stream/name`: why whoever reads the channel is refused
         faults = faults_of_links(file) or faults_of_streams(self._streams, self.unfinished)
         if faults:
             raise InputError([f"{path}: {fault}" for fault in faults])
@@ -221,6 +222,8 @@ class Run:
         return ", ".join(sorted(named)) or "no channel"
 
     def _read(self, stream: str, spec: ChannelSpec) -> Channel:
+        if reason := self.condemned.get(f"{stream}/{spec.name}"):
+            raise InputError(reason)
         return Channel(
             time=self.time(stream) + spec.skew_s,
             values=np.asarray(self._column(stream, spec.name, 0, self.rows[stream]), np.float64),

@@ -68,7 +68,7 @@ def test_a_swapped_sign_is_no_friction(bench, name):
 
 def test_a_swapped_sign_is_no_drag_and_no_inertia(bench):
     assert "a sign is swapped" in refused(turned(bench, edit=negated("q_axis_current")))
-    assert "velocity has the opposite sign of its setpoint" in refused(turned(bench, edit=negated("velocity")))
+    assert "has the opposite sign of its demand" in refused(turned(bench, edit=negated("velocity")))
     assert "a sign is swapped" in refused(coasting(bench, noise=0.002, edit=negated("q_axis_current")))
     assert "a sign is swapped" in refused(driven_back(bench, edit=negated("torque")))
     assert "a sign is swapped" in refused(driven_back(bench, edit=negated("angle")))

@@ -12,7 +12,7 @@ from scipy.signal import csd, welch
 from leactl.analysis.bandwidth import sampled_half_power
 from leactl.analysis.blackman_tukey import BlackmanTukey
 from leactl.analysis.experiments import analyze_runs
-from leactl.errors import MissingChannel, NotIdentifiable
+from leactl.errors import InputError, MissingChannel, NotIdentifiable
 from tests.analysis.control_runs import NOISE_S, RATE, noise_run
 
 
@@ -146,13 +146,12 @@ def clip(columns):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"sign": -1.0}, "goes against the reference"),
         ({"noise": 3.0}, "no frequency at which the coherence of every level is 0.6 or more"),
         ({"edit": clip, "levels": (1.0,)}, "angle is clipped at 1.05 rad"),
         ({"edit": lambda columns: columns["angle"].fill(np.nan)}, "too few samples in a row"),
         ({"edit": lambda columns: columns["angle_reference"].fill(1.0)}, "the reference does not move"),
     ],
-    ids=["swapped", "no coherence", "clipped", "missing", "still"],
+    ids=["no coherence", "clipped", "missing", "still"],
 )
 def test_records_that_say_nothing_are_refused(tmp_path, change, words):
     path = noise_run(tmp_path, **change)
@@ -160,6 +159,11 @@ def test_records_that_say_nothing_are_refused(tmp_path, change, words):
         analyze_runs([path])
     assert str(caught.value).startswith(str(path))
     assert words in str(caught.value)
+
+
+def test_a_swapped_sign_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"angle of test .* has the opposite sign of its demand.*a sign is swapped"):
+        analyze_runs([noise_run(tmp_path, sign=-1.0)])
 
 
 def test_a_run_without_a_channel_is_refused(tmp_path):

@@ -138,7 +138,6 @@ def test_a_servo_that_friction_holds_at_its_highest_level_is_not_clipped(tmp_pat
     [
         ({"answer": lambda t: 1 - np.exp(-t / 1.2)}, "never settles within 2%"),
         ({"answer": lambda t: 1 + 0.5 * np.sin(3 * t)}, "never settles within 2%"),
-        ({"answer": lambda t: -(1 - np.exp(-t / 0.01))}, "goes against the reference: a sign is swapped"),
         ({"answer": lambda t: 0.1 * t / (t + 0.01)}, "makes less than 50% of the step"),
         ({"edit": without_some("q_axis_current", lambda time: time > 0)}, "too many samples are missing"),
         ({"edit": without_some("q_axis_current_reference", lambda time: time > 0)}, "reference does not jump"),
@@ -151,6 +150,12 @@ def test_responses_that_say_nothing_are_refused_with_the_reason(tmp_path, change
         analyze_runs([path])
     assert str(caught.value).startswith(f"{path}: found 3 steps of q_axis_current, none of use (3: ")
     assert reason in str(caught.value)
+
+
+def test_a_swapped_sign_is_refused(tmp_path):
+    path = step_run(tmp_path, trials=1, noise=1e-3, answer=lambda t: -(1 - np.exp(-t / 0.01)))
+    with pytest.raises(InputError, match=r"q_axis_current of test .* has the opposite sign of its demand"):
+        analyze_runs([path])
 
 
 @pytest.mark.parametrize("channel", ["q_axis_current", "q_axis_current_reference"])

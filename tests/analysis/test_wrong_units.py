@@ -123,8 +123,9 @@ def test_a_bench_file_that_cannot_be_read_costs_no_answer(bench, text):
 
 def test_a_step_response_in_another_unit_blames_no_clipping(tmp_path):
     result = analyze_runs([step_run(tmp_path, noise=0.001, edit=scaled(1000.0, "q_axis_current"))])
-    assert result.notes[0].startswith("at 2.5, 5, 7.5 the response makes 1000 times the step of its reference")
-    assert "q_axis_current in mA?" in result.notes[0]
+    assert "is 1e+03 times its demand: check its units" in result.notes[0]
+    assert result.notes[1].startswith("at 2.5, 5, 7.5 the response makes 1000 times the step of its reference")
+    assert "q_axis_current in mA?" in result.notes[1]
     assert not any("clipped" in note for note in result.notes)
     assert doubts(analyze_runs([step_run(tmp_path, noise=0.01)])) == []
 

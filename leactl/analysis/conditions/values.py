@@ -23,6 +23,7 @@ from leactl.analysis.experiments import (
     refuse_unknown,
     remarks_on,
 )
+from leactl.analysis.quality.gate import doubts_of
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run, Step
 
@@ -180,7 +181,7 @@ def _of_run(run: Run, number: int, by_run: bool, notes: list[str], options: dict
     actuator, condition = (str(run.attributes.get(name, "")) for name in ("actuator", "condition"))
     if not condition:
         raise InputError(f"{run.path}: the run has no condition; `leactl run --condition` names it")
-    notes += remarks_on(run)
+    notes += [*doubts_of(run), *remarks_on(run)]
     repeats = _repeats(run)
     parts = [run] if by_run or len(repeats) < 2 else [_OneTrial(run, repeat) for repeat in repeats]
     found, lost = [], []

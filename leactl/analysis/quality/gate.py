@@ -1,0 +1,196 @@
+"""Judge every measured channel of a run by its demand, its noise and its neighbours before an analysis reads it.
+
+A channel that contradicts its demand throughout is condemned: whoever reads it is refused with the reason, and where
+nothing reads it the reason is a note. What hangs for a part of the record, or lacks readings, is a note. No criterion
+has a unit or a rate, so that a machine of any size is judged alike.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from leactl.analysis.levels import Held, span
+from leactl.analysis.quality.following import following
+from leactl.analysis.quality.hanging import Row, hangs, longest_row, stands_while
+from leactl.analysis.signs import SWAPPED
+from leactl.analysis.wrong_units import LIMITS, beyond_limits
+from leactl.runfile.reader import Array, Channel, Run
+
+DEMANDS = {
+    "q_axis_current": "q_axis_current_reference",
+    "velocity": "velocity_reference",
+    "angle": "angle_reference",
+}
+HELD = {"q_axis_current": "current_A", "velocity": "velocity_rad_s"}  # the same in the parameters of a hold
+TOGETHER = {  # where one moves far, the other does not stand
+    "line_voltage": "line_current",
+    "line_current": "line_voltage",
+    "phase_voltage_ab": "phase_voltage_bc",
+    "phase_voltage_bc": "phase_voltage_ca",
+    "phase_voltage_ca": "phase_voltage_ab",
+}
+DRIVING = ("velocity", "angle")  # that a drive follows by a current of its own choice
+AT_REST = ("q_axis_current", "velocity", "angle")  # which repeat their reading while a drive is off or a shaft stands
+NEVER_ZERO = ("bus_voltage", "winding_temperature", "housing_temperature", "ambient_temperature", "drive_temperature")
+NOT_MEASURED = ("drive_enabled",)
+MISSING = 0.01  # of a channel's readings, above which a note says so
+NEARLY_ALL = 0.99  # of a channel's readings, that no analysis can do without
+APART = 0.5  # of the larger, between the path of an angle and the integral of its velocity: a filter's lag is less
+PLAIN = 0.2  # of the farthest way in a part: below, the zero of a tachometer may be what turns
+FEWEST_APART = 3  # parts in which they are apart
+PARTS = 64  # of a record, in each of which path and integral are compared
+CLEAR = 10.0  # counts of the encoder: below, the shaft may stand
+
+
+def doubts_of(run: Run) -> list[str]:
+    """Notes on the channels of a run that cannot be believed; those that contradict their demand are condemned."""
+    notes = beyond_limits([run], [name for name in LIMITS if run.channels(name)])
+    notes += [note for role in ("test", "load") for note in contradicting_motion(run, role)]
+    for stream, specs in run.streams.items():
+        for spec in specs:
+            if spec.quantity.endswith("_reference") or spec.quantity in NOT_MEASURED or not spec.quantity:
+                continue
+            channel = run.channel_at(f"{stream}/{spec.name}")
+            if not np.isfinite(channel.values).any():
+                continue
+            notes += judged(run, f"{stream}/{spec.name}", channel)
+    return notes
+
+
+def judged(run: Run, name: str, channel: Channel) -> Iterator[str]:
+    """What is wrong with one channel, a note each."""
+    opening = f"{run.path}: {label_of(channel)}"
+    row = longest_row(channel.values)
+    hint = hanging(run, channel, row) if row is not None else ""
+    reason = contradiction(run, channel)
+    if not reason and hint and channel.quantity in DEMANDS and row is not None:
+        reason = hint if row.length > NEARLY_ALL * np.isfinite(channel.values).sum() else ""
+    if reason:
+        run.condemned[name] = f"{opening} {reason}"
+        yield run.condemned[name]
+        return
+    if hint:
+        yield f"{opening} {hint}"
+    demand = demand_of(run, channel)
+    found = following(demand, channel.values, from_zero=channel.quantity != "angle") if demand is not None else None
+    if found is not None and found.fault == "unit":
+        yield f"{opening} is {found.gain:.3g} times its demand: check its units"
+    between = np.flatnonzero(np.isfinite(channel.values))
+    lacking = float(np.mean(~np.isfinite(channel.values[between[0] : between[-1] + 1])))
+    if lacking > MISSING:
+        yield f"{opening}: {lacking:.1%} of its readings are missing"
+
+
+def label_of(channel: Channel) -> str:
+    """Quantity, role and device of a channel, and where it was measured if that is known."""
+    where = f" at {channel.location}" if channel.location else ""
+    return f"{channel.quantity} of {channel.role}{where} ({channel.device or 'device not known'})"
+
+
+def contradiction(run: Run, channel: Channel) -> str:
+    """Why a channel cannot be a measurement at all; empty where it may."""
+    demand = demand_of(run, channel)
+    if demand is not None:
+        found = following(demand, channel.values, from_zero=channel.quantity != "angle")
+        fault = found.fault if found is not None else ""
+        at = most_wanted(demand)
+        asked = f"{demand[at]:.4g} {channel.units} were demanded at {channel.time[at]:.3g} s{step_at(run, channel, at)}"
+        reads = f"{channel.values[at]:.4g}"
+        if fault == "opposite":
+            return f"has the opposite sign of its demand: it reads {reads} where {asked}; {SWAPPED}"
+        if fault == "dead":
+            return f"does not follow its demand: it reads {reads} where {asked}; is its sensor connected?"
+    if channel.quantity in NEVER_ZERO and not np.any(np.nan_to_num(channel.values)):
+        return f"reads exactly 0 {channel.units} throughout; is its sensor connected?"
+    return ""
+
+
+def hanging(run: Run, channel: Channel, row: Row) -> str:
+    """Where a channel repeats one reading that it should not; empty where it may."""
+    moved = next((other for other in companions(run, channel) if stands_while(row, other)), None)
+    resting = channel.quantity in AT_REST and row.value == 0.0
+    if moved is None and (resting or channel.quantity == "angle" or not hangs(channel.values, row)):
+        return ""
+    begin, end = float(channel.time[row.first]), float(channel.time[row.last])
+    what = "although what it follows moved" if moved is not None else "although its noise shows elsewhere"
+    return (
+        f"hangs: exactly {row.value:.6g} {channel.units} in {row.length} readings from {begin:.4g} to {end:.4g} s"
+        f"{step_at(run, channel, row.first)}, {what}"
+    )
+
+
+def demand_of(run: Run, channel: Channel, quantity: str = "") -> Array | None:
+    """The demand of a channel, or of another quantity of the same drive, at its own readings; None without one.
+
+    Where a run has no channel of it, the settled parts of its holds tell.
+    """
+    quantity = quantity or channel.quantity
+    reference = beside(run, channel, DEMANDS.get(quantity))
+    if reference is not None or quantity not in HELD:
+        return reference
+    demand = np.full(len(channel.time), np.nan)
+    for hold in Held(HELD[quantity], "", channel.role).levels(run):
+        demand[span(channel, hold.start, hold.stop)] = hold.setpoint
+    return demand if np.isfinite(demand).any() else None
+
+
+def companions(run: Run, channel: Channel) -> Iterator[Array]:
+    """What a channel cannot stand beside while it moves: its demand, its partner, the motion that a current drives."""
+    others = [demand_of(run, channel), beside(run, channel, TOGETHER.get(channel.quantity))]
+    if channel.quantity == "q_axis_current":
+        others += [demand_of(run, channel, quantity) for quantity in DRIVING]
+    yield from (other for other in others if other is not None)
+
+
+def beside(run: Run, channel: Channel, quantity: str | None) -> Array | None:
+    """The one other channel of this quantity and the same role, where it has the same stamps."""
+    others = run.channels(quantity, channel.role) if quantity else []
+    if len(others) != 1 or others[0].stream != channel.stream or not np.isfinite(others[0].values).any():
+        return None
+    return others[0].values
+
+
+def most_wanted(demand: Array) -> int:
+    """The middle of the readings whose demand is largest: settled, where it is held."""
+    size = np.abs(np.nan_to_num(demand))
+    at = np.flatnonzero(size == size.max())
+    return int(at[len(at) // 2])
+
+
+def step_at(run: Run, channel: Channel, at: int) -> str:
+    """The step of a run in which a reading was taken, in words."""
+    time = float(channel.time[at])
+    name = next((step.name for step in run.steps if step.start <= time < step.stop), "")
+    return f" (step '{name}')" if name else ""
+
+
+def contradicting_motion(run: Run, role: str) -> Iterator[str]:
+    """A note where the path of an angle and the integral of the velocity do not agree that the shaft turned."""
+    angles, velocities = run.channels("angle", role), run.channels("velocity", role)
+    if len(angles) != 1 or len(velocities) != 1 or angles[0].stream != velocities[0].stream:
+        return
+    angle, velocity = angles[0], velocities[0]
+    good = np.isfinite(angle.values) & np.isfinite(velocity.values)
+    time, turned, speed = angle.time[good], angle.values[good], velocity.values[good]
+    if len(time) < 2 * PARTS:
+        return
+    pace = np.diff(time)
+    gone = np.concatenate([[0.0], np.cumsum(0.5 * pace * (speed[1:] + speed[:-1]))])
+    cuts = np.linspace(0, len(time) - 1, PARTS + 1).astype(int)
+    path, integral = np.diff(turned[cuts]), np.diff(gone[cuts])
+    # what the speed does between two readings, its noise included, may be missed by the integral
+    missed = np.diff(np.concatenate([[0.0], np.cumsum(np.abs(np.diff(speed)) * pace)])[cuts])
+    steps = np.abs(np.diff(turned))
+    resolution = float(np.min(steps[steps > 0.0], initial=np.inf))
+    clear = missed + CLEAR * (resolution if np.isfinite(resolution) else 0.0)
+    larger = np.maximum(np.abs(path), np.abs(integral))
+    apart = (larger > PLAIN * larger.max()) & (np.abs(path - integral) > np.maximum(APART * larger, clear))
+    if apart.sum() >= FEWEST_APART:
+        path, integral = path[apart], integral[apart]
+        begin, end = (float(time[cuts[at]]) for at in (np.flatnonzero(apart)[0], np.flatnonzero(apart)[-1] + 1))
+        yield (
+            f"{run.path}: {label_of(angle)} and {label_of(velocity)} contradict each other: the angle goes"
+            f" {float(np.abs(path).sum()):.4g} {angle.units} where the velocity adds up to"
+            f" {float(np.abs(integral).sum()):.4g}, from {begin:.4g} to {end:.4g} s; one of them hangs, or is in"
+            " another unit or sense"
+        )
