@@ -32,6 +32,7 @@ from leactl.runner.underway import Announcement
 from leactl.runner.watchdog import Unwatched, beside
 from leactl.runner.windings import Windings
 from leactl.safety.cross_checks import TorqueModel
+from leactl.safety.current_tracking import VoltageNeed
 from leactl.safety.disk import check_room, free_bytes, planned_bytes
 from leactl.safety.refusals import check_setpoints
 from leactl.safety.supervisor import Axis, Supervisor
@@ -344,6 +345,10 @@ def _supervisor(request: Request, bench: Bench, windings: Windings) -> Superviso
         windings.guard,
         request.bench.interlocks,
         torque_model=torque if joined else None,
+        voltage_needs={
+            role: VoltageNeed(motor.back_emf_constant, motor.resistance(request.bench.limits.winding_temperature_degC))
+            for role, motor in windings.motors.items()
+        },
     )
 
 

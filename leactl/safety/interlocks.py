@@ -174,6 +174,18 @@ class TorqueDisagreement(Block):
     for_s: Annotated[float, Field(strict=True, gt=0, le=60, allow_inf_nan=False)] = 0.1
 
 
+class CurrentDisagreement(Block):
+    """How far a drive's q-axis current may be from the current it is to drive, and for how long; always on.
+
+    `floor_A` is for a drive that follows a current, eight times that for a drive that is off, whose reading has a zero
+    of its own that nothing regulates away.
+    """
+
+    share_percent: Annotated[float, Field(strict=True, gt=0, le=100)] = 50.0  # conventions differ by 22 %
+    floor_A: Positive | None = None  # noqa: N815 (a unit keeps its letter)  None: 0.5 % of limits.current_A
+    for_s: Annotated[float, Field(strict=True, gt=0, le=60)] = 0.25  # a current loop settles within milliseconds
+
+
 class Supply(Block):
     """The DC link voltage that the supply regulates to, and how far and how long it may be away."""
 
@@ -233,6 +245,7 @@ class Interlocks(Block):
     winding_temperature: Entries[InDegrees] = ()
     ambient_temperature: Entries[InDegrees] = ()
     torque_disagreement: TorqueDisagreement | None = None
+    current_disagreement: CurrentDisagreement = CurrentDisagreement()
     supply: Supply | None = None
     loop_overruns: LoopOverruns = LoopOverruns()
     clock: ClockJump = ClockJump()

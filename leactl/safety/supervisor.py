@@ -17,6 +17,7 @@ from leactl.errors import SafetyTrip
 from leactl.quantities import ChannelSpec
 from leactl.safety.angle_path import AnglePath
 from leactl.safety.cross_checks import Stuck, TorqueEstimates, TorqueModel
+from leactl.safety.current_tracking import CurrentTracking, VoltageNeed
 from leactl.safety.disk import Disk
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.limits import CYCLES_OF_SILENCE, Limits
@@ -52,9 +53,11 @@ class _Guarded:
     current: int  # where the q-axis current stands among the values
     velocity: int | None
     angle: int | None
+    tracking: CurrentTracking
     quantity: str = "setpoint"  # that the engaged mode sets
     bounds: tuple[float, float] = UNLIMITED
     heats: bool = False  # whether the engaged mode sets a current
+    demand: float = 0.0  # A, of a current reference
     asked: float = 0.0  # A^2 of a current reference, which heats
     held: float = 0.0  # A^2, the same as the exchange before left it, which its reading tells of
     scaled: bool = False  # whether its last setpoint was more than the winding may carry
@@ -64,7 +67,8 @@ class _Guarded:
         """Take the limits of what this mode sets."""
         quantity = SETPOINT_QUANTITY.get(mode)
         self.quantity, self.heats = quantity or "setpoint", quantity == CURRENT_REFERENCE
-        self.asked, self.path = 0.0, None
+        self.demand, self.asked, self.path = 0.0, 0.0, None
+        self.tracking.turn_to(mode in (Mode.CURRENT, Mode.OFF))  # of a profile, only the drive knows its ramp
         if mode is Mode.ANGLE:
             self.bounds = limits.of("angle_reference") or UNLIMITED  # the path bounds each step
             self.path = AnglePath(self.measured_angle, now)
@@ -89,18 +93,21 @@ class Supervisor:
         guard: ThermalGuard,
         interlocks: Interlocks = DEFAULTS,
         torque_model: TorqueModel | None = None,
+        voltage_needs: Mapping[str, VoltageNeed] | None = None,
     ) -> None:
         """The guard knows the axes by the same roles.
 
-        Without a torque model the torque sensor is not held against Kt i: nothing couples the two.
+        Without a torque model the torque sensor is not held against Kt i: nothing couples the two. Without voltage
+        needs every current counts as one that the bus can drive.
         """
         self._limits, self._interlocks, self._clock, self._others = limits, interlocks, clock, list(others)
         self._thermal, self._worst = guard, limits.current_A**2
         self._period = 0.0
         self.tripped: str = ""
         self.warnings: list[str] = []
+        self._voltage_needs = voltage_needs or {}
         now = clock.now()
-        self._axes = {role: self._guard(axis, now) for role, axis in axes.items()}
+        self._axes = {role: self._guard(role, axis, now) for role, axis in axes.items()}
         streams = [
             stream for device in (*[axis.driver for axis in axes.values()], *others) for stream in device.streams
         ]
@@ -133,11 +140,15 @@ class Supervisor:
         panel.begin(now, age)
         return panel
 
-    def _guard(self, axis: Axis, now: float) -> _Guarded:
+    def _guard(self, role: str, axis: Axis, now: float) -> _Guarded:
         channels = axis.motion.loop_channels
         place = {channel.quantity: index for index, channel in enumerate(channels)}
         panel = self._panel(channels, self._limits.cyclic_age(0.0), now)
-        return _Guarded(axis, panel, place["q_axis_current"], place.get("velocity"), place.get("angle"))
+        need = self._voltage_needs.get(role, VoltageNeed())
+        settings = self._interlocks.current_disagreement
+        tracking = CurrentTracking(role, axis.motion, settings, self._limits, need, self.trip)
+        tracking.turn_to(judges=True)
+        return _Guarded(axis, panel, place["q_axis_current"], place.get("velocity"), place.get("angle"), tracking)
 
     def _torque_estimates(self, model: TorqueModel | None) -> TorqueEstimates | None:
         settings, test = self._interlocks.torque_disagreement, self._axes.get("test")
@@ -217,7 +228,7 @@ class Supervisor:
                 value = self._scaled(role, guarded, value, allowed)
             elif guarded.scaled:
                 guarded.scaled = False
-            guarded.asked = value * value
+            guarded.demand, guarded.asked = value, value * value
         if guarded.path is not None:
             self._judge_angle(role, guarded.path, value)
         guarded.axis.motion.command(value)
@@ -282,6 +293,8 @@ class Supervisor:
             if guarded.path is not None:
                 guarded.path.exchanged(guarded.measured_angle, motion.engaged, now)
             current = values[where]
+            speed = math.nan if guarded.velocity is None else values[guarded.velocity]
+            guarded.tracking.look(current, guarded.demand, speed, now)
             square, asked = current * current, guarded.asked
             if not square >= guarded.held:  # a reading that is no number is the worst that may flow
                 square = guarded.held if square == square else self._worst

@@ -17,6 +17,7 @@ from leactl.runner.signals import StopRequest
 from leactl.runner.watchdog import Unwatched
 from leactl.runner.windings import guard_settings, motors_of
 from leactl.safety.cross_checks import TorqueModel
+from leactl.safety.current_tracking import VoltageNeed
 from leactl.safety.supervisor import Axis, Supervisor
 from leactl.safety.thermal.box import Array
 from leactl.safety.thermal.guard import GuardSettings, ThermalGuard
@@ -129,7 +130,14 @@ def run(
     joined = plan.setup in SENSED_SETUPS
     torque = TorqueModel(LEA.torque_constant, LEA.coulomb_friction, LEA.viscous_damping, LEA.rotor_inertia)
     supervisor = Supervisor(
-        file.limits, axes, [bench.sensor], bench.clock, guard, file.interlocks, torque if joined else None
+        file.limits,
+        axes,
+        [bench.sensor],
+        bench.clock,
+        guard,
+        file.interlocks,
+        torque if joined else None,
+        dict.fromkeys(axes, VoltageNeed(LEA.back_emf_constant, LEA.resistance(LEA.limits.winding_temperature))),
     )
     status, reason, warnings = _loop(plan, bench, supervisor)
     bench.time.sleep_until(bench.time.now() + AFTER_S)

@@ -91,13 +91,17 @@ def test_times_count_from_the_fault_to_the_cycle_that_ended_and_to_zero_torque_a
         ("torque_disagreement", "scaled_sensor", "torque_sensor"),
         ("torque", "stuck_sensor", "torque_sensor"),
         ("angle", "stuck_sensor", "drive_load"),
-        ("q_axis_current", "disconnected_sensor", "drive_test"),
     ],
 )
 def test_a_bench_without_an_interlock_is_found_out(drill, bench, without, fault, on):
     drilled = drill(bench(without=[without]), fault)
     assert not drilled.held
     assert [finding.faults for finding in drilled.findings if finding.on == on and not finding.held] == [["not caught"]]
+
+
+def test_a_current_sensor_that_is_off_is_caught_on_a_bench_that_asks_for_nothing(drill, bench):
+    findings = drill(bench(without=["q_axis_current"]), "disconnected_sensor").findings
+    assert [finding.held for finding in findings if finding.on == "drive_test"] == [True]
 
 
 def test_an_interlock_that_takes_too_long_is_found_out(drill, bench):

@@ -20,7 +20,11 @@ from tests.safety.guards import LEA, SETTINGS, guard_of
 from tests.safety.phases import STEP_S, Plant, advance
 from tests.safety.rig import LIMITS
 
-PATIENT = "{clock: {jump_s: 10}, loop_overruns: {in_a_row: 10000, share_percent: 99, window_s: 600}}"
+PATIENT = """
+clock: {jump_s: 10}
+loop_overruns: {in_a_row: 10000, share_percent: 99, window_s: 600}
+current_disagreement: {for_s: 60}  # of shafts that say what they like
+"""
 WORST = (1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0, 1.0, 1.0)  # resistances high, capacitances low
 
 

@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from leactl.driver.contract import Confirmation, Mode, Row
 from leactl.errors import InputError, SafetyTrip
+from leactl.safety.interlocks import CurrentDisagreement, Interlocks
 from leactl.safety.limits import Limits
 from leactl.safety.refusals import check_setpoints
 from leactl.safety.supervisor import Axis, Supervisor
@@ -32,7 +33,9 @@ class SupervisedBench(ElmoBench):
         super().__init__(**settings)
         self.drive.open()
         self.guard = guard_of(start=start)
-        self.supervisor = Supervisor(limits, {"test": Axis(self.drive, self.drive)}, [], self.clock, self.guard)
+        axes, patient = {"test": Axis(self.drive, self.drive)}, CurrentDisagreement(for_s=60.0)  # of drives that lie
+        block = Interlocks(current_disagreement=patient)
+        self.supervisor = Supervisor(limits, axes, [], self.clock, self.guard, block)
 
     def supervised_cycle(self, period=0.001):
         self.cycle(period)

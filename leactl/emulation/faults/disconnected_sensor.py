@@ -27,7 +27,7 @@ class DisconnectedSensor(OfDevice, LastingFault):
         return (
             Drill({}, 0.05, "the device's own bus"),
             Drill({"quantity": "torque"}, 2.1, "stuck_s or torque_disagreement"),
-            Drill({"quantity": "q_axis_current"}, 2.1, "stuck_s"),
+            Drill({"quantity": "q_axis_current"}, 2.1, "current_disagreement or stuck_s"),
         )
 
     def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:

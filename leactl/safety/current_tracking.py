@@ -1,0 +1,93 @@
+"""A drive's q-axis current against its demand: a dead sensor, a turned sign, a current that nobody asked for.
+
+In velocity and angle mode the drive chooses its current by itself, and nothing is compared.
+"""
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+from leactl.driver.contract import MotionDevice
+from leactl.safety.cross_checks import APART_CYCLES
+from leactl.safety.interlocks import CurrentDisagreement
+from leactl.safety.limits import Limits
+from leactl.safety.watching import Trip
+
+FLOOR = 0.005  # of the bench's limit: what the zeros of current sensors are good for
+OFF = 8.0  # times the floor, of a drive that is off: nothing regulates the zero of its reading away
+
+
+class VoltageNeed(NamedTuple):
+    """What drives a current through a winding, SI, power invariant: back-EMF and resistance, the latter when hot."""
+
+    back_emf_constant: float = 0.0
+    resistance: float = 0.0
+
+    def of(self, current: float, velocity: float) -> float:
+        """The most that a current may need at a speed [V]."""
+        return self.back_emf_constant * abs(velocity) + self.resistance * abs(current)
+
+
+class CurrentTracking:
+    """Trips on a current that stays away from its demand.
+
+    A demand that the bus voltage cannot drive at the shaft's speed is not judged, by the lowest voltage that the bench
+    allows: what is short of it then is the voltage's. A reading that is no number neither begins nor ends a
+    disagreement; its age tells.
+    """
+
+    def __init__(
+        self,
+        role: str,
+        motion: MotionDevice,
+        settings: CurrentDisagreement,
+        limits: Limits,
+        need: VoltageNeed,
+        trip: Trip,
+    ) -> None:
+        self._role, self._motion, self._trip, self._need = role, motion, trip, need
+        self._share, self._for_s = settings.share_percent / 100.0, settings.for_s
+        self._floor = settings.floor_A or FLOOR * limits.current_A
+        self._available = limits.bus_voltage_low_V / math.sqrt(2.0)  # on the q axis, by space vector modulation
+        self._judges = False
+        self._demands: deque[float] = deque(maxlen=APART_CYCLES + 1)
+        self._since, self._cycles = math.nan, 0
+
+    def turn_to(self, judges: bool) -> None:
+        """Begin anew in another mode, of which `judges` tells whether its current is known."""
+        self._judges = judges
+        self._demands.clear()
+        self._since = math.nan
+
+    def look(self, current: float, demand: float, velocity: float, now: float) -> None:
+        """Judge the reading of the exchange that has just ended by the demands that it may be of.
+
+        Raises
+        ------
+        SafetyTrip : by way of `trip`.
+        """
+        if not self._judges:
+            return
+        demands = self._demands
+        demands.append(demand)
+        if current != current:
+            return
+        low, high = min(demands), max(demands)
+        allowed = self._floor + self._share * (high if high > -low else -low)
+        if low - allowed <= current <= high + allowed or self._need.of(demand, velocity) >= self._available:
+            self._since = math.nan
+            return
+        if not self._motion.engaged:
+            allowed = OFF * self._floor
+            if abs(current) <= allowed:
+                self._since = math.nan
+                return
+        if not self._since <= now:
+            self._since, self._cycles = now, 0
+        self._cycles += 1
+        if now - self._since >= self._for_s and self._cycles > APART_CYCLES:
+            self._trip(
+                f"{self._role} q_axis_current of {current:.4g} A contradicts its demand of {demand:.4g} A for"
+                f" {now - self._since:.3g} s; {allowed:.3g} A apart are allowed: is the current sensor connected, and"
+                " does another master command the drive?"
+            )
