@@ -161,7 +161,7 @@ def test_a_foreign_file_with_a_clock_for_each_channel_is_analysed(tmp_path):
 
 def test_a_foreign_file_without_the_channel_is_refused(tmp_path):
     stamps = np.arange(0.0, 20, 0.02)
-    path = foreign(tmp_path / "theirs.h5", i=("q_axis_current", "A", stamps, np.ones_like(stamps)))
+    path = foreign(tmp_path / "theirs.h5", i=("q_axis_current", "A", stamps, 1.0 + 0.01 * np.sin(stamps)))
     with pytest.raises(MissingChannel, match="no velocity of test; the run has q_axis_current of test"):
         analyze_runs([path], torque_constant=0.49)
 

@@ -126,7 +126,7 @@ def test_a_bench_without_limits_is_refused_and_one_without_interlocks_has_defaul
     head, _, rest = text.partition("interlocks:")
     without.write_text(head + "response:" + rest.partition("response:")[2])
     found = benchfile.load(str(without))[0].interlocks.shown()
-    assert set(found) == {"loop_overruns", "clock", "disk_space"}
+    assert set(found) == {"current_disagreement", "loop_overruns", "clock", "disk_space"}
 
 
 def test_the_check_shows_interlocks_and_refuses_with_status_2(tmp_path):
