@@ -94,7 +94,8 @@ def plan(
     for row in expanded.timeline():
         times = f"{row.start_s:10.3f} {row.duration_s:9.3f} {row.settle_s:9.3f}"
         typer.echo(f"{times}  {row.name:<10}  {row.setpoints}".rstrip())
-    typer.echo(f"duration {_duration(expanded.duration_s)} ({expanded.duration_s:.3f} s)")
+    most = "at most " if expanded.adaptive else ""
+    typer.echo(f"duration {most}{_duration(expanded.duration_s)} ({expanded.duration_s:.3f} s)")
     for peak in _peaks(expanded):
         typer.echo(f"peak {peak['role']} {peak['quantity']} {peak['value']:g} {peak['unit']}")
 

@@ -7,11 +7,11 @@ from typing import Any
 from leactl.driver.contract import Mode
 from leactl.errors import InputError
 from leactl.protocol import sweeps, trajectory, weights
-from leactl.protocol.plan import Prompt, Record, Samples, Supply, Tare, WaitUntil
+from leactl.protocol.plan import Prompt, Record, Samples, Supply, Tare, Until, WaitUntil
 from leactl.protocol.schema import divides
 from leactl.protocol.setpointkeys import Spelling
 from leactl.protocol.signals import Csv, Signal
-from leactl.protocol.steps import HoldStep, RampStep, SetStep, Step, WaitStep
+from leactl.protocol.steps import HoldStep, RampStep, SetStep, Step, UntilBlock, WaitStep
 from leactl.protocol.timeline import Timeline
 from leactl.quantities import UNITS
 
@@ -82,9 +82,10 @@ def _hold(timeline: Timeline, step: Step, pass_number: int) -> None:
     content: HoldStep = step.content
     timeline.check_times(step, ("settle_s", "duration_s"), content.duration_s, content.settle_s)
     times = content.duration_s, content.settle_s
+    until = _until(timeline, step, content)
     setpoints = [key for key in ("current_A", "velocity_rad_s", "angle_rad") if getattr(content, key) is not None]
     if not setpoints:
-        timeline.segment(step, content.name, times[0], {}, {"repeat": pass_number}, times[1])
+        timeline.segment(step, content.name, times[0], {}, {"repeat": pass_number}, times[1], until)
         return
     if content.role is None:
         timeline.complain(step, "role", "is required and missing where a setpoint is given")
@@ -93,7 +94,19 @@ def _hold(timeline: Timeline, step: Step, pass_number: int) -> None:
     if spelling is not None:
         value = content.given(spelling, "setpoint") * content.sign
         told = _told(timeline, content.role, spelling, value, pass_number)
-        timeline.hold(step, content.name, times, content.role, value, told)
+        timeline.hold(step, content.name, times, content.role, value, told, until)
+
+
+def _until(timeline: Timeline, step: Step, content: HoldStep) -> Until | None:
+    criterion = content.until
+    if criterion is None:
+        return None
+    low, high = _bounds(timeline, step, criterion, ("until",), "/s" if criterion.statistic == "slope" else "")
+    if content.settle_s + criterion.window_s > content.duration_s:
+        message = f"settle_s and a window of {criterion.window_s:g} s are longer than duration_s; less was expected"
+        timeline.complain(step, ("until", "window_s"), message)
+    required = criterion.otherwise == "fail"
+    return Until(criterion.quantity, criterion.role, criterion.statistic, criterion.window_s, low, high, required)
 
 
 def _told(timeline: Timeline, role: str, spelling: Spelling, value: float, pass_number: int) -> dict[str, float | str]:
@@ -163,18 +176,31 @@ def _samples(timeline: Timeline, step: Step, content: Any, spelling: Spelling) -
 
 def _wait_until(timeline: Timeline, step: Step, _pass_number: int) -> None:
     content: WaitStep = step.content
+    low, high = _bounds(timeline, step, content, (), "")
+    timeline.add(step, WaitUntil(content.quantity, content.role, low, high, content.timeout_s))
+
+
+def _bounds(
+    timeline: Timeline, step: Step, content: WaitStep | UntilBlock, under: tuple[str, ...], per: str
+) -> tuple[float, float]:
+    """Lowest and highest value that a channel is waited for, infinite where open; faults are noted."""
     unit = UNITS.get(content.quantity)
     if unit is None:
-        timeline.complain(step, "quantity", f"{content.quantity!r}: one of {', '.join(UNITS)} was expected")
-    elif content.unit != unit:
-        timeline.complain(step, "unit", f"{content.unit!r}: {content.quantity} is in {unit}")
+        message = f"{content.quantity!r}: one of {', '.join(UNITS)} was expected"
+        timeline.complain(step, (*under, "quantity"), message)
+    elif content.unit != unit + per:
+        timeline.complain(step, (*under, "unit"), f"{content.unit!r}: {content.quantity} is in {unit + per}")
     low = -math.inf if content.above is None else content.above
     high = math.inf if content.below is None else content.below
     if math.isinf(low) and math.isinf(high):
-        timeline.complain(step, "below", "below, above or both were expected")
+        timeline.complain(step, (*under, "below"), "below, above or both were expected")
     if low > high:
-        timeline.complain_of_either(step, ("below", "above"), f"no value is below {high:g} and above {low:g}")
-    timeline.add(step, WaitUntil(content.quantity, content.role, low, high, content.timeout_s))
+        message = f"no value is below {high:g} and above {low:g}"
+        if under:
+            timeline.complain(step, (*under, "below"), message)
+        else:
+            timeline.complain_of_either(step, ("below", "above"), message)
+    return low, high
 
 
 def _record(timeline: Timeline, step: Step, _pass_number: int) -> None:

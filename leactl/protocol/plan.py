@@ -129,14 +129,36 @@ class Samples:
 
 
 @dataclass(frozen=True)
+class Until:
+    """Criterion that ends a segment early: low <= statistic of a channel over a window <= high, infinite where open."""
+
+    quantity: str
+    role: str
+    statistic: str  # mean, std or slope, the last per second
+    window_s: float
+    low: float
+    high: float
+    required: bool  # whether the run fails where it is never met
+
+    def __str__(self) -> str:
+        unit = UNITS[self.quantity] + ("/s" if self.statistic == "slope" else "")
+        what = f"{self.statistic} of {self.role} {self.quantity} over {self.window_s:g} s"
+        return f"{what} in {self.low:g} .. {self.high:g} {unit}"
+
+
+@dataclass(frozen=True)
 class Segment:
-    """Setpoints over a duration, which is 0 for a jump; the first `settle_s` are left out by analyses."""
+    """Setpoints over a duration, which is 0 for a jump; the first `settle_s` are left out by analyses.
+
+    With `until`, the duration is the longest; the setpoints are constant then, so that any end leaves the same ones.
+    """
 
     name: str
     duration_s: float
     settle_s: float
     setpoints: Mapping[str, Profile]  # role: profile
     parameters: Mapping[str, float | str]
+    until: Until | None = None
 
 
 @dataclass(frozen=True)
@@ -255,8 +277,13 @@ class Plan:
 
     @property
     def duration_s(self) -> float:
-        """Sum of the segments and of taring; waits, prompts and enabling take the time they take."""
+        """Sum of the segments at their longest and of taring; waits, prompts and enabling take the time they take."""
         return math.fsum(map(self._lasts, self.actions))
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether any segment may end before its duration."""
+        return any(isinstance(action, Segment) and action.until is not None for action in self.actions)
 
     def peaks(self) -> dict[tuple[str, str], float]:
         """Largest magnitude of each setpoint, by role and quantity; of supplies the current."""
@@ -280,6 +307,8 @@ class Plan:
         for action, modes in self._with_modes():
             if isinstance(action, Segment):
                 shown = [f"{role} {_shown(profile, modes[role])}" for role, profile in action.setpoints.items()]
+                if action.until is not None:
+                    shown.append(f"at most {action.duration_s:g} s, until {action.until}")
                 rows.append(Row(start, action.name, action.duration_s, action.settle_s, ", ".join(shown)))
                 start += action.duration_s
             else:

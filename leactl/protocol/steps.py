@@ -4,6 +4,8 @@
     set: {role: test, current_A: 5}        a jump
     ramp: {role: test, to_current_A: 5, duration_s: 1}        or rate_A_s in place of duration_s
     hold: {role: test, current_A: 5, duration_s: 5.5, settle_s: 0.5}       without a setpoint everything stays
+    hold: {duration_s: 60, until: {quantity: velocity, role: test, statistic: slope, window_s: 2, above: -0.1,
+           below: 0.1, unit: rad/s/s}}     60 s at the longest; `otherwise: fail` where it has to be met
     sweep: {role: test, levels_A: [1, 2], hold_s: 5.5, visit: both, overshoot_A: 0.5, repeats: 6}
     grid: {axes: [{role: load, levels_rad_s: [1, 2]}, {role: test, levels_A: [1, 2]}], hold_s: 3.5}
     signal: {role: test, kind: sine, amplitude_A: 1, frequency_Hz: 2, duration_s: 10}      see signals.py
@@ -84,6 +86,19 @@ class RampStep(Driven):
     sign: Sign = 1
 
 
+class UntilBlock(Block):
+    """A criterion on a channel that ends a hold; the unit must be the vocabulary's, of a slope per second."""
+
+    quantity: str
+    role: Literal["test", "load", "bench"]
+    statistic: Literal["mean", "std", "slope"] = "mean"
+    window_s: Duration
+    below: Setpoint | None = None
+    above: Setpoint | None = None
+    unit: str
+    otherwise: Literal["continue", "fail"] = "continue"
+
+
 class HoldStep(Driven):
     """Stay at a setpoint; `name` tells analyses what the hold is for where it is not a level."""
 
@@ -96,6 +111,7 @@ class HoldStep(Driven):
     angle_rad: Setpoint | None = None
     duration_s: Duration
     settle_s: Rest = 0.0
+    until: UntilBlock | None = None
     sign: Sign = 1
 
 

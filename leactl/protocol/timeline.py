@@ -10,7 +10,7 @@ from pathlib import Path
 from leactl.driver.contract import Mode
 from leactl.errors import InputError
 from leactl.protocol.parameters import Substituted
-from leactl.protocol.plan import Action, Constant, Engage, Profile, Ramp, Samples, Segment
+from leactl.protocol.plan import Action, Constant, Engage, Profile, Ramp, Samples, Segment, Until
 from leactl.protocol.schema import MAX_ACTIONS, MAX_DURATION_S, MAX_SAMPLES, Driven
 from leactl.protocol.setpointkeys import SPELLINGS, Spelling
 from leactl.protocol.signals import Signal
@@ -157,10 +157,11 @@ class Timeline:
         setpoints: Mapping[str, Profile],
         parameters: Mapping[str, float | str],
         settle_s: float = 0.0,
+        until: Until | None = None,
     ) -> None:
         """Keep a segment."""
         self.charge(step, duration_s=duration_s)
-        self.actions.append(Segment(name, duration_s, settle_s, dict(setpoints), dict(parameters)))
+        self.actions.append(Segment(name, duration_s, settle_s, dict(setpoints), dict(parameters), until))
 
     def hold(
         self,
@@ -170,10 +171,11 @@ class Timeline:
         role: str,
         value: float,
         parameters: Mapping[str, float | str],
+        until: Until | None = None,
     ) -> None:
         """Keep a segment at one setpoint; times are duration and settle window."""
         self.roles[role].goes_to(value)
-        self.segment(step, name, times[0], {role: Constant(value)}, parameters, times[1])
+        self.segment(step, name, times[0], {role: Constant(value)}, parameters, times[1], until)
 
     def ramp(
         self,

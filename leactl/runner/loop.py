@@ -10,9 +10,23 @@ from collections.abc import Callable, Mapping, Sequence
 from leactl.bench.bench import Bench
 from leactl.driver.contract import AnalogInput, Block, Mode, Row
 from leactl.errors import DeviceError, InputError
-from leactl.protocol.plan import Action, Engage, Hang, Plan, Profile, Prompt, Record, Segment, Supply, Tare, WaitUntil
+from leactl.protocol.plan import (
+    Action,
+    Engage,
+    Hang,
+    Plan,
+    Profile,
+    Prompt,
+    Record,
+    Segment,
+    Supply,
+    Tare,
+    Until,
+    WaitUntil,
+)
 from leactl.runfile.writer import RunWriter
 from leactl.runner.channel_limits import ChannelLimits
+from leactl.runner.criterion import Judge
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import Flush
 from leactl.runner.signals import StopRequest
@@ -54,6 +68,7 @@ class Loop:
         self._start = self._next = self._clock.now()
         self._newest: dict[str, Sequence[float]] = {}
         self._row: list[float] = []
+        self._judged: Sequence[float] = ()  # the row that a criterion was given last
         self._every, self._phase = round(plan.rate_Hz / plan.record_Hz), 0
         self._planned = 0.0
         self.overruns = 0
@@ -188,6 +203,8 @@ class Loop:
         began = self.time
         self._progress.step = segment.name
         setpoints = list(segment.setpoints.items())
+        until, ended = segment.until, ""
+        judge = None if until is None else Judge(until, began + segment.settle_s)
         if segment.duration_s > 0.0:
             self._limits.enter(segment.name, began + segment.settle_s)
         try:
@@ -202,12 +219,33 @@ class Loop:
                 self._command(setpoints, into)
                 self._progress.done_s = self._planned + into
                 self._cycle()
+                if until is not None and judge is not None and self._meets(until, judge):
+                    ended = "met"
+                    break
             self._command(setpoints, segment.duration_s)
         finally:
             if segment.duration_s > 0.0:
                 self._limits.leave(segment.name, self.time)
-                self._writer.step(segment.name, began, self.time, segment.settle_s, segment.parameters)
+                parameters = (
+                    segment.parameters if judge is None else {**segment.parameters, "until": ended or "not met"}
+                )
+                self._writer.step(segment.name, began, self.time, segment.settle_s, parameters)
         self._planned += segment.duration_s
+        if until is not None and judge is not None:
+            came = f"{ended or 'not met'} after {self.time - began:.4g} s"
+            self._note("info", "runner", f"{segment.name}: {until}: {came}, last {judge.latest:.4g}")
+            if until.required and not ended:
+                raise DeviceError(
+                    f"{segment.name}: {until} was expected; {judge.latest:.4g} after {segment.duration_s:g} s"
+                )
+
+    def _meets(self, until: Until, judge: Judge) -> bool:
+        """Give the channel's newest sample, each once, and ask whether the criterion is met."""
+        values, place = self._newest_row(until.quantity, until.role)
+        if values is not self._judged:
+            self._judged = values
+            judge.receive(self.time, values[place] if place < len(values) else math.nan)
+        return judge.met(self.time)
 
     def _command(self, setpoints: list[tuple[str, Profile]], into: float) -> None:
         for role, profile in setpoints:
@@ -261,11 +299,15 @@ class Loop:
 
     def _reading(self, quantity: str, role: str) -> float:
         """Newest value of a quantity; NaN, which no comparison holds for, where there is none yet."""
+        values, place = self._newest_row(quantity, role)
+        return values[place] if place < len(values) else math.nan
+
+    def _newest_row(self, quantity: str, role: str) -> tuple[Sequence[float], int]:
+        """The newest row of the stream that a quantity comes in, empty where there is none yet, and its column."""
         for stream, channels in self._bench.streams().items():
             for place, channel in enumerate(channels):
                 if (channel.quantity, channel.role) == (quantity, role):
-                    values = self._row if stream == "loop" else self._newest.get(stream, ())
-                    return values[place] if place < len(values) else math.nan
+                    return (self._row if stream == "loop" else self._newest.get(stream, ())), place
         raise InputError(f"bench '{self._bench.file.name}' measures no {quantity} of role '{role}'")
 
     def _tare(self, samples: int) -> None:

@@ -2,13 +2,16 @@
 
 import math
 from contextlib import nullcontext
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from leactl.driver.contract import Mode
 from leactl.errors import InputError
-from leactl.protocol.plan import Constant, Engage, Plan, Ramp, Samples, Segment
+from leactl.protocol.plan import Constant, Engage, Plan, Ramp, Samples, Segment, Until
 from leactl.runner.operators import granted
 from leactl.runner.request import prepare
 from leactl.runner.session import execute
@@ -334,3 +337,43 @@ def test_no_forecast_is_cooler_than_what_the_guard_of_the_run_finds(at_the_bench
     for role, peak in windings.peaks.items():
         assert peak <= peaks[role] + 0.2, (role, peak, peaks[role])  # noise of the reading heats as well
     assert max(peaks.values()) - 28.0 < 2.5 * (max(windings.peaks.values()) - 28.0)
+
+
+# -- holds that end by a criterion -------------------------------------------------------------------------------------
+
+
+def ended(plan, *lengths):
+    """The plan as one course of it: holds with a criterion last so long."""
+    rest = iter(lengths)
+    return replace(
+        plan,
+        actions=tuple(
+            replace(action, duration_s=next(rest), until=None) if getattr(action, "until", None) else action
+            for action in plan.actions
+        ),
+    )
+
+
+def until(window):
+    return Until("velocity", "test", "mean", window, 1.0, math.inf, required=False)
+
+
+def test_a_rest_that_may_end_early_is_no_rest_to_rely_on():
+    rest = held(120.0, "rest", test=0.0)
+    plan = made(CURRENT, *BURST, replace(rest, until=until(1.0)), *BURST)
+    assert foresight().forecast(ended(plan, 120.0)).passing is None
+    assert foresight().forecast(plan).passing.step == "burst"
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.lists(st.tuples(st.floats(0.0, 14.0), st.floats(3.0, 30.0), st.floats(0.0, 1.0)), min_size=2, max_size=4),
+)
+def test_every_course_stays_below_the_forecast_of_the_plan(holds):
+    steps = [replace(held(seconds, test=current), until=until(2.0)) for current, seconds, _share in holds]
+    plan = made(CURRENT, *steps)
+    lengths = [2.0 + share * (seconds - 2.0) for _current, seconds, share in holds]
+    forecast, course = foresight().forecast(plan), foresight().forecast(ended(plan, *lengths))
+    if forecast.passing is None:
+        assert course.passing is None
+        assert course.peaks["test"] <= forecast.peaks["test"] + 0.1  # K, of steps that lie otherwise

@@ -30,6 +30,7 @@ class State:
     modes: Mapping[str, Mode]
     setpoints: Mapping[str, Profile]
     leads: Mapping[str, float]  # A, through two leads of a role
+    shortest: float  # s, after which it may end: its duration but where it ends by a criterion
 
     @property
     def constant(self) -> bool:
@@ -56,7 +57,10 @@ def states(plan: Plan) -> Iterator[State]:
             setpoints |= action.setpoints
         if isinstance(action, Supply):
             leads |= {role: output[1] if output else 0.0 for role, output in action.outputs.items()}
-        yield State(name, duration, dict(modes), dict(setpoints), {k: v for k, v in leads.items() if v})
+        shortest = duration
+        if isinstance(action, Segment) and action.until is not None:
+            shortest = min(duration, action.settle_s + action.until.window_s)
+        yield State(name, duration, dict(modes), dict(setpoints), {k: v for k, v in leads.items() if v}, shortest)
         if isinstance(action, Segment):
             ended = {role: Constant(profile.at(action.duration_s)) for role, profile in action.setpoints.items()}
             setpoints |= ended

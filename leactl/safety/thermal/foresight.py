@@ -108,16 +108,23 @@ class Foresight:
         bound.state, self._demand.held, time, peaks = mark.state, mark.held, mark.time, dict(mark.peaks)
         limit = self._settings.limit - MARGIN_K
         for index, state in islice(enumerate(states(plan)), place, until):
+            ends_after, worst = time + state.shortest, bound.state
             for piece in self._pieces(plan, state):
-                before = bound.hottest().tolist()
+                before, former = bound.hottest().tolist(), bound.state
                 heat = piece.squares, piece.aligned, piece.speeds
                 bound.step(piece.duration, *heat, self._settings.ambient, piece.late)
                 time += piece.duration
+                if time - piece.duration < ends_after <= time:  # it may end within this piece
+                    worst = np.maximum(former, bound.state)
+                elif time > ends_after:
+                    worst = np.maximum(worst, bound.state)
                 after = bound.hottest().tolist()
                 for role, was, hottest in zip(self._roles, before, after, strict=True):
                     peaks[role] = max(peaks[role], hottest)
                     if not (hottest < limit or hottest < was):
                         return Forecast(peaks, Passing(index, state.name, time, role))
+            if state.shortest < state.duration:  # what heats may have ended last, and what cools first
+                bound.state = worst
             self._marks.append(_Mark(bound.state, self._demand.held, time, dict(peaks)))
         return Forecast(peaks, None)
 
@@ -134,7 +141,10 @@ class Foresight:
                 aligned, late = self._shared(turned, own, np.ones((len(turned), PARTS * round(LONGEST_STEP_S / own))))
                 rate = self._bound.fastest(squares, aligned, speeds, self._settings.ambient)
                 step = min(left, LONGEST_S, max(COARSE_K / rate if rate > 0.0 else LONGEST_S, 0.01))
-                if time < own - LEAST_S or left <= own + LEAST_S:
+                if state.shortest < state.duration and time >= own - LEAST_S:  # its last step may be any
+                    aligned = _aligned(turned * own)
+                    late = self._late(np.full(len(aligned), max(0.25 * own, 0.5 * (own - state.duration))), own)
+                elif time < own - LEAST_S or left <= own + LEAST_S:
                     # the guard's step that sees a current begin or end counts it as late: most where that is its middle
                     step, aligned = min(step, own), _aligned(turned * own)
                     late = self._late(np.full(len(aligned), max(0.25 * own, 0.5 * (own - state.duration))), own)
