@@ -23,6 +23,7 @@ KINDS = {
 }
 TEXTS = {
     "unknown keys": "".join(f"k{number}: {number}\n" for number in range(60_000)),
+    "fewer unknown keys": "".join(f"k{number}: {number}\n" for number in range(20_000)),
     "brackets": "a: " + "[" * 500_000,
     "braces": "a: " + "{" * 500_000,
     "brackets behind a key that stands twice": "a: 1\na: " + "[" * 500_000,

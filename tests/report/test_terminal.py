@@ -88,5 +88,5 @@ def test_one_point_has_a_plot():
 
 def test_a_path_is_not_broken(tmp_path):
     path = "runs/" + "long-name-" * 12 + "7f3a.h5"
-    result = Result("friction", (path, "b.h5"), (Estimate("x", 1.0, 0.1, 0.8, 1.2, "A"),))
+    result = Result("a trial", (path, "b.h5"), (Estimate("x", 1.0, 0.1, 0.8, 1.2, "A"),))
     assert path in render(result, 80)
