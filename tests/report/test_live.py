@@ -121,6 +121,21 @@ def test_a_value_that_is_missing_is_no_number():
     assert shown.count("nan A") == 2
 
 
+def test_after_a_resize_and_while_a_question_stands_a_frame_begins_at_the_top(monkeypatch):
+    # a terminal that folds long lines when it narrows moves the old frame to where nobody knows
+    progress, console, frames = halfway(), Console(file=io.StringIO(), force_terminal=True), []
+    sizes = iter([(80, 24), (80, 24), (40, 24), (40, 24), (40, 24)])
+    monkeypatch.setattr(live, "_size", lambda _console: next(sizes))
+
+    def wait(_pause):
+        frames.append(console.file.getvalue()[sum(map(len, frames)) :])
+        progress.prompt = "open the door?" if len(frames) == 4 else ""
+        return len(frames) > 4
+
+    live._paint(progress, console, wait)
+    assert [live.TO_THE_TOP in frame for frame in frames[1:]] == [False, True, False, True]
+
+
 class Screen:
     """A run in a terminal of a size, and what that terminal shows."""
 
