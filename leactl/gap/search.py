@@ -90,7 +90,10 @@ def finding(
     leading = [k for k, name in enumerate(names) if name in WAVE] or [0]
     own, spread = values[leading], covariance[np.ix_(leading, leading)]
     length = max(float(np.linalg.norm(own)), 1e-300)
-    std = size * math.sqrt(max(float(own @ spread @ own), 0.0)) / length**2
+    if not (np.isfinite(own).all() and np.isfinite(spread).all()):
+        return None
+    direction = own / length
+    std = size / length * math.sqrt(max(float(direction @ spread @ direction), 0.0))
     return Finding(candidate, gain, size, std, tuple(values.tolist()), names, covariance)
 
 
