@@ -11,7 +11,7 @@ from leactl.gap.confirm import held_out_gains
 from leactl.gap.diagnosis import Cause, Diagnosis, EffectParameter, Verdict
 from leactl.gap.evidence import Evidence
 from leactl.gap.judge import Judged, judge, left_by_form, unexplained, unrest
-from leactl.gap.notes import gathered, questions
+from leactl.gap.notes import gathered, questions, unlike
 from leactl.gap.parameters import calibrated, effect_parameters, with_calibration, with_effects
 from leactl.gap.record import Record, read_record
 from leactl.gap.regression import Candidate, Fit
@@ -136,7 +136,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     if by_runs:
         surprise = unexplained(servo_answer.unfollowed(shrunk.shrinkage), {})
     located = where(replayed, shrunk.channels)
-    notes = gathered([*case.fitted, *case.held_out])
+    notes = unlike(case.fitted, case.held_out) + gathered([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
         notes += ("no kind of run occurs twice: held out are two sixteenths of each run",)
     left = (surprise.note,) if surprise.probability >= UNKNOWN else ()

@@ -44,6 +44,19 @@ def gathered(records: Sequence[Record]) -> tuple[str, ...]:
     )
 
 
+def unlike(fitted: Sequence[Record], held_out: Sequence[Record]) -> tuple[str, ...]:
+    """Notes on held-out runs of a kind that was fitted in other conditions or set-ups only."""
+    notes = []
+    for name in ("condition", "mechanical"):
+        for kind in sorted({record.kind for record in fitted} & {record.kind for record in held_out}):
+            learnt = {getattr(record, name) for record in fitted if record.kind == kind}
+            judged = {getattr(record, name) for record in held_out if record.kind == kind}
+            if judged - learnt:
+                text = (", ".join(sorted(value or "not named" for value in values)) for values in (learnt, judged))
+                notes.append(f"{kind}: {name} of fitted runs: {next(text)}; of held-out runs: {next(text)}")
+    return tuple(notes)
+
+
 def has(record: Record, quantity: str, role: str) -> bool:
     """Whether a run has a channel on either clock."""
     return any(clock is not None and clock.get(quantity, role) is not None for clock in (record.fast, record.slow))

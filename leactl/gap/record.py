@@ -61,6 +61,7 @@ class Record:
     slow: Clocked | None
     setup: dict[str, float]
     notes: list[str] = field(default_factory=list)
+    condition: str = ""  # on the bench; empty where the file names none
 
     @property
     def name(self) -> str:
@@ -102,7 +103,8 @@ def read_record(path: Path) -> Record:
         unique = {(c.stream, c.quantity, c.role, c.location): c for c in found}
         kind = str(run.attributes.get("protocol") or mechanical)
         setup = {k: float(v) for k, v in run.setup.items() if isinstance(v, int | float)}
-    return build(path, kind, mechanical, list(unique.values()), setup)
+        condition = str(run.attributes.get("condition") or "")
+    return replace(build(path, kind, mechanical, list(unique.values()), setup), condition=condition)
 
 
 def build(path: Path, kind: str, mechanical: str, channels: list[Channel], setup: dict[str, float]) -> Record:
