@@ -7,11 +7,13 @@ from collections.abc import Sequence
 
 from leactl.gap.diagnosis import Cause, Diagnosis, Shrinkage
 from leactl.report.gap_words import (
+    CLOSES_NOTHING,
     bare_units,
     change,
     claims,
     closed_by_calibration,
     closed_text,
+    closes_nothing,
     counted,
     figure,
     floors,
@@ -63,6 +65,8 @@ def what(answer: Diagnosis, width: int) -> str:
         said += ["", "causes"]
     for cause in answer.causes:
         said += cause_lines(cause, width)
+    if closes_nothing(answer):
+        said.append(filled(CLOSES_NOTHING, width))
     return "\n".join(said)
 
 

@@ -12,12 +12,14 @@ from leactl.gap.diagnosis import Cause, Diagnosis, Shrinkage
 from leactl.report.gap_figures import figures
 from leactl.report.gap_style import STYLE
 from leactl.report.gap_words import (
+    CLOSES_NOTHING,
     PRESENT,
     bare_units,
     change,
     claims,
     closed_by_calibration,
     closed_text,
+    closes_nothing,
     counted,
     figure,
     floors,
@@ -86,15 +88,23 @@ def causes(answer: Diagnosis) -> Html:
     if not answer.causes:
         return Html("")
     intro = "Each bar is the probability that the effect is present; they need not sum to 1."
-    return joined([tag("p", intro, class_="about"), tag("ol", *map(cause, answer.causes), class_="causes")])
+    empty = closes_nothing(answer)
+    parts = [tag("p", intro, class_="about")]
+    parts += [tag("p", CLOSES_NOTHING)] if empty else []
+    return joined([*parts, tag("ol", *(cause(item, empty) for item in answer.causes), class_="causes")])
 
 
-def cause(item: Cause) -> Html:
-    """Name, bar, meaning, parameters, class and the experiment that separates it."""
+def cause(item: Cause, closes_no_gap: bool) -> Html:
+    """Name, bar (pale where effects close no gap), meaning, parameters, class and the experiment that separates it."""
     share = min(max(item.probability, 0.0), 1.0) if math.isfinite(item.probability) else 0.0
+    bar = "bar weak" if closes_no_gap or share < PRESENT else "bar"
     said = [
         tag("div", tag("span", item.effect, class_="name"), tag("span", probability(item.probability)), class_="row"),
-        tag("div", tag("i", style=f"width:{100 * share:.4g}%"), class_="bar" if share >= PRESENT else "bar weak"),
+        tag(
+            "div",
+            tag("i", style=f"width:{100 * share:.4g}%"),
+            class_=bar,
+        ),
     ]
     if words := meaning(item.effect):
         said.append(tag("p", words))

@@ -7,6 +7,7 @@ from leactl.gap.diagnosis import CalibratedParameter, Cause, Diagnosis, EffectPa
 from leactl.report.terminal import number
 from leactl.vocabulary.effect import effect_definition, effect_names
 
+CLOSES_NOTHING = "No gap of held-out runs shrinks with these effects by more than chance."
 PRESENT = 0.5  # probability from which on a cause is said to act
 NEAR_FLOOR = 1.1  # floors, below which no gap is left to close
 VERDICTS = {
@@ -66,6 +67,12 @@ def closed_by_calibration(items: Sequence[Shrinkage]) -> list[Shrinkage]:
     """Channels whose gap is gone once the model's own parameters are fitted, the largest first."""
     near = [item for item in items if not open_gap(item) and item.nominal_rms >= NEAR_FLOOR * item.floor_rms]
     return sorted(near, key=lambda item: -item.nominal_rms / max(item.floor_rms, 1e-300))
+
+
+def closes_nothing(answer: Diagnosis) -> bool:
+    """Whether effects are claimed, and no gap of held-out runs shrinks with them beyond chance."""
+    shrinks = any(item.closed_low is not None and item.closed_low > 0.0 for item in answer.shrinkage)
+    return bool(claims(answer.causes)) and bool(answer.shrinkage) and not shrinks
 
 
 def counted(items: Sequence[Shrinkage]) -> str:

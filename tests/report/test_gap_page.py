@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leactl.gap.diagnosis import Diagnosis, Region
+from leactl.gap.diagnosis import Diagnosis, Region, Shrinkage
 from leactl.report.chart import Curve
+from leactl.report.gap import render
 from leactl.report.gap_page import page
 from leactl.report.gap_words import figure
 from leactl.report.plot import Axis
@@ -224,3 +225,13 @@ def test_a_curve_has_a_gap_where_points_were_left_out():
     for part, strokes in ((time, 2), (time[:20], 1)):
         axes = Axis(part.tolist(), 5), Axis([-1.0, 1.0], 5)
         assert str(Curve("measured", "measured", part, np.sin(part)).drawn(*axes)).count("M") == strokes
+
+
+@pytest.mark.parametrize("low, named", [(-16.9, True), (-0.01, True), (None, True), (0.02, False)])
+def test_an_effect_that_closes_nothing_has_no_full_bar(low, named):
+    held_out = (Shrinkage(*LOCKED, "N*m", 0.002, 0.006, 0.058, 0.001, None if low is None else low + 0.1, low, 0.5),)
+    said = answer(shrinkage=held_out)
+    bars = re.findall(r'<div class="(bar[^"]*)"><i style', page(said))
+    assert bars and ("bar" not in bars) is named
+    assert ("No gap of held-out runs shrinks" in page(said)) is named
+    assert ("No gap of held-out runs shrinks" in " ".join(render(said).split())) is named
