@@ -2,21 +2,41 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import typer
+from typer.core import TyperCommand
 
 app = typer.Typer(help="Diagnose the gap between model and bench.", no_args_is_help=True, rich_markup_mode=None)
 blind = typer.Typer(help="Check the diagnosis on causes nobody told it.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(blind, name="blind")
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
+JSON, TO_STDOUT, RUN_FILE = "--json", "-", ".h5"
 
 
-@app.command("diagnose")
+class JsonToFileOrStdout(TyperCommand):
+    """Lets `--json` stand alone, for stdout as in every other command, or before the file to write."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put `-` behind a `--json` that no file to write follows: an option, a run or nothing does."""
+        complete: list[str] = []
+        for index, word in enumerate(args):
+            complete.append(word)
+            following = args[index + 1] if index + 1 < len(args) else RUN_FILE
+            is_option = following.startswith("-") and following != TO_STDOUT
+            if word == JSON and (is_option or following.endswith(RUN_FILE)):
+                complete.append(TO_STDOUT)
+        return super().parse_args(ctx, complete)
+
+
+@app.command("diagnose", cls=JsonToFileOrStdout)
 def diagnose_runs(
     runs: list[Path] = typer.Argument(metavar="RUN...", help="Run files to learn from."),
     model: Path = typer.Option(..., "--model", help="Nominal model, a .yaml."),
     held_out: list[Path] = typer.Option([], "--held-out", help="A run to judge on; may be repeated."),
-    json_out: Path | None = typer.Option(None, "--json", help="Write the answer as JSON; - for stdout."),
+    json_out: Path | None = typer.Option(
+        None, JSON, metavar="[OUT.json]", help="Print JSON on stdout, or write it to OUT.json."
+    ),
     html: Path | None = typer.Option(None, "--html", help="Write a page to look at."),
     write_model: Path | None = typer.Option(None, "--write-model", help="Write the calibrated, augmented model."),
 ) -> None:

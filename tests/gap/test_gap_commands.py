@@ -1,6 +1,7 @@
 """`leactl gap simulate`, `compare` and `effects` at the command line."""
 
 import json
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 import yaml
 
 from leactl.effects import library
+from leactl.gap.notes import unlike
 from leactl.gap.record import read_record
 from leactl.gap.replay import replay
 from leactl.model.nominal import as_mapping, read_model
@@ -198,3 +200,26 @@ def test_an_unknown_effect_is_one_clear_line():
     answer = leactl("gap", "effects", "gremlins")
     assert answer.returncode == 2
     assert answer.stderr.startswith("leactl: effect 'gremlins' is not known; known: ")
+
+
+def test_json_of_a_diagnosis_goes_to_stdout_or_to_a_file(run, model_file, tmp_path):
+    out = tmp_path / "answer.json"
+    fixed = ("gap", "diagnose", "--model", model_file)
+    written_to_file = leactl(*fixed, run, "--json", out)
+    assert written_to_file.returncode == 0, written_to_file.stderr
+    assert "verdict" in written_to_file.stdout
+    said = json.loads(out.read_text())
+    for words in ((*fixed, run, "--json"), (*fixed, "--json", run), (*fixed[:2], run, "--json", *fixed[2:])):
+        assert json.loads(leactl(*words).stdout) == said
+    assert json.loads(leactl(*fixed, run, "--json", "-").stdout) == said
+
+
+def test_a_held_out_run_of_another_condition_is_noted(run, model_file, tmp_path):
+    other = tmp_path / "other.h5"
+    other.write_bytes(run.read_bytes())
+    for condition, notes in (("design", 0), ("unloaded", 1)):
+        learnt = read_record(run)
+        judged = replace(read_record(other), condition=condition)
+        noted = unlike([learnt], [judged])
+        assert len(noted) == notes
+    assert noted == ("staircase: condition of fitted runs: design; of held-out runs: unloaded",)
