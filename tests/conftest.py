@@ -1,29 +1,36 @@
 """What every test starts from: processes that heed Ctrl-C, examples that take what they take, a bench that is held."""
 
+import os
 import signal
 import subprocess
 import sys
+import tempfile
 
 import pytest
 from hypothesis import settings
 
 from leactl.analysis.estimate import Result
 from leactl.analysis.experiments import is_known, results_of
+from leactl.bench import benchfile
 
 HOLD = """
 import sys, time
 from leactl.bench import benchfile
 from leactl.runner import exclusive
-file, devices, _ = benchfile.load("testbed")
+file, devices, _ = benchfile.load(sys.argv[1])
 with exclusive.held(file, devices):
     print("held", flush=True)
     time.sleep(60)
 """
 
 
-def pytest_configure():
+def pytest_configure(config):
     # a script's background job begins with SIGINT ignored, and so would every process that a test starts
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    # nothing that a test latches or heats is this machine's
+    machine = tempfile.TemporaryDirectory(prefix="leactl-tests-")
+    config.add_cleanup(machine.cleanup)
+    os.environ["LEACTL_MACHINE_STATE"] = machine.name
     settings.register_profile("untimed", deadline=None)  # how long an example takes says how busy the machine is
     settings.load_profile("untimed")
 
@@ -40,9 +47,28 @@ def pytest_collection_modifyitems(items):
 
 
 @pytest.fixture
-def holder():
+def testbed(tmp_path, monkeypatch):
+    """The bench file `testbed` under a name and on buses that no other test at the same time has, on a new machine."""
+    monkeypatch.setenv("LEACTL_MACHINE_STATE", str(tmp_path / "machine"))
+    text = (benchfile.SHIPPED / "testbed.yaml").read_text()
+    number = os.getpid()
+    changes = {
+        "name: testbed": f"name: testbed-{number}",
+        "channel: can0": f"channel: can{number}",
+        "kind: i2c, number: 1": f"kind: i2c, number: {number % 199 + 56}",
+    }
+    for before, after in changes.items():
+        assert before in text
+        text = text.replace(before, after)
+    path = tmp_path / "testbed.yaml"
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture
+def holder(testbed):
     """A process that holds the bench `testbed`."""
-    process = subprocess.Popen([sys.executable, "-c", HOLD], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen([sys.executable, "-c", HOLD, str(testbed)], stdout=subprocess.PIPE, text=True)
     assert process.stdout.readline() == "held\n"
     yield process
     process.kill()

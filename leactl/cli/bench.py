@@ -66,7 +66,7 @@ def check(bench: str, as_json: bool = AS_JSON) -> None:
 
 @app.command()
 def reset(
-    bench: str,
+    bench: str = typer.Argument(help="The bench's name as the trip told it, or a path to a .yaml."),
     yes: bool = typer.Option(False, "--yes", help="Do not ask."),
     as_json: bool = AS_JSON,
 ) -> None:
@@ -75,18 +75,20 @@ def reset(
     from leactl.errors import Stopped
     from leactl.runner import latch
 
-    name = load(bench)[0].name
-    trip = latch.latched(name)
-    if trip is None:
+    tripped = latch.tripped(bench)
+    name = next(iter(tripped)).bench if tripped else load(bench)[0].name
+    if not tripped:
         typer.echo(json.dumps({"bench": name, "tripped": False}) if as_json else f"{name}: not tripped")
         return
-    said = f"{name}: tripped {trip.time}: {trip.cause} (run {trip.run})"
-    typer.echo(said, err=True)
+    for trip in tripped.values():
+        typer.echo(f"{name}: tripped {trip.time}: {trip.cause} (run {trip.run})", err=True)
     if not (yes or _confirmed("The cause is mended and the bench may move again?")):
         raise Stopped(f"not confirmed; '{name}' stays tripped (--yes confirms without a question)")
-    latch.release(name)
-    cause = {"cause": trip.cause, "time": trip.time, "run": trip.run}
-    typer.echo(json.dumps({"bench": name, "tripped": False, "released": cause}) if as_json else f"{name}: released")
+    for held in tripped:
+        held.release()
+    causes = [{"cause": trip.cause, "time": trip.time, "run": trip.run} for trip in tripped.values()]
+    answer = {"bench": name, "tripped": False, "released": causes[0], "all_released": causes}
+    typer.echo(json.dumps(answer) if as_json else f"{name}: released")
 
 
 def _confirmed(question: str) -> bool:

@@ -25,7 +25,7 @@ AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 
 
 def stop(
-    bench: str = typer.Argument("", help="A bench by name or as a .yaml; without one, every run of this user."),
+    bench: str = typer.Argument("", help="A bench by name or as a .yaml; without one, every run that this user sees."),
     wait_s: float = typer.Option(
         END_S, "--wait", metavar="SECONDS", min=0, help="How long to wait for the end.", callback=finite
     ),
@@ -35,8 +35,9 @@ def stop(
     from leactl.errors import DeviceError
     from leactl.runner import underway
 
-    found = _runs_on(bench, underway.running())
-    faults, asked = [], []
+    found, faults = underway.running()
+    found = _runs_on(bench, found)
+    asked = []
     for run in found:  # every one is asked before any is waited for
         try:
             run.ask_to_stop()

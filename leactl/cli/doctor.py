@@ -11,8 +11,9 @@ def doctor(as_json: bool = typer.Option(False, "--json", help="Print JSON on std
 
     from leactl.bench.machine import examine
     from leactl.report import pdf
+    from leactl.runner import state
 
-    findings = [*examine(), pdf.examine()]
+    findings = [*examine(), state.examine(), pdf.examine()]
     wrong = [finding for finding in findings if finding.needed and not finding.fine]
     if as_json:
         typer.echo(json.dumps({"fine": not wrong, "findings": [asdict(finding) for finding in findings]}))

@@ -1,20 +1,32 @@
 """One run at a time on a bench: a lock for its name and each of its buses and export folders, for the whole run.
 
-The kernel holds the locks for the process, so that they end with it whatever ended it. A lock on the bus as the machine
-knows it keeps two bench files apart that reach the same devices.
+Each lock is a name in the kernel's own space (an abstract socket), the same for every user, home and directory of state
+on this machine: no file stands for it that could vanish, lead elsewhere or be out of a user's reach. It ends with the
+process whatever ended that. A lock on the bus as the machine knows it keeps two bench files apart that reach the same
+devices.
 """
 
+import errno
 import fcntl
 import os
+import pwd
 import re
+import socket
+import stat
+import struct
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from hashlib import sha256
 from pathlib import Path
 
 from leactl.bench.benchfile import BenchFile, Bus, CheckedDevice, I2cBus, SerialBus
 from leactl.driver.batch import RecordSettings
 from leactl.errors import DeviceError, InputError
-from leactl.runner.latch import state_directory
+from leactl.runner import state
+
+LONGEST_NAME = 100  # bytes of an abstract socket's name; the kernel takes 107
+WAITING = 4096  # who asks for the holder stays in its queue; beyond this, or the kernel's bound, it is unknown
+UDP_MULTICAST_PORT = 43113  # of python-can, where no option names another
 
 
 @contextmanager
@@ -29,27 +41,68 @@ def held(bench: BenchFile, devices: Sequence[CheckedDevice]) -> Iterator[list[in
     InputError : there is no place for locks.
     """
     used = sorted({device.entry.bus for device in devices if device.entry.bus})
-    places = {f"bench-{bench.name}": f"bench '{bench.name}'"}
+    places = {name_of(bench): f"bench '{bench.name}'"}
     for name in used:
-        place = _place(bench.buses[name])
-        places.setdefault(place, f"bus '{name}' ({place})")
+        place, shown = _place(bench.buses[name])
+        places.setdefault(place, f"bus '{name}' ({shown})")
     for device in devices:
         settings = device.settings
         if isinstance(settings, RecordSettings) and settings.exports_folder is not None:
             folder = str(Path(settings.exports_folder).resolve())
             places.setdefault(folder, f"the folder {folder} of '{device.name}'")
     with ExitStack() as stack:
-        yield [
-            stack.enter_context(
-                locked(state_directory() / f"{_file_name(place)}.lock", f"{what} is driven by another run")
-            )
-            for place, what in places.items()
-        ]
+        yield [stack.enter_context(alone(place, f"{what} is driven by another run")) for place, what in places.items()]
+
+
+def name_of(bench: BenchFile) -> str:
+    """A bench as the machine knows it; served ones of one name are several, by where their state is kept."""
+    if bench.emulated is None:
+        return f"bench-{bench.name}"
+    return f"{state.place_of(bench, in_process=False).directory}/bench-{bench.name}"
+
+
+@contextmanager
+def alone(place: str, taken: str) -> Iterator[int]:
+    """Hold a place for all of this machine until the block is left; `taken` opens the line that says who holds it.
+
+    Raises
+    ------
+    DeviceError : another process holds it.
+    """
+    name = f"leactl/{place}".encode(errors="surrogateescape")
+    if len(name) > LONGEST_NAME:
+        name = f"leactl/{sha256(name).hexdigest()}".encode()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as lock:
+        try:
+            lock.bind(b"\0" + name)
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise DeviceError(f"{place}: cannot be held: {error.strerror}") from None
+            raise DeviceError(f"{taken}, {_holder(name)}; wait for its end, or: leactl bench stop") from None
+        lock.listen(WAITING)
+        yield lock.fileno()
+
+
+def _holder(name: bytes) -> str:
+    """The process that holds a lock, as the kernel tells it, with its user where that is another one."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
+        asking.setblocking(False)
+        try:
+            asking.connect(b"\0" + name)
+        except OSError:  # on its way to the lock, or asked too often
+            return "process unknown"
+        process, user, _group = struct.unpack("3i", asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+    if user == os.geteuid():
+        return f"process {process}"
+    try:
+        return f"process {process} of user {pwd.getpwuid(user).pw_name}"
+    except KeyError:
+        return f"process {process} of user {user}"
 
 
 @contextmanager
 def locked(path: Path, taken: str) -> Iterator[int]:
-    """Hold a lock file until the block is left; `taken` opens the line that says who holds it.
+    """Hold a folder by a lock file in it until the block is left; `taken` opens the line that says who holds it.
 
     Raises
     ------
@@ -57,12 +110,9 @@ def locked(path: Path, taken: str) -> Iterator[int]:
     InputError : there is no place for it.
     """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        descriptor = state.opened(path, shared=False)
     except OSError as error:
-        reason = error.strerror or error
-        text = f"{path}: no lock can be kept here: {reason}; set LEACTL_STATE to a directory that can be written"
-        raise InputError(text) from None
+        raise InputError(f"{path}: no lock can be kept here: {error.strerror or error}") from None
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -76,17 +126,39 @@ def locked(path: Path, taken: str) -> Iterator[int]:
         os.close(descriptor)  # and the lock with it; the file stays: removing it would let two runs lock two files
 
 
-def _place(bus: Bus) -> str:
-    """A bus as the machine knows it, whatever a bench file calls it; a device by the file its links lead to."""
+def _place(bus: Bus) -> tuple[str, str]:
+    """A bus as the machine knows it, whatever a bench file calls it, and how a person does."""
     if isinstance(bus, I2cBus):
-        return f"i2c-{bus.number}"
+        return f"i2c-{bus.number}", f"i2c-{bus.number}"
     if isinstance(bus, SerialBus):
-        return str(Path(bus.port).resolve())
+        return _device(bus.port)
     channel = str(bus.channel)
-    if channel.startswith("/"):
-        return str(Path(channel.partition("@")[0]).resolve())  # slcan takes /dev/ttyACM0@115200
-    return "-".join([bus.interface, channel, *([str(bus.options["port"])] if "port" in bus.options else [])])
+    # slcan takes /dev/ttyACM0@115200, and pyserial spy:///dev/ttyACM0?file=...
+    path = re.sub(r"^[a-z0-9]+://(?=/)", "", channel).partition("?")[0].partition("@")[0]
+    if "/" in path and ("://" not in channel or path.startswith("/")):
+        return _device(path)
+    if bus.interface == "socketcan":
+        channel = _interface(channel)
+    port = bus.options.get("port", UDP_MULTICAST_PORT if bus.interface == "udp_multicast" else None)
+    shown = "-".join([bus.interface, channel, *([str(port)] if port is not None else [])])
+    return shown, shown
 
 
-def _file_name(place: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_.-]", "_", place)
+def _device(port: str) -> tuple[str, str]:
+    """A device by its number in the kernel, which all of its links and nodes share; else by the file it would be."""
+    path = str(Path(port).resolve())
+    try:
+        status = Path(path).stat()
+    except OSError:
+        return path, path
+    if not stat.S_ISCHR(status.st_mode):
+        return path, path
+    return f"device-{os.major(status.st_rdev)}-{os.minor(status.st_rdev)}", path
+
+
+def _interface(channel: str) -> str:
+    """A network interface by its first name: it may have others (`ip link property add dev can0 altname ...`)."""
+    try:
+        return socket.if_indextoname(socket.if_nametoindex(channel))
+    except OSError:
+        return channel

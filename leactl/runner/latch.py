@@ -1,13 +1,28 @@
-"""A trip outlives its process: the bench stays latched in a file until a person resets it."""
+"""A trip outlives its process: the bench stays latched in a file until a person resets it.
+
+A bench on real buses latches for the machine, by its name; one that is emulated in its run's process by its file, so
+that no tripped rehearsal holds another one. A latch in any place where one may lie holds the bench.
+"""
 
 import json
 import os
+import shlex
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from hashlib import sha256
 from pathlib import Path
 
-from leactl.errors import LeactlError, SafetyTrip
+from leactl.bench import benchfile
+from leactl.bench.benchfile import BenchFile
+from leactl.errors import InputError, LeactlError, SafetyTrip
 from leactl.runfile.publish import force_to_disk
+from leactl.runner import state
+
+SUFFIX = ".trip.json"
+RELEASED = b'{"released": true}\n'  # in the file of another user, whom it takes to remove it
+DIGITS = 16  # of a file's digest in the name of its latch
 
 
 @dataclass(frozen=True)
@@ -20,62 +35,134 @@ class Trip:
     run: str
 
 
-def state_directory() -> Path:
-    """Where leactl keeps what must outlive a process: `LEACTL_STATE`, else the user's state directory (XDG)."""
-    own = os.environ.get("LEACTL_STATE")
-    if own:
-        return Path(own)
-    state = os.environ.get("XDG_STATE_HOME")
-    return (Path(state) if state else Path.home() / ".local" / "state") / "leactl"
+@dataclass(frozen=True)
+class Latch:
+    """The latch of one bench."""
+
+    bench: str  # its name
+    resets: str  # what `leactl bench reset` takes for it
+    paths: tuple[str, ...]  # the first is written; a file at any of them holds the bench
+    shared: bool = False  # the first is every user's
+
+    def set(self, cause: str, run: Path) -> None:
+        """Latch the bench, on the disk when this returns; a write that is cut short latches it too, cause unknown.
+
+        Raises
+        ------
+        LeactlError : the latch could not be written; the bench is safe, but the next run will not know.
+        """
+        trip = Trip(self.bench, cause, datetime.now(UTC).isoformat(timespec="seconds"), str(run))
+        path = Path(self.paths[0])
+        try:
+            descriptor = state.opened(path, self.shared)
+            try:
+                os.ftruncate(descriptor, 0)
+                os.write(descriptor, json.dumps(asdict(trip), indent=1).encode() + b"\n")
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+            force_to_disk(path.parent)
+        except OSError as error:
+            raise LeactlError(f"{path}: the trip could not be latched: {error.strerror or error}") from None
+
+    def trip(self) -> Trip | None:
+        """The trip that holds this bench, or None; a latch that cannot be read holds it too."""
+        trips = (_trip(self.bench, Path(path)) for path in self.paths)
+        return next((trip for trip in trips if trip is not None), None)
+
+    def refuse(self) -> None:
+        """Refuse to move a tripped bench.
+
+        Raises
+        ------
+        SafetyTrip : with the cause and the command that resets it.
+        """
+        trip = self.trip()
+        if trip is not None:
+            raise SafetyTrip(
+                f"bench '{self.bench}' is tripped since {trip.time}: {trip.cause};"
+                f" see: leactl bench reset {shlex.quote(self.resets)}"
+            )
+
+    def release(self) -> None:
+        """Take the latch away, whoever made it.
+
+        Raises
+        ------
+        InputError : this user may not.
+        """
+        for path in map(Path, self.paths):
+            if _trip(self.bench, path) is None:
+                continue
+            with suppress(OSError):
+                path.unlink()
+                continue
+            try:  # another user's in a sticky directory
+                descriptor = state.opened(path, self.shared)
+                try:
+                    os.ftruncate(descriptor, 0)
+                    os.write(descriptor, RELEASED)
+                finally:
+                    os.close(descriptor)
+            except OSError as error:
+                reason = error.strerror or error
+                raise InputError(
+                    f"{path}: the latch cannot be released: {reason}; its owner may, as root may"
+                ) from None
 
 
-def latch(bench: str, cause: str, run: Path) -> None:
-    """Latch a bench, on the disk when this returns; a write that is cut short latches it too, with a cause unknown.
+def of(bench: BenchFile, file: str, in_process: bool) -> Latch:
+    """The latch of a bench as its run meets it; `file` is where its bench file lies."""
+    if in_process:
+        return _of_file(bench.name, Path(file))
+    place = state.place_of(bench, in_process)
+    directories = dict.fromkeys([place.directory, *(other.directory for other in state.places())])
+    paths = tuple(str(directory / f"{bench.name}{SUFFIX}") for directory in directories)
+    return Latch(bench.name, bench.name, paths, place.shared)
 
-    Raises
-    ------
-    LeactlError : the latch could not be written; the bench is safe, but the next run will not know.
-    """
-    trip = Trip(bench, cause, datetime.now(UTC).isoformat(timespec="seconds"), str(run))
-    path = _path(bench)
+
+def named(word: str) -> list[Latch]:
+    """Every latch that a word leads to: a bench's name, as a trip tells it, or a path to a bench file."""
+    if Path(word).suffix not in (".yaml", ".yml"):
+        return list(_by_name(word))
+    file, _devices, document = benchfile.load(word)
+    return [*_by_name(file.name, of_files=False), _of_file(file.name, Path(document.name))]
+
+
+def tripped(word: str) -> dict[Latch, Trip]:
+    """Those of the latches `named` that hold a bench, and why."""
+    trips = {latch: latch.trip() for latch in named(word)}
+    return {latch: trip for latch, trip in trips.items() if trip is not None}
+
+
+def _of_file(bench: str, file: Path) -> Latch:
+    """The latch of a bench emulated here: by the file that its links lead to, in the user's own place."""
+    path = file.resolve()
+    resets = path.stem if path.parent == benchfile.SHIPPED.resolve() else str(path)
+    digest = sha256(os.fsencode(path)).hexdigest()[:DIGITS]
+    return Latch(bench, resets, (str(state.state_directory() / f"{bench}@{digest}{SUFFIX}"),))
+
+
+def _by_name(bench: str, of_files: bool = True) -> Iterator[Latch]:
+    """The latches that lie anywhere for benches of this name, which has no `@`."""
+    for place in state.places():
+        with suppress(OSError):
+            for path in sorted(place.directory.iterdir()):
+                key, suffix, rest = path.name.partition(SUFFIX)
+                if suffix and not rest and (key == bench or (of_files and key.partition("@")[0] == bench)):
+                    yield Latch(bench, bench, (str(path),), place.shared)
+
+
+def _trip(bench: str, path: Path) -> Trip | None:
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("w", encoding="utf-8") as file:
-            file.write(json.dumps(asdict(trip), indent=1) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-        force_to_disk(path.parent)
-    except OSError as error:
-        raise LeactlError(f"{path}: the trip could not be latched: {error.strerror or error}") from None
-
-
-def latched(bench: str) -> Trip | None:
-    """The trip that holds this bench, or None; a latch that cannot be read holds it too."""
-    path = _path(bench)
-    try:
-        return Trip(**json.loads(path.read_text(encoding="utf-8")))
+        text = state.read(path)
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, TypeError) as error:
+    except OSError as error:
+        return Trip(bench, f"unknown, {path} cannot be read: {error.strerror or error}", "", "")
+    if text == RELEASED:
+        return None
+    try:
+        return Trip(**json.loads(text))
+    except (ValueError, TypeError, RecursionError) as error:
         return Trip(bench, f"unknown, {path} cannot be read: {error}", "", "")
-
-
-def refuse_latched(bench: str) -> None:
-    """Refuse to move a tripped bench.
-
-    Raises
-    ------
-    SafetyTrip : with the cause and the command that resets it.
-    """
-    trip = latched(bench)
-    if trip is not None:
-        raise SafetyTrip(f"bench '{bench}' is tripped since {trip.time}: {trip.cause}; see: leactl bench reset {bench}")
-
-
-def release(bench: str) -> None:
-    """Take the latch away."""
-    _path(bench).unlink(missing_ok=True)
-
-
-def _path(bench: str) -> Path:
-    return state_directory() / f"{bench}.trip.json"

@@ -22,8 +22,9 @@ from leactl.errors import AcceptanceFailed, DeviceError, InputError, SafetyTrip,
 from leactl.model.motor import load_motor
 from leactl.protocol.plan import ChannelLimit, Engage, Plan, Record, Supply
 from leactl.runfile.writer import RunInfo, RunWriter, new_run_id
-from leactl.runner import exclusive, latch, underway
+from leactl.runner import exclusive, latch, state, underway
 from leactl.runner.channel_limits import ACCEPTANCE, ChannelLimits, Verdict
+from leactl.runner.latch import Latch
 from leactl.runner.loop import Loop, Operator
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import InlineFlush, ThreadedFlush
@@ -65,6 +66,11 @@ class Request:
         """Whether the bench is emulated here."""
         return self.bench.emulated is not None and not self.served
 
+    @property
+    def latch(self) -> Latch:
+        """What a trip of this bench sets, and what holds it."""
+        return latch.of(self.bench, self.bench_document.name, self.in_process)
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -103,11 +109,12 @@ def execute(request: Request, operator: Operator, watch: Watch, stops: Sequence[
     alone: AbstractContextManager[list[int]]
     alone = nullcontext([]) if request.in_process else exclusive.held(request.bench, request.devices)
     with alone as locks, listening() as stop:
-        latch.refuse_latched(request.bench.name)
-        place = request.bench.name, request.bench_document.name, request.plan.name
+        place = state.place_of(request.bench, request.in_process)
+        request.latch.refuse()
+        about = request.bench.name, request.bench_document.name, request.plan.name
         with (
             _watched(request, locks) as watchdog,
-            underway.announced(*place, needed=not request.in_process) as announcement,
+            underway.announced(*about, needed=not request.in_process, place=place) as announcement,
         ):
             windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
             request, bench, supervisor = _ready(request, windings)
@@ -139,7 +146,7 @@ def preview(request: Request) -> Preview:
     InputError, SafetyTrip, DeviceError : as `execute`.
     """
     _check(request)
-    latch.refuse_latched(request.bench.name)
+    request.latch.refuse()
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, cold=True)
     ready, bench, _supervisor = _ready(request, windings)
     return Preview(ready.plan.duration_s, _planned_bytes(request.plan, bench))
@@ -164,7 +171,7 @@ def _watched(request: Request, locks: Sequence[int]) -> AbstractContextManager[U
     """The run's watchdog; no other process reaches devices that are emulated in this one."""
     if request.in_process and not request.realtime:
         return nullcontext(Unwatched())
-    return beside(request.bench, [] if request.in_process else request.devices, locks)
+    return beside(request.bench, [] if request.in_process else request.devices, locks, request.latch)
 
 
 def _run(
@@ -199,6 +206,11 @@ def _run(
                 if source.exports.absent:
                     progress.warnings.append(f"{name}: there is no folder {source.exports.folder} for its exports yet")
                     writer.event(0.0, "warning", name, progress.warnings[-1])
+            place = state.place_of(request.bench, request.in_process)
+            if place.fault:
+                text = f"{place.fault}; trip latch and winding memory are this user's alone, in {place.directory}"
+                progress.warnings.append(f"{text}; see: leactl doctor")
+                writer.event(0.0, "warning", "runner", progress.warnings[-1])
             if announcement.fault:
                 writer.event(0.0, "warning", "runner", announcement.fault)
             loop.run()
@@ -212,7 +224,7 @@ def _run(
             error = _joined(SafetyTrip(watchdog.verdict()), error)
         error = _unconfirmed(error, safe)
         if isinstance(error, SafetyTrip):
-            _latch(request.bench.name, error, writer.path)
+            _latch(request.latch, error, writer.path)
         announcement.tell_safe(safe)
     notes = [progress.view_fault] if progress.view_fault else []
     try:
@@ -254,10 +266,10 @@ def _shown(watch: Watch, progress: Progress) -> Iterator[None]:
             progress.view_fault = f"the view has failed: {type(error).__name__}: {error}"
 
 
-def _latch(bench: str, error: SafetyTrip, run: Path) -> None:
+def _latch(bench: Latch, error: SafetyTrip, run: Path) -> None:
     """Latch a trip; where that fails the trip is still what ended the run."""
     try:
-        latch.latch(bench, _status(error)[1], run)
+        bench.set(_status(error)[1], run)
     except Exception as failure:  # noqa: BLE001 (a trip is told whatever becomes of its latch)
         error.add_note(f"THE BENCH IS NOT LATCHED: {failure}")
 

@@ -4,6 +4,7 @@ They cool while nothing runs. A process that died left its actuator no hotter th
 housing may have gone on warming until the next writing was overdue. What is not known counts as hot.
 """
 
+import errno
 import json
 import math
 import os
@@ -19,13 +20,15 @@ import numpy as np
 
 from leactl.errors import InputError
 from leactl.model.motor import Motor
-from leactl.runner.latch import state_directory
+from leactl.runner import state
+from leactl.runner.state import Place
 from leactl.safety.limits import COLDEST_DEGC, HOTTEST_DEGC
 from leactl.safety.thermal.bound import HOUSING, ThermalBound
 from leactl.safety.thermal.box import Array, Box
 
 FORMAT, VERSION = "leactl-thermal", 1
 WRITTEN_EVERY_S = 1.0
+BYTES = 4096  # of a file, so that each writing is one call and covers all of the one before
 OVERDUE_S = 10.0  # without a writing, after which a run is ended
 AHEAD_S = 60.0  # by which another clock may be ahead of this one
 FORGOTTEN_S = 48 * 3600.0  # by then any actuator is at ambient
@@ -40,21 +43,40 @@ class Recalled:
 
 
 class Memory:
-    """The file of one actuator, for one motor at one limit and ambient [degC]."""
+    """What is kept of one actuator, for one motor at one limit and ambient [degC], in a place of state."""
 
-    def __init__(self, actuator: str, motor: Motor, limit: float, ambient: float) -> None:
+    def __init__(self, actuator: str, motor: Motor, limit: float, ambient: float, place: Place) -> None:
         self.actuator, self._motor, self._limit, self._ambient = actuator, motor, limit, ambient
         self._digest = sha256(motor.model_dump_json().encode()).hexdigest()
-        self.path = _path(actuator)
+        self._place, self.path = place, place.windings(_file_name(actuator))
 
     def recall(self, now: float) -> Recalled:
-        """Bounds of this actuator at a time [s since 1970]; hot where nothing can be told."""
-        try:
-            nodes, time, running = self._read(now)
-        except FileNotFoundError:
+        """Bounds of this actuator at a time [s since 1970]; hot where nothing can be told.
+
+        Where several places tell of it, since not all users could write to one, the hottest counts.
+        """
+        recalled = [self._recall(path, now) for path in self._kept()]
+        if not recalled:
             return self._hot("nothing is known of it")
+        hottest = np.maximum.reduce([one.nodes for one in recalled])
+        return Recalled(hottest, max(recalled, key=lambda one: float(one.nodes[0])).known)
+
+    @property
+    def known(self) -> bool:
+        """Whether anything is kept of it."""
+        return bool(self._kept())
+
+    def _kept(self) -> list[Path]:
+        several = self._place.shared or self._place.fault  # a rehearsal's are kept apart
+        places = [self._place, *(state.places() if several else ())]
+        paths = dict.fromkeys(place.windings(_file_name(self.actuator)) for place in places)
+        return [path for path in paths if os.path.lexists(path)]
+
+    def _recall(self, path: Path, now: float) -> Recalled:
+        try:
+            nodes, time, running = self._read(path, now)
         except (OSError, ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:
-            return self._hot(f"{self.path} cannot be used: {error}")
+            return self._hot(f"{path} cannot be used: {getattr(error, 'strerror', None) or error}")
         left = max(now - time, 0.0)
         bound = ThermalBound([Box.of(self._motor)], self._ambient)
         how = "at rest since"
@@ -71,7 +93,7 @@ class Memory:
         return Recalled(bound.nodes()[:, 0], f"{how} {_told(time)}")
 
     def keep(self, nodes: Array, now: float, running: bool) -> None:
-        """Write bounds, whole or not at all.
+        """Write bounds in one call; a file that is cut short all the same counts as hot.
 
         Raises
         ------
@@ -87,10 +109,13 @@ class Memory:
             "running": running,
             "nodes_degC": [round(float(value), 4) for value in nodes],
         }
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        fresh = self.path.with_suffix(f".{os.getpid()}.new")
-        fresh.write_text(json.dumps(body, indent=1) + "\n", encoding="utf-8")
-        fresh.replace(self.path)
+        descriptor = state.opened(self.path, self._place.shared)
+        try:
+            text = (json.dumps(body, indent=1) + "\n").encode().ljust(BYTES)
+            if os.pwrite(descriptor, text, 0) < len(text):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        finally:
+            os.close(descriptor)
 
     def cold(self) -> Recalled:
         """At ambient throughout, as a person says."""
@@ -107,8 +132,8 @@ class Memory:
             bound.step(1.0, np.zeros(1), np.zeros(1), np.zeros(1), self._ambient)
             bound.state[:HOUSING] = rest
 
-    def _read(self, now: float) -> tuple[Array, float, bool]:
-        kept = json.loads(self.path.read_text(encoding="utf-8"))
+    def _read(self, path: Path, now: float) -> tuple[Array, float, bool]:
+        kept = json.loads(state.read(path))
         if kept["format"] != FORMAT or kept["format_version"] != VERSION:
             raise ValueError(f"format {kept['format']} {kept['format_version']}, {FORMAT} {VERSION} was expected")
         if kept["actuator"] != self.actuator:
@@ -177,13 +202,8 @@ class Keeper:
         self._written = now
 
 
-def known() -> list[Path]:
-    """Files of all actuators that something is known of."""
-    return sorted((state_directory() / "thermal").glob("*.json"))
-
-
-def _path(actuator: str) -> Path:
-    return state_directory() / "thermal" / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', actuator)}.json"
+def _file_name(actuator: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", actuator)
 
 
 def _told(time: float) -> str:

@@ -2,6 +2,7 @@
 
 A run locks its file for as long as its process lives, which tells a run from what a kill left behind; and since nothing
 is signalled, no process that took over a number can be hit. The loop looks at one byte of it, mapped into its memory.
+A run on real buses announces itself to every user of the machine, any of whom may stop it.
 """
 
 import errno
@@ -10,6 +11,7 @@ import json
 import mmap
 import os
 import secrets
+import stat
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -19,7 +21,8 @@ from typing import Any
 
 from leactl.driver.contract import Confirmation
 from leactl.errors import DeviceError, InputError
-from leactl.runner.latch import state_directory
+from leactl.runner import state
+from leactl.runner.state import Place
 
 GOES_ON, STOP = b"-", b"!"  # the file's first byte; one line of JSON after the other follows
 CAUSE = "stopped by `leactl bench stop`"
@@ -55,19 +58,23 @@ class Announcement:
 
 
 @contextmanager
-def announced(bench: str, bench_file: str, protocol: str, needed: bool) -> Iterator[Announcement]:
+def announced(
+    bench: str, bench_file: str, protocol: str, needed: bool, place: Place | None = None
+) -> Iterator[Announcement]:
     """Let a run be found and stopped by other processes until the block is left.
 
-    Where it is not `needed` and no file can be kept, the run tells itself what nobody hears.
+    Where it is not `needed` and no file can be kept, the run tells itself what nobody hears. Without a `place` it is
+    its user's own.
 
     Raises
     ------
     InputError : there is no place for the file.
     """
-    path = _directory() / f"{bench}.{os.getpid()}.{secrets.token_hex(4)}.run"
+    place = place or state.of_user()
+    path = place.runs / f"{bench}.{os.getpid()}.{secrets.token_hex(4)}.run"
     about = {"bench": bench, "file": str(Path(bench_file).resolve()), "protocol": protocol, "process": os.getpid()}
     try:
-        announcement = Announcement(_locked(path, GOES_ON + _line(about)))
+        announcement = Announcement(_locked(path, GOES_ON + _line(about), place.shared))
     except OSError as error:
         fault = f"{path.parent}: `leactl bench stop` cannot reach this run: {error.strerror or error}"
         if needed:
@@ -86,11 +93,10 @@ def announced(bench: str, bench_file: str, protocol: str, needed: bool) -> Itera
         announcement.close()
 
 
-def _locked(path: Path, text: bytes) -> int:
+def _locked(path: Path, text: bytes, shared: bool) -> int:
     """Make a file that is locked before anybody finds it, for one without a lock is taken for an ended run's."""
     hidden = path.with_suffix(".tmp")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(hidden, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
+    descriptor = state.opened(hidden, shared)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         os.write(descriptor, text)
@@ -148,16 +154,19 @@ class Underway:
         os.close(self.descriptor)
 
 
-def running() -> list[Underway]:
-    """Every run that is under way by its own file; what a kill left behind is removed.
+def running() -> tuple[list[Underway], list[str]]:
+    """Every run that is under way by its own file, and a line for each file that cannot be read.
 
-    Raises
-    ------
-    DeviceError : a run's file cannot be read.
+    What a kill left behind is removed.
     """
-    found = []
-    for path in sorted(_directory().glob("*.run")):
-        descriptor = _opened(path)
+    faults: list[str] = []
+    underway = []
+    for path in [path for place in state.places() for path in sorted(place.runs.glob("*.run"))]:
+        try:
+            descriptor = _opened(path)
+        except PermissionError:
+            faults.append(f"{path}: no permission to read what runs")
+            continue
         if descriptor is None:
             continue
         if _ended(descriptor):
@@ -166,20 +175,28 @@ def running() -> list[Underway]:
             os.close(descriptor)
             continue
         about = _told(descriptor)
-        found.append(Underway(about["bench"], about["file"], about["protocol"], about["process"], descriptor))
-    return found
+        unknown = {"bench": "unknown", "file": "", "protocol": path.name, "process": 0}
+        bench, file, protocol, process = (about.get(key, default) for key, default in unknown.items())
+        underway.append(Underway(bench, file, protocol, process, descriptor))
+    return underway, faults
 
 
 def _opened(path: Path) -> int | None:
-    """Open a run's file, for reading alone where another user's permits no more; None where it has gone."""
-    for how in (os.O_RDWR, os.O_RDONLY):
+    """Open a run's file, for reading alone where another user's permits no more; None where there is no run's file."""
+    safely = os.O_NOFOLLOW | os.O_NONBLOCK
+    try:
         try:
-            return os.open(path, how)
-        except FileNotFoundError:
-            return None
+            descriptor = os.open(path, os.O_RDWR | safely)
         except PermissionError:
-            continue
-    raise DeviceError(f"{path}: no permission to read what runs")
+            descriptor = os.open(path, os.O_RDONLY | safely)
+    except PermissionError:
+        raise
+    except OSError:  # it has gone, or is a link or a folder, which no run makes
+        return None
+    if stat.S_ISREG(os.fstat(descriptor).st_mode):
+        return descriptor
+    os.close(descriptor)
+    return None
 
 
 def _ended(descriptor: int) -> bool:
@@ -191,17 +208,14 @@ def _ended(descriptor: int) -> bool:
 
 
 def _told(descriptor: int) -> dict[str, Any]:
-    text = os.pread(descriptor, os.fstat(descriptor).st_size, 0)[1:]
+    text = os.pread(descriptor, state.MOST_BYTES, 0)[1:]
     told: dict[str, Any] = {}
     for line in text.split(b"\n")[:-1]:  # the last one is empty, or not whole yet
         with suppress(ValueError):  # cut short by a full disk
-            told |= json.loads(line)
+            line_told = json.loads(line)
+            told |= line_told if isinstance(line_told, dict) else {}
     return told
 
 
 def _line(what: Mapping[str, Any]) -> bytes:
     return json.dumps(what).encode() + b"\n"
-
-
-def _directory() -> Path:
-    return state_directory() / "runs"

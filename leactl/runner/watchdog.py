@@ -12,11 +12,13 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import asdict
 from pathlib import Path
 
 from leactl.bench.benchfile import BenchFile, CheckedDevice, host_silences
 from leactl.driver.contract import SAFE_STATE_S
 from leactl.errors import LeactlError
+from leactl.runner.latch import Latch
 
 CYCLES, ALLOWED_NS, FIRED_NS = range(3)  # words of the shared memory; an allowed silence of 0 is not watched
 WORDS = 3
@@ -68,7 +70,7 @@ class Unwatched:
 class Watchdog(Unwatched):
     """The parent's side of the process `leactl.runner.watchdog_process`."""
 
-    def __init__(self, file: BenchFile, devices: Sequence[CheckedDevice], kept: Sequence[int]) -> None:
+    def __init__(self, file: BenchFile, devices: Sequence[CheckedDevice], kept: Sequence[int], latch: Latch) -> None:
         self._silence_s = min(
             (silence for silence in host_silences(devices).values() if silence is not None), default=SAFE_STATE_S
         )
@@ -91,7 +93,8 @@ class Watchdog(Unwatched):
         finally:
             os.close(memory)
         bench = file.model_dump(mode="json", by_alias=True)  # keys as a person writes them
-        orders = {"process": os.getpid(), "bench": bench, "devices": [d.name for d in devices]}
+        names = [device.name for device in devices]
+        orders = {"process": os.getpid(), "bench": bench, "devices": names, "latch": asdict(latch)}
         self._tell(json.dumps(orders))
 
     def _tell(self, line: str) -> None:
@@ -163,19 +166,20 @@ class Watchdog(Unwatched):
 
 
 @contextmanager
-def beside(file: BenchFile, devices: Sequence[CheckedDevice], kept: Sequence[int]) -> Iterator[Watchdog]:
+def beside(file: BenchFile, devices: Sequence[CheckedDevice], kept: Sequence[int], latch: Latch) -> Iterator[Watchdog]:
     """Have a run watched until the block is left.
 
     Parameters
     ----------
     devices : those that another process can reach; none of a bench that is emulated in this one.
     kept : descriptors that hold the bench's locks.
+    latch : what it sets once it has ended a run.
 
     Raises
     ------
     LeactlError : the watchdog did not start.
     """
-    watchdog = Watchdog(file, devices, kept)
+    watchdog = Watchdog(file, devices, kept, latch)
     try:
         watchdog.wait_until_ready()
         yield watchdog

@@ -19,7 +19,7 @@ from leactl.bench.wiring import MachineWiring
 from leactl.driver.contract import Confirmation
 from leactl.driver.stopping import doubt, make_safe
 from leactl.errors import LeactlError
-from leactl.runner import latch
+from leactl.runner.latch import Latch
 from leactl.runner.watchdog import ALLOWED_NS, CYCLES, FIRED_NS, WORDS, hung, time_to_end_s
 
 LOOKS = 10  # within an allowed silence
@@ -84,7 +84,7 @@ def main() -> None:
     process = int(orders["process"])
     cause = watched(process, sign, inbox)
     if cause:
-        act(file.name, bench, process, cause, inbox)
+        act(Latch(**orders["latch"]), bench, process, cause, inbox)
 
 
 def watched(process: int, sign: "memoryview[int]", inbox: Inbox) -> str:
@@ -105,7 +105,7 @@ def watched(process: int, sign: "memoryview[int]", inbox: Inbox) -> str:
             return hung(process, now - since, allowed)
 
 
-def act(name: str, bench: Bench | None, process: int, cause: str, inbox: Inbox) -> None:
+def act(latch: Latch, bench: Bench | None, process: int, cause: str, inbox: Inbox) -> None:
     """Take the power away, end the process, take the power away again where that was in doubt, and latch the bench."""
     devices = bench.in_order_of_stop if bench else []
     safe = stopped(bench)
@@ -119,7 +119,7 @@ def act(name: str, bench: Bench | None, process: int, cause: str, inbox: Inbox) 
     if doubt(safe):
         say(doubt(safe))
     try:
-        latch.latch(name, cause, Path(inbox.run))
+        latch.set(cause, Path(inbox.run))
     except LeactlError as error:
         say(f"THE BENCH IS NOT LATCHED: {error}")
 

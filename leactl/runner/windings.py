@@ -13,6 +13,7 @@ from leactl.driver.contract import SAFE_STATE_S
 from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
 from leactl.protocol.plan import Plan
+from leactl.runner.state import place_of
 from leactl.runner.thermal_memory import Keeper, Memory, Recalled
 from leactl.runner.watchdog import time_to_end_s
 from leactl.safety.thermal.foresight import Forecast, Foresight
@@ -47,13 +48,14 @@ class Windings:
         self.settings = guard_settings(bench, devices, self.motors)
         limit, ambient = self.settings.limit, self.settings.ambient
         self.names = {role: actuator if role == "test" and actuator else f"{bench.name}.{role}" for role in self.motors}
-        memories = {role: Memory(self.names[role], motor, limit, ambient) for role, motor in self.motors.items()}
+        place = place_of(bench, emulated_here)
+        memories = {role: Memory(self.names[role], motor, limit, ambient, place) for role, motor in self.motors.items()}
         now = time.time()
         self.recalled: dict[str, Recalled] = {
             role: memory.cold() if cold or emulated_here else memory.recall(now) for role, memory in memories.items()
         }
         if bench.emulated is not None:  # nothing burns that is emulated: what nothing is known of is at ambient
-            fresh = {role for role, memory in memories.items() if not memory.path.is_file()}
+            fresh = {role for role, memory in memories.items() if not memory.known}
             self.recalled |= {role: memories[role].cold() for role in fresh}
         start = {role: found.nodes for role, found in self.recalled.items()}
         self.guard = ThermalGuard(self.motors, self.settings, start)

@@ -1,13 +1,17 @@
 """`leactl bench reset` and `leactl bench serve` as a shell sees them."""
 
 import json
+import shlex
 import signal
 import subprocess
+from pathlib import Path
 
 import pytest
 
-from leactl.runner import latch
+from leactl.bench.benchfile import SHIPPED
 from tests.cli.terminal import COMMAND, leactl
+from tests.latches import latch_of, trip_of
+from tests.runner.conftest import SPIN
 
 
 @pytest.fixture(autouse=True)
@@ -18,7 +22,8 @@ def own_state(tmp_path, monkeypatch):
 
 @pytest.fixture
 def tripped(tmp_path):
-    latch.latch("emulated", "test current of 31.2 A passed the limit of 30 A", tmp_path / "runs" / "a.h5")
+    cause = "test current of 31.2 A passed the limit of 30 A"
+    latch_of("emulated").set(cause, tmp_path / "runs" / "a.h5")
 
 
 @pytest.mark.parametrize("answer", ["n\n", "\n", ""])
@@ -27,13 +32,13 @@ def test_reset_states_the_cause_and_releases_nothing_unconfirmed(tripped, answer
     assert (done.returncode, done.stdout) == (4, "")
     assert "test current of 31.2 A passed the limit of 30 A (run " in done.stderr
     assert "leactl: not confirmed; 'emulated' stays tripped" in done.stderr
-    assert latch.latched("emulated") is not None
+    assert trip_of("emulated")
 
 
 def test_reset_releases_once_confirmed(tripped):
     done = leactl("bench", "reset", "emulated", input="y\n")
     assert (done.returncode, done.stdout) == (0, "emulated: released\n")
-    assert latch.latched("emulated") is None
+    assert not trip_of("emulated")
 
 
 def test_reset_answers_in_json_and_tells_what_it_released(tripped):
@@ -45,11 +50,44 @@ def test_reset_answers_in_json_and_tells_what_it_released(tripped):
 
 def test_reset_of_a_damaged_latch_says_so_and_asks_too(tmp_path):
     (tmp_path / "state").mkdir()
-    (tmp_path / "state" / "emulated.trip.json").write_text("{")
+    Path(latch_of("emulated").paths[0]).write_text("{")
     done = leactl("bench", "reset", "emulated", input="n\n")
     assert done.returncode == 4
     assert "cannot be read" in done.stderr
     assert leactl("bench", "reset", "emulated", "--yes").returncode == 0
+
+
+TRIPPING = ("run", "spin.yaml", "--set", "current_A=2.5", "--set", "hold_s=2", "--bench")
+
+
+def test_the_command_that_a_trip_tells_releases_the_bench_and_holds_no_other_of_its_name(tmp_path):
+    (tmp_path / "spin.yaml").write_text(SPIN)
+    (tmp_path / "a bench").mkdir()
+    mine, other = "a bench/mine.yaml", "other.yaml"
+    for name in (mine, other):
+        (tmp_path / name).write_text((SHIPPED / "emulated.yaml").read_text().replace("name: emulated", "name: mybench"))
+    assert leactl(*TRIPPING, mine).stderr.startswith("leactl: test velocity of ")
+    (tmp_path / "link.yaml").symlink_to(tmp_path / mine)
+    for again in (mine, "link.yaml"):
+        refused = leactl("run", "spin.yaml", "--bench", again)
+        assert (refused.returncode, refused.stdout) == (3, "")
+    assert leactl("run", "spin.yaml", "--bench", other).returncode == 0
+    told = shlex.split(refused.stderr.partition("; see: ")[2])
+    assert told[:3] == ["leactl", "bench", "reset"]
+    done = leactl(*told[1:], "--yes")
+    assert (done.returncode, done.stdout) == (0, "mybench: released\n")
+    assert leactl("run", "spin.yaml", "--bench", mine).returncode == 0
+
+
+def test_reset_by_name_releases_a_bench_whose_file_has_gone(tmp_path):
+    (tmp_path / "spin.yaml").write_text(SPIN)
+    mine = tmp_path / "mine.yaml"
+    mine.write_text((SHIPPED / "emulated.yaml").read_text().replace("name: emulated", "name: mybench"))
+    assert leactl(*TRIPPING, mine).returncode == 3
+    mine.rename(tmp_path / "moved.yaml")
+    done = leactl("bench", "reset", "mybench", "--yes")
+    assert (done.returncode, done.stdout) == (0, "mybench: released\n")
+    assert leactl("bench", "reset", "mybench").returncode == 2
 
 
 def test_reset_of_an_unknown_bench_is_status_2():

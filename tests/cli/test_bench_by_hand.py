@@ -1,6 +1,7 @@
 """`leactl bench read, zero, jog` as a shell sees them: runs like any other, with every check, limit, latch and lock."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,8 @@ import yaml
 from leactl.bench import benchfile
 from leactl.runfile.integrity import verify
 from leactl.runfile.reader import Run
-from leactl.runner import latch
 from tests.cli.terminal import leactl
+from tests.latches import trip_of
 
 SAFE = {"drive_test": True, "drive_load": True, "torque_sensor": True}
 ALL_SAFE = SAFE | {"daq": True}  # a reading opens what is there on demand too
@@ -84,7 +85,7 @@ def test_read_prints_a_line_a_channel():
 def test_a_reading_past_a_limit_trips_and_latches(bench):
     answer = answered("read", bench(limits={"bus_voltage_low_V": 30}), status=3)
     assert (answer["status"], answer["channels"], safe(answer)) == ("tripped", [], ALL_SAFE)
-    assert "bus_voltage" in latch.latched("emulated").cause
+    assert "bus_voltage" in trip_of("emulated").cause
 
 
 def test_zero_tells_the_offset_before_and_after_and_holds_for_its_run(bench):
@@ -169,7 +170,7 @@ def test_an_angle_beyond_the_bench_s_limit_is_refused(bench):
 def test_a_jog_that_trips_latches_the_bench_for_all_that_is_done_by_hand():
     answer = answered("jog", "--current", "4", "--setup", "free", status=3)
     assert (answer["status"], safe(answer)) == ("tripped", SAFE)
-    assert latch.latched("emulated").cause == answer["reason"]
+    assert trip_of("emulated").cause == answer["reason"]
     for arguments in (["read"], ["zero"], ["jog", "--angle", "0.1"]):
         done = leactl("bench", *arguments)
         assert (done.returncode, done.stdout) == (3, "")
@@ -177,7 +178,7 @@ def test_a_jog_that_trips_latches_the_bench_for_all_that_is_done_by_hand():
 
 
 @pytest.mark.parametrize("arguments", [["read"], ["zero"], ["jog", "--current", "1"]])
-def test_a_bench_that_another_run_holds_is_refused(holder, arguments):
-    done = leactl("bench", arguments[0], "testbed", *arguments[1:])
+def test_a_bench_that_another_run_holds_is_refused(testbed, holder, arguments):
+    done = leactl("bench", arguments[0], testbed, *arguments[1:])
     assert (done.returncode, done.stdout) == (5, "")
-    assert f"bench 'testbed' is driven by another run, process {holder.pid};" in done.stderr
+    assert f"bench 'testbed-{os.getpid()}' is driven by another run, process {holder.pid};" in done.stderr

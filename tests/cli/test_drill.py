@@ -9,9 +9,9 @@ import pytest
 import yaml
 
 from leactl.bench import benchfile
-from leactl.runner import latch
 from tests.cli.terminal import COMMAND, leactl, start
 from tests.cli.test_stop_key import Terminal
+from tests.latches import trip_of
 
 
 @pytest.fixture(autouse=True)
@@ -45,7 +45,7 @@ def test_json_alone_is_on_stdout_and_nothing_is_left_behind(here):
     assert told["findings"][1]["devices"]["drive_test"]["without_power"] is True
     assert done.stderr.splitlines()[0] == "1 of 5: no_fault"
     assert "s left" in done.stderr.splitlines()[-1]
-    assert (latch.latched("emulated"), os.listdir(here / "tmp")) == (None, [])
+    assert (trip_of("emulated"), os.listdir(here / "tmp")) == (None, [])
 
 
 @pytest.mark.parametrize("columns", [80, 140])
@@ -184,7 +184,7 @@ def test_a_person_who_does_not_agree_moves_nothing(at_the_bench, here):
     assert told["not_rehearsed"][0] == {"name": "operator_stop", "why": "not agreed to"}
 
 
-def test_a_bench_that_another_run_holds_is_not_drilled(holder):
-    done = leactl("safety", "drill", "testbed", "--yes")
+def test_a_bench_that_another_run_holds_is_not_drilled(testbed, holder):
+    done = leactl("safety", "drill", testbed, "--yes")
     assert (done.returncode, done.stdout) == (5, "")
-    assert f"bench 'testbed' is driven by another run, process {holder.pid};" in done.stderr
+    assert f"bench 'testbed-{os.getpid()}' is driven by another run, process {holder.pid};" in done.stderr

@@ -17,10 +17,10 @@ from leactl.bench import benchfile
 from leactl.errors import SafetyTrip
 from leactl.runfile.integrity import recover, verify
 from leactl.runfile.reader import Run
-from leactl.runner import latch
 from tests.cli.terminal import COMMAND
 from tests.driver.transports import ROOT, can_place
 from tests.kills import stuck
+from tests.latches import latch_of
 
 BENCH = "killed"
 START_S, STOP_S, END_S = 60.0, 15.0, 40.0
@@ -215,7 +215,7 @@ def file_faults(place: Path, found: dict, held_s: float) -> list[str]:
 def latch_faults(way: str) -> list[str]:
     """A bench whose run was stopped by its watchdog refuses the next start with the cause."""
     try:
-        latch.refuse_latched(BENCH)
+        latch_of(BENCH, in_process=False).refuse()
     except SafetyTrip as refused:
         expected = "ended without making the bench safe" if way.startswith("kill") else "stood still for"
         return [] if WAYS[way] and expected in str(refused) else [f"the next start is refused: {refused}"]

@@ -14,10 +14,10 @@ from leactl.emulation.faults import known_faults
 from leactl.emulation.witness import witnessed
 from leactl.errors import InputError, Stopped
 from leactl.runfile.integrity import verify
-from leactl.runner import latch
 from leactl.runner.drill import real
 from leactl.runner.drill.emulated import EmulatedDrill
 from leactl.runner.drill.real import Person, RealDrill
+from tests.latches import latch_of, release, trip_of
 
 
 def quietly(_what, _done, _count):
@@ -131,14 +131,14 @@ def test_a_bench_that_trips_by_itself_is_not_drilled_any_further(drill, bench):
 
 
 def test_latches_of_the_user_are_neither_heeded_nor_made_and_own_faults_of_the_bench_are_left_out(drill, bench):
-    latch.latch("emulated", "before", None)
-    before = dict(os.environ), latch.latched("emulated")
+    latch_of("emulated").set("before", None)
+    before = dict(os.environ), trip_of("emulated")
     faults = {"faults": [{"fault": "bus_off", "at_s": 0.5, "bus": "can0"}]}
     assert drill(bench(emulated=faults), "over_voltage").held
-    assert (dict(os.environ), latch.latched("emulated")) == before
-    latch.release("emulated")
+    assert (dict(os.environ), trip_of("emulated")) == before
+    release("emulated")
     assert drill("emulated", "over_voltage").held
-    assert latch.latched("emulated") is None
+    assert trip_of("emulated") is None
 
 
 @pytest.mark.parametrize("setup", ["free", "locked"])

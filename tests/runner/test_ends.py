@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import threading
+from pathlib import Path
 
 import pytest
 from leactl_plugins.ads1115.driver import Ads1115
@@ -12,8 +13,8 @@ from leactl.emulation.wires import EmulatedI2cBus
 from leactl.errors import InputError, SafetyTrip
 from leactl.runfile import writer
 from leactl.runfile.writer import RecordingFailed
-from leactl.runner import latch
 from tests.cli.terminal import leactl
+from tests.latches import latch_of, trip_of
 from tests.runner.conftest import SPIN
 
 TRIPPING = ("current_A=2.5", "hold_s=2")
@@ -27,7 +28,7 @@ def test_a_device_that_fails_to_close_hides_no_trip(spin, monkeypatch, place):
     monkeypatch.setattr(place, "close", fail, raising=False)
     outcome, bench = spin(sets=TRIPPING)
     assert isinstance(outcome.error, SafetyTrip)
-    assert latch.latched("emulated").run == str(outcome.path)
+    assert trip_of("emulated").run == str(outcome.path)
     assert bench.wires["can0"].hosts == []
     if place is Ads1115:
         assert outcome.notes == ["torque_sensor: was not closed in order: OSError: [Errno 5] Input/output error"]
@@ -37,7 +38,7 @@ def test_a_trip_is_latched_before_the_file_is_closed(spin, monkeypatch):
     latched = []
 
     def killed(_self, _status, _reason):
-        latched.append(latch.latched("emulated"))
+        latched.append(trip_of("emulated"))
         raise RuntimeError("killed here")
 
     monkeypatch.setattr(writer.RunWriter, "close", killed)
@@ -50,8 +51,8 @@ def test_a_trip_is_latched_before_the_file_is_closed(spin, monkeypatch):
 def test_the_latch_is_on_the_disk_when_it_is_said_to_be(tmp_path, monkeypatch):
     forced = []
     monkeypatch.setattr(os, "fsync", lambda place: forced.append(os.fstat(place).st_ino))
-    latch.latch("emulated", "too fast", tmp_path)
-    path = latch.state_directory() / "emulated.trip.json"
+    latch_of("emulated").set("too fast", tmp_path)
+    path = Path(latch_of("emulated").paths[0])
     assert forced == [path.stat().st_ino, path.parent.stat().st_ino]
 
 
@@ -63,7 +64,7 @@ def test_a_latch_that_cannot_be_written_is_a_note_and_the_trip_is_told(tmp_path,
     assert done.returncode == 3, done.stderr
     assert json.loads(done.stdout)["status"] == "tripped"
     note, cause = done.stderr.splitlines()
-    assert note.startswith("leactl: THE BENCH IS NOT LATCHED: /proc/nowhere/emulated.trip.json: ")
+    assert note.startswith("leactl: THE BENCH IS NOT LATCHED: /proc/nowhere/emulated@")
     assert cause.startswith("leactl: test velocity of ")
 
 

@@ -12,32 +12,36 @@ from tests.cli.terminal import leactl
 from tests.runner.conftest import SPIN
 
 
-def real_bench(**changes):
-    file, devices, _document = benchfile.load("testbed")
-    return file.model_copy(update=changes), devices
+@pytest.fixture
+def real_bench(testbed):
+    def loaded(**changes):
+        file, devices, _document = benchfile.load(str(testbed))
+        return file.model_copy(update=changes), devices
+
+    return loaded
 
 
-def test_a_second_run_is_refused_with_the_process_of_the_first(holder, tmp_path, monkeypatch):
+def test_a_second_run_is_refused_with_the_process_of_the_first(testbed, holder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "spin.yaml").write_text(SPIN)
-    done = leactl("run", "spin.yaml", "--bench", "testbed", **os.environ)
+    done = leactl("run", "spin.yaml", "--bench", testbed, **os.environ)
     assert (done.returncode, done.stdout) == (5, "")
     assert done.stderr == (
-        f"leactl: bench 'testbed' is driven by another run, process {holder.pid};"
+        f"leactl: bench 'testbed-{os.getpid()}' is driven by another run, process {holder.pid};"
         " wait for its end, or: leactl bench stop\n"
     )
     assert leactl("run", "spin.yaml", **os.environ).returncode == 0  # emulated in process: nobody else's
 
 
-def test_another_bench_file_on_the_same_bus_is_refused(holder):
-    words = rf"bus 'can0' \(socketcan-can0\) is driven by .* process {holder.pid};"
+def test_another_bench_file_on_the_same_bus_is_refused(holder, real_bench):
+    words = rf"bus 'can0' \(socketcan-can{os.getpid()}\) is driven by .* process {holder.pid};"
     with pytest.raises(DeviceError, match=words), exclusive.held(*real_bench(name="other")):
         raise AssertionError
 
 
-def test_another_bench_on_other_buses_is_not_refused(holder):
+def test_another_bench_on_other_buses_is_not_refused(holder, real_bench):
     buses = {
-        "can0": benchfile.CanBus(kind="can", channel="can7"),
+        "can0": benchfile.CanBus(kind="can", channel=f"can{os.getpid()}-other"),
         "i2c1": benchfile.I2cBus(kind="i2c", number=7),
     }
     file, devices = real_bench(name="other")
@@ -51,10 +55,17 @@ def test_links_to_one_adapter_are_one_bus(tmp_path):
         benchfile.CanBus(kind="can", interface="slcan", channel=c) for c in ("/dev/null@115200", f"{tmp_path}/by-id")
     ]
     line = benchfile.SerialBus(kind="serial", port=f"{tmp_path}/by-id")
-    assert {exclusive._place(bus) for bus in (*there, line)} == {"/dev/null"}
+    assert {exclusive._place(bus) for bus in (*there, line)} == {("device-1-3", "/dev/null")}
 
 
-def test_a_killed_run_lets_go(holder):
+def test_a_default_that_is_written_out_is_the_same_bus():
+    bus = benchfile.CanBus(kind="can", interface="udp_multicast", channel="239.74.163.2")
+    assert exclusive._place(bus) == exclusive._place(bus.model_copy(update={"options": {"port": 43113}}))
+    lo = benchfile.CanBus(kind="can", channel="lo")
+    assert exclusive._place(lo)[0] == "socketcan-lo"
+
+
+def test_a_killed_run_lets_go(holder, real_bench):
     holder.kill()
     holder.wait()
     with exclusive.held(*real_bench()):
@@ -63,7 +74,7 @@ def test_a_killed_run_lets_go(holder):
         pass
 
 
-def test_a_process_that_was_handed_the_locks_holds_the_bench_too():
+def test_a_process_that_was_handed_the_locks_holds_the_bench_too(real_bench):
     with exclusive.held(*real_bench()) as locks:
         keeper = subprocess.Popen(["cat"], stdin=subprocess.PIPE, pass_fds=locks)
     with pytest.raises(DeviceError, match="driven by another run"), exclusive.held(*real_bench()):
@@ -73,7 +84,27 @@ def test_a_process_that_was_handed_the_locks_holds_the_bench_too():
         pass
 
 
-def test_no_place_for_locks_is_refused_before_anything_is_touched(monkeypatch):
-    monkeypatch.setenv("LEACTL_STATE", "/proc/nowhere")
-    with pytest.raises(InputError, match="LEACTL_STATE"), exclusive.held(*real_bench()):
+@pytest.mark.parametrize("name", ["LEACTL_STATE", "LEACTL_MACHINE_STATE", "HOME", "XDG_STATE_HOME", "TMPDIR"])
+def test_no_variable_leads_around_the_lock_of_a_real_bench(holder, real_bench, monkeypatch, tmp_path, name):
+    monkeypatch.setenv(name, str(tmp_path / "elsewhere"))
+    with pytest.raises(DeviceError, match=f"process {holder.pid};"), exclusive.held(*real_bench()):
         raise AssertionError
+    with pytest.raises(DeviceError, match=f"process {holder.pid};"), exclusive.held(*real_bench(name="other")):
+        raise AssertionError
+
+
+def test_a_lock_that_was_asked_for_too_often_still_holds(holder, real_bench, monkeypatch):
+    monkeypatch.setattr(exclusive, "_holder", lambda _name: "process unknown")
+    with pytest.raises(DeviceError, match="process unknown; wait for its end"), exclusive.held(*real_bench()):
+        raise AssertionError
+
+
+def test_a_folder_s_lock_empties_no_link_s_target_and_waits_for_no_pipe(tmp_path):
+    target = tmp_path / "precious"
+    target.write_text("kept")
+    (tmp_path / "link").symlink_to(target)
+    os.mkfifo(tmp_path / "pipe")
+    for name in ("link", "pipe"):
+        with pytest.raises(InputError, match="no lock can be kept here"), exclusive.locked(tmp_path / name, "taken"):
+            raise AssertionError
+    assert target.read_text() == "kept"

@@ -15,7 +15,7 @@ from leactl.emulation.faults import known_faults
 from leactl.errors import DeviceError, DeviceFault
 from leactl.runfile.integrity import verify
 from leactl.runfile.reader import Run
-from leactl.runner import latch
+from tests.latches import release
 from tests.runner.conftest import SPIN
 
 LOADED = """
@@ -227,7 +227,7 @@ def misfortunes(draw):
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(misfortunes())
 def test_no_drive_is_called_safe_that_is_not(rehearse, faults):
-    latch.release("emulated")
+    release("emulated")
     try:
         outcome, bench = rehearse(faults)
     except DeviceError:

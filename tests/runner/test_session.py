@@ -2,6 +2,7 @@
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from leactl.errors import DeviceFault, InputError, LeactlError, NoAnswer, Safety
 from leactl.protocol import protocolfile
 from leactl.runfile.integrity import verify
 from leactl.runfile.reader import Run
-from leactl.runner import latch
+from tests.latches import latch_of, release, trip_of
 from tests.runner.conftest import SPIN
 
 
@@ -94,17 +95,19 @@ def test_a_trip_ends_the_run_latches_the_bench_and_refuses_the_next(spin, tmp_pa
     with Run.open(outcome.path) as run:
         assert run.attributes["status"] == "tripped"
         assert run.steps[-1].stop < run.steps[-1].start + 0.6
-    with pytest.raises(SafetyTrip, match="leactl bench reset emulated"):
+    with pytest.raises(SafetyTrip, match=f"leactl bench reset {bench_path}"):
         spin(bench=bench_path)
-    trip = latch.latched("emulated")
+    trip = trip_of("emulated")
     assert trip.run == str(outcome.path)
-    latch.release("emulated")
-    assert spin()[0].status == "complete"
+    assert spin()[0].status == "complete"  # the shipped file of the same name
+    release("emulated")
+    assert spin(bench=bench_path)[0].status == "tripped"
 
 
 def test_a_damaged_latch_holds_the_bench(spin):
-    latch.state_directory().mkdir(parents=True)
-    (latch.state_directory() / "emulated.trip.json").write_text("{")
+    path = Path(latch_of("emulated").paths[0])
+    path.parent.mkdir(parents=True)
+    path.write_text("{")
     with pytest.raises(SafetyTrip, match="cannot be read"):
         spin()
 

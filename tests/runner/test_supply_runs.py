@@ -12,9 +12,9 @@ from leactl.bench.benchfile import load
 from leactl.errors import DeviceError, DeviceFault, InputError
 from leactl.protocol import protocolfile
 from leactl.runfile.reader import Run
-from leactl.runner import latch
 from leactl.runner.windings import Windings
 from tests.cli.terminal import leactl
+from tests.latches import trip_of
 
 HEAT = """
 name: heat
@@ -146,7 +146,7 @@ def test_a_supply_out_of_regulation_trips(heat):
     assert outcome.status == "tripped"
     assert "supply: out of regulation" in outcome.reason
     assert outcome.safe["supply"] == OFF
-    assert latch.latched("emulated-heated")
+    assert trip_of("emulated-heated")
     assert bench.rig.line_current == 0.0
 
 

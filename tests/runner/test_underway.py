@@ -13,7 +13,7 @@ from leactl_plugins.ads1115.driver import Ads1115
 from leactl.errors import InputError
 from leactl.runfile.reader import Run
 from leactl.runner import underway
-from leactl.runner.latch import state_directory
+from leactl.runner.state import state_directory
 
 PERIOD = 0.01  # of `spin` [s]
 
@@ -43,7 +43,7 @@ def test_no_cycle_begins_after_a_stop_and_the_drives_lose_torque_within_one(spin
     begun, asked, benches = [], [], []
 
     def ask(bench):
-        (run,) = underway.running()
+        (run,), _faults = underway.running()
         run.ask_to_stop()
         run.close()
         asked.append(bench.clock.now())
@@ -67,7 +67,7 @@ def test_no_cycle_begins_after_a_stop_and_the_drives_lose_torque_within_one(spin
 def test_a_run_tells_how_it_ended_to_whoever_had_its_file_open(spin):
     found = []
     outcome, _bench = spin(
-        at=[(0.3, lambda _bench: found.extend(underway.running()))], sets=("current_A=2.5", "hold_s=2")
+        at=[(0.3, lambda _bench: found.extend(underway.running()[0]))], sets=("current_A=2.5", "hold_s=2")
     )
     (run,) = found
     assert run.wait(time.monotonic())
@@ -83,7 +83,7 @@ def test_a_run_tells_how_it_ended_to_whoever_had_its_file_open(spin):
 
 
 def test_what_a_kill_left_behind_is_removed_and_nobody_is_asked(holder):
-    (run,) = underway.running()
+    (run,), _faults = underway.running()
     assert (run.bench, run.protocol, run.process) == ("rig", "hold", holder.pid)
     assert not run.wait(time.monotonic())
     holder.kill()
@@ -92,7 +92,7 @@ def test_what_a_kill_left_behind_is_removed_and_nobody_is_asked(holder):
     assert "status" not in run.told()
     run.close()
     assert len(files()) == 1
-    assert underway.running() == []
+    assert underway.running() == ([], [])
     assert files() == []
 
 
@@ -100,7 +100,7 @@ def test_a_file_without_a_lock_that_names_a_living_process_is_no_run():
     place = state_directory() / "runs" / f"rig.{os.getpid()}.0.run"
     place.parent.mkdir(parents=True)
     place.write_bytes(b'-{"bench": "rig", "file": "rig.yaml", "protocol": "hold", "process": %d}\n' % os.getpid())
-    assert underway.running() == []
+    assert underway.running() == ([], [])
     assert not place.exists()
 
 
@@ -110,14 +110,14 @@ def test_a_run_is_locked_before_it_can_be_found(monkeypatch):
 
     def slow(descriptor, how):
         if how & fcntl.LOCK_EX:
-            seen.extend(underway.running())
+            seen.extend(underway.running()[0])
             assert [path.suffix for path in files()] == [".tmp"]
         lock(descriptor, how)
 
     monkeypatch.setattr(fcntl, "flock", slow)
     with underway.announced("rig", "rig.yaml", "hold", needed=True):
         assert seen == []
-        (run,) = underway.running()
+        (run,), _faults = underway.running()
         run.close()
 
 
@@ -137,7 +137,7 @@ def test_a_stop_that_comes_while_the_devices_are_opened_moves_nothing(spin, monk
     opened = Ads1115.open
 
     def ask_and_open(device):
-        (run,) = underway.running()
+        (run,), _faults = underway.running()
         run.ask_to_stop()
         run.close()
         opened(device)

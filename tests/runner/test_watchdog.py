@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from leactl.errors import LeactlError, SafetyTrip
-from leactl.runner import latch, watchdog
+from leactl.runner import watchdog
 from tests.cli.terminal import COMMAND, leactl
+from tests.latches import trip_of
 from tests.runner.conftest import SPIN
 
 
@@ -41,7 +42,7 @@ def test_an_orderly_end_leaves_no_process_no_latch_and_no_word(spin, its_watchdo
     assert outcome.error is None
     assert len(its_watchdog) == 1
     assert children() == before
-    assert latch.latched("emulated") is None
+    assert trip_of("emulated") is None
     assert capfd.readouterr().err == ""
 
 
@@ -54,7 +55,7 @@ def test_a_watchdog_that_dies_trips_the_run(spin, its_watchdog):
     outcome, _bench = spin(realtime=True, at=[(0.3, lambda _bench: os.kill(its_watchdog[0], signal.SIGKILL))])
     assert isinstance(outcome.error, SafetyTrip)
     assert outcome.reason == "the run's watchdog has ended, status -9"
-    assert latch.latched("emulated").cause == outcome.reason
+    assert trip_of("emulated").cause == outcome.reason
 
 
 def test_the_terminal_s_signals_are_not_the_watchdog_s(spin, its_watchdog):
@@ -107,7 +108,7 @@ def test_a_stderr_that_nobody_reads_holds_up_no_end(stuck):
         finally:
             run.kill()
             rest.read()  # until the watchdog has ended as well
-    assert "stood still for" in latch.latched("emulated").cause
+    assert "stood still for" in trip_of("emulated").cause
 
 
 def test_a_loop_that_stands_still_is_ended_and_the_bench_latched(stuck, tmp_path):
@@ -117,7 +118,7 @@ def test_a_loop_that_stands_still_is_ended_and_the_bench_latched(stuck, tmp_path
     assert told.startswith("leactl watchdog: the control loop of process ")
     assert told.endswith(" s; 1 s are allowed")
     assert killed.endswith(" does not end by itself and is killed")
-    assert latch.latched("emulated").cause == told.removeprefix("leactl watchdog: ")
+    assert trip_of("emulated").cause == told.removeprefix("leactl watchdog: ")
     refused = leactl("run", "spin.yaml", "--json", **os.environ)
     assert refused.returncode == 3
     assert "stood still for" in refused.stderr

@@ -21,7 +21,6 @@ from leactl.runner.campaign import folder as place
 from leactl.runner.campaign.campaignfile import Campaign
 from leactl.runner.campaign.entries import Entry, previews
 from leactl.runner.campaign.journal import Finished, Journal, save
-from leactl.runner.latch import state_directory
 from leactl.runner.operators import at_the_terminal
 from leactl.runner.session import Outcome, Preview, Request
 from leactl.runner.signals import between_runs
@@ -72,9 +71,10 @@ def conduct(campaign: Campaign, entries: Sequence[Entry], folder: Path, manner: 
         runs = {entry.cell.key: entry.digest for entry in entries}
         journal, now = place.to_go_on(campaign, entries, folder, manner.accept_changes, manner.redo_lost)
         pending = [entry for entry in entries if entry.cell.key not in now.finished]
-        for name in sorted({entry.request.bench.name for entry in pending if not entry.request.in_process}):
-            lock = state_directory() / f"campaign-{name}.lock"
-            benches.enter_context(exclusive.locked(lock, f"bench '{name}' has a campaign already"))
+        real = {entry.request.bench.name: entry.request.bench for entry in pending if not entry.request.in_process}
+        for name, bench in sorted(real.items()):
+            lock = f"campaign-{exclusive.name_of(bench)}"
+            benches.enter_context(exclusive.alone(lock, f"bench '{name}' has a campaign already"))
         expected = previews(pending, check)
         for moved in place.put_aside([*now.unfinished, *now.damaged], folder):
             manner.tell(f"put aside: {moved}")

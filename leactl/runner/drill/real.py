@@ -192,7 +192,7 @@ class RealDrill:
         if took is not None and within_s is not None and took > within_s:
             faults.append(f"safe after {took:.2f} s; {within_s:g} s were expected")
         faults += [f"run file: {text}" for text in verify(outcome.path)]
-        held = latch.latched(self._file.name)
+        held = latch.tripped(self._bench)
         notes = [f"the bench is latched: leactl bench reset {self._bench}"] if held else []
         return Finding(
             name,
