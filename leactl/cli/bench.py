@@ -39,15 +39,10 @@ def model(bench: str) -> None:
 
 @app.command()
 def check(bench: str, as_json: bool = AS_JSON) -> None:
-    """Check a bench file and every driver's settings in it, without touching a device."""
-    from leactl.bench.bench import Bench, refuse_blind
-    from leactl.bench.benchfile import load
-    from leactl.bench.wiring import MachineWiring
-    from leactl.emulation.faults import check_faults
+    """Check a bench file, its motors and every driver's settings as a run does, without touching a device."""
+    from leactl.runner.checked_bench import load_checked
 
-    found, devices, document = load(bench)
-    check_faults(found, devices, document)
-    refuse_blind(Bench(found, devices, MachineWiring()), document)
+    found, devices, _document = load_checked(bench)
     interlocks = found.interlocks.shown()
     if as_json:
         rows = [{"name": d.name, "driver": d.entry.driver, "role": d.entry.role} for d in devices]
@@ -111,16 +106,15 @@ def serve(
     seed: int = typer.Option(None, min=0, help="Seed instead of the bench file's."),
 ) -> None:
     """Serve an emulated bench on real buses, by the wall clock, until Ctrl-C."""
-    from leactl.bench.benchfile import load, put_elsewhere
+    from leactl.bench.benchfile import put_elsewhere
     from leactl.bench.records import placed
     from leactl.emulation.emulated_bench import EmulatedBench
-    from leactl.emulation.faults import check_faults
     from leactl.emulation.serving import bridged, stub_chips
     from leactl.emulation.serving import serve as serve_until
+    from leactl.runner.checked_bench import load_checked
     from leactl.runner.signals import listening
 
-    file, devices, document = load(bench)
-    check_faults(file, devices, document)
+    file, devices, _document = load_checked(bench)
     file = file.model_copy(update={"buses": file.buses | put_elsewhere(file, bus)})
     emulated = EmulatedBench(file, placed(devices, RUNS), setup, condition, seed)
     with listening() as stop, bridged(file, emulated.wires, emulated.serial_wires) as bridges:

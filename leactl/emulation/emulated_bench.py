@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
 from typing import Any
 
 import can
@@ -16,12 +15,12 @@ from leactl.driver.serial_port import SerialLine
 from leactl.emulation import witness
 from leactl.emulation.actuator import Actuator
 from leactl.emulation.clock import EmulatedClock, HostClock
-from leactl.emulation.effects import make_effect
-from leactl.emulation.effects.contract import RIG_HOOKS, Effect, own_hooks
+from leactl.emulation.effects.contract import RIG_HOOKS, own_hooks
+from leactl.emulation.emulated_block import actuator_of, effect_of
 from leactl.emulation.faults import make_fault
 from leactl.emulation.faults.schedule import Schedule
 from leactl.emulation.noise import Noise
-from leactl.emulation.parameters import ActuatorParameters, BenchParameters
+from leactl.emulation.parameters import BenchParameters
 from leactl.emulation.rig import Rig
 from leactl.emulation.rig_phases import PARTS
 from leactl.emulation.serial_wire import EmulatedSerialLine, SerialWire
@@ -31,7 +30,6 @@ from leactl.emulation.supply_loads import DcLink, HeatedLeads
 from leactl.emulation.terminals import MotorTerminals
 from leactl.emulation.wires import CanWire, EmulatedCanBus, EmulatedI2cBus
 from leactl.errors import InputError
-from leactl.model.motor import load_motor
 
 TEMPERATURES = ("winding_temperature", "housing_temperature", "ambient_temperature")
 
@@ -94,9 +92,9 @@ class EmulatedBench:
         self.not_served = [f"fault {f.fault}: nothing happens, {f.where_served}" for f in faults if f.where_served]
         under = emulated.conditions.get(condition, {})
         number = emulated.seed if seed is None else seed
-        test = _parameters(file, "test", under | emulated.test)
-        load = _parameters(file, "load", under | emulated.load)
-        effects = [_effect(entry) for entry in emulated.effects]
+        test = actuator_of(file, "test", under | emulated.test)
+        load = actuator_of(file, "load", under | emulated.load)
+        effects = [effect_of(entry) for entry in emulated.effects]
         bench = BenchParameters.from_mapping(emulated.bench)
         expressible = all(set(own_hooks(effect)) <= set(RIG_HOOKS) for effect in effects)
         self.rig: Rig | SteppedRig = (
@@ -235,19 +233,3 @@ class EmulatedBench:
     def _keep_time(self, far_end: BuslessEmulator) -> None:
         self.time.follow(far_end.tick)
         self.time.stop_at(lambda: far_end.due)
-
-
-def _effect(entry: Mapping[str, Any]) -> Effect:
-    """An effect of the bench file; what a model file says, `{effect: id, parameters: {...}}`, is understood too."""
-    if "effect" in entry:
-        return make_effect(str(entry["effect"]), entry.get("parameters"))
-    return make_effect(str(entry.get("name")), {key: value for key, value in entry.items() if key != "name"})
-
-
-def _parameters(file: BenchFile, role: str, changes: Mapping[str, Any]) -> ActuatorParameters:
-    """The motor's parameters with the bench file's own over them."""
-    name = file.motors.get("test" if role == "test" else "load", file.motors["test"])
-    motor, _document = load_motor(name)
-    whole = motor.model_dump(include={item.name for item in fields(ActuatorParameters)})
-    thermal = whole["thermal"] | dict(changes.get("thermal", {}))
-    return ActuatorParameters.from_mapping(whole | dict(changes) | {"thermal": thermal})

@@ -17,6 +17,8 @@ Sheet = TypeVar("Sheet", bound=MotorSheet)
 RESISTANCES = 1e-5, 1e3  # ohm
 SLOWEST_WINDING = 1.0  # s; of real actuators inductance over resistance is 0.1 to 20 ms
 ROOM = 25.0  # degC
+# by which two conventions of current are apart at the most: 3/2 of amplitudes and sqrt(3) of lines, 2.6 together
+CONVENTIONS_APART = 3.0
 
 
 class Motor(MotorSheet):
@@ -79,6 +81,7 @@ def _plausible(motor: Sheet, document: yamlfile.Document) -> Sheet:
         *_rotor_outside_of_its_body(motor, document),
         *_friction_beyond_the_winding(motor, document),
         *_no_winding(motor, document),
+        *_constants_apart(motor, document),
     ]
     if faults:
         raise InputError(faults)
@@ -132,6 +135,28 @@ def _no_winding(motor: MotorSheet, document: yamlfile.Document) -> Iterator[str]
             f"{inductance:g} H over {resistance:g} ohm is a time constant of {inductance / resistance:.3g} s, at most"
             f" {SLOWEST_WINDING:g} s was expected; is it in H?",
         )
+
+
+def _constants_apart(motor: MotorSheet, document: yamlfile.Document) -> Iterator[str]:
+    """A torque constant that the file's other figures contradict by more than any convention."""
+    constant, current, printed = motor.torque_constant, motor.continuous_current, motor.printed
+    if constant is None:
+        return
+    others = {"back_emf_constant": (motor.back_emf_constant, "V*s/rad")}
+    if motor.phase_resistance is not None and printed.motor_constant is not None:
+        others["printed.motor_constant times sqrt(phase_resistance)"] = (
+            printed.motor_constant * math.sqrt(motor.phase_resistance),
+            "N*m/A",
+        )
+    if current is not None and printed.nominal_torque is not None:
+        others["printed.nominal_torque over continuous_current"] = (printed.nominal_torque / current, "N*m/A")
+    for name, (value, unit) in others.items():
+        if value is not None and not 1 / CONVENTIONS_APART <= constant / value <= CONVENTIONS_APART:
+            yield document.fault(
+                ("torque_constant",),
+                f"{constant:g} N*m/A is {constant / value:.3g} times {name}, {value:.3g} {unit}; both are one"
+                " figure in SI: mend the wrong one",
+            )
 
 
 def _document(name_or_path: str) -> yamlfile.Document:

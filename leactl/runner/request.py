@@ -6,11 +6,11 @@ from pathlib import Path
 
 from leactl.bench import benchfile
 from leactl.bench.benchfile import BenchFile, CheckedDevice
-from leactl.emulation.faults import check_faults
 from leactl.errors import InputError
 from leactl.protocol import by_hand, protocolfile
 from leactl.protocol.plan import Plan
 from leactl.runner.acceptance import check_analysis
+from leactl.runner.checked_bench import load_checked
 from leactl.runner.session import Request
 from leactl.safety.refusals import check_rate
 from leactl.yamlfile import Document
@@ -38,7 +38,7 @@ def prepare(
     """
     overrides = _settings(settings)
     seed = _seed(overrides.pop("seed", None))
-    placed = _placed(bench, buses)
+    placed = _placed(bench, buses, served)
     plan = protocolfile.load(protocol, overrides, condition)
     check_analysis(plan, str(protocolfile.locate(protocol)))
     made = _request(plan, placed, directory, realtime, served)
@@ -64,7 +64,7 @@ def prepare_by_hand(
     ------
     InputError : as `prepare`.
     """
-    placed = _placed(bench, buses)
+    placed = _placed(bench, buses, served)
     plan = by_hand.written(name, setup or placed[0].setup or "coupled", steps)
     return _request(plan, placed, directory, realtime, served, everything)
 
@@ -72,9 +72,13 @@ def prepare_by_hand(
 Placed = tuple[BenchFile, list[CheckedDevice], Document]
 
 
-def _placed(bench: str, buses: Sequence[str]) -> Placed:
-    file, devices, document = benchfile.load(bench)
-    check_faults(file, devices, document)
+def _placed(bench: str, buses: Sequence[str], served: bool) -> Placed:
+    file, devices, document = load_checked(bench)
+    if buses and file.emulated is not None and not served:
+        raise InputError(
+            f"--bus {buses[0]}: bench '{file.name}' has its buses in this process;"
+            " --served meets one that another process serves"
+        )
     return file.model_copy(update={"buses": file.buses | benchfile.put_elsewhere(file, buses)}), devices, document
 
 

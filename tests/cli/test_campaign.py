@@ -17,11 +17,11 @@ from tests.cli.terminal import COMMAND, leactl, start
 from tests.runner.campaign.conftest import SMALL, SPIN
 
 STEPS = "".join(f"  - {{name: s{n}, protocol: spin.yaml, set: {{hold_s: {8 + n}}}}}\n" for n in range(4))
-ON_TESTBED = SMALL.replace("bench: emulated", "bench: testbed")
+ON_TESTBED = SMALL.replace("bench: emulated", "bench: testbed.yaml")
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
+def here(tmp_path, monkeypatch, testbed):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "state"))
     (tmp_path / "spin.yaml").write_text(SPIN)
@@ -200,8 +200,8 @@ def test_a_prompt_that_nobody_can_answer_ends_the_campaign_with_status_4(here):
     done = leactl("campaign", "real.yaml", input="")
     assert done.returncode == 4
     assert done.stderr == (
-        "leactl: Mount bench 'testbed': condition 'unloaded', set-up free, for slow; stdin is no terminal to confirm it"
-        " at: see to it, then start again with --yes\n"
+        f"leactl: Mount bench 'testbed-{os.getpid()}': condition 'unloaded', set-up free, for slow;"
+        " stdin is no terminal to confirm it at: see to it, then start again with --yes\n"
     )
     assert done.stdout == "0 of 4 runs are finished in runs/small; the same command goes on\n"
 
@@ -212,7 +212,7 @@ def test_a_prompt_is_asked_at_the_terminal(here):
     def answered(answer):
         arguments = [*COMMAND[1:], "campaign", "real.yaml", "--cold"]
         child = pexpect.spawn(sys.executable, arguments, env=os.environ, encoding="utf-8", timeout=60)
-        child.expect("Mount bench 'testbed': condition 'unloaded', set-up free, for slow")
+        child.expect(f"Mount bench 'testbed-{os.getpid()}': condition 'unloaded', set-up free, for slow")
         child.sendline(answer)
         child.expect(pexpect.EOF)
         child.close()
@@ -221,7 +221,7 @@ def test_a_prompt_is_asked_at_the_terminal(here):
     assert answered("")[0] == 5  # on to its bus, which is not there
     status, told = answered("n")
     assert status == 4
-    assert "stopped by the operator: 'n' in answer to: Mount bench 'testbed'" in told
+    assert f"stopped by the operator: 'n' in answer to: Mount bench 'testbed-{os.getpid()}'" in told
 
 
 def test_a_campaign_waits_for_windings_to_cool_and_holds_its_bench_meanwhile(here, begin):
@@ -232,7 +232,7 @@ def test_a_campaign_waits_for_windings_to_cool_and_holds_its_bench_meanwhile(her
     assert line.endswith(" for the windings to cool, for slow, unloaded, repeat 1\n")
     second = leactl("campaign", "warm.yaml", "--out", "two")
     assert second.returncode == 5
-    assert second.stderr.startswith("leactl: bench 'testbed' has a campaign already, process ")
+    assert second.stderr.startswith(f"leactl: bench 'testbed-{os.getpid()}' has a campaign already, process ")
     process.send_signal(signal.SIGTERM)
     process.communicate(timeout=120)
     assert process.returncode == 4
@@ -246,7 +246,7 @@ def test_a_plan_is_printed_and_nothing_is_made(here):
     assert told["runs"][1]["duration_s"] == 9
     assert not (here / "runs").exists()
     text = leactl("campaign", "real.yaml", "--dry-run")
-    assert text.stdout.count("mount bench 'testbed'") == 4
+    assert text.stdout.count(f"mount bench 'testbed-{os.getpid()}'") == 4
     assert "4 of 4 runs are left, 0:01 of bench time, in runs/small" in text.stdout
 
 

@@ -76,7 +76,7 @@ def test_unusable_input_is_status_2_in_one_line(here, arguments, words):
     assert not (here / "runs").exists()
 
 
-def test_an_absent_bus_is_status_5_in_one_line(testbed):
+def test_an_absent_bus_is_status_5_in_one_line(here, testbed):
     done = leactl("run", "spin.yaml", "--bench", testbed, "--cold")
     assert (done.returncode, done.stdout) == (5, "")
     assert done.stderr.startswith("leactl: drive_test: bus 'can0': ")

@@ -126,7 +126,7 @@ def test_a_run_with_waits_holds_them_in_its_file(here):
     assert "cooldown" in names
 
 
-def test_a_real_bench_of_which_nothing_is_known_is_refused_and_begins_when_it_is_said_to_be_cold(testbed):
+def test_a_real_bench_of_which_nothing_is_known_is_refused_and_begins_when_it_is_said_to_be_cold(here, testbed):
     refused = leactl("run", "bursts.yaml", "--set", "current_A=8", "--bench", testbed)
     assert refused.returncode == 2
     assert "--cold where nothing has heated them" in refused.stderr

@@ -1,0 +1,90 @@
+"""A bench file with everything checked that a run on it would refuse, whatever its protocol; nothing is touched.
+
+`leactl bench check` and every command that uses a bench read it here.
+"""
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+
+from leactl.bench import benchfile
+from leactl.bench.bench import Bench, refuse_blind
+from leactl.bench.benchfile import BenchFile, CheckedDevice, host_silences
+from leactl.bench.wiring import MachineWiring
+from leactl.driver.contract import SAFE_STATE_S
+from leactl.emulation.emulated_block import check_emulated
+from leactl.errors import InputError
+from leactl.model.motor import Motor, load_motor
+from leactl.runner.windings import STOPS_WITHIN_S
+from leactl.safety.thermal.box import Box
+from leactl.yamlfile import Document
+
+HAS_A_PLACE = re.compile(r"\S.*?:\d+:\d+  ")  # file:line:column
+WORST_PHASE = 2.0  # of a current that stands: its share of the heat, over the mean of the three
+
+
+def load_checked(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], Document]:
+    """Read a bench and check all of it.
+
+    Raises
+    ------
+    InputError : no such bench, or faults in it, in a motor file or in the `emulated:` block; one line each with file,
+        line and column.
+    """
+    file, devices, document = benchfile.load(name_or_path)
+    motors = _motors(file, document)
+    faults = list(_burnt_before_the_end(file, devices, document, motors))
+    try:
+        check_emulated(file, devices, document)
+    except InputError as error:
+        faults += error.faults
+    try:
+        refuse_blind(Bench(file, devices, MachineWiring()), document)
+    except InputError as error:
+        faults += error.faults
+    if faults:
+        raise InputError(faults)
+    return file, devices, document
+
+
+def _motors(file: BenchFile, document: Document) -> Mapping[str, Motor]:
+    """The motors of a bench by the roles that its file names.
+
+    Raises
+    ------
+    InputError : a motor that is not known, faults in its file, or one that tells no tolerances.
+    """
+    motors: dict[str, Motor] = {}
+    faults: list[str] = []
+    for role, name in file.motors.items():
+        try:
+            motors[role] = load_motor(name)[0]
+            Box.of(motors[role])
+        except InputError as error:
+            for text in error.faults:
+                line = text if HAS_A_PLACE.match(text) else document.fault(("motors", role), text)
+                faults += [line] if line not in faults else []
+    if faults:
+        raise InputError(faults)
+    return motors
+
+
+def _burnt_before_the_end(
+    file: BenchFile, devices: Sequence[CheckedDevice], document: Document, motors: Mapping[str, Motor]
+) -> Iterator[str]:
+    """A current limit at which a winding passes its own before a drive that lost its host has stopped."""
+    silences = [silence for silence in host_silences(devices).values() if silence is not None]
+    seconds = max(silences, default=SAFE_STATE_S) + STOPS_WITHIN_S
+    ambient, limits = file.limits.ambient_temperature_degC, file.limits
+    currents = {}
+    for role, motor in motors.items():
+        rise = min(limits.winding_temperature_degC, motor.limits.winding_temperature) - ambient
+        heat = WORST_PHASE * motor.phase_resistance * seconds  # for each square of the current
+        currents[role] = math.sqrt(motor.thermal.winding_capacitance * max(rise, 0.0) / heat)
+    role = min(currents, key=lambda name: currents[name])
+    if limits.current_A > currents[role]:
+        yield document.fault(
+            ("limits", "current_A"),
+            f"{limits.current_A:g} A takes the {role} winding to its temperature limit within the {seconds:.3g} s that a"
+            f" drive without its host goes on; at most {currents[role]:.3g} A was expected",
+        )
