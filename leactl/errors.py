@@ -11,6 +11,7 @@ LeactlError (1)
  +- DeviceError (5)         a device or its bus failed
  |   +- NoAnswer            nothing came back in time
  |   +- DeviceFault         the device says it is in fault
+ |   +- NoBus               the machine has no bus of this kind
  +- AcceptanceFailed (6)    an acceptance limit of the protocol was not met
 """
 
@@ -80,6 +81,10 @@ class NoAnswer(DeviceError):
 
 class DeviceFault(DeviceError):
     """A device reports a fault of its own."""
+
+
+class NoBus(DeviceError):
+    """The machine has no bus of this kind: nothing that hangs on it can have been commanded from here."""
 
 
 class AcceptanceFailed(LeactlError):

@@ -12,7 +12,7 @@ from leactl.driver.contract import Block, Driver, MotionDevice, Row
 from leactl.driver.i2c_port import I2cPort
 from leactl.driver.serial_port import SerialPort
 from leactl.driver.stopping import doubt, make_safe
-from leactl.errors import DeviceError, InputError
+from leactl.errors import DeviceError, InputError, NoBus
 from leactl.quantities import ChannelSpec
 
 
@@ -84,7 +84,11 @@ class Bench:
             try:
                 driver.open()
             except BaseException as error:
-                doubts = doubt(make_safe([driver, *[other for other in self.drivers.values() if other is not driver]]))
+                safe = make_safe([driver, *[other for other in self.drivers.values() if other is not driver]])
+                cause = str(error).removeprefix(f"{name}: ")
+                if isinstance(error, NoBus):  # whatever hangs on it never heard of this machine
+                    safe = {device: found for device, found in safe.items() if not found.detail.endswith(cause)}
+                doubts = doubt(safe, cause)
                 self.close()
                 if not isinstance(error, DeviceError):
                     if doubts:

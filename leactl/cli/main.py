@@ -31,6 +31,7 @@ from leactl.cli import (
     stats,
     thermal,
 )
+from leactl.cli.printable import show_control_characters
 from leactl.errors import InputError, LeactlError, Stopped
 
 CTRL_C_OF_TYPER = 130
@@ -80,6 +81,7 @@ def root(
 
 def main() -> None:
     """Run the command line; an error is one line on stderr and its exit status, an unforeseen one keeps its trace."""
+    show_control_characters()
     try:
         status = app(prog_name=app.info.name, standalone_mode=False)
     except UsageError as error:

@@ -64,7 +64,7 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
     from leactl.runner.progress import Progress
     from leactl.runner.session import execute
 
-    console = Console(stderr=True)
+    console = Console(file=sys.__stderr__)
     emulated = request.bench.emulated is not None
     prompts = any(isinstance(action, Prompt) for action in request.plan.actions)
     if prompts and not emulated and not sys.stdin.isatty():

@@ -1,10 +1,11 @@
 """One CAN bus shared by several drivers, without threads: frames are dispatched while somebody waits for one."""
 
+import errno
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from leactl.driver.clock import Clock
-from leactl.errors import DeviceError
+from leactl.errors import DeviceError, NoBus
 
 if TYPE_CHECKING:
     import can
@@ -50,7 +51,11 @@ class CanPort:
         try:
             self.bus = self._connect()
         except (OSError, ValueError, ImportError, _can_error()) as error:
-            raise DeviceError(f"bus '{self.name}': {error}") from None
+            number = getattr(error, "errno", None)
+            if number == errno.EAFNOSUPPORT:
+                raise NoBus(f"bus '{self.name}': this machine has no SocketCAN; see: leactl doctor") from None
+            absent = "there is no such CAN interface; see: leactl doctor"
+            raise DeviceError(f"bus '{self.name}': {absent if number == errno.ENODEV else error}") from None
 
     def close(self) -> None:
         """Disconnect when the last user has let go."""

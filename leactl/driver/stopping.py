@@ -33,7 +33,12 @@ def _supplies(device: Driver) -> bool:
         return False
 
 
-def doubt(outcome: Mapping[str, Confirmation]) -> str:
-    """What could not be confirmed, in one line; empty where everything was."""
-    doubtful = [f"{name}: {confirmation.detail}" for name, confirmation in outcome.items() if not confirmation.safe]
+def doubt(outcome: Mapping[str, Confirmation], cause: str = "") -> str:
+    """What could not be confirmed, in one line; empty where everything was.
+
+    A device whose reason is the `cause` that the line tells already is named without it.
+    """
+    unsafe = {name: confirmation.detail for name, confirmation in outcome.items() if not confirmation.safe}
+    known = [name for name, detail in unsafe.items() if cause and detail.endswith(cause)]
+    doubtful = [*([", ".join(known)] if known else []), *(f"{n}: {unsafe[n]}" for n in unsafe if n not in known)]
     return "NOT CONFIRMED SAFE, switch off the supply: " + "; ".join(doubtful) if doubtful else ""

@@ -112,7 +112,7 @@ def _end(finding: Finding) -> str:
 @contextmanager
 def progress(console: Console | None = None) -> Iterator[Tell]:
     """Show what is rehearsed and how long it will take: one line on a terminal, plain lines anywhere else."""
-    console = console or Console(stderr=True)
+    console = console or Console(file=sys.__stderr__)
     began = time.monotonic()
     if not console.is_terminal:
 

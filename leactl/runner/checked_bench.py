@@ -85,6 +85,6 @@ def _burnt_before_the_end(
     if limits.current_A > currents[role]:
         yield document.fault(
             ("limits", "current_A"),
-            f"{limits.current_A:g} A takes the {role} winding to its temperature limit within the {seconds:.3g} s that a"
-            f" drive without its host goes on; at most {currents[role]:.3g} A was expected",
+            f"{limits.current_A:g} A takes the {role} winding to its temperature limit within the {seconds:.3g} s that"
+            f" a drive without its host goes on; at most {currents[role]:.3g} A was expected",
         )

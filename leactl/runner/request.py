@@ -12,6 +12,7 @@ from leactl.protocol.plan import Plan
 from leactl.runner.acceptance import check_analysis
 from leactl.runner.checked_bench import load_checked
 from leactl.runner.session import Request
+from leactl.runner.windings import check_label
 from leactl.safety.refusals import check_rate
 from leactl.yamlfile import Document
 
@@ -36,6 +37,8 @@ def prepare(
     ------
     InputError : a name, a file or a setting that cannot be used; one line a fault.
     """
+    for option, label in (("--actuator", actuator), ("--condition", condition), ("--operator", operator)):
+        check_label(option, label)
     overrides = _settings(settings)
     seed = _seed(overrides.pop("seed", None))
     placed = _placed(bench, buses, served)

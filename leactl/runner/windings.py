@@ -19,6 +19,7 @@ from leactl.runner.watchdog import time_to_end_s
 from leactl.safety.thermal.foresight import Forecast, Foresight
 from leactl.safety.thermal.guard import GuardSettings, ThermalGuard
 
+LONGEST_LABEL = 100  # characters; a label names a file, which may have 255 bytes
 STOPS_WITHIN_S = 0.02  # after its silence, by which a drive is without torque
 
 
@@ -42,8 +43,9 @@ class Windings:
 
         Raises
         ------
-        InputError : a motor file that cannot be used, or one without tolerances.
+        InputError : a motor file that cannot be used, or one without tolerances; a label that names no file.
         """
+        check_label("--actuator", actuator)
         self.motors = motors_of(bench)
         self.settings = guard_settings(bench, devices, self.motors)
         limit, ambient = self.settings.limit, self.settings.ambient
@@ -135,6 +137,19 @@ class Windings:
     def _foresight(self) -> Foresight:
         start = {role: found.nodes for role, found in self.recalled.items()}
         return Foresight(self.motors, self.settings, start)
+
+
+def check_label(option: str, label: str) -> None:
+    """Refuse a label that is no short printable text.
+
+    Raises
+    ------
+    InputError : with the option that gave it.
+    """
+    if len(label) > LONGEST_LABEL:
+        raise InputError(f"{option}: {len(label)} characters; at most {LONGEST_LABEL} were expected")
+    if not label.isprintable():
+        raise InputError(f"{option} {label!r}: printable text was expected")
 
 
 def motors_of(bench: BenchFile) -> dict[str, Motor]:

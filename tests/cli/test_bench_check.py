@@ -127,15 +127,14 @@ def test_a_torque_constant_that_the_motor_s_own_figures_contradict_is_refused(he
     if both:
         text = text.replace("back_emf_constant: 0.49", "back_emf_constant: 490")
     faults = own_motor(here, text)
-    assert all("torque_constant: 490 N*m/A is 1" in fault for fault in faults)
-    assert "mend the wrong one" in faults[0]
+    told = [fault for fault in faults if "  torque_constant: 490 N*m/A is " in fault and "mend the wrong one" in fault]
+    assert len(told) == (2 if both else 3)
 
 
 def test_a_motor_without_tolerances_is_refused_by_the_check_too(here):
     lines = LEA.splitlines(keepends=True)
-    start = lines.index("tolerances:\n")
-    end = next(i for i in range(start + 1, len(lines)) if lines[i].strip() and lines[i][0] not in " #")
-    [fault] = own_motor(here, "".join(lines[:start] + lines[end:]))
+    start = next(i for i, line in enumerate(lines) if line.startswith("tolerances:"))
+    [fault] = own_motor(here, "".join(lines[:start]))
     assert "no `tolerances:`" in fault
 
 

@@ -1,0 +1,35 @@
+"""What reaches a terminal is text: control characters in run files, paths and labels are shown, not obeyed."""
+
+import io
+import re
+import sys
+
+# line ends and tabs pass; of the rest C0, DEL, C1, and the marks that turn the direction of what follows
+OBEYED = re.compile("\r(?!\n)|[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+
+
+def printable(text: str) -> str:
+    """The text with every character that a terminal would obey as its escape in Python."""
+    return OBEYED.sub(lambda found: repr(found[0])[1:-1], text)
+
+
+class Printable(io.TextIOWrapper):
+    """A standard stream that shows control characters instead of passing them on."""
+
+    def write(self, text: str) -> int:
+        """Write text for people and scripts; bytes go to `buffer` as they are."""
+        return super().write(printable(text))
+
+
+_open: list[Printable] = []  # one that is let go of closes the stream beneath it
+
+
+def show_control_characters() -> None:
+    """Have stdout and stderr show control characters from here on; the live view writes to `sys.__stderr__`."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if isinstance(stream, io.TextIOWrapper) and not isinstance(stream, Printable):
+            lines = stream.line_buffering
+            fresh = Printable(stream.buffer, stream.encoding, stream.errors, "\n", lines, stream.write_through)
+            _open.append(fresh)
+            setattr(sys, name, fresh)
