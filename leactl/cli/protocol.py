@@ -47,7 +47,9 @@ def check(
     as_json: bool = AS_JSON,
 ) -> None:
     """Check a protocol: every fault with file, line and column, as JSON on stdout too with --json."""
+    from leactl import yamlfile
     from leactl.errors import InputError
+    from leactl.protocol.parameters import unused
 
     try:
         plan = _checked(protocol)
@@ -55,9 +57,13 @@ def check(
         if as_json:
             typer.echo(json.dumps({"faults": error.as_json()}))
         raise
+    notes = unused(yamlfile.parse(plan.text, protocol))
     if as_json:
-        typer.echo(json.dumps({**_head(plan), "peaks": _peaks(plan), "actions": len(plan.actions)}))
+        body = {**_head(plan), "peaks": _peaks(plan), "actions": len(plan.actions), "notes": notes}
+        typer.echo(json.dumps(body))
         return
+    for note in notes:
+        typer.echo(f"note: {note}", err=True)
     typer.echo(f"{plan.name}: {len(plan.actions)} actions, {_duration(plan.duration_s)}, no faults")
 
 

@@ -171,3 +171,21 @@ def substitute(document: Document, resolved: Resolved | None, faults: list[str])
 
     result.data = {k: v if k in KEPT else put_in(v, (k,)) for k, v in document.data.items()}
     return result
+
+
+def unused(document: Document) -> list[str]:
+    """A line for each parameter that stands nowhere in a protocol file, at its default."""
+
+    def standing(value: Any) -> set[str]:
+        if isinstance(value, dict | list):
+            items = value.values() if isinstance(value, dict) else value
+            return {name for item in items for name in standing(item)}
+        reference = REFERENCE.match(value) if isinstance(value, str) else None
+        return {reference[1]} if reference else set()
+
+    stand = standing({key: value for key, value in document.data.items() if key not in KEPT})
+    return [
+        document.fault(("parameters", name), f"${name} stands nowhere in the file: to set it changes nothing")
+        for name in document.data.get("parameters") or ()
+        if name not in stand
+    ]

@@ -78,6 +78,16 @@ def test_check_tells_faults_as_json(mine):
     assert (fault["file"], fault["line"], fault["column"]) == (None, None, None)
 
 
+def test_check_tells_a_parameter_that_nothing_uses(mine):
+    mine.write_text(MINE.replace("hold_s: 3}", "hold_s: 3, spare: 2}"))
+    done = leactl("protocol", "check", mine)
+    assert done.returncode == 0
+    note = f"{mine}:5:50  parameters.spare: $spare stands nowhere in the file: to set it changes nothing"
+    assert done.stderr == f"note: {note}\n"
+    assert json.loads(leactl("protocol", "check", mine, "--json").stdout)["notes"] == [note]
+    assert leactl("protocol", "check", "friction").stderr == ""
+
+
 def test_check_tells_every_fault_at_its_place(mine):
     mine.write_text(MINE.replace("hold_s: $hold_s", "hold_ms: 3").replace("{test: off}", "{test: of}"))
     done = leactl("protocol", "check", mine)
