@@ -9,10 +9,13 @@ import shlex
 import stat
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from leactl.bench.benchfile import BenchFile
-from leactl.bench.machine import Finding
 from leactl.errors import InputError
+
+if TYPE_CHECKING:  # an emergency stop imports this: nothing heavy comes with it
+    from leactl.bench.benchfile import BenchFile
+    from leactl.bench.machine import Finding
 
 MACHINE = "/var/lib/leactl"
 OF_EVERYBODY, OF_ITS_OWNER = 0o666, 0o644
@@ -73,7 +76,7 @@ def of_machine() -> Place:
     return Place(state_directory(), shared=False, fault=fault) if fault else Place(directory, shared=True)
 
 
-def place_of(bench: BenchFile, in_process: bool) -> Place:
+def place_of(bench: "BenchFile", in_process: bool) -> Place:
     """Where the latch and the windings of a bench are kept.
 
     A bench that another process serves is met as a real one is, unless `LEACTL_STATE` keeps its rehearsals apart.
@@ -87,8 +90,10 @@ def places() -> list[Place]:
     return [Place(_machine_directory(), shared=True), of_user()]
 
 
-def examine() -> Finding:
+def examine() -> "Finding":
     """Where locks, trip latches and winding memory of benches on real buses are, and whether all users share them."""
+    from leactl.bench.machine import Finding
+
     directory = _machine_directory()
     locks = "locks in the kernel, shared by all users; trip latches and winding memory in"
     fault = _unusable(directory)
