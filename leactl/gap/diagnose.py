@@ -12,7 +12,7 @@ from leactl.gap.diagnosis import Cause, Diagnosis, EffectParameter, Verdict
 from leactl.gap.evidence import Evidence
 from leactl.gap.judge import Judged, judge, left_by_form, unexplained, unrest
 from leactl.gap.notes import gathered, questions, unlike
-from leactl.gap.parameters import calibrated, effect_parameters, with_calibration, with_effects
+from leactl.gap.parameters import calibrated, effect_parameters, with_calibration
 from leactl.gap.record import Record, read_record
 from leactl.gap.regression import Candidate, Fit
 from leactl.gap.ringing import ringing
@@ -23,6 +23,7 @@ from leactl.gap.servo.ladder import climb
 from leactl.gap.servo.runs import side_by_side
 from leactl.gap.shrinkage import shrinkage
 from leactl.gap.where import profiles, where
+from leactl.gap.withdrawal import apply
 from leactl.model.nominal import Model, read_model
 
 NAMED = 0.01  # probability above which an effect stands among the causes
@@ -122,17 +123,23 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         causes = servo_answer.causes(ladder, causes, free, with_calibration(case.model, parameters))
         members |= {item.effect for item in ladder.standing}
         told = servo_answer.rig_note(ladder.augmented, [record for record in case.fitted if record not in free])
-    named = [
-        (c.effect, {p.name: p.value for p in c.parameters})
-        for c in causes
-        if c.probability >= EFFECT and c.effect in members
-    ]
-    tuned = with_calibration(case.model, calibrated_alone if named else parameters)
-    augmented = with_effects(with_calibration(case.model, parameters), named) if named else tuned
+    named = [cause for cause in causes if cause.probability >= EFFECT and cause.effect in members]
     progress("simulating again")
     kinds = {(record.kind, record.mechanical) for record in case.held_out}
     replayed = [*case.held_out, *(r for r in case.fitted if (r.kind, r.mechanical) not in kinds)]
-    shrunk = shrinkage(replayed, case.model, tuned, augmented)
+    applied = apply(
+        case.model,
+        calibrated_alone if named else parameters,
+        parameters,
+        named,
+        lambda tuned, augmented: shrinkage(replayed, case.model, tuned, augmented),
+    )
+    shrunk = applied.shrunk
+    if applied.effects_withdrawn:
+        causes = tuple(cause for cause in causes if cause.probability < EFFECT)
+        parameters = calibrated_alone
+    if applied.calibration_withdrawn:
+        parameters = ()
     if by_runs:
         surprise = unexplained(servo_answer.unfollowed(shrunk.shrinkage), {})
     located = where(replayed, shrunk.channels)
@@ -141,16 +148,20 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         notes += ("no kind of run occurs twice: held out are two sixteenths of each run",)
     left = (surprise.note,) if surprise.probability >= UNKNOWN else ()
     return Diagnosis(
-        verdict(causes, surprise.probability, evidence, found),
+        verdict(causes, surprise.probability, not applied.calibration_withdrawn and gained(evidence, found)),
         surprise.probability,
         located,
         parameters,
         causes,
         shrunk.shrinkage,
-        tuple(dict.fromkeys(left + told + notes + shrunk.notes + questions(case.model, case.fitted, evidence))),
+        tuple(
+            dict.fromkeys(
+                left + told + applied.notes + notes + shrunk.notes + questions(case.model, case.fitted, evidence)
+            )
+        ),
         {
-            "calibrated": tuned,
-            "augmented": augmented,
+            "calibrated": applied.calibrated,
+            "augmented": applied.augmented,
             "traces": shrunk.traces,
             "profiles": profiles(replayed, shrunk.channels, located),
         },
@@ -189,14 +200,17 @@ def alone(evidence: Evidence, others: list[Candidate], candidate: Candidate) -> 
     return effect_parameters(evidence, fit, candidate)
 
 
-def verdict(causes: Sequence[Cause], surprise: float, evidence: Evidence, found: Found) -> Verdict:
+def verdict(causes: Sequence[Cause], surprise: float, calibrates: bool) -> Verdict:
     """What the diagnosis comes to in one word."""
     if any(cause.probability >= EFFECT for cause in causes):
         return "effect"
     if surprise >= UNKNOWN:
         return "unknown"
+    return "calibration" if calibrates else "none"
+
+
+def gained(evidence: Evidence, found: Found) -> bool:
+    """Whether the parameters of the nominal model explain more by another value than chance does."""
     normal = evidence.normal()
     keep = np.asarray([k for k, n in enumerate(evidence.stack.names) if n[0] == "nuisance"], np.intp)
-    if normal.solve(keep).misfit - found.fit.misfit > CALIBRATED:
-        return "calibration"
-    return "none"
+    return normal.solve(keep).misfit - found.fit.misfit > CALIBRATED

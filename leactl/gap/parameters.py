@@ -35,6 +35,7 @@ MODEL_ERROR = {
     "thermal.housing_capacitance": 8e-4,
 }
 """Relative error of a parameter that the discretised equations leave, beside noise."""
+SMALLEST = 0.05  # of a parameter's nominal value, or one over that of a reciprocal: no fit goes beyond
 LEAST_MODEL_ERROR = 5e-5
 UNITS = {
     "phase_resistance": "ohm",
@@ -74,7 +75,7 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
         if nominal is None:
             continue
         std = math.hypot(std, MODEL_ERROR.get(parameter, LEAST_MODEL_ERROR))
-        factor = 1.0 / max(1.0 - change, 0.05) if parameter in RECIPROCAL else max(1.0 + change, 0.05)
+        factor = 1.0 / max(1.0 - change, SMALLEST) if parameter in RECIPROCAL else max(1.0 + change, SMALLEST)
         slope = factor**2 if parameter in RECIPROCAL else 1.0
         units = UNITS.get(parameter, "")
         found.append(CalibratedParameter(parameter, nominal, nominal * factor, nominal * std * slope, units))
@@ -83,6 +84,14 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
             other = "back_emf_constant"
             found.append(CalibratedParameter(other, constant, constant * factor, constant * std, UNITS[other]))
     return tuple(found)
+
+
+def at_bound(item: CalibratedParameter) -> bool:
+    """Whether a fit went as far as it may: the data want more than this parameter can give."""
+    if item.parameter == "ambient_offset" or not item.nominal:
+        return False
+    factor = item.fitted / item.nominal
+    return not SMALLEST * (1.0 + 1e-9) < factor < (1.0 - 1e-9) / SMALLEST
 
 
 def nominal_value(model: Model, parameter: str) -> float | None:

@@ -19,6 +19,7 @@ from leactl import yamlfile
 from leactl.effects import library
 from leactl.gap.evidence import Evidence
 from leactl.gap.regression import Candidate, Fit, Normal, gain_of
+from leactl.vocabulary.effect import effect_definition
 
 Array = npt.NDArray[np.float64]
 MOST = 3  # effects in a set
@@ -30,6 +31,7 @@ WHOLE_ROUNDS = 2
 WAVE = ("cos", "sin")  # coefficients that make one amplitude
 LOOSE, LOOSE_ERROR = 0.8, 0.1  # the same where an effect must explain less than that by its own account
 FORM_ERROR = 0.003  # share of what a set explains in a channel that its own functional form may miss
+INTERVAL = 1.96  # standard deviations on either side that hold 95 %
 SHAPE = (0.3, 3.0)  # how much of a shape may be there: the grid's neighbours are that far apart
 
 
@@ -72,7 +74,11 @@ def floor(effect: str) -> float:
 def finding(
     evidence: Evidence, normal: Normal, base: npt.NDArray[np.intp], candidate: Candidate, whole: bool = False
 ) -> Finding | None:
-    """What one form of an effect takes away beyond a base; None where no run shows it or its sign makes no sense."""
+    """What one form of an effect takes away beyond a base.
+
+    None where no run shows it, where its sign makes no sense, and where its whole interval is beyond the range in which
+    the effect is met: what would have to be so large is something else.
+    """
     added = evidence.columns(candidate)
     if len(added) == 0:
         return None
@@ -94,6 +100,8 @@ def finding(
         return None
     direction = own / length
     std = size / length * math.sqrt(max(float(direction @ spread @ direction), 0.0))
+    if not whole and size - INTERVAL * std > effect_definition(candidate[0]).largest:
+        return None
     return Finding(candidate, gain, size, std, tuple(values.tolist()), names, covariance)
 
 

@@ -39,6 +39,28 @@ class Trace:
     augmented: Array
 
 
+@dataclass(frozen=True)
+class Growth:
+    """By how much the gap of all channels grows from one model to another; below zero where it shrinks.
+
+    Each is the sum over channels of the logarithm of the gap's ratio, a gap being counted in floors and from
+    `NEAR_FLOOR` on, with the lower end of its 95 % interval.
+    """
+
+    by_calibration: tuple[float, float]  # from the nominal model to the calibrated one
+    by_effects: tuple[float, float]  # to the augmented model, from the better of the two others
+
+    @property
+    def calibration_worse(self) -> bool:
+        """Whether calibration makes the gap grow beyond what chance explains."""
+        return self.by_calibration[1] > 0.0
+
+    @property
+    def effects_worse(self) -> bool:
+        """Whether the effects make the gap grow beyond what chance explains."""
+        return self.by_effects[1] > 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Shrunk:
     """The answer: a table, traces, and the channels behind them."""
@@ -47,6 +69,7 @@ class Shrunk:
     traces: tuple[Trace, ...]
     channels: tuple[Compared, ...]  # models in the order nominal, calibrated, augmented
     notes: tuple[str, ...]
+    growth: Growth
 
 
 def shrinkage(records: Sequence[Record], nominal: Model, calibrated: Model, augmented: Model, seed: int = 0) -> Shrunk:
@@ -84,7 +107,25 @@ def shrinkage(records: Sequence[Record], nominal: Model, calibrated: Model, augm
         tuple(_trace(group) for group in grouped.values()),
         tuple(channels),
         _notes(jobs, channels),
+        _growth(list(grouped.values()), random),
     )
+
+
+def _growth(groups: Sequence[list[Compared]], random: np.random.Generator) -> Growth:
+    """Resample every channel's blocks and add up the logarithms of its gaps, in floors."""
+    whole, again = np.zeros(3), np.zeros((RESAMPLED, 3))
+    for group in groups:
+        counts, sums = _blocks(group)
+        picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
+        for total, squares in ((whole, sums.sum(axis=0)[None]), (again, sums[picked].sum(axis=1))):
+            floors = np.sqrt(squares[:, :3] / np.maximum(squares[:, 3:], 1e-300))
+            total += np.log(np.maximum(floors, NEAR_FLOOR)).reshape(total.shape)
+    best = 1 if whole[1] < whole[0] else 0
+    pairs = ((0, 1), (best, 2))
+    first, second = (
+        (float(whole[b] - whole[a]), float(np.quantile(again[:, b] - again[:, a], 0.025))) for a, b in pairs
+    )
+    return Growth(first, second)
 
 
 def _shrunk(group: list[Compared], random: np.random.Generator) -> Shrinkage:

@@ -1,5 +1,6 @@
 """Definitions of effects, read from the files beside this one."""
 
+import math
 from functools import cache
 from importlib import resources
 
@@ -20,6 +21,10 @@ class ParameterDefinition(BaseModel):
     high: float
     meaning: str
     default: float | None = None  # of a shape that may be left out
+
+
+DIMENSIONLESS = ("1", "rad", "share of the limit")
+"""Units of parameters whose range holds for a machine of any size."""
 
 
 class Size(BaseModel):
@@ -47,6 +52,12 @@ class EffectDefinition(BaseModel):
         """The smallest size that a diagnosis is to find."""
         first = next(iter(self.parameters.values()))
         return self.faint or Size(size=first.low, units=first.units)
+
+    @property
+    def largest(self) -> float:
+        """The largest size in which it is met, in units of its first parameter; infinite where that has a dimension."""
+        first = next(iter(self.parameters.values()))
+        return first.high if first.units in DIMENSIONLESS else math.inf
 
 
 @cache
