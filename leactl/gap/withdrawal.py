@@ -61,10 +61,6 @@ def apply(
         shrunk = simulate(calibrated, calibrated)
         if not shrunk.growth.calibration_worse:
             return Applied(calibrated, calibrated, shrunk, withdrawn, False, tuple(notes))
-    reason = (
-        f"{', '.join(bounded)} ended at a bound"
-        if bounded
-        else "with it the gap of held-out runs is larger than without"
-    )
+    reason = f"{', '.join(bounded)} ended at a bound" if bounded else "with it the gap of held-out runs grows"
     notes.append(f"calibration is not applied: {reason}; the model stays as it was given")
     return Applied(model, model, simulate(model, model), withdrawn, True, tuple(notes))

@@ -145,7 +145,7 @@ def test_the_protocol_of_a_jog_runs_as_one(here):
     [
         ([], "one of --current, --velocity, --angle was expected, 0 were given"),
         (["--current", "1", "--angle", "1"], "one of --current, --velocity, --angle was expected, 2 were given"),
-        (["--current", "nan"], "--current nan: a finite number was expected"),
+        (["--current", "nan"], "invalid value for '--current': nan is not a finite number"),
         (["--current", "31"], "test q_axis_current_reference: 31 A is above the bench limit of 30 A"),
         (["--velocity", "-41", "--role", "load"], "load velocity_reference: 41 rad/s is above the bench limit"),
         (["--velocity", "1", "--for", "0.001"], "at least one cycle (0.02 s) was expected"),
