@@ -1,86 +1,62 @@
-"""Find the analysis that a run asks for and apply it; experiment `torque-constant` is the module `torque_constant`.
+"""Find the analysis that a run asks for and apply it."""
 
-A module of this package with a function `analyze(runs, **options) -> Result` is an experiment; adding one adds a file.
-Its `RESULTS` are every result that it may give, with units, so that a limit on one is checked before a run.
-"""
-
-import ast
-import importlib
-import importlib.util
 import inspect
 import math
-import pkgutil
-import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-import leactl.analysis
 from leactl import yamlfile
 from leactl.analysis.estimate import Covariance, Estimate, Grid, Plot, Result
 from leactl.analysis.quality.gate import doubts_of
+from leactl.analysis.registry import GENERIC, Experiment, load, names
 from leactl.errors import InputError
 from leactl.runfile.integrity import altered
 from leactl.runfile.reader import Run
 
-Analysis = Callable[..., Result]
-
-
-def names() -> list[str]:
-    """Experiments that can be analysed."""
-    return sorted(module.replace("_", "-") for module in _modules() if _analyzes(module))
+__all__ = ["GENERIC", "Experiment", "analyze_runs", "names"]
 
 
 def is_known(experiment: str) -> bool:
     """Whether an experiment can be analysed."""
-    module = _module_of(experiment)
-    return module in _modules() and _analyzes(module)
+    return experiment in names()
 
 
-def analysis_of(experiment: str, place: str) -> Analysis:
-    """The function that analyses an experiment.
+def analysis_of(experiment: str, place: str) -> Experiment:
+    """The experiment of this name.
 
     Raises
     ------
-    InputError : there is none; `place` opens the message.
+    InputError : there is none, or it cannot be used; `place` opens the message.
     """
-    if is_known(experiment):
-        loaded = importlib.import_module(f"{leactl.analysis.__name__}.{_module_of(experiment)}")
-        function: Analysis = loaded.analyze
-        return function
-    asked = f"analysis '{experiment}' is not known" if experiment else "the run names no analysis"
-    raise InputError(f"{place}: {asked}; known: {', '.join(names())}")
+    try:
+        return load(experiment)
+    except InputError as fault:
+        raise InputError(f"{place}: {fault}") from None
 
 
 def method_of(experiment: str) -> str:
-    """How an experiment is analysed, in one sentence: the first of its module."""
-    text = inspect.getdoc(inspect.getmodule(analysis_of(experiment, experiment))) or ""
-    return " ".join(text.partition("\n\n")[0].split())
+    """How an experiment is analysed, in one sentence."""
+    return load(experiment).method
 
 
-@cache
 def results_of(experiment: str) -> dict[str, str]:
-    """Every result that an experiment may give, with its unit: RESULTS of its module, read without importing it.
+    """Every result that an experiment may give, with its unit.
 
     Raises
     ------
     InputError : there is no such experiment.
     """
-    if not is_known(experiment):
-        analysis_of(experiment, experiment)
-    for statement in ast.parse(_text_of(_module_of(experiment))).body:
-        if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "RESULTS":
-            declared: dict[str, str] = ast.literal_eval(statement.value)
-            return declared
-    return {}
+    return dict(load(experiment).results)
 
 
 def experiment_of(run: Run) -> str:
-    """What a run is to be analysed as: `analysis` of its protocol, else the protocol's name; empty if nothing says."""
-    return asked_in(run.source("protocol") or "") or str(run.attributes.get("protocol", ""))
+    """What a run is to be analysed as: `analysis` of its protocol, else its protocol's name, else by its channels."""
+    asked = asked_in(run.source("protocol") or "")
+    protocol = str(run.attributes.get("protocol", ""))
+    return asked or (protocol if is_known(protocol) else GENERIC)
 
 
 def asked_in(protocol: str) -> str:
@@ -96,10 +72,13 @@ def asked_in(protocol: str) -> str:
     return named if isinstance(named, str) else ""
 
 
-def analyze_runs(paths: Sequence[Path | str], **options: Any) -> Result:
+def analyze_runs(paths: Sequence[Path | str], experiment: str = "", **options: Any) -> Result:
     """Analyse runs of one experiment: one set of results for each actuator and condition, repeats combined.
 
-    Options that are None count as not given.
+    Parameters
+    ----------
+    experiment : what to analyse them as; what the runs themselves ask for by default.
+    options : for the analysis; those that are None count as not given.
 
     Raises
     ------
@@ -113,7 +92,7 @@ def analyze_runs(paths: Sequence[Path | str], **options: Any) -> Result:
         refuse_repeated(runs)
         refuse_altered(runs)
         doubts = [note for run in runs for note in doubts_of(run)]
-        asked = {run.path: experiment_of(run) for run in runs}
+        asked = {run.path: experiment or experiment_of(run) for run in runs}
         first = asked[runs[0].path]
         for run in runs[1:]:
             if asked[run.path] != first:
@@ -121,15 +100,15 @@ def analyze_runs(paths: Sequence[Path | str], **options: Any) -> Result:
                     f"{run.path}: its analysis is '{asked[run.path]}', that of {runs[0].path} is '{first}'; "
                     "give runs of one experiment"
                 )
-        analyze = analysis_of(first, str(runs[0].path))
+        analysis = analysis_of(first, str(runs[0].path))
         given = {name: value for name, value in options.items() if value is not None}
-        refuse_unknown(first, analyze, given)
+        refuse_unknown(analysis, given)
         groups: dict[tuple[str, str], list[Run]] = {}
         for run in runs:
             key = str(run.attributes.get("actuator", "")), str(run.attributes.get("condition", ""))
             groups.setdefault(key, []).append(run)
         with opened_by(doubts):
-            answers = {key: analyze(members, **given) for key, members in groups.items()}
+            answers = {key: analysis.answer(members, **given) for key, members in groups.items()}
         return combined(first, runs, answers, doubts)
 
 
@@ -219,30 +198,15 @@ def refuse_altered(runs: Sequence[Run]) -> None:
         raise InputError([f"{finding}; nothing is worked out from it" for finding in findings])
 
 
-def refuse_unknown(experiment: str, analyze: Analysis, options: dict[str, Any]) -> None:
+def refuse_unknown(analysis: Experiment, options: dict[str, Any]) -> None:
     """Refuse to tell an analysis what it does not ask for."""
-    known = [name for name in inspect.signature(analyze).parameters if name != "runs"]
+    known = options_of(analysis)
     for name in options:
         if name not in known:
             has = ", ".join(known) or "nothing"
-            raise InputError(f"{experiment} cannot be told {name}; it can be told {has} (by --set NAME=NUMBER)")
+            raise InputError(f"{analysis.name} cannot be told {name}; it can be told {has} (by --set NAME=NUMBER)")
 
 
-def _module_of(experiment: str) -> str:
-    return experiment.replace("-", "_")
-
-
-def _modules() -> list[str]:
-    """Modules of this package."""
-    return [module.name for module in pkgutil.iter_modules(leactl.analysis.__path__)]
-
-
-@cache
-def _analyzes(module: str) -> bool:
-    """Whether a module is an experiment, by its text: importing them all takes scipy and a second."""
-    return re.search(r"^def analyze\(", _text_of(module), re.MULTILINE) is not None
-
-
-def _text_of(module: str) -> str:
-    spec = importlib.util.find_spec(f"{leactl.analysis.__name__}.{module}")
-    return Path(spec.origin).read_text(encoding="utf-8") if spec is not None and spec.origin is not None else ""
+def options_of(analysis: Experiment) -> list[str]:
+    """What an analysis can be told."""
+    return [name for name in inspect.signature(analysis.analyze).parameters if name != "runs"]

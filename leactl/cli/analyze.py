@@ -11,6 +11,12 @@ from leactl.cli import finite
 def analyze(
     runs: list[Path] = typer.Argument(metavar="RUN...", help="Run files of one experiment; repeats are combined."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
+    experiment: str = typer.Option(
+        "", "--as", metavar="NAME", help="Analyse as this experiment, such as channels, which takes every protocol."
+    ),
+    channel: list[str] = typer.Option(
+        [], "--channel", metavar="NAME", help="Of channels: look at this one alone, such as torque; repeat it for more."
+    ),
     torque_constant: float | None = typer.Option(
         None,
         metavar="N*m/A",
@@ -25,10 +31,10 @@ def analyze(
     ),
 ) -> None:
     """Fit the parameters that runs were made for, with 95 % intervals, by actuator and condition."""
-    from leactl.analysis.experiments import analyze_runs, numbers
+    from leactl.analysis.experiments import GENERIC, analyze_runs, numbers
 
     told = numbers(settings, torque_constant=torque_constant, torque_constant_std=torque_constant_std)
-    result = analyze_runs(runs, **told)
+    result = analyze_runs(runs, GENERIC if experiment == "generic" else experiment, channel=channel or None, **told)
     if as_json:
         typer.echo(json.dumps(result.as_json(), allow_nan=False))
         return

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from leactl.analysis.estimate import Estimate, listed
 from leactl.analysis.experiments import (
-    Analysis,
+    Experiment,
     analysis_of,
     experiment_of,
     refuse_altered,
@@ -175,9 +175,9 @@ def _repeats(run: Run) -> list[int]:
 
 def _of_run(run: Run, number: int, by_run: bool, notes: list[str], options: dict[str, Any]) -> list[Trial]:
     experiment = experiment_of(run)
-    analyze = analysis_of(experiment, str(run.path))
+    analysis = analysis_of(experiment, str(run.path))
     given = {name: value for name, value in options.items() if value is not None}
-    refuse_unknown(experiment, analyze, given)
+    refuse_unknown(analysis, given)
     actuator, condition = (str(run.attributes.get(name, "")) for name in ("actuator", "condition"))
     if not condition:
         raise InputError(f"{run.path}: the run has no condition; `leactl run --condition` names it")
@@ -187,7 +187,7 @@ def _of_run(run: Run, number: int, by_run: bool, notes: list[str], options: dict
     found, lost = [], []
     for repeat, part in zip(repeats or [1], parts, strict=False):
         try:
-            found.append(Trial(actuator, condition, number, _analysed(analyze, part, given)))
+            found.append(Trial(actuator, condition, number, _analysed(analysis, part, given)))
         except NotIdentifiable as fault:
             lost.append((repeat, str(fault).removeprefix(f"{run.path}: ")))
     if lost:
@@ -197,8 +197,8 @@ def _of_run(run: Run, number: int, by_run: bool, notes: list[str], options: dict
     return found
 
 
-def _analysed(analyze: Analysis, part: Run, options: dict[str, Any]) -> tuple[Estimate, ...]:
-    return analyze([part], **options).results
+def _analysed(analysis: Experiment, part: Run, options: dict[str, Any]) -> tuple[Estimate, ...]:
+    return analysis.answer([part], **options).results
 
 
 def _of_answer(path: Path, first: int) -> tuple[str, list[Trial], set[Path]]:

@@ -1,6 +1,5 @@
 """The runs of a campaign and what they answer: each file is an entry, whether or not anything came of it."""
 
-import inspect
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from leactl import yamlfile
 from leactl.analysis.conditions.comparison import Comparison, compare_all
 from leactl.analysis.estimate import Result, listed
 from leactl.analysis.experiments import analysis_of, analyze_runs, experiment_of, names
+from leactl.analysis.experiments import options_of as taken_by
 from leactl.errors import InputError
 from leactl.runfile.catalog import list_runs
 from leactl.runfile.integrity import altered
@@ -248,8 +248,8 @@ def compared(entries: Sequence[Entry], options: Mapping[str, float]) -> Verdict:
 
 def options_of(experiment: str, options: Mapping[str, float]) -> dict[str, Any]:
     """Those options that the analysis of an experiment takes."""
-    known = inspect.signature(analysis_of(experiment, experiment)).parameters
-    return {name: value for name, value in options.items() if name in known and name != "runs"}
+    known = taken_by(analysis_of(experiment, experiment))
+    return {name: value for name, value in options.items() if name in known}
 
 
 def refuse_untaken(options: Mapping[str, float]) -> None:
