@@ -16,7 +16,7 @@ from leactl.runfile.reader import Channel, Run, Step
 
 BREAKAWAY = "breakaway"
 COUNTS = 3.0  # of the encoder, that tell a motion from the shaft's twist
-BEFORE_S = 0.5  # the part before the moment of motion that is fitted
+FITTED = 0.2  # of the time from the start of the ramp to the moment of motion, just before it
 FEWEST = 20  # readings of torque in it
 
 
@@ -52,7 +52,9 @@ def letting_go(number: int, step: Step, angle: Channel, torque: Channel) -> Lett
     NotIdentifiable : why it cannot be used.
     """
     moment, side = motion(step, angle)
-    part = (torque.time >= max(step.start, moment - BEFORE_S)) & (torque.time < moment) & np.isfinite(torque.values)
+    part = (
+        (torque.time >= moment - FITTED * (moment - step.start)) & (torque.time < moment) & np.isfinite(torque.values)
+    )
     time, along = torque.time[part] - moment, -side * torque.values[part]
     if len(time) < FEWEST:
         raise NotIdentifiable(f"fewer than {FEWEST} readings of torque before the shaft moved")

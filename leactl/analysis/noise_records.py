@@ -31,7 +31,7 @@ class Loop:
     response: str
     offset: str  # key of the level in a step's parameters
     setup: str
-    record_filter: tuple[int, float]  # order and cut-off [Hz] of the Butterworth filter that both records pass
+    record_filter: tuple[int, float]  # Butterworth, of both records: order, cut-off over the noise's own
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,9 @@ def _record(place: str, asked: Channel, measured: Channel, step: Step, loop: Loo
     kept = time[first:last] > step.start + step.settle
     if kept.sum() < FEWEST:
         return "too few samples in a row"
-    order, cutoff = loop.record_filter
+    reach = step.parameters.get("cutoff_Hz")
+    reach = float(reach) if isinstance(reach, int | float) and reach > 0 else math.inf
+    order, cutoff = loop.record_filter[0], loop.record_filter[1] * reach
     sections = butter(order, cutoff, fs=1.0 / interval, output="sos") if cutoff < 0.5 / interval else None
     columns = []
     for channel in (asked, measured):
@@ -111,8 +113,6 @@ def _record(place: str, asked: Channel, measured: Channel, step: Step, loop: Loo
         columns.append(filtered[kept])
     if not columns[0].std() > 0.0:
         return "the reference does not move"
-    reach = step.parameters.get("cutoff_Hz")
-    reach = float(reach) if isinstance(reach, int | float) and reach > 0 else math.inf
     seed = step.parameters.get("seed", f"{place} {step.start:g}")
     level = float(step.parameters[loop.offset])
     return Record(level, seed, interval, reach, *columns)

@@ -42,7 +42,7 @@ def noise_response(runs: Sequence[Run], loop: Loop) -> Result:
     notes = expect_setup(runs, (loop.setup,), "the response is that of another load")
     records = [record for run in runs for record in records_of(run, loop, notes)]
     interval = float(np.median([record.interval for record in records]))
-    highest = min(min(record.cutoff for record in records), loop.record_filter[1], 0.5 / interval)
+    highest = min(min(record.cutoff for record in records), 0.5 / interval)
     method = BlackmanTukey(interval, LAGS, highest)
     levels = spectra_of(records, method)
     counts = {level: len(trials) for level, trials in levels.items()}

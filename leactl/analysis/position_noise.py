@@ -13,7 +13,8 @@ RESULTS = {
     "coherent_band_high": "Hz",
 }
 
-LOOP = Loop("position-noise", "angle_reference", "angle", "offset_rad", "free", (5, 50.0))
+# the paper's cut-off [Hz] of the record over that of its noise, so that a loop of any speed is filtered alike
+LOOP = Loop("position-noise", "angle_reference", "angle", "offset_rad", "free", (5, 50.0 / 40.0))
 
 
 def analyze(runs: Sequence[Run]) -> Result:
