@@ -21,7 +21,7 @@ __all__ = ["GENERIC", "Experiment", "analyze_runs", "names"]
 
 def is_known(experiment: str) -> bool:
     """Whether an experiment can be analysed."""
-    return experiment in names()
+    return experiment.replace("_", "-") in names()
 
 
 def analysis_of(experiment: str, place: str) -> Experiment:

@@ -108,6 +108,7 @@ def load(name: str) -> Experiment:
     ------
     InputError : there is none of this name, or it cannot be imported or used.
     """
+    name = name.replace("_", "-")
     if name in SHIPPED:
         return declared(name, "", importlib.import_module(SHIPPED[name]))
     point = foreign().get(name)

@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import leactl.analysis
 from leactl.analysis.estimate import Band, Estimate, Grid, Plot, Result, Series
 from leactl.analysis.experiments import analyze_runs
 from leactl.analysis.experiments import names as experiments
+from leactl.analysis.registry import SHIPPED
 from leactl.errors import InputError
 from leactl.report.datasheet.figures import heading, pretty
 from leactl.report.datasheet.make import refuse_shared
@@ -35,6 +35,9 @@ More of it.
 """
 
 from leactl.analysis.estimate import Estimate, Plot, Result, Series
+
+
+RESULTS = {"shake_rate": "Hz"}
 
 
 def analyze(runs, gain=1.0):
@@ -177,7 +180,8 @@ def test_motors_have_a_section_each_and_the_sheet_says_so(tmp_path):
 def test_an_experiment_is_taken_by_what_its_result_says(tmp_path, monkeypatch):
     (tmp_path / "plugged").mkdir()
     (tmp_path / "plugged" / "shakes.py").write_text(NOVEL)
-    monkeypatch.setattr(leactl.analysis, "__path__", [*leactl.analysis.__path__, str(tmp_path / "plugged")])
+    monkeypatch.syspath_prepend(tmp_path / "plugged")
+    monkeypatch.setitem(SHIPPED, "shakes", "shakes")
     path = Bench(tmp_path).torque(protocol="name: x\nanalysis: shakes\n")
     refuse_untaken({"gain": 2.0})
     root = tree(of(path, options={"gain": 2.0}), tmp_path / "out.html")

@@ -178,4 +178,4 @@ def test_a_limit_that_nothing_could_meet_is_refused_before_the_run(tmp_path, lim
 
 @pytest.mark.parametrize("name", experiments.names())
 def test_every_experiment_declares_its_results(name):
-    assert experiments.results_of(name)
+    assert experiments.results_of(name) or name == experiments.GENERIC  # its results are named by the run's steps
