@@ -35,6 +35,7 @@ from leactl.cli.printable import show_control_characters
 from leactl.errors import InputError, LeactlError, Stopped
 
 CTRL_C_OF_TYPER = 130
+READER_GONE = 141  # as a shell has it where SIGPIPE ends a command: 128 + 13
 MOST_LINES = 50  # of faults: a screen, where a file has one in each of its lines
 UsageError: Any = typer.BadParameter.__base__  # whose module typer has moved
 
@@ -45,6 +46,7 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command("analyze")(analyze.analyze)
 for by_hand in (bench_by_hand.stop, bench_by_hand.read, bench_by_hand.zero, bench_by_hand.jog):
@@ -90,9 +92,11 @@ def main() -> None:
         _end(error.faults, error.exit_status)
     except LeactlError as error:
         _end([str(error)], error.exit_status)
-    except BrokenPipeError:  # whoever read stdout has gone; a second attempt at exit would only repeat the complaint
-        _let_go_of_stdout()
-        sys.exit(LeactlError.exit_status)
+    except (BrokenPipeError, SystemExit) as end:  # click makes an exit of its own of a broken pipe
+        if not isinstance(end, BrokenPipeError) and not isinstance(end.__context__, BrokenPipeError):
+            raise
+        _let_go_of_stdout()  # a second attempt at exit would only repeat the complaint
+        sys.exit(READER_GONE)
     except (KeyboardInterrupt, typer.Abort):
         _end(["stopped"], Stopped.exit_status)
     except Exception as error:

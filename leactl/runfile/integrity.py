@@ -166,8 +166,10 @@ def annotate(path: Path, text: str, author: str = "") -> None:
 
     Raises
     ------
-    InputError : not a run file, one that is still being written, or a checksum that does not hold.
+    InputError : an empty note, not a run file, one that is still being written, or a checksum that does not hold.
     """
+    if not text.strip():
+        raise InputError(f"{path}: the note is empty; say something of the run")
     amend(path, lambda file: add_note(file, text, author))
 
 

@@ -1,14 +1,17 @@
 """A command line that cannot be read: one line with the value and the way to the usage."""
 
 import inspect
+import os
 import re
+import subprocess
+import sys
 
 import pytest
 from typer.testing import CliRunner
 
 from leactl.cli.main import app
 
-from .terminal import leactl
+from .terminal import COMMAND, leactl
 
 
 @pytest.mark.parametrize(
@@ -57,3 +60,24 @@ def test_no_option_takes_a_number_that_is_not_finite(value):
         done = CliRunner().invoke(app, [*path, f"{option}={value}"])
         assert done.exit_code == 2, (path, option, done.output)
         assert f"'{option}'" in done.output, (path, option, done.output)
+
+
+@pytest.mark.parametrize("words", ["-h", "runs -h", "runs verify -h"])
+def test_h_is_help(words):
+    done = leactl(*words.split())
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == leactl(*words.replace("-h", "--help").split()).stdout
+
+
+def test_python_m_is_the_command():
+    done = subprocess.run([sys.executable, "-m", "leactl", "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, leactl("--version").stdout)
+
+
+@pytest.mark.parametrize("words", ["protocol plan friction", "protocol show friction", "motor show lea", "bench list"])
+def test_a_reader_that_went_away_is_one_status(words):
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run([*COMMAND, *words.split()], stdout=write, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (141, "")

@@ -183,3 +183,9 @@ def test_one_appended_row_costs_microseconds(tmp_path: Path):
         for row in range(20_000):
             writer.append_row("loop", row * 1e-3, [1.0, 2.0, 3.0])
         assert (time.perf_counter() - started) / 20_000 < 50e-6  # some 2 us on a desk; a 1 kHz loop has 1000
+
+
+@pytest.mark.parametrize("text", ["", " \n"])
+def test_an_empty_note_is_refused(complete: Path, text: str):
+    with pytest.raises(InputError, match="the note is empty"):
+        annotate(complete, text)
