@@ -112,6 +112,52 @@ def analyze_runs(paths: Sequence[Path | str], experiment: str = "", **options: A
         return combined(first, runs, answers, doubts)
 
 
+def analyze_each(paths: Sequence[Path], experiment: str = "", **options: Any) -> tuple[list[Result], list[str]]:
+    """Analyse runs experiment by experiment, in the order in which each first appears.
+
+    Parameters
+    ----------
+    experiment, options : as of `analyze_runs`; of several experiments each gets the options that it takes.
+
+    Returns
+    -------
+    A result for each experiment that could be analysed, and a line for each fault of the others.
+
+    Raises
+    ------
+    InputError : the runs are of one experiment, which cannot be analysed, or an option that none of several takes.
+    """
+    groups, faults = by_experiment(paths, experiment)
+    if len(groups) == 1 and not faults:
+        return [analyze_runs(paths, experiment, **options)], []
+    given = {name: value for name, value in options.items() if value is not None}
+    results: list[Result] = []
+    taken: set[str] = set()
+    for name, members in groups.items():
+        try:
+            own = {key: given[key] for key in options_of(analysis_of(name, str(members[0]))) if key in given}
+            taken |= own.keys()
+            results.append(analyze_runs(members, name, **own))
+        except InputError as fault:
+            faults += fault.faults
+    if untaken := [key for key in given if key not in taken]:
+        raise InputError([f"--set {key}: none of {', '.join(groups)} takes it" for key in untaken])
+    return results, faults
+
+
+def by_experiment(paths: Sequence[Path], experiment: str = "") -> tuple[dict[str, list[Path]], list[str]]:
+    """Return the runs of each experiment, and a line for each file that is no run; `experiment` stands for all."""
+    groups: dict[str, list[Path]] = {}
+    faults: list[str] = []
+    for path in paths:
+        try:
+            with Run.open(path) as run:
+                groups.setdefault(experiment or experiment_of(run), []).append(path)
+        except InputError as fault:
+            faults += fault.faults
+    return groups, faults
+
+
 @contextmanager
 def opened_by(doubts: Sequence[str]) -> Iterator[None]:
     """Let the doubts of the channels open what an analysis is refused with: they are likely why."""

@@ -9,7 +9,9 @@ from leactl.cli import finite
 
 
 def analyze(
-    runs: list[Path] = typer.Argument(metavar="RUN...", help="Run files of one experiment; repeats are combined."),
+    runs: list[Path] = typer.Argument(
+        metavar="RUN...", help="Run files or folders; repeats are combined, experiments kept apart."
+    ),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
     experiment: str = typer.Option(
         "", "--as", metavar="NAME", help="Analyse as this experiment, such as channels, which takes every protocol."
@@ -31,13 +33,26 @@ def analyze(
     ),
 ) -> None:
     """Fit the parameters that runs were made for, with 95 % intervals, by actuator and condition."""
-    from leactl.analysis.experiments import GENERIC, analyze_runs, numbers
+    from leactl.analysis.experiments import GENERIC, analyze_each, numbers
+    from leactl.errors import InputError
+    from leactl.runfile.catalog import run_files
 
     told = numbers(settings, torque_constant=torque_constant, torque_constant_std=torque_constant_std)
-    result = analyze_runs(runs, GENERIC if experiment == "generic" else experiment, channel=channel or None, **told)
-    if as_json:
-        typer.echo(json.dumps(result.as_json(), allow_nan=False))
-        return
-    from leactl.report.terminal import print_result
+    asked = GENERIC if experiment == "generic" else experiment
+    folders = [path for path in runs if path.is_dir()]
+    files = [file for path in runs for file in (run_files([path]) if path in folders else [path])]
+    results, faults = analyze_each(files, asked, channel=channel or None, **told)
+    if faults and not (results and folders):  # of files that were named, all count or none
+        raise InputError(faults)
+    if as_json and len(results) == 1 and not faults:
+        typer.echo(json.dumps(results[0].as_json(), allow_nan=False))
+    elif as_json:
+        typer.echo(json.dumps({"analyses": [result.as_json() for result in results], "faults": faults}))
+    else:
+        from leactl.report.terminal import print_result
 
-    print_result(result)
+        for number, result in enumerate(results):
+            typer.echo("\n" if number else "", nl=False)
+            print_result(result)
+    if faults:
+        raise InputError(faults)

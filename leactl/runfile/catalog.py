@@ -1,5 +1,6 @@
 """List the runs of a directory without reading their data; a file that cannot be read is listed with its reason."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -55,3 +56,29 @@ def duration(file: Any) -> float:
     groups = [group for group in file.get("streams", {}).values() if isinstance(group, h5py.Group)]
     stamps = np.concatenate([*(group["time"][-1:] for group in groups if "time" in group), np.zeros(1)])
     return float(stamps[np.isfinite(stamps)].max())
+
+
+def run_files(given: Sequence[Path]) -> list[Path]:
+    """Return run files, those of folders included, in the order in which they are given.
+
+    Raises
+    ------
+    InputError : one line for each path that leads to none.
+    """
+    faults, paths = [], []
+    for path in given:
+        try:
+            members = [item.path for item in list_runs(path)] if path.is_dir() else [path]
+        except OSError as fault:
+            faults.append(f"{path}: cannot be read: {fault.strerror or fault}")
+            continue
+        paths += members
+        if not path.exists():
+            faults.append(f"{path}: no such file or folder")
+        elif not members:
+            faults.append(f"{path}: no run files in this folder")
+    if not given:
+        faults.append("no runs; give run files, or folders of them")
+    if faults:
+        raise InputError(faults)
+    return paths

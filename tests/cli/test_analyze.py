@@ -90,11 +90,6 @@ def test_a_torque_constant_of_ones_own(bench):
     [
         (["absent.h5"], "absent.h5: cannot be read: No such file or directory"),
         (["text.h5"], "text.h5: not an HDF5 file"),
-        (["."], ".: a folder; run files were expected, such as *.h5"),
-        (
-            ["torque.h5", "friction.h5"],
-            "friction.h5: its analysis is 'friction', that of torque.h5 is 'torque",
-        ),
         (["torque.h5", "./torque.h5"], "torque.h5: the same run as torque.h5; give each run once"),
         (
             ["torque.h5", "--torque-constant", "1"],
@@ -126,3 +121,43 @@ def test_without_a_run_the_usage_is_shown():
     done = leactl("analyze", COLUMNS="80")
     assert (done.returncode, done.stdout) == (2, "")
     assert "RUN" in done.stderr
+
+
+@pytest.mark.parametrize("as_folder", [True, False])
+def test_several_experiments_are_analysed_each_by_itself(bench, tmp_path, as_folder):
+    paths = [bench.torque(), bench.friction(), bench.torque()]
+    given = [tmp_path] if as_folder else paths
+    done = leactl("analyze", *given, "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    answer = json.loads(done.stdout)
+    counts = {one["experiment"]: len(one["runs"]) for one in answer["analyses"]}
+    assert (counts, answer["faults"]) == ({"torque-constant": 2, "friction": 1}, [])
+    alone = json.loads(leactl("analyze", paths[1], "--json").stdout)
+    assert next(one for one in answer["analyses"] if one["experiment"] == "friction")["results"] == alone["results"]
+    text = leactl("analyze", *given).stdout
+    assert text.count("torque-constant, 2 runs:") == text.count("friction, 1 run:") == 1
+
+
+def test_an_option_goes_to_the_experiments_that_take_it(bench, tmp_path):
+    bench.torque()
+    bench.friction()
+    told = json.loads(leactl("analyze", tmp_path, "--torque-constant", "0.98", "--json").stdout)
+    plain = json.loads(leactl("analyze", tmp_path, "--json").stdout)
+    values = [
+        {item["name"]: item["value"] for one in answer["analyses"] for item in one["results"]}
+        for answer in (told, plain)
+    ]
+    assert values[0]["coulomb_friction"] == pytest.approx(2 * values[1]["coulomb_friction"], rel=0.01)
+    assert values[0]["torque_constant"] == values[1]["torque_constant"]
+    refused = leactl("analyze", tmp_path, "--set", "gaim=2")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "--set gaim: none of friction, torque-constant takes it" in refused.stderr
+
+
+def test_what_cannot_be_analysed_is_told_after_what_can(bench, tmp_path):
+    bench.torque()
+    (tmp_path / "damaged.h5").write_text("no run")
+    done = leactl("analyze", tmp_path)
+    assert done.returncode == 2
+    assert done.stdout.startswith("torque-constant, 1 run:")
+    assert done.stderr == f"leactl: {tmp_path / 'damaged.h5'}: not an HDF5 file\n"

@@ -13,7 +13,7 @@ from leactl.analysis.estimate import Result, listed
 from leactl.analysis.experiments import analysis_of, analyze_runs, experiment_of, names
 from leactl.analysis.experiments import options_of as taken_by
 from leactl.errors import InputError
-from leactl.runfile.catalog import list_runs
+from leactl.runfile.catalog import run_files
 from leactl.runfile.integrity import altered
 from leactl.runfile.reader import Run
 
@@ -95,7 +95,7 @@ def read_runs(given: Sequence[Path], prefix: str, options: Mapping[str, float], 
     InputError : nothing was given, a path that is not there, or a folder without runs.
     """
     tell("reading")
-    entries = [entry_of(path) for path in found_in(given)]
+    entries = [entry_of(path) for path in run_files(given)]
     entries.sort(key=order)
     copies = Counter(entry.identity for entry in entries)
     seen: dict[str, Entry] = {}
@@ -123,32 +123,6 @@ def order(entry: Entry) -> tuple[bool, str, bool, str]:
     """By time, which a run's identity begins with; files that tell none last, a copy whose recording ended first."""
     run_id = entry.about.get("run_id", "")
     return not run_id, run_id, entry.about.get("status") == "recording", str(entry.path)
-
-
-def found_in(given: Sequence[Path]) -> list[Path]:
-    """Run files, those of folders included.
-
-    Raises
-    ------
-    InputError : one line for each path that leads to none.
-    """
-    faults, paths = [], []
-    for path in given:
-        try:
-            own = [one.path for one in list_runs(path)] if path.is_dir() else [path]
-        except OSError as fault:
-            faults.append(f"{path}: cannot be read: {fault.strerror or fault}")
-            continue
-        paths += own
-        if not path.exists():
-            faults.append(f"{path}: no such file or folder")
-        elif not own:
-            faults.append(f"{path}: no run files in this folder")
-    if not given:
-        faults.append("no runs; give run files, or folders of them")
-    if faults:
-        raise InputError(faults)
-    return paths
 
 
 def named(given: Sequence[Path]) -> str:
