@@ -133,6 +133,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         parameters,
         named,
         lambda tuned, augmented: shrinkage(replayed, case.model, tuned, augmented),
+        bounded_fit=not by_runs,
     )
     shrunk = applied.shrunk
     if applied.effects_withdrawn:

@@ -31,6 +31,7 @@ WHOLE_ROUNDS = 2
 WAVE = ("cos", "sin")  # coefficients that make one amplitude
 LOOSE, LOOSE_ERROR = 0.8, 0.1  # the same where an effect must explain less than that by its own account
 FORM_ERROR = 0.003  # share of what a set explains in a channel that its own functional form may miss
+BEYOND = 2.0  # times the largest size of an effect's definition: a geared servo has half more than benches of one stage
 INTERVAL = 1.96  # standard deviations on either side that hold 95 %
 SHAPE = (0.3, 3.0)  # how much of a shape may be there: the grid's neighbours are that far apart
 
@@ -100,7 +101,7 @@ def finding(
         return None
     direction = own / length
     std = size / length * math.sqrt(max(float(direction @ spread @ direction), 0.0))
-    if not whole and size - INTERVAL * std > effect_definition(candidate[0]).largest:
+    if not whole and size - INTERVAL * std > BEYOND * effect_definition(candidate[0]).largest:
         return None
     return Finding(candidate, gain, size, std, tuple(values.tolist()), names, covariance)
 

@@ -30,6 +30,7 @@ def apply(
     with_causes: Sequence[CalibratedParameter],
     named: Sequence[Cause],
     simulate: Simulate,
+    bounded_fit: bool = True,
 ) -> Applied:
     """Apply calibration and named effects to the model as far as held-out runs bear it.
 
@@ -37,10 +38,11 @@ def apply(
     ----------
     alone : parameters as they are fitted without any effect.
     with_causes : parameters as they are fitted together with the effects.
+    bounded_fit : whether the fit ends at `SMALLEST`; free runs of a servo tell some parameters by their ratio alone.
     """
     notes: list[str] = []
     withdrawn: tuple[str, ...] = ()
-    bounded = [item.parameter for item in (with_causes if named else alone) if at_bound(item)]
+    bounded = at_bounds(with_causes if named else alone) if bounded_fit else []
     if named:
         effects = [(cause.effect, {item.name: item.value for item in cause.parameters}) for cause in named]
         calibrated = with_calibration(model, alone)
@@ -55,7 +57,7 @@ def apply(
             else "with it the gap of held-out runs grows"
         )
         notes.append(f"not named though it fits: {', '.join(withdrawn)}; {reason}")
-        bounded = [item.parameter for item in alone if at_bound(item)]
+        bounded = at_bounds(alone) if bounded_fit else []
     if not bounded:
         calibrated = with_calibration(model, alone)
         shrunk = simulate(calibrated, calibrated)
@@ -64,3 +66,8 @@ def apply(
     reason = f"{', '.join(bounded)} ended at a bound" if bounded else "with it the gap of held-out runs grows"
     notes.append(f"calibration is not applied: {reason}; the model stays as it was given")
     return Applied(model, model, simulate(model, model), withdrawn, True, tuple(notes))
+
+
+def at_bounds(parameters: Sequence[CalibratedParameter]) -> list[str]:
+    """Return the names of the parameters whose fit went as far as it may."""
+    return [item.parameter for item in parameters if at_bound(item)]

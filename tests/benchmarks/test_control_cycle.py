@@ -11,6 +11,7 @@ from leactl.driver.i2c_port import SmBus
 from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.emulated_bench import EmulatedBench
 from leactl.runfile.writer import RunWriter
+from leactl.runner.channel_limits import ChannelLimits
 from leactl.runner.loop import Loop
 from leactl.runner.operators import granted
 from leactl.runner.progress import Progress
@@ -112,7 +113,16 @@ def prepared(request, machine, number):
     writer = RunWriter(request.directory, info(f"20261120T101530Z-cycles-{number:04}"), bench.streams())
     progress = Progress("", request.plan.duration_s, bench.streams())
     loop = Loop(
-        request.plan, bench, supervisor, writer, FlushByCycles(writer), StopRequest(), progress, granted, Unwatched()
+        request.plan,
+        bench,
+        supervisor,
+        writer,
+        FlushByCycles(writer),
+        StopRequest(),
+        progress,
+        granted,
+        Unwatched(),
+        ChannelLimits((), bench.streams(), request.bench.name),
     )
     return loop, bench, writer, wiring
 

@@ -115,9 +115,9 @@ def test_scale_and_preload_say_what_they_take_for_granted():
 
 
 def test_constants_of_one_winding_that_contradict_each_other_are_told(tmp_path):
-    text = asked("show", "lea").partition("\n#")[0].replace("back_emf_constant: 0.49", "back_emf_constant: 4.9")
+    text = asked("show", "lea").partition("\n#")[0].replace("back_emf_constant: 0.49", "back_emf_constant: 0.98")
     (tmp_path / "mine.yaml").write_text(text)
-    assert "back-EMF constant 4.9 V*s/rad: they" in asked("show", tmp_path / "mine.yaml")
+    assert "back-EMF constant 0.98 V*s/rad: they" in asked("show", tmp_path / "mine.yaml")
     assert "back-EMF constant" not in asked("compare")
 
 

@@ -81,7 +81,7 @@ def test_a_missing_file_is_one_line_and_status_2(tmp_path, command):
 
 
 def test_plot_draws_named_channels_in_the_terminal(run):
-    done = leactl("runs", "plot", run, "torque", "iq", COLUMNS="80", LINES="24", **os.environ)
+    done = leactl("runs", "plot", run, "torque", "iq", **{**os.environ, "COLUMNS": "80", "LINES": "24"})
     assert (done.returncode, done.stderr) == (0, "")
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert "loop/torque: torque of test [N*m]" in done.stdout

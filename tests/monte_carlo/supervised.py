@@ -9,6 +9,7 @@ import numpy as np
 from leactl.bench import benchfile
 from leactl.driver.contract import Mode
 from leactl.protocol.plan import Plan
+from leactl.runner.channel_limits import ChannelLimits
 from leactl.runner.loop import Loop
 from leactl.runner.operators import granted
 from leactl.runner.progress import Progress
@@ -157,7 +158,8 @@ def run_free(plan: Plan, truth: Truth, seed: int) -> Course:
 def _loop(plan: Plan, bench: DirectBench, supervisor: Supervisor | Unsupervised) -> tuple[str, str, list[str]]:
     nothing = NoFile()
     progress = Progress(plan.name, plan.duration_s, bench.streams())
-    loop = Loop(plan, bench, supervisor, nothing, nothing, StopRequest(), progress, granted, Unwatched())  # type: ignore[arg-type]
+    limits = ChannelLimits((), bench.streams(), bench.file.name)
+    loop = Loop(plan, bench, supervisor, nothing, nothing, StopRequest(), progress, granted, Unwatched(), limits)  # type: ignore[arg-type]
     status, reason = "complete", ""
     try:
         loop.run()
