@@ -112,7 +112,7 @@ def _end(finding: Finding) -> str:
 @contextmanager
 def progress(console: Console | None = None) -> Iterator[Tell]:
     """Show what is rehearsed and how long it will take: one line on a terminal, plain lines anywhere else."""
-    console = console or Console(file=sys.__stderr__)
+    console = console or Console(file=sys.__stderr__ if sys.stderr.isatty() else sys.stderr)
     began = time.monotonic()
     if not console.is_terminal:
 

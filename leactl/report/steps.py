@@ -21,7 +21,7 @@ class Steps:
     """
 
     def __init__(self, console: Console | None = None) -> None:
-        self._console = console or Console(file=sys.__stderr__)
+        self._console = console or Console(file=sys.__stderr__ if sys.stderr.isatty() else sys.stderr)
         self._began = time.monotonic()
         self._asked = False
         self._shown: Progress | None = None

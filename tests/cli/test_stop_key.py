@@ -122,7 +122,7 @@ def test_a_trip_gives_the_terminal_back(terminal):
 CRASH = """
 from leactl.runner import session
 def crash(*_): raise RuntimeError("no such luck")
-session.latch.refuse_latched = crash
+session.latch.of = crash
 """
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from leactl.protocol.plan import Plan
+from leactl.runner import state
 from leactl.runner.thermal_memory import Memory
 from leactl.runner.windings import motors_of
 from leactl.safety.thermal.box import Array, Box
@@ -137,7 +138,7 @@ def _start(
     limit, ambient = shipped()[1].limit, shipped()[1].ambient
     start = {}
     for role in ROLES:
-        memory = Memory(f"trial.{role}", LEA, limit, ambient)
+        memory = Memory(f"trial.{role}", LEA, limit, ambient, state.of_user())
         memory.keep(before.kept[role], EPOCH_S - written, running=died)
         start[role] = memory.recall(EPOCH_S + pause).nodes
     return start, "warm, killed" if died else "warm", [before, pause]
