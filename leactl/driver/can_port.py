@@ -1,7 +1,7 @@
 """One CAN bus shared by several drivers, without threads: frames are dispatched while somebody waits for one."""
 
 import errno
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from leactl.driver.clock import Clock
@@ -29,7 +29,7 @@ class CanPort:
 
         self._message = Message
         self._connect = connect
-        self.clock = clock
+        self.clock, self._now = clock, clock.now
         self.name = name
         self.bus: can.BusABC | None = None
         self._listeners: dict[int, Listener] = {}
@@ -102,8 +102,8 @@ class CanPort:
         except (OSError, ValueError, _can_error()) as error:
             raise DeviceError(f"bus '{self.name}': cannot send 0x{identifier:03X}: {error}") from None
 
-    def pump_before(self, deadline: float) -> bool:
-        """Dispatch one frame, waiting for it until the deadline; False where the wait is over.
+    def pump_until(self, came: Sequence[bool], deadline: float) -> bool:
+        """Dispatch frames until their listeners have made all of `came` true, or the deadline; says which.
 
         What has come by the deadline is dispatched after it too, for 10 ms: a babbling bus cannot hold it longer.
 
@@ -111,33 +111,24 @@ class CanPort:
         ------
         DeviceError : the bus is closed or gone.
         """
-        if self.bus is None:
+        bus, now, listeners = self.bus, self._now, self._listeners
+        if bus is None:
             raise DeviceError(f"bus '{self.name}': not open")
-        left = deadline - self.clock.now()
-        if left < -LATE_S:
-            return False
-        try:
-            message = self.bus.recv(left if left > 0.0 else 0.0)
-        except (OSError, ValueError, _can_error()) as error:
-            raise DeviceError(f"bus '{self.name}': cannot receive: {error}") from None
-        if message is None:
-            return left > 0.0
-        if not (message.is_error_frame or message.is_extended_id or message.is_remote_frame):
-            listener = self._listeners.get(message.arbitration_id)
-            if listener is not None:
-                listener(message.data, message.timestamp)
-        return True
-
-    def pump_until(self, arrived: Callable[[], bool], deadline: float) -> bool:
-        """Dispatch frames until `arrived()` or the deadline; says which.
-
-        Raises
-        ------
-        DeviceError : the bus is closed or gone.
-        """
-        while not arrived():
-            if not self.pump_before(deadline):
-                return arrived()
+        while False in came:
+            left = deadline - now()
+            if left < -LATE_S:
+                return False
+            try:
+                message = bus.recv(left if left > 0.0 else 0.0)
+            except (OSError, ValueError, _can_error()) as error:
+                raise DeviceError(f"bus '{self.name}': cannot receive: {error}") from None
+            if message is None:
+                if left <= 0.0:
+                    return False
+            elif not (message.is_error_frame or message.is_extended_id or message.is_remote_frame):
+                listener = listeners.get(message.arbitration_id)
+                if listener is not None:
+                    listener(message.data, message.timestamp)
         return True
 
     def sync(self) -> None:

@@ -241,12 +241,11 @@ def opened_columns(stream: Any, specs: Sequence[ChannelSpec]) -> list[tuple[int,
 
 def write_rows(columns: Sequence[tuple[int, Any, np.dtype[Any]]], written: int, rows: np.ndarray[Any, Any]) -> None:
     """Append rows by HDF5's own calls: short blocks of many columns take h5py's slices three times as long."""
-    memory = h5s.create_simple((len(rows),))
+    memory, where = h5s.create_simple((len(rows),)), h5s.create_simple((written + len(rows),))
+    where.select_hyperslab((written,), (len(rows),))  # of every column, which are of one length
     with np.errstate(over="ignore"):  # beyond float32 becomes inf
         for place, dataset, dtype in columns:
             extend(dataset, written + len(rows))
-            where = dataset.get_space()
-            where.select_hyperslab((written,), (len(rows),))
             dataset.write(memory, where, np.ascontiguousarray(rows[:, place], dtype))
             dataset.flush()
 

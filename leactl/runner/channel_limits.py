@@ -147,6 +147,8 @@ class ChannelLimits:
                     f"acceptance: bench '{bench}' measures no {limit.channel} of role '{limit.role}' to judge"
                 )
 
+        self.any = bool(limits)
+
     def enter(self, step: str, start: float) -> None:
         """A step's judged part begins [s since the run's start]."""
         for watched in self._every:

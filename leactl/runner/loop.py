@@ -62,6 +62,7 @@ class Loop:
         self._flush, self._stop, self._progress, self._operator = flush, stop, progress, operator
         self._watchdog, self._sign = watchdog, watchdog.sign
         self._limits = limits
+        self._limited = limits.any
         self._clock = bench.clock
         self._period = 1.0 / plan.rate_Hz
         self._answer_s = max(ANSWER_SHARE * self._period, LEAST_ANSWER_S)
@@ -133,8 +134,8 @@ class Loop:
         if self._every and self._phase % self._every == 0 and row:
             writer.append_row("loop", began - start, row)
         self._phase += 1
-        judged: list[Block | Row] = []
-        for reading in bench.take():
+        readings = bench.take()
+        for reading in readings:
             if isinstance(reading, Block):
                 writer.append(reading.stream, reading.times - start, reading.values)
                 self._newest[reading.stream] = reading.last.values
@@ -142,14 +143,10 @@ class Loop:
                 writer.append_row(reading.stream, reading.time - start, reading.values)
                 self._newest[reading.stream] = reading.values
             supervisor.receive(reading)
-            if self._limits.watches(reading.stream):
-                judged.append(reading)
         supervisor.check(self._clock.now())
         bench.feed()
-        if row:
-            self._limits.receive("loop", began - start, row, self._note_limit)
-        for reading in judged:
-            self._judge(reading)
+        if self._limited:
+            self._judge(began, row, readings)
         self._flush.after_cycle()
         self.cycles += 1
         self._sign[CYCLES] += 1
@@ -187,10 +184,14 @@ class Loop:
     def _note(self, level: str, source: str, message: str) -> None:
         self._writer.event(self._clock.now() - self._start, level, source, message)
 
-    def _judge(self, reading: Block | Row) -> None:
-        """Hold the limits on channels against what a device gave at its own pace."""
-        for row in reading.rows() if isinstance(reading, Block) else (reading,):
-            self._limits.receive(row.stream, row.time - self._start, row.values, self._note_limit)
+    def _judge(self, began: float, row: Sequence[float], readings: Sequence[Block | Row]) -> None:
+        """Hold the limits on channels against a cycle's row and what the devices gave at their own pace."""
+        if row:
+            self._limits.receive("loop", began - self._start, row, self._note_limit)
+        for reading in readings:
+            if self._limits.watches(reading.stream):
+                for each in reading.rows() if isinstance(reading, Block) else (reading,):
+                    self._limits.receive(each.stream, each.time - self._start, each.values, self._note_limit)
 
     def _note_limit(self, level: str, text: str) -> None:
         self._note(level, "runner", text)

@@ -49,18 +49,29 @@ class CurrentTracking:
         self._share, self._for_s = settings.share_percent / 100.0, settings.for_s
         self._floor = settings.floor_A or FLOOR * limits.current_A
         self._available = limits.bus_voltage_low_V / math.sqrt(2.0)  # on the q axis, by space vector modulation
-        self._judges = False
         self._demands: deque[float] = deque(maxlen=APART_CYCLES + 1)
-        self._since, self._cycles = math.nan, 0
+        self.since, self._cycles = math.nan, 0  # when the disagreement began that goes on
+        self.turn_to(judges=False)
 
     def turn_to(self, judges: bool) -> None:
         """Begin anew in another mode, of which `judges` tells whether its current is known."""
         self._judges = judges
         self._demands.clear()
-        self._since = math.nan
+        self.since = math.nan
+        self.ask(0.0)
 
-    def look(self, current: float, demand: float, velocity: float, now: float) -> None:
-        """Judge the reading of the exchange that has just ended by the demands that it may be of.
+    def ask(self, demand: float) -> None:
+        """Take a new demand: any reading within `low` to `high` agrees with it, others are for `look` to judge."""
+        self._demand, self._asked = demand, True
+        self._demands.append(demand)
+        if self._judges:
+            allowed = self._floor + self._share * abs(demand)
+            self.low, self.high = demand - allowed, demand + allowed
+        else:
+            self.low, self.high = -math.inf, math.inf
+
+    def look(self, current: float, velocity: float, now: float) -> None:
+        """Judge a reading that the latest demand does not account for, by all the demands that it may be of.
 
         Raises
         ------
@@ -68,26 +79,28 @@ class CurrentTracking:
         """
         if not self._judges:
             return
-        demands = self._demands
-        demands.append(demand)
+        demand, demands = self._demand, self._demands
+        if not self._asked:  # the same demand for another cycle
+            demands.append(demand)
+        self._asked = False
         if current != current:
             return
         low, high = min(demands), max(demands)
         allowed = self._floor + self._share * (high if high > -low else -low)
         if low - allowed <= current <= high + allowed or self._need.of(demand, velocity) >= self._available:
-            self._since = math.nan
+            self.since = math.nan
             return
         if not self._motion.engaged:
             allowed = OFF * self._floor
             if abs(current) <= allowed:
-                self._since = math.nan
+                self.since = math.nan
                 return
-        if not self._since <= now:
-            self._since, self._cycles = now, 0
+        if not self.since <= now:
+            self.since, self._cycles = now, 0
         self._cycles += 1
-        if now - self._since >= self._for_s and self._cycles > APART_CYCLES:
+        if now - self.since >= self._for_s and self._cycles > APART_CYCLES:
             self._trip(
                 f"{self._role} q_axis_current of {current:.4g} A contradicts its demand of {demand:.4g} A for"
-                f" {now - self._since:.3g} s; {allowed:.3g} A apart are allowed: is the current sensor connected, and"
+                f" {now - self.since:.3g} s; {allowed:.3g} A apart are allowed: is the current sensor connected, and"
                 " does another master command the drive?"
             )

@@ -228,6 +228,8 @@ class Supervisor:
                 value = self._scaled(role, guarded, value, allowed)
             elif guarded.scaled:
                 guarded.scaled = False
+            if value != guarded.demand:
+                guarded.tracking.ask(value)
             guarded.demand, guarded.asked = value, value * value
         if guarded.path is not None:
             self._judge_angle(role, guarded.path, value)
@@ -293,8 +295,12 @@ class Supervisor:
             if guarded.path is not None:
                 guarded.path.exchanged(guarded.measured_angle, motion.engaged, now)
             current = values[where]
-            speed = math.nan if guarded.velocity is None else values[guarded.velocity]
-            guarded.tracking.look(current, guarded.demand, speed, now)
+            tracking = guarded.tracking
+            if tracking.low <= current <= tracking.high:
+                tracking.since = math.nan
+            else:
+                speed = math.nan if guarded.velocity is None else values[guarded.velocity]
+                tracking.look(current, speed, now)
             square, asked = current * current, guarded.asked
             if not square >= guarded.held:  # a reading that is no number is the worst that may flow
                 square = guarded.held if square == square else self._worst

@@ -48,21 +48,33 @@ class ReplayBus(can.BusABC):
 
 
 class RehearsedBus(ReplayBus):
-    """Leads to emulated drives until both are in operation, and from then on plays their last answers again."""
+    """Leads to emulated drives until both carry the current demanded of them, and plays those answers from then on.
+
+    What is demanded may swing afterwards as far as the interlock on current against its demand lets it.
+    """
 
     def __init__(self, machine: EmulatedBench, host: EmulatedClock) -> None:
         super().__init__([], [Frame(0x700 + node, b"\x05") for node in NODES])
         self._machine, self._host = machine, host
         self._wire = EmulatedCanBus(machine.wires["can0"])
+        self._demanded: dict[int, int] = {}  # by node, thousandths of the rated current
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         self._machine.clock.sleep_until(self._host.now())
+        if msg.arbitration_id - 0x200 in NODES:
+            self._demanded[msg.arbitration_id - 0x200] = int.from_bytes(msg.data[2:4], "little", signed=True)
         self._wire.send(msg)
         answers = list(self._wire.arrived)
         self._wire.arrived.clear()
         self.arrived.extend(answers)
-        status = [frame for frame in answers if frame.identifier & 0x780 == 0x180 and frame.data.startswith(ENABLED)]
-        if msg.arbitration_id == SYNC and len(status) == len(NODES):
+        if msg.arbitration_id == SYNC and sum(map(self._carries_its_demand, answers)) == len(NODES):
             self.answers = [frame for frame in answers if 0x180 <= frame.identifier < 0x500]
             self._wire.shutdown()
             self.send = super().send  # type: ignore[method-assign]  # nothing of the rehearsal is timed
+
+    def _carries_its_demand(self, frame: Frame) -> bool:
+        """Whether a frame is TPDO 1 (statusword, mode, torque, current) of a drive in operation at its torque."""
+        demand = self._demanded.get(frame.identifier - 0x180, 0)
+        if not demand or not frame.data.startswith(ENABLED):
+            return False
+        return abs(int.from_bytes(frame.data[3:5], "little", signed=True) - demand) <= 0.05 * abs(demand)

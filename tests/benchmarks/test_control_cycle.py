@@ -55,7 +55,7 @@ record_Hz: 1000
 steps:
   - mode: {{test: current, load: current}}
   - set: {{role: load, current_A: 1.0}}
-  - signal: {{role: test, kind: sine, amplitude_A: 2.0, frequency_Hz: 1.0, duration_s: {CYCLES / 1000}}}
+  - signal: {{role: test, kind: sine, offset_A: 3.0, amplitude_A: 1.0, frequency_Hz: 1.0, duration_s: {CYCLES / 1000}}}
 """
 
 

@@ -1,10 +1,12 @@
 """What the supervisor takes of a cycle at 1 kHz: two drives, a torque sensor, and every interlock configured."""
 
+from leactl import yamlfile
 from leactl.driver.contract import Row, StreamSpec
 from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.emulated_bench import EmulatedBench
 from leactl.quantities import ChannelSpec
 from leactl.safety.cross_checks import TorqueModel
+from leactl.safety.interlocks import Interlocks
 from leactl.safety.supervisor import Axis, Supervisor
 from tests.benchmarks import test_control_cycle as cycle
 from tests.benchmarks.rounds import compare
@@ -12,15 +14,14 @@ from tests.safety.guards import guard_of
 
 LIMIT = 0.10  # of the cycle's CPU time
 TORQUE_EVERY_MS = 2  # an ADS1115 converts in 1.2 ms, and is read by the cycle after
-INTERLOCKS = """interlocks:
-  q_axis_current: {warn_A: 26, trip_A: 28, for_s: 0.5, stuck_s: 1}
-  velocity: {warn_rad_s: 36, trip_rad_s: 38, for_s: 0.1, rate_rad_s_per_s: 10000}
-  angle: {trip_rad: 1e6}
-  torque: {role: test, warn_Nm: 15, trip_Nm: 16, for_s: 0.2, rate_Nm_per_s: 1e5, stuck_s: 1}
-  torque_disagreement: {tolerance_Nm: 2.0, for_s: 0.2}
-  bus_voltage: {warn_low_V: 24, warn_high_V: 35}
-  supply: {expected_V: 29.6, band_V: 5}
-emulated: {}
+INTERLOCKS = """
+q_axis_current: {warn_A: 26, trip_A: 28, for_s: 0.5, stuck_s: 1}
+velocity: {warn_rad_s: 36, trip_rad_s: 38, for_s: 0.1, rate_rad_s_per_s: 10000}
+angle: {trip_rad: 1e6}
+torque: {role: test, warn_Nm: 15, trip_Nm: 16, for_s: 0.2, rate_Nm_per_s: 1e5, stuck_s: 1}
+torque_disagreement: {tolerance_Nm: 2.0, for_s: 0.2}
+bus_voltage: {warn_low_V: 24, warn_high_V: 35}
+supply: {expected_V: 29.6, band_V: 5}
 """
 
 
@@ -31,8 +32,7 @@ class Sensor:
         self.name, self.streams = "torque_sensor", streams
 
 
-def test_the_supervisor_takes_a_tenth_of_a_cycle_at_the_most(tmp_path, figure, monkeypatch):
-    monkeypatch.setattr(cycle, "BENCH", cycle.BENCH.replace("emulated: {}", INTERLOCKS.strip()))
+def test_the_supervisor_takes_a_tenth_of_a_cycle_at_the_most(tmp_path, figure):
     request, loops = cycle.request_in(tmp_path), []
     machine = EmulatedBench(request.bench, request.devices, "free", "", seed=1)
     rows = []
@@ -42,7 +42,7 @@ def test_the_supervisor_takes_a_tenth_of_a_cycle_at_the_most(tmp_path, figure, m
         loop, bench, writer, _wiring = cycle.prepared(request, machine, len(loops))
         axes = {role: Axis(drive, drive) for role, drive in bench.drives.items()}
         model = TorqueModel(0.49, 0.208, 0.0238, 0.0024)
-        interlocks = request.bench.interlocks
+        interlocks = yamlfile.parse(INTERLOCKS).validate(Interlocks)
         devices, clock = [Sensor([torque])], EmulatedClock()
         judge = Supervisor(request.bench.limits, axes, devices, clock, guard_of(axes), interlocks, model)
         judge.begin(0.001)

@@ -73,11 +73,17 @@ class ElmoBench:
         """One SDO transfer without the driver, frames in hex."""
         if self.port.bus is None:
             self.port.open()
-        came: list[str] = []
-        self.port.listen(0x580 + self.node, lambda data, _time: came.append(data.hex()))
+        answers: list[str] = []
+        came = [False]
+
+        def take(data: bytearray, _time: float) -> None:
+            answers.append(data.hex())
+            came[0] = True
+
+        self.port.listen(0x580 + self.node, take)
         self.port.send(0x600 + self.node, bytes.fromhex(request))
-        assert self.port.pump_until(lambda: bool(came), self.clock.now() + ANSWER_S)
-        return came[0]
+        assert self.port.pump_until(came, self.clock.now() + ANSWER_S)
+        return answers[0]
 
     def sent(self, identifier: int) -> list[bytes]:
         return [frame.data for frame in self.tape if frame.identifier == identifier]

@@ -41,11 +41,11 @@ def test_every_frame_goes_out_and_a_message_that_a_bus_keeps_never_changes(port)
 
 
 def test_a_wait_ends_at_its_deadline(port):
-    assert not port.pump_until(lambda: False, 0.5)
+    assert not port.pump_until([False], 0.5)
     assert port.clock.now() == 0.5
 
 
 def test_a_bus_that_never_falls_silent_does_not_hold_a_wait(port):
     port.bus.babbles = True
-    assert not port.pump_until(lambda: False, 0.5)
+    assert not port.pump_until([False], 0.5)
     assert 0.5 <= port.clock.now() <= 0.512

@@ -292,9 +292,8 @@ class ElmoCan(Driver):
         DeviceFault : the drive is in fault, sent an emergency message, or left operation by itself.
         NoAnswer : the drive's own heartbeat stayed away, or it did not enter operation in time.
         """
-        fresh, values, port = self._fresh, self.values, self._port
-        while not (fresh[0] and fresh[1] and fresh[2]) and port.pump_before(deadline):
-            pass
+        fresh, values = self._fresh, self.values
+        self._port.pump_until(fresh, deadline)
         mode, engaged = self._mode, self.engaged
         values[0], values[1], values[2] = self._followed  # until the SYNC at which the drive sampled
         followed = self._followed = self._follows
@@ -306,7 +305,11 @@ class ElmoCan(Driver):
             followed[2] = self._value * self._angle_per_count
         if fresh[0]:
             values[6] = 1.0 if engaged else 0.0
-        self._judge(engaged)
+        silence = self._clock.now() - self._heard
+        if engaged and silence <= self._longest_silence and not self._emergency:
+            self._enable_by = -math.inf  # from here on, leaving operation is the drive's own doing
+        else:
+            self._judge(silence)
 
     def feed(self) -> None:
         """Send the host's heartbeat once a third of the consumer time has passed; ask for the bus voltage."""
@@ -440,15 +443,12 @@ class ElmoCan(Driver):
         if len(data) == 8 and emergency.code_of(data) != emergency.CODE_RESET:
             self._emergency = emergency.describe(data)
 
-    def _judge(self, engaged: bool) -> None:
+    def _judge(self, silence: float) -> None:
+        """Say what keeps the drive out of operation, where it should be in it."""
         if self._emergency:
             raise DeviceFault(f"{self.name}: {self._emergency}")
-        now = self._clock.now()
-        if now - self._heard > self._longest_silence:
-            raise NoAnswer(f"{self.name}: no heartbeat of node {self._node} for {now - self._heard:.3f} s")
-        if engaged:
-            self._enable_by = -math.inf  # from here on, leaving operation is the drive's own doing
-            return
+        if silence > self._longest_silence:
+            raise NoAnswer(f"{self.name}: no heartbeat of node {self._node} for {silence:.3f} s")
         if self.state in FAULTS:
             raise DeviceFault(f"{self.name}: {self.state}, statusword 0x{self.statusword:04X}")
         if self._mode is OFF:
@@ -457,7 +457,7 @@ class ElmoCan(Driver):
             raise DeviceFault(
                 f"{self.name}: left operation by itself, {self.state}, statusword 0x{self.statusword:04X}"
             )
-        if now > self._enable_by:
+        if self._clock.now() > self._enable_by:
             raise NoAnswer(
                 f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {self.state}, 0x{self.statusword:04X}"
             )

@@ -23,11 +23,21 @@ class _PumpedQueue(queue.Queue[bytes]):
         super().__init__()
         self._port = port
         self.until = math.inf
+        self._came = [False]  # whether an answer waits
+
+    def _put(self, item: bytes) -> None:
+        super()._put(item)
+        self._came[0] = True
+
+    def _get(self) -> bytes:
+        item = super()._get()
+        self._came[0] = self._qsize() > 0
+        return item
 
     def get(self, block: bool = True, timeout: float | None = None) -> bytes:
         if block:
             deadline = min(self._port.clock.now() + (timeout or 0.0), self.until)
-            self._port.pump_until(lambda: not self.empty(), deadline)
+            self._port.pump_until(self._came, deadline)
         return super().get(block=False)
 
     def clear(self) -> None:
