@@ -50,9 +50,12 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
             for name, channels in found.streams.items()
         }
         steps, events, notes = found.steps, found.events, found.notes
+        parameters, instruments = found.parameters, found.instruments
     if as_json:
         answer = {
             "attributes": about,
+            "parameters": parameters,
+            "instruments": instruments,
             "streams": streams,
             "steps": len(steps),
             "events": [vars(event) for event in events],
@@ -62,6 +65,10 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
         return
     for name, value in about.items():
         typer.echo(f"{name:<16} {value}".rstrip())
+    for name, value in parameters.items():
+        typer.echo(row(f"parameter {name} = ", str(value)))
+    for name, facts in instruments.items():
+        typer.echo(row(f"instrument {name}: ", ", ".join(f"{key} {fact}" for key, fact in facts.items())))
     for name, stream in streams.items():
         typer.echo(f"stream {name}: {stream['rows']} rows{attached_told(stream)}")
         for channel in found.streams[name]:

@@ -38,7 +38,7 @@ def convert(path: Path) -> None:
 
 def copy_group(source: Any, target: Any) -> None:
     """Copy a group's attributes and members into an empty group."""
-    copy_attributes(source, target)
+    layout.copy_attributes(source, target)
     for name, item in source.items():
         if isinstance(item, h5py.Dataset):
             copy_dataset(item, target)
@@ -57,20 +57,13 @@ def copy_dataset(source: Any, target: Any) -> None:
         values = source[block]
         reserve(dataset.file, bytes_of(values))
         dataset[block] = values
-    copy_attributes(source, dataset)
+    layout.copy_attributes(source, dataset)
 
 
 def bytes_of(values: Any) -> int:
     """Return how many bytes values take in a file, strings of variable length with some more to find them again."""
     array = np.asarray(values)
     return sum(len(text) + 64 for text in array.flat) if array.dtype == object else array.nbytes
-
-
-def copy_attributes(source: Any, target: Any) -> None:
-    """Copy attributes with their types, but those that HDF5 keeps for its dimension scales."""
-    for name in layout.attributes(source):
-        identifier = source.attrs.get_id(name)
-        target.attrs.create(name, source.attrs[name], identifier.shape, identifier.dtype)
 
 
 def attach_scales(source: Any, target: Any) -> None:

@@ -5,6 +5,7 @@ import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +29,8 @@ class RunInfo:
     created: str  # ISO 8601, UTC
     sources: Mapping[str, str] = field(default_factory=dict)  # "protocol", "bench", "model": YAML as used
     setup: Mapping[str, float | str] = field(default_factory=dict)  # drive_gain, load_mass, ...: over the model file's
+    parameters: Mapping[str, Any] = field(default_factory=dict)  # of the protocol, with the values that were used
+    instruments: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # of each device, `layout.INSTRUMENT`
 
 
 def new_run_id(protocol: str, when: datetime) -> str:

@@ -95,13 +95,15 @@ def parquet_writers(run: Run) -> dict[str, Writer]:
 
 
 def mat_writers(run: Run) -> dict[str, Writer]:
-    """One MATLAB file: structs `run`, `setup`, `streams.<stream>.<channel>`, `steps`, `events`."""
+    """One MATLAB file: a struct for each group, `streams.<stream>.<channel>` for channels."""
     from scipy.io import savemat
 
     def write(target: Path) -> None:
         content = {
             "run": struct({**run.attributes}),
             "setup": struct({**run.setup}),
+            "parameters": struct(run.parameters),
+            "instruments": struct({name: struct({**facts}) for name, facts in run.instruments.items()}),
             "streams": struct({stream: mat_stream(run, stream) for stream in run.streams}),
             "steps": [struct({**vars(step), "parameters": str(step.parameters)}) for step in run.steps],
             "events": [struct(vars(event)) for event in run.events],

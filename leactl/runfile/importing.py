@@ -113,7 +113,7 @@ def read(path: Path, mapping: Mapping, document: yamlfile.Document) -> list[Impo
 def wanted(mapping: Mapping) -> list[str | int]:
     """Every column and field that a mapping speaks of."""
     columns: list[str | int] = []
-    fields = [*mapping.setup.values(), *(value for _, value in mapping.run)]
+    fields = [*mapping.setup.values(), *mapping.parameters.values(), *(value for _, value in mapping.run)]
     for stream in mapping.streams.values():
         columns += [stream.time.column] if stream.time.column is not None else []
         for channel in stream.channels.values():
@@ -131,9 +131,13 @@ def describe(
         for name, value in mapping.run
         if name not in ("created", "simulated")
     }
-    setup: dict[str, float | str] = {}
-    for name, value in mapping.setup.items():
-        setup[name] = value if isinstance(value, str) else number(source, value, ("setup", name), document)
+    setup, parameters = (
+        {
+            name: value if isinstance(value, str) else number(source, value, (block, name), document)
+            for name, value in getattr(mapping, block).items()
+        }
+        for block in ("setup", "parameters")
+    )
     stem = re.sub(r"[^A-Za-z0-9._-]+", "-", source.path.stem).strip("-.") or "run"
     info = RunInfo(
         run_id=f"{stem}-{suffix}" if suffix else stem,
@@ -142,6 +146,8 @@ def describe(
         software=f"leactl {__version__}",
         created=created(source, mapping, document),
         setup=setup,
+        parameters=parameters,
+        instruments={name: instrument.facts for name, instrument in mapping.instruments.items()},
         protocol=about["protocol"],
         bench=about["bench"],
         actuator=about["actuator"],

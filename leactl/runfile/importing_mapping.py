@@ -11,6 +11,7 @@ from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from leactl.driver.batch import Estimate
 from leactl.quantities import UNITS
+from leactl.runfile.instruments import Instrument
 from leactl.units import converter, known_units
 from leactl.yamlblock import Block
 
@@ -164,6 +165,8 @@ class Mapping(Block):
     mechanical: Literal["free", "locked", "coupled", "heated"]
     run: RunMapping = RunMapping()
     setup: dict[Name, Number | str | FieldOf] = {}
+    parameters: dict[Name, Number | str | FieldOf] = {}  # what the protocol was run with
+    instruments: dict[Name, Instrument] = {}
     csv: CsvForm = CsvForm()
     streams: Annotated[dict[Name, StreamMapping], Field(min_length=1)]
     parts: tuple[Part, ...] = ()

@@ -4,7 +4,7 @@ docs/run-format.md describes the same contract in prose; whatever changes here c
 """
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import h5py
@@ -38,6 +38,7 @@ ROOT_ATTRIBUTES: Final = (
 )
 CHANNEL_ATTRIBUTES: Final = ("units", "quantity", "role", "device", "long_name")
 SOURCES: Final = ("protocol", "bench", "model")
+INSTRUMENT: Final = ("model", "serial", "firmware", "calibrated", "calibration_due")
 
 # Bytes of the fixed-length strings of a live file; SWMR allows no other kind. Numbers have no entry.
 TABLES: Final[dict[str, dict[str, int | None]]] = {
@@ -70,6 +71,60 @@ def attributes(node: Any) -> dict[str, Any]:
 def storable(text: str) -> str:
     """The text without what HDF5 cannot hold: NUL ends a string there, lone surrogates are not UTF-8."""
     return text.replace("\0", "\N{REPLACEMENT CHARACTER}").encode("utf-8", "replace").decode("utf-8")
+
+
+def parameter_value(value: Any) -> Any:
+    """A protocol's parameter as an attribute holds it: text, a number, or a list of either."""
+    if isinstance(value, str):
+        return storable(value)
+    if isinstance(value, list | tuple) and any(isinstance(item, str) for item in value):
+        return np.array([storable(str(item)) for item in value], TEXT)
+    numbers = np.asarray(value)
+    return numbers if numbers.dtype.kind in "if" else numbers.astype(float)  # an integer beyond 64 bit
+
+
+def describe(file: Any, parameters: Mapping[str, Any], instruments: Mapping[str, Mapping[str, str]]) -> None:
+    """Write `/parameters` and `/instruments`; an instrument of which nothing is known has no group."""
+    group = file.create_group("parameters")
+    for name, value in parameters.items():
+        group.attrs[name] = parameter_value(value)
+    group = file.create_group("instruments")
+    for device, facts in instruments.items():
+        known = {name: fact for name, fact in facts.items() if fact}
+        for name, fact in known.items():
+            group.require_group(device).attrs[name] = storable(fact)
+
+
+def parameters(file: Any) -> dict[str, Any]:
+    """The protocol's parameters with the values that were used; empty where the file does not say."""
+    group = file.get("parameters")
+    return attributes(group) if isinstance(group, h5py.Group) else {}
+
+
+def instruments(file: Any) -> dict[str, dict[str, str]]:
+    """What is known of each device, by its name in the bench file; empty where the file does not say."""
+    group = file.get("instruments")
+    devices = group.items() if isinstance(group, h5py.Group) else ()
+    known = {name: attributes(device) for name, device in devices if isinstance(device, h5py.Group)}
+    return {name: {key: str(facts[key]) for key in INSTRUMENT if key in facts} for name, facts in known.items()}
+
+
+def copy_attributes(source: Any, target: Any) -> None:
+    """Copy attributes with their types, but those that HDF5 keeps for its dimension scales."""
+    for name in attributes(source):
+        identifier = source.attrs.get_id(name)
+        target.attrs.create(name, source.attrs[name], identifier.shape, identifier.dtype)
+
+
+def copy_description(source: Any, target: Any) -> None:
+    """Copy `/parameters` and `/instruments`, where the file has them."""
+    for name in ("parameters", "instruments"):
+        group = source.get(name)
+        if isinstance(group, h5py.Group):
+            copy_attributes(group, target.create_group(name))
+            for device, facts in group.items():
+                if isinstance(facts, h5py.Group):
+                    copy_attributes(facts, target.create_group(f"{name}/{device}"))
 
 
 def is_text(dataset: Any) -> bool:

@@ -115,6 +115,18 @@ class Run:
         return str(self.setup.get("mechanical", ""))
 
     @property
+    def parameters(self) -> dict[str, Any]:
+        """The protocol's parameters with the values that were used; empty where the file does not say."""
+        with reading(self.path, "/parameters"):
+            return layout.parameters(self._file)
+
+    @property
+    def instruments(self) -> dict[str, dict[str, str]]:
+        """Model, serial number, firmware and calibration of each device, by its name, as far as the file says."""
+        with reading(self.path, "/instruments"):
+            return layout.instruments(self._file)
+
+    @property
     def steps(self) -> list[Step]:
         """The parts of the run, in the order in which they were recorded."""
         rows = self._table("steps", layout.TABLES["steps"])

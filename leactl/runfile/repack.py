@@ -47,6 +47,7 @@ def repack(
         clean.attrs["status"] = status
         clean.attrs["status_reason"] = one_line(reason)
         copy_setup_and_sources(source, clean)
+        layout.copy_description(source, clean)
         streams = clean.create_group("streams")
         for name, count in rows.items():
             copy_stream(source["streams"][name], streams.create_group(name, track_order=True), count)

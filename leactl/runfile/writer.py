@@ -203,6 +203,7 @@ def create(partial: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelS
     setup.attrs["mechanical"] = info.mechanical
     for name, value in info.setup.items():
         setup.attrs[name] = value
+    layout.describe(file, info.parameters, info.instruments)
     for name, text in info.sources.items():
         file.create_dataset(f"{name}/source", data=text, dtype=layout.TEXT)
     group = file.create_group("streams")

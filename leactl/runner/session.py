@@ -378,6 +378,7 @@ def _info(request: Request) -> RunInfo:
         mechanical=plan.setup,
         software=f"leactl {__version__}",
         created=now.isoformat(timespec="milliseconds"),
+        parameters=plan.parameters,
         sources={"protocol": plan.text, "bench": request.bench_document.text, "model": motor.text},
     )
 

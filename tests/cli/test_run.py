@@ -25,11 +25,13 @@ def here(tmp_path, monkeypatch):
 
 
 def test_json_is_pure_and_names_the_run(here):
-    done = leactl("run", "spin.yaml", "--set", "seed=7", "--out", "runs", "--json")
+    done = leactl("run", "spin.yaml", "--set", "seed=7", "--set", "hold_s=0.5", "--out", "runs", "--json")
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
     assert answer["status"] == "complete"
     assert verify(here / answer["run"]) == []
+    shown = json.loads(leactl("runs", "show", answer["run"], "--json").stdout)
+    assert shown["parameters"] == {"current_A": 0.7, "hold_s": 0.5, "trials": 1}
     assert {name: device["confirmed"] for name, device in answer["safe"].items()} == {
         "drive_test": True,
         "drive_load": True,

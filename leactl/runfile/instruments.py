@@ -1,0 +1,56 @@
+"""What a person may say of an instrument in a bench file or a mapping: who it is, and when it was calibrated."""
+
+import re
+from datetime import date
+from typing import Annotated, Any, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from leactl.yamlblock import Block
+
+LONGEST = 200  # characters of a text that is to be on one line
+
+
+def _iso(given: Any) -> Any:
+    """Let nothing but an ISO date pass: pydantic would take a number for seconds since 1970."""
+    if isinstance(given, str) and not re.fullmatch(r"\d{4}-\d{2}-\d{2}", given, re.ASCII):
+        raise ValueError("a date as 2026-01-31 was expected")
+    if isinstance(given, int | float):
+        raise ValueError("a date as 2026-01-31 was expected")  # noqa: TRY004 (pydantic passes TypeError on)
+    return given
+
+
+def _quoted(given: Any) -> Any:
+    """Refuse a bare number, which would have lost its leading zeros."""
+    if isinstance(given, int | float):
+        raise ValueError(f'a text was expected: put it in quotes, "{given}"')  # noqa: TRY004 (as above)
+    return given
+
+
+Label = Annotated[str, BeforeValidator(_quoted), Field(max_length=LONGEST)]
+Day = Annotated[date, BeforeValidator(_iso)]
+
+
+class Instrument(Block):
+    """Who an instrument is and when it was calibrated, as far as a person says it."""
+
+    model: Label = ""
+    serial: Label = ""
+    firmware: Label = ""
+    calibrated: Day | None = None
+    calibration_due: Day | None = None
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.calibrated and self.calibration_due and self.calibration_due < self.calibrated:
+            raise ValueError(f"calibration_due {self.calibration_due} is before calibrated {self.calibrated}")
+        return self
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What is known, by the names that the run file uses."""
+        texts = {"model": self.model, "serial": self.serial, "firmware": self.firmware}
+        days = {"calibrated": self.calibrated, "calibration_due": self.calibration_due}
+        return {name: text for name, text in texts.items() if text} | {
+            name: day.isoformat() for name, day in days.items() if day
+        }
