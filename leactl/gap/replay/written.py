@@ -110,7 +110,10 @@ def _write(
     kept = {name: text for name in ("protocol", "bench") if (text := run.source(name)) is not None}
     info = RunInfo(
         run_id=new_run_id(f"{about['protocol']}-simulated", now),
-        **about,
+        protocol=about["protocol"],
+        bench=about["bench"],
+        actuator=about["actuator"],
+        condition=about["condition"],
         operator="",
         simulated=True,
         mechanical=run.mechanical,
@@ -118,6 +121,7 @@ def _write(
         created=now.isoformat(timespec="seconds").replace("+00:00", "Z"),
         sources=kept | {"model": model},
         setup={name: value for name, value in run.setup.items() if name != "mechanical"},
+        parameters=run.parameters,
     )
     folder = beside if out is None else out.parent / f".{out.name}.{secrets.token_hex(4)}"
     with RunWriter(folder, info, {name: [spec for spec, _ in column] for name, column in columns.items()}) as writer:
