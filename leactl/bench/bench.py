@@ -5,6 +5,7 @@ from typing import Any
 
 from leactl import yamlfile
 from leactl.bench.benchfile import BenchFile, Bus, CanBus, CheckedDevice, SerialBus
+from leactl.bench.provenance import Provenance
 from leactl.bench.wiring import Wiring
 from leactl.driver import registry
 from leactl.driver.can_port import CanPort
@@ -25,6 +26,7 @@ class Bench:
         ports: dict[str, Any] = {name: _port(name, bus, wiring) for name, bus in file.buses.items()}
         self.drivers: dict[str, Driver] = {}
         self.drives: dict[str, Driver] = {}
+        self.provenance = {device.name: Provenance(device.entry) for device in devices}
         self._motion: list[MotionDevice] = []
         synchronised: dict[str, CanPort] = {}
         for device in devices:
@@ -78,11 +80,13 @@ class Bench:
 
         Raises
         ------
-        DeviceError : with the device's name, and with what could not be confirmed safe.
+        DeviceError : with the device's name, and with what could not be confirmed safe; also where a device tells
+            another serial number than the bench file.
         """
         for name, driver in self.drivers.items():
             try:
                 driver.open()
+                self.provenance[name].take(driver.identity())
             except BaseException as error:
                 safe = make_safe([driver, *[other for other in self.drivers.values() if other is not driver]])
                 cause = str(error).removeprefix(f"{name}: ")

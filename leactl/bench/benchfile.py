@@ -15,6 +15,7 @@ from leactl.errors import InputError
 from leactl.model.motor import load_motor
 from leactl.model.nominal import BenchModel
 from leactl.quantities import UNITS
+from leactl.runfile.instruments import Instrument
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.limits import Limits
 from leactl.yamlblock import Block
@@ -61,8 +62,8 @@ class SerialBus(Block):
 Bus = CanBus | I2cBus | SerialBus
 
 
-class Device(Block):
-    """One device: its driver, the bus it hangs on, its role, and the driver's own settings."""
+class Device(Instrument):
+    """One device: its driver, its bus, its role, the driver's own settings, and what is known of the instrument."""
 
     driver: str
     bus: Name | None = None

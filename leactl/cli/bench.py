@@ -40,18 +40,24 @@ def model(bench: str) -> None:
 @app.command()
 def check(bench: str, as_json: bool = AS_JSON) -> None:
     """Check a bench file, its motors and every driver's settings as a run does, without touching a device."""
+    from leactl.bench.provenance import overdue
     from leactl.runner.checked_bench import load_checked
 
     found, devices, _document = load_checked(bench)
-    interlocks = found.interlocks.shown()
+    interlocks, late = found.interlocks.shown(), overdue(devices)
     if as_json:
-        rows = [{"name": d.name, "driver": d.entry.driver, "role": d.entry.role} for d in devices]
+        rows = [{"name": d.name, "driver": d.entry.driver, "role": d.entry.role} | d.entry.facts for d in devices]
         limits = found.limits.model_dump(exclude_none=True)
-        typer.echo(json.dumps({"bench": found.name, "devices": rows, "limits": limits, "interlocks": interlocks}))
+        body = {"bench": found.name, "devices": rows, "limits": limits, "interlocks": interlocks, "overdue": late}
+        typer.echo(json.dumps(body))
         return
+    for name, text in late.items():
+        typer.echo(f"leactl: warning: {name}: {text}", err=True)
     typer.echo(f"{found.name}: {found.title}".rstrip(": "))
     for device in devices:
         typer.echo(f"  {device.name:<16} {device.entry.driver:<10} {device.entry.bus or '-':<6} {device.entry.role}")
+        for key, fact in device.entry.facts.items():
+            typer.echo(f"    {key:<24} {fact}")
     for name, value in found.limits.model_dump(exclude_none=True).items():
         typer.echo(f"  limit {name:<26} {value:g}")
     for name, entries in interlocks.items():

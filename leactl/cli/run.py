@@ -57,6 +57,7 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
 
     from rich.console import Console
 
+    from leactl.bench.provenance import overdue
     from leactl.errors import InputError
     from leactl.protocol.plan import Prompt
     from leactl.report.live import live_view
@@ -69,6 +70,8 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
     prompts = any(isinstance(action, Prompt) for action in request.plan.actions)
     if prompts and not emulated and not sys.stdin.isatty():
         raise InputError(f"protocol '{request.plan.name}' asks the operator, and stdin is no terminal")
+    for name, text in overdue(request.devices).items():
+        print(f"leactl: warning: {name}: {text}", file=sys.stderr)
     with keyboard(shown=console.is_terminal) as keys:
 
         def watch(progress: Progress) -> AbstractContextManager[object]:

@@ -4,7 +4,7 @@ import inspect
 from types import UnionType
 from typing import Any
 
-from leactl.driver.contract import Confirmation, Driver, DriverSettings
+from leactl.driver.contract import Confirmation, Driver, DriverSettings, Identity
 
 UNIT_SUFFIXES = (
     "_A",
@@ -50,6 +50,9 @@ def faults_of(driver: type[Driver]) -> list[str]:
     annotation = inspect.signature(driver.safe_state).return_annotation
     if annotation not in (Confirmation, "Confirmation"):
         faults.append("safe_state does not answer a Confirmation")
+    annotation = inspect.signature(driver.identity).return_annotation
+    if annotation not in (Identity, "Identity"):
+        faults.append("identity does not answer an Identity")
     if hasattr(driver, "switch_on") and driver.stop_now is Driver.stop_now:
         faults.append("a power supply must have a stop_now: what it feeds is cut before any device is waited for")
     if not inspect.getdoc(driver):

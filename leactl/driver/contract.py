@@ -52,6 +52,14 @@ class Confirmation(NamedTuple):
     detail: str
 
 
+class Identity(NamedTuple):
+    """Who a device says it is; empty where it cannot tell."""
+
+    model: str = ""
+    serial: str = ""
+    firmware: str = ""
+
+
 class Shown(NamedTuple):
     """Lowest and highest value of a quantity that a device can tell, and where its settings say so."""
 
@@ -155,6 +163,13 @@ class Driver(ABC):
         InputError : this device has no emulator.
         """
         raise InputError(f"{cls.__name__} has no emulator; it cannot stand on an emulated bench")
+
+    def identity(self) -> Identity:
+        """What the device said of itself when it was opened; empty before, and where it cannot tell.
+
+        Nothing is asked of the device here. What it refuses to tell of itself is no reason to refuse it in `open`.
+        """
+        return Identity()
 
     @property
     def streams(self) -> tuple[StreamSpec, ...]:

@@ -65,6 +65,13 @@ class Breakable(Protocol):
         """Enter the device's own fault state by itself and tell this error code (CiA 301) as its protocol does."""
 
 
+@runtime_checkable
+class Numbered(Protocol):
+    """What an emulator has besides whose device tells its serial number: the bench file may say which."""
+
+    serial_number: str
+
+
 class SerialEmulator(Protocol):
     """A device at the far end of an emulated serial line; bytes in, bytes out."""
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus, SerialBus
 from leactl.driver import registry
-from leactl.driver.far_end import BuslessEmulator, Physics, SupplyLoad
+from leactl.driver.far_end import BuslessEmulator, Numbered, Physics, SupplyLoad
 from leactl.driver.i2c_port import SmBus
 from leactl.driver.serial_port import SerialLine
 from leactl.emulation import witness
@@ -228,6 +228,8 @@ class EmulatedBench:
             self.serial_wires[entry.bus].device = far_end
         else:
             self._keep_time(far_end)
+        if entry.serial and isinstance(far_end, Numbered):
+            far_end.serial_number = entry.serial
         self.far_ends[device.name] = far_end
 
     def _keep_time(self, far_end: BuslessEmulator) -> None:

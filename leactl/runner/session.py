@@ -14,6 +14,7 @@ from pathlib import Path
 from leactl import __version__, yamlfile
 from leactl.bench.bench import Bench, refuse_blind
 from leactl.bench.benchfile import BenchFile, CheckedDevice
+from leactl.bench.provenance import overdue
 from leactl.bench.records import awaited, collect, placed
 from leactl.bench.wiring import MachineWiring, Wiring
 from leactl.driver.contract import Confirmation, MotionDevice
@@ -188,7 +189,7 @@ def _run(
     """Run on an open bench, and leave it safe."""
     plan = request.plan
     try:
-        writer = RunWriter(request.directory, _info(request), bench.streams(), bench.wait_for_disk)
+        writer = RunWriter(request.directory, _info(request, bench), bench.streams(), bench.wait_for_disk)
         watchdog.recording(writer.path)
         paced = request.realtime or not request.in_process
         flush = ThreadedFlush(writer) if paced else InlineFlush(writer)
@@ -211,6 +212,10 @@ def _run(
                 text = f"{place.fault}; trip latch and winding memory are this user's alone, in {place.directory}"
                 progress.warnings.append(f"{text}; see: leactl doctor")
                 writer.event(0.0, "warning", "runner", progress.warnings[-1])
+            for name, known in bench.provenance.items():
+                if known.doubt:
+                    progress.warnings.append(f"{name}: {known.doubt}")
+                    writer.event(0.0, "warning", name, known.doubt)
             if announcement.fault:
                 writer.event(0.0, "warning", "runner", announcement.fault)
             loop.run()
@@ -364,7 +369,7 @@ def _supervisor(request: Request, bench: Bench, windings: Windings) -> Superviso
     )
 
 
-def _info(request: Request) -> RunInfo:
+def _info(request: Request, opened: Bench) -> RunInfo:
     plan, bench, now = request.plan, request.bench, datetime.now(UTC)
     motor = load_motor(bench.motors["test"])[1]
     return RunInfo(
@@ -379,12 +384,13 @@ def _info(request: Request) -> RunInfo:
         software=f"leactl {__version__}",
         created=now.isoformat(timespec="milliseconds"),
         parameters=plan.parameters,
+        instruments={name: known.facts for name, known in opened.provenance.items()},
         sources={"protocol": plan.text, "bench": request.bench_document.text, "model": motor.text},
     )
 
 
 def _introduce(request: Request, windings: Windings, writer: RunWriter, bench: Bench) -> None:
-    """Note what the stored YAML texts do not tell: campaign, parameters as resolved, seed, how warm windings may be."""
+    """Note what the stored YAML texts do not tell: campaign, parameters, overdue calibration, seed, warm windings."""
     for name, value in request.part_of.items():
         writer.event(0.0, "info", "campaign", f"{name} = {value}")
     for name, value in request.plan.parameters.items():
@@ -395,6 +401,8 @@ def _introduce(request: Request, windings: Windings, writer: RunWriter, bench: B
         if quantity not in measured:
             text = f"no device measures {quantity}: its record has to come from elsewhere"
             writer.event(0.0, "warning", "protocol", text)
+    for name, text in overdue(request.devices).items():
+        writer.event(0.0, "warning", name, text)
     if request.in_process and request.bench.emulated is not None:
         seed = request.bench.emulated.seed if request.seed is None else request.seed
         writer.event(0.0, "info", "emulation", f"seed = {seed}")

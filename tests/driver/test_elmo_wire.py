@@ -10,7 +10,7 @@ from leactl_plugins.elmo_can.cia402 import State, state_of
 from leactl_plugins.elmo_can.settings import ElmoSettings
 from pydantic import ValidationError
 
-from leactl.driver.contract import Mode
+from leactl.driver.contract import Identity, Mode
 from leactl.driver.far_end import Frame
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 
@@ -27,6 +27,51 @@ def bench(make_bench):
 def controlwords(bench):
     words = [struct.unpack_from("<H", data)[0] for data in bench.sent(0x201)]
     return [word for word, before in zip(words, [None, *words], strict=False) if word != before]
+
+
+def test_the_drive_is_asked_who_it_is_and_a_long_name_comes_in_segments(bench):
+    assert bench.drive.identity() == Identity("Gold DC Whistle, hardware 1.0", "1", "Whistle 01.01.16.00 08Mar2018G")
+    asked = [data.hex() for data in bench.sent(0x601)]
+    at = asked.index("4008100000000000")
+    assert asked[at : at + 4] == ["4008100000000000", "6000000000000000", "7000000000000000", "6000000000000000"]
+    before = [data.hex()[2:8] for data in bench.sent(0x601)[:at]]
+    assert before[:2] == ["181001", "406000"]  # maker, then out of operation, then anything else
+
+
+def test_a_drive_that_tells_no_names_is_met_all_the_same(monkeypatch):
+    bench = ElmoBench()  # in process: its far end is at hand
+    plain = bench.far._serve
+    monkeypatch.setattr("leactl_plugins.elmo_can.emulator.TEXTS", {})
+    assert plain(bytes.fromhex("4008100000000000"), 0.0).hex() == "8008100000000206"
+    bench.drive.open()
+    assert bench.drive.identity() == Identity("CiA 402 product 0x00030923, revision 0x000103F6", "1", "")
+    bench.engage(Mode.CURRENT)
+    bench.close()
+
+
+def test_segments_that_come_twice_spoil_nothing_but_the_name(monkeypatch):
+    bench = ElmoBench()
+    take = bench.drive._sdo.on_frame
+
+    def twice(data, timestamp):
+        for _ in range(2 if data[0] < 0x20 else 1):
+            take(data, timestamp)
+
+    monkeypatch.setattr(bench.drive._sdo, "on_frame", twice)
+    bench.drive.open()
+    assert bench.drive.identity().serial == "1"
+    bench.engage(Mode.CURRENT)
+    bench.close()
+
+
+def test_a_name_without_an_end_is_given_up(monkeypatch):
+    bench = ElmoBench()
+    monkeypatch.setattr(bench.far, "_text_segment", lambda toggle: bytes([toggle]) + b"endless")
+    began = bench.clock.now()
+    bench.drive.open()
+    assert bench.drive.identity() == Identity("CiA 402 product 0x00030923, revision 0x000103F6", "1", "")
+    assert bench.clock.now() - began < 5.0
+    bench.close()
 
 
 def test_enable_walks_one_transition_a_cycle(bench):

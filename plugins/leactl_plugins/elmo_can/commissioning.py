@@ -1,5 +1,6 @@
 """What a drive is asked and told by SDO before it may run: identity, fault, scales, dead-man, PDOs."""
 
+from leactl.driver.contract import Identity
 from leactl.errors import DeviceError, DeviceFault
 from leactl_plugins.elmo_can import cia402, emergency
 from leactl_plugins.elmo_can.cia402 import FAULTS
@@ -20,6 +21,29 @@ class Commissioning:
         if expected is not None and found != expected:
             node = self._settings.node
             raise DeviceError(f"{self._name}: vendor 0x{found:08X} at node {node}, 0x{expected:08X} was expected")
+
+    def identity(self) -> Identity:
+        """Return name, serial number and software version; what the drive does not tell is left out."""
+        name, hardware, software = (self._text(index) for index in (0x1008, 0x1009, 0x100A))
+        model = f"{name}, hardware {hardware}" if name and hardware else name
+        serial = self._number(0x1018, 4)
+        if not model:
+            kind, product, revision = self._number(0x1000, 0), self._number(0x1018, 2), self._number(0x1018, 3)
+            model = f"CiA {kind & 0xFFFF} product 0x{product:08X}, revision 0x{revision:08X}" if product else ""
+        return Identity(model, str(serial or ""), software)
+
+    def _text(self, index: int) -> str:
+        try:
+            return self._sdo.read_text(index, 0)
+        except DeviceError:
+            return ""
+
+    def _number(self, index: int, sub: int) -> int:
+        """An object that a drive may lack; 0 where it does."""
+        try:
+            return self._sdo.read(index, sub, "u32")
+        except DeviceError:
+            return 0
 
     def disable_voltage(self) -> None:
         """Take the drive out of operation: whoever had it last may have left it in it."""

@@ -11,6 +11,7 @@ ABORT_LENGTH = 0x06070010
 ABORT_NO_SUBINDEX = 0x06090011
 ABORT_RANGE = 0x06090030
 
+TEXTS = {(0x1008, 0): b"Gold DC Whistle", (0x1009, 0): b"1.0", (0x100A, 0): b"Whistle 01.01.16.00 08Mar2018G"}
 SIZES = {"u8": 1, "i8": 1, "u16": 2, "i16": 2, "u32": 4, "i32": 4}
 
 
@@ -46,7 +47,7 @@ def gold(node: int) -> dict[tuple[int, int], Entry]:
         (0x1018, 1): Entry("u32", default=0x9A),
         (0x1018, 2): Entry("u32", default=0x00030923),
         (0x1018, 3): Entry("u32", default=0x000103F6),
-        (0x1018, 4): Entry("u32", default=1),
+        (0x1018, 4): Entry("u32", default=node),
         (0x6007, 0): Entry("i16", writable=True, default=1, low=0, high=3),
         (0x603F, 0): Entry("u16"),
         (0x6040, 0): Entry("u16", writable=True, mappable=True),

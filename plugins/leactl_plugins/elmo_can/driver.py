@@ -9,7 +9,7 @@ from typing import Any
 
 from leactl.driver.can_port import NMT_ID, CanPort
 from leactl.driver.clock import Clock
-from leactl.driver.contract import Confirmation, Driver, Mode, Row, StreamSpec
+from leactl.driver.contract import Confirmation, Driver, Identity, Mode, Row, StreamSpec
 from leactl.driver.far_end import CanEmulator, Physics
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
@@ -54,6 +54,7 @@ class _Standing:
         self.rows: list[Row] = []
         self.notices: list[str] = []
         self.quiet_until = -math.inf
+        self.identity = Identity()
 
 
 class ElmoCan(Driver):
@@ -163,6 +164,7 @@ class ElmoCan(Driver):
         setup.disable_voltage()
         if setup.leave_fault():
             self._emergency = ""
+        self._standing.identity = setup.identity()
         self._current_per_mille, self._standing.most_per_mille = setup.read_scales()
         setup.arm_dead_man()
         self._fed = self._due = -math.inf  # what was sent before counts no more: writing 0x1016 ends the monitoring
@@ -172,6 +174,10 @@ class ElmoCan(Driver):
         self._nmt(NMT_START)
         self._heard = self._clock.now()
         self._standing.started = True
+
+    def identity(self) -> Identity:
+        """Device name, serial number and software version (0x1008 to 0x100A, 0x1018) as read when it was opened."""
+        return self._standing.identity
 
     def close(self) -> None:
         """Stop listening and let the bus go."""

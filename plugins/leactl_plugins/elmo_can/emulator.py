@@ -18,6 +18,7 @@ from leactl_plugins.elmo_can.dictionary import (
     ABORT_RANGE,
     ABORT_READ_ONLY,
     SIZES,
+    TEXTS,
     Abort,
     Entry,
     gold,
@@ -70,6 +71,7 @@ class ElmoEmulator:
         self._limiting = False  # the current, to less than was asked for
         self.frozen = False  # a drive that has stopped answering
         self._pending: dict[int, bytes] = {}
+        self._text: bytes | None = None  # what is left to send of one
         self._receive: list[_Pdo] = []
         self._transmit: list[_Pdo] = []
         self._next_heartbeat = math.inf
@@ -171,6 +173,12 @@ class ElmoEmulator:
     def _serve(self, data: bytes, now: float) -> bytes:
         command, index, sub = struct.unpack_from("<BHB", data)
         try:
+            if command & 0xEF == 0x60 and self._text is not None:
+                return self._text_segment(command & 0x10)
+            self._text = None
+            if command == 0x40 and (index, sub) in TEXTS:
+                self._text = TEXTS[index, sub]
+                return struct.pack("<BHBI", 0x41, index, sub, len(self._text))
             if command == 0x40:
                 return self._upload(index, sub)
             if command & 0xF3 == 0x23:
@@ -180,6 +188,22 @@ class ElmoEmulator:
             raise Abort(_ABORT_BAD_COMMAND)  # noqa: TRY301 (one place turns every refusal into a frame)
         except Abort as abort:
             return struct.pack("<BHBI", 0x80, index, sub, abort.code)
+
+    def _text_segment(self, toggle: int) -> bytes:
+        """The next seven bytes of a text, and whether they are the last (CiA 301, 7.2.4.3.6)."""
+        assert self._text is not None
+        part, self._text = self._text[:7], self._text[7:] or None
+        return bytes([toggle | (7 - len(part)) << 1 | (self._text is None)]) + part.ljust(7, b"\0")
+
+    @property
+    def serial_number(self) -> str:
+        """What 0x1018:4 tells."""
+        return str(self._values[0x1018, 4])
+
+    @serial_number.setter
+    def serial_number(self, text: str) -> None:
+        if text.isdecimal() and int(text) <= 0xFFFFFFFF:  # the object holds no other
+            self._values[0x1018, 4] = int(text)
 
     def _entry(self, index: int, sub: int) -> Entry:
         entry = self._entries.get((index, sub))

@@ -12,6 +12,9 @@ from canopen.sdo import SdoClient
 from leactl.driver.can_port import CanPort
 from leactl.errors import DeviceError, NoAnswer
 
+SEGMENT_ANSWERS_BELOW = 0x20  # command byte of a segment: its first three bits are 0 (CiA 301, 7.2.4.3.6)
+LONGEST_TEXT = 256  # bytes; names have some 30
+TEXT_S = 1.0  # a name of 64 bytes takes 11 exchanges, some 2 ms at 1 Mbit/s
 FORMATS = {"u8": "<B", "i8": "<b", "u16": "<H", "i16": "<h", "u32": "<I", "i32": "<i"}
 
 
@@ -60,12 +63,13 @@ class Sdo:
     """Typed reads and writes of one node's objects, one transfer at a time."""
 
     def __init__(self, port: CanPort, node: int, timeout_s: float) -> None:
-        self._node = node
+        self._node, self._port = node, port
         self._client = SdoClient(0x600 + node, 0x580 + node, ObjectDictionary())
         self._client.network = _Sender(port)
         self._answers = self._client.responses = _PumpedQueue(port)
         self._client.RESPONSE_TIMEOUT = timeout_s
         self._asked = b""
+        self._segments = False  # of a text, whose frames carry no index
 
     def wait_no_longer_than(self, until: float) -> None:
         """End every wait for an answer at this moment of the port's clock at the latest; infinity lifts that."""
@@ -73,7 +77,7 @@ class Sdo:
 
     def on_frame(self, data: bytearray, timestamp: float) -> None:
         """Take an answer of the node; one about an object that is not asked for now is late, or nobody's."""
-        if data[1:4] == self._asked:
+        if data[1:4] == self._asked or (self._segments and data[0] < SEGMENT_ANSWERS_BELOW):
             self._client.on_response(0x580 + self._node, bytes(data), timestamp)
 
     def read(self, index: int, sub: int, kind: str) -> int:
@@ -92,6 +96,31 @@ class Sdo:
                 f"node {self._node}: 0x{index:04X}:{sub} has {len(raw)} bytes, {kind} was expected"
             ) from None
         return int(value)
+
+    def read_text(self, index: int, sub: int) -> str:
+        """Read a text object, in segments where it is longer than four bytes, within `TEXT_S`.
+
+        Raises
+        ------
+        NoAnswer : nothing came in time.
+        DeviceError : the node aborted the transfer, or its text does not end.
+        """
+        self._segments, before = True, self._answers.until
+        self._answers.until = min(before, self._port.clock.now() + TEXT_S)
+        try:
+            raw: bytes = self._guard(index, sub, self._upload_text)
+        finally:
+            self._segments, self._answers.until = False, before
+        return raw.decode("utf-8", "replace").strip("\0 ")
+
+    def _upload_text(self, index: int, sub: int) -> bytes:
+        raw = b""
+        with self._client.open(index, sub, buffering=0) as stream:
+            while part := stream.read(7):
+                raw += part
+                if len(raw) > LONGEST_TEXT:
+                    raise SdoCommunicationError(f"a text of more than {LONGEST_TEXT} bytes")
+        return raw
 
     def write(self, index: int, sub: int, kind: str, value: int) -> None:
         """Write an integer object.
@@ -117,6 +146,7 @@ class Sdo:
 
     def _guard(self, index: int, sub: int, call: Any, *arguments: Any) -> Any:
         self._answers.clear()
+        self._client.responses = self._answers  # `canopen` drops what came twice by a queue that pumps nothing
         self._asked = struct.pack("<HB", index, sub)
         try:
             return call(index, sub, *arguments)

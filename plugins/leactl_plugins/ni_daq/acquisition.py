@@ -45,6 +45,7 @@ class Acquisition(Protocol):
     """One configured task of a device; every method raises `DaqmxError` where NI-DAQmx would answer an error."""
 
     product: str
+    serial_number: str  # as on its label; empty where it tells none
     rate_Hz: float  # noqa: N815 (as the device coerced it)
     convert_Hz: float  # noqa: N815 (from one input to the next)
     warnings: list[str]  # what the device said beside

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from leactl.driver.clock import Clock
-from leactl.driver.contract import Block, Confirmation, Driver, StreamSpec
+from leactl.driver.contract import Block, Confirmation, Driver, Identity, StreamSpec
 from leactl.driver.far_end import BuslessEmulator, Physics
 from leactl.errors import DeviceError, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
@@ -45,6 +45,7 @@ class NiDaq(Driver):
         self._restarts, self._slip = 0, 0.0
         self._beyond = [0] * len(settings.inputs)  # readings outside the range that no notice has told yet
         self._notices: list[str] = []
+        self._identity = Identity()
 
     def safe_state(self, deadline_s: float) -> Confirmation:
         """Nothing to do: it only measures."""
@@ -68,6 +69,7 @@ class NiDaq(Driver):
             )
         self._left = settings.samples or 0
         task = self._acquire()
+        self._identity = Identity(f"NI {task.product}", task.serial_number)
         if settings.product and task.product != settings.product:
             self.close()
             raise DeviceError(f"{self.name}: '{settings.device}' is a {task.product}; {settings.product} was expected")
@@ -88,6 +90,10 @@ class NiDaq(Driver):
         except DeviceError as error:
             raise self._named(error) from None
         return self._task
+
+    def identity(self) -> Identity:
+        """Product type and serial number as NI-DAQmx has them; it tells no firmware."""
+        return self._identity
 
     def close(self) -> None:
         """Let the device go."""

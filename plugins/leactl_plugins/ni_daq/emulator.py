@@ -14,6 +14,7 @@ from leactl_plugins.ni_daq.acquisition import DaqmxError
 from leactl_plugins.ni_daq.settings import NiDaqSettings
 
 PRODUCT = "USB-6218"
+SERIAL_NUMBER = "1A2B3C4"
 TIMEBASE_HZ = 20e6
 AGGREGATE_HZ = 250e3
 CONVERT_S = 14e-6  # the fastest clock's 4 us, and 10 us for the multiplexer to settle where the sample clock has them
@@ -31,6 +32,7 @@ class EmulatedDaq:
 
     def __init__(self, settings: NiDaqSettings, physics: Physics) -> None:
         self._device = settings.device
+        self.serial_number = SERIAL_NUMBER
         self.terminals = {role: physics.terminals(role) for role in sorted({item.role for item in settings.inputs})}
         chance = next(iter(self.terminals.values())).chance
         self.scale = 1.0 + 1e-6 * settings.scale_std_ppm * float(chance.standard_normal())
@@ -75,7 +77,7 @@ class EmulatedTask:
     """One acquisition of it."""
 
     def __init__(self, daq: EmulatedDaq, settings: NiDaqSettings, samples: int | None) -> None:
-        self.product, self.warnings = PRODUCT, list[str]()
+        self.product, self.serial_number, self.warnings = PRODUCT, daq.serial_number, list[str]()
         count = len(settings.inputs)
         self.rate_Hz = TIMEBASE_HZ / math.floor(TIMEBASE_HZ / settings.rate_Hz)
         self.convert_Hz = 1.0 / min(CONVERT_S, 1.0 / (count * self.rate_Hz))

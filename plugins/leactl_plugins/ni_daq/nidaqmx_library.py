@@ -47,7 +47,9 @@ class NidaqmxTask:
         self._inputs = len(settings.inputs)
         with told(), warnings.catch_warnings(record=True) as heard:
             warnings.simplefilter("always")
-            self.product: str = nidaqmx.system.Device(settings.device).product_type
+            device = nidaqmx.system.Device(settings.device)
+            self.product: str = device.product_type
+            self.serial_number = _serial_number(nidaqmx, device)
             self._task = nidaqmx.Task()
             try:
                 self._configure(nidaqmx, settings, samples)
@@ -94,6 +96,15 @@ class NidaqmxTask:
         """Stop, and let the device go."""
         with suppress(DeviceError), told():
             self._task.close()
+
+
+def _serial_number(nidaqmx: Any, device: Any) -> str:
+    """As labels have it, in hexadecimal; empty where the device has none or does not tell."""
+    try:
+        number = int(device.serial_num)
+    except nidaqmx.errors.DaqError:
+        return ""
+    return f"{number:X}" if number else ""
 
 
 @contextmanager

@@ -30,6 +30,7 @@ class ScpiDialogue:
 
     def __init__(self, settings: ScpiSupplySettings) -> None:
         self._settings, self._dialect = settings, DIALECTS[settings.dialect]
+        self.met: Identity | None = None  # who answered last
         volts, amperes = models.most(settings.model)
         reading = partial(answers.reading, form=self._dialect.reading)
         self._voltage = Question("MEAS:VOLT?", partial(reading, rating=volts))
@@ -64,7 +65,7 @@ class ScpiDialogue:
 
     def _check(self, who: Identity) -> None:
         """Refuse another instrument."""
-        settings = self._settings
+        settings, self.met = self._settings, who
         if who.model != settings.model:
             raise DeviceError(f"{who.maker} {who.model} answers; {settings.model} was expected")
         if settings.serial_number and who.serial_number != settings.serial_number:

@@ -6,7 +6,7 @@ The instrument takes tens of milliseconds for an answer, and nothing waits for o
 from collections.abc import Sequence
 
 from leactl.driver.clock import Clock
-from leactl.driver.contract import Confirmation, Driver, Row, StreamSpec
+from leactl.driver.contract import Confirmation, Driver, Identity, Row, StreamSpec
 from leactl.driver.far_end import Physics, SerialEmulator
 from leactl.driver.serial_port import SerialPort
 from leactl.driver.serial_supply import SupplyLine
@@ -25,8 +25,8 @@ class ScpiSupply(Driver):
 
     def __init__(self, name: str, role: str, settings: ScpiSupplySettings, port: SerialPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings
-        dialogue = ScpiDialogue(settings)
-        self._line = SupplyLine(name, role, settings.feeds, port, dialogue, settings.answer_s, settings.period_s)
+        self._dialogue = ScpiDialogue(settings)
+        self._line = SupplyLine(name, role, settings.feeds, port, self._dialogue, settings.answer_s, settings.period_s)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
         """Switch off and see that it is, from any state, over a fresh connection if need be; never raises."""
@@ -45,6 +45,14 @@ class ScpiSupply(Driver):
             protection has tripped.
         """
         self._line.open(OPEN_S)
+
+    def identity(self) -> Identity:
+        """Maker with model, serial number and revision as it answered `*IDN?`; 0 stands for none there."""
+        met = self._dialogue.met
+        if met is None:
+            return Identity()
+        serial, revision = (text if text.strip("0") else "" for text in (met.serial_number, met.revision))
+        return Identity(f"{met.maker} {met.model}", serial, revision)
 
     def close(self) -> None:
         """Let the line go."""

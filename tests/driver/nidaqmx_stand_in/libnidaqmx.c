@@ -117,6 +117,7 @@ API DAQmxGetTimingAttribute(void *task, int32_t attribute, double *value) {
 API DAQmxGetDeviceAttribute(const char *device, int32_t attribute, void *value, uint32_t size) {
     if (strcmp(device, "Dev1")) return failed(-200220);
     if (attribute == 0x0631) return text("USB-6218", value, size);
+    if (attribute == 0x0632) { *(uint32_t *)value = 0x1A2B3C4; return 0; }
     return failed(-200233);
 }
 
