@@ -19,7 +19,7 @@ from leactl.analysis.experiments import names as experiments
 from leactl.analysis.registry import SHIPPED
 from leactl.errors import InputError
 from leactl.report.datasheet.figures import heading, pretty
-from leactl.report.datasheet.make import refuse_shared
+from leactl.report.datasheet.make import Wanted, make, refuse_shared
 from leactl.report.datasheet.page import page
 from leactl.report.datasheet.runset import Answer, Entry, RunSet, read_runs, refuse_untaken
 from leactl.report.datasheet.sheet import Sheet
@@ -326,6 +326,44 @@ def test_every_link_leads_somewhere_and_nothing_is_fetched(campaign, sheet):
     assert sorted(unquote(one) for one in outside) == sorted(files)
     assert not {"script", "link", "img", "iframe", "object", "embed"} & {element.tag for element in root.iter()}
     assert not re.search(r"://|url\(|@import|javascript:", text)
+
+
+def with_sensor(path, created, **facts):
+    with h5py.File(path, "r+") as file:
+        file.attrs["created"] = created
+        group = file.require_group("instruments/sensor")
+        for name, value in facts.items():
+            group.attrs[name] = value
+
+
+def test_instruments_are_listed_with_their_runs_and_what_was_overdue(tmp_path, capsys):
+    bench = Bench(tmp_path)
+    paths = [bench.torque(kt=0.49, actuator="a1", torque_constant=LEA, scatter=0.01) for _ in range(3)]
+    old = {"model": "TRD605", "serial": "815", "calibrated": "2025-01-31", "calibration_due": "2026-01-31"}
+    with_sensor(paths[0], "2026-01-31T23:59:00Z", **old)
+    with_sensor(paths[1], "2026-02-01T00:01:00Z", **old)
+    with_sensor(
+        paths[2], "2026-02-03T00:01:00Z", **(old | {"calibrated": "2026-02-02", "calibration_due": "2027-02-02"})
+    )
+    sheet = make(paths, [], {}, Wanted(tmp_path / "sheet.html", False, False))
+    labels = {entry.path: entry.label for entry in sheet.sets[0].entries}
+    first, second, third = (labels[path] for path in paths)
+    rows = table(ElementTree.fromstring((tmp_path / "sheet.html").read_text()), "instruments")
+    assert rows[0] == ["device", "model", "serial number", "firmware", "calibrated", "due", "runs"]
+    assert rows[1] == [
+        "sensor", "TRD605", "815", "", "2025-01-31", f"2026-01-31 overdue in {second}", f"{first} , {second}",
+    ]  # fmt: skip
+    assert rows[2] == ["sensor", "TRD605", "815", "", "2026-02-02", "2027-02-02", third]
+    told = f"sensor: calibration was due 2026-01-31, before {second}"
+    assert capsys.readouterr().err.splitlines()[-1] == f"leactl: warning: {told}"
+    assert told in sheet.notes
+    assert sheet.as_json()["sets"][0]["instruments"][0] == {
+        "device": "sensor", **old, "runs": [first, second], "overdue": [second],
+    }  # fmt: skip
+
+
+def test_runs_that_tell_of_no_instrument_have_no_table_of_them(sheet, campaign):
+    assert "Instruments" not in page(sheet, campaign / "sheet.html")
 
 
 def test_the_same_runs_give_the_same_page_however_they_are_given(campaign, sheet):

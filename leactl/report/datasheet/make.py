@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from leactl.errors import InputError
+from leactl.report.datasheet.instruments import warnings_of
 from leactl.report.datasheet.page import page
 from leactl.report.datasheet.runset import RunSet, read_runs, refuse_untaken
 from leactl.report.datasheet.sheet import Sheet
@@ -67,6 +68,8 @@ def make(runs: Sequence[Path], compared: Sequence[Path], options: Mapping[str, f
                 path.write_text(page(sheet, wanted.html), encoding="utf-8")
             if wanted.printed is not None:
                 print_pdf(wanted.html, wanted.printed)
+    for line in warnings_of(sheet.sets):
+        print(f"leactl: warning: {line}", file=sys.stderr)
     for entry in (entry for own in sheet.sets for entry in own.entries if entry.fault):
         print(f"leactl: not analysed: {entry.path}: {entry.fault}", file=sys.stderr)
     return sheet

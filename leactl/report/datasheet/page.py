@@ -12,13 +12,14 @@ from leactl.analysis.conditions.comparison import Comparison
 from leactl.analysis.experiments import method_of
 from leactl.report.conditions import by_reason
 from leactl.report.datasheet.figures import figures, heading, over_conditions, plain, pretty
+from leactl.report.datasheet.instruments import instruments_of
 from leactl.report.datasheet.maps import map_of
 from leactl.report.datasheet.motor_file import motor_table
 from leactl.report.datasheet.runset import Answer, Entry, RunSet
 from leactl.report.datasheet.sheet import Section, Sheet
 from leactl.report.datasheet.style import STYLE
 from leactl.report.datasheet.table import in_lines, links, rows_table
-from leactl.report.html import Html, document, joined, table, tag
+from leactl.report.html import Html, document, joined, table, tag, text
 from leactl.report.terminal import figures as paper
 from leactl.report.terminal import interval_text, value_text
 
@@ -28,12 +29,14 @@ def page(sheet: Sheet, out: Path) -> str:
     compared = " and ".join(one.name for one in sheet.sets) if len(sheet.sets) > 1 else ""
     of = ", ".join(section.title for section in sheet.sections)
     title = f"Datasheet: {of}" + (f", {compared}" if compared else "")
+    measured_by = [instruments_table(own, len(sheet.sets) > 1) for own in sheet.sets]
     body = tag(
         "main",
         tag("h1", title),
         *(facts(own, len(sheet.sets) > 1) for own in sheet.sets),
         tag("ul", *(tag("li", note) for note in sheet.notes)) if sheet.notes else Html(""),
         *(motor_section(sheet.sets, section, f"m{k}") for k, section in enumerate(sheet.sections)),
+        tag("section", tag("h2", "Instruments"), *measured_by) if any(measured_by) else Html(""),
         tag("section", tag("h2", "Runs"), *(runs_table(own, out, len(sheet.sets) > 1) for own in sheet.sets)),
     )
     return document(title, STYLE, body)
@@ -162,6 +165,21 @@ def runs_table(own: RunSet, out: Path, named: bool) -> Html:
         )
     headings = ["", "file", "actuator", "condition", "shaft", "bench", "recorded", "result"]
     return joined(([tag("h3", own.name)] if named else []) + [table(headings, cells, "runs")])
+
+
+def instruments_table(own: RunSet, named: bool) -> Html:
+    """Every instrument with its runs; empty where no run tells of any."""
+    cells = []
+    for one in instruments_of(own):
+        known = one.known
+        due = known.get("calibration_due", "")
+        late = in_lines(tag("strong", due), joined([text("overdue in "), links(one.overdue)])) if one.overdue else due
+        told = [known.get(name, "") for name in ("model", "serial", "firmware", "calibrated")]
+        cells.append([one.device, *told, late, links(one.entries)])
+    headings = ["device", "model", "serial number", "firmware", "calibrated", "due", "runs"]
+    if not cells:
+        return Html("")
+    return joined(([tag("h3", own.name)] if named else []) + [table(headings, cells, "instruments")])
 
 
 def address(path: Path, out: Path) -> str:

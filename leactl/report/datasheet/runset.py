@@ -32,6 +32,7 @@ class Entry:
     motor: str = ""  # its name in that model
     experiment: str = ""
     about: dict[str, str] = field(default_factory=dict)
+    instruments: dict[str, dict[str, str]] = field(default_factory=dict)  # what is known of each device
     simulated: bool = False
     fault: str = ""
 
@@ -139,6 +140,7 @@ def entry_of(path: Path) -> Entry:
             entry = Entry(path, "", model, motor_of(model), experiment_of(run), simulated=is_simulated(run))
             entry.about = {name: str(run.attributes.get(name, "")) for name in ABOUT}
             entry.about["mechanical"] = run.mechanical
+            entry.instruments = run.instruments
     except InputError as fault:
         return Entry(path, fault=told(fault, path))
     if entry.experiment not in names():

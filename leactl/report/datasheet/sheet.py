@@ -7,6 +7,7 @@ from typing import Any
 
 from leactl.analysis.experiments import names
 from leactl.errors import InputError
+from leactl.report.datasheet.instruments import instruments_of, warnings_of
 from leactl.report.datasheet.rows import Row, rows, unlisted
 from leactl.report.datasheet.runset import RunSet
 from leactl.report.terminal import printed
@@ -60,6 +61,7 @@ class Sheet:
                 f"{emulated} of {len(entries)} runs are from an emulated bench: no machine was measured in these"
             )
         lost = [entry for entry in entries if entry.fault]
+        found += warnings_of(self.sets)
         if lost:
             found.append(f"nothing came of {', '.join(entry.label for entry in lost)}: see the list of runs")
         if len(self.sets) > 1:
@@ -98,6 +100,7 @@ class Sheet:
                         }
                         for one in own.entries
                     ],
+                    "instruments": [one.as_json() for one in instruments_of(own)],
                 }
                 for own in self.sets
             ],

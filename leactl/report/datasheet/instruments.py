@@ -1,0 +1,52 @@
+"""What measured the runs of a datasheet: each instrument once, with its runs and those that came after it was due."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from leactl.report.datasheet.runset import Entry, RunSet
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """One instrument as runs know it."""
+
+    device: str
+    facts: tuple[tuple[str, str], ...]
+    entries: tuple[Entry, ...]
+
+    @property
+    def known(self) -> dict[str, str]:
+        """Model, serial number, firmware and calibration, each where it is known."""
+        return dict(self.facts)
+
+    @property
+    def overdue(self) -> list[Entry]:
+        """Runs that were recorded after its calibration was due."""
+        due = self.known.get("calibration_due", "")
+        return [entry for entry in self.entries if due and entry.about.get("created", "")[:10] > due]
+
+    def as_json(self) -> dict[str, Any]:
+        """What is known of it, and its runs by their labels."""
+        of = {"runs": [one.label for one in self.entries], "overdue": [one.label for one in self.overdue]}
+        return {"device": self.device, **self.known, **of}
+
+
+def instruments_of(own: RunSet) -> list[Instrument]:
+    """The instruments of a set of runs; one that was changed or calibrated between runs stands once for each state."""
+    used: dict[tuple[str, tuple[tuple[str, str], ...]], list[Entry]] = {}
+    for entry in own.entries:
+        for device, facts in entry.instruments.items():
+            used.setdefault((device, tuple(facts.items())), []).append(entry)
+    return [Instrument(*key, tuple(entries)) for key, entries in sorted(used.items(), key=lambda item: item[0])]
+
+
+def warnings_of(sets: Sequence[RunSet]) -> list[str]:
+    """A line for each instrument whose calibration had run out when runs were recorded."""
+    return [
+        f"{one.device}: calibration was due {one.known['calibration_due']}, before"
+        f" {', '.join(entry.label for entry in one.overdue)}"
+        for own in sets
+        for one in instruments_of(own)
+        if one.overdue
+    ]
