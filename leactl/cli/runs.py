@@ -13,22 +13,46 @@ AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 
 
 @app.command("list")
-def list_runs(directory: Path = typer.Argument(Path("runs")), as_json: bool = AS_JSON) -> None:
-    """List the runs of a directory, oldest first."""
-    from dataclasses import asdict
-
+def list_runs(
+    directory: Path = typer.Argument(Path("runs")),
+    protocol: str = typer.Option("", help="Only runs of this protocol."),
+    actuator: str = typer.Option("", help="Only of this actuator."),
+    condition: str = typer.Option("", help="Only under this condition."),
+    status: str = typer.Option("", help="Only complete, stopped, tripped, failed, recording or recovered ones."),
+    since: str = typer.Option("", metavar="DATE", help="Only from this day (UTC) or moment on."),
+    until: str = typer.Option("", metavar="DATE", help="Only up to this day, which counts, or moment."),
+    where: list[str] = typer.Option([], metavar="NAME=VALUE", help="Only where a parameter had this value."),
+    sort: str = typer.Option("file", metavar="KEY", help="file, created, duration, status, protocol or a parameter."),
+    reverse: bool = typer.Option(False, "--reverse", help="The last one first."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """List the runs of a directory, oldest first, with the parameters that differ among those of a protocol."""
+    from leactl.report.run_list import run_list
     from leactl.runfile.catalog import list_runs as catalog
+    from leactl.runfile.selection import ordered, selection_of
 
-    found = catalog(directory)
+    every = catalog(directory)
+    asked = selection_of(
+        every,
+        protocol=protocol,
+        actuator=actuator,
+        condition=condition,
+        status=status,
+        since=since,
+        until=until,
+        where=where,
+    )
+    shown = [run for run in ordered(every, sort) if asked.empty or asked.fits(run)]
+    shown = shown[::-1] if reverse else shown
+    lost = 0 if asked.empty else sum(bool(run.fault) for run in every)
     if as_json:
-        typer.echo(json.dumps({"runs": [asdict(item) | {"path": str(item.path)} for item in found]}))
-        return
-    for item in found:
-        if item.fault:
-            typer.echo(f"{item.path.name}  unreadable: {item.fault}")
-        else:
-            words = f"{item.run_id:<44} {item.status:<10} {item.duration:9.1f} s  {item.actuator} {item.condition}"
-            typer.echo(words.rstrip())
+        typer.echo(json.dumps({"runs": [run.as_json() for run in shown]}, allow_nan=False))
+    else:
+        typer.echo(run_list(shown, every, {*asked.where, sort}), nl=False)
+    if lost:
+        typer.echo(f"leactl: {lost} of {len(every)} files cannot be read and are left out", err=True)
+    if every and not shown:
+        typer.echo(f"leactl: none of {len(every)} runs in {directory} is what was asked for", err=True)
 
 
 @app.command()

@@ -1,7 +1,7 @@
 """List the runs of a directory without reading their data; a file that cannot be read is listed with its reason."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,18 +23,35 @@ class Summary:
     protocol: str = ""
     actuator: str = ""
     condition: str = ""
+    bench: str = ""
+    operator: str = ""
     status: str = ""
     created: str = ""
+    parameters: Mapping[str, Any] = field(default_factory=dict)  # of the protocol, with the values that were used
     duration: float = 0.0  # s, up to the last stamp of any stream
     fault: str = ""
+
+    @property
+    def file(self) -> str:
+        """Its name without the folder."""
+        return self.path.name
+
+    def as_json(self) -> dict[str, Any]:
+        """Everything that is known of it."""
+        return vars(self) | {"path": str(self.path), "file": self.file}
 
 
 def list_runs(directory: Path) -> list[Summary]:
     """Every run file of a directory, oldest first as their names sort."""
     if not directory.is_dir():
         raise InputError(f"{directory}: not a directory")
+    return [summary(path) for path in files_of(directory)]
+
+
+def files_of(directory: Path) -> list[Path]:
+    """The run files of a directory by their names, none of them opened."""
     names = [path for path in directory.iterdir() if path.name.endswith((".h5", ".h5.partial"))]
-    return [summary(path) for path in sorted(names) if not path.name.startswith(".")]
+    return [path for path in sorted(names) if not path.name.startswith(".")]
 
 
 def summary(path: Path) -> Summary:
@@ -44,9 +61,9 @@ def summary(path: Path) -> Summary:
         file, _ = open_run_file(path)
         with file, reading(path):
             root = layout.attributes(file)
-            keys = ("run_id", "protocol", "actuator", "condition", "status", "created")
+            keys = ("run_id", "protocol", "actuator", "condition", "bench", "operator", "status", "created")
             known = {key: str(root.get(key, "")) for key in keys}
-            return Summary(path, size, **known, duration=duration(file))
+            return Summary(path, size, **known, parameters=layout.parameters(file), duration=duration(file))
     except InputError as fault:
         return Summary(path, size, fault=str(fault))
 
@@ -68,7 +85,7 @@ def run_files(given: Sequence[Path]) -> list[Path]:
     faults, paths = [], []
     for path in given:
         try:
-            members = [item.path for item in list_runs(path)] if path.is_dir() else [path]
+            members = files_of(path) if path.is_dir() else [path]
         except OSError as fault:
             faults.append(f"{path}: cannot be read: {fault.strerror or fault}")
             continue

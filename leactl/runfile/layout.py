@@ -4,6 +4,7 @@ docs/run-format.md describes the same contract in prose; whatever changes here c
 """
 
 import hashlib
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
@@ -98,7 +99,15 @@ def describe(file: Any, parameters: Mapping[str, Any], instruments: Mapping[str,
 def parameters(file: Any) -> dict[str, Any]:
     """The protocol's parameters with the values that were used; empty where the file does not say."""
     group = file.get("parameters")
-    return attributes(group) if isinstance(group, h5py.Group) else {}
+    found = attributes(group) if isinstance(group, h5py.Group) else {}
+    return {name: value for name, value in found.items() if is_parameter(value)}
+
+
+def is_parameter(value: Any) -> bool:
+    """Whether an attribute is what a protocol's parameter may be: text, a finite number, or a list of either."""
+    if isinstance(value, list):
+        return all(not isinstance(item, list) and is_parameter(item) for item in value)
+    return isinstance(value, str) or (isinstance(value, int | float) and math.isfinite(value))
 
 
 def instruments(file: Any) -> dict[str, dict[str, str]]:

@@ -1,0 +1,65 @@
+"""The list of runs as text: a line each into a pipe; in a terminal what does not fit stands below, indented."""
+
+import shutil
+import sys
+import textwrap
+from collections.abc import Collection, Sequence
+from typing import Any
+
+from leactl.runfile.catalog import Summary
+from leactl.runfile.selection import differing
+
+WIDEST_NAME = 50  # characters; `20261120T101530Z-torque-sensor-calibration-7f3a.h5` has 50
+INDENT = "    "
+
+
+def run_list(shown: Sequence[Summary], every: Sequence[Summary], named: Collection[str]) -> str:
+    """The runs shown: file, status, duration, actuator, condition, and parameters.
+
+    Parameters
+    ----------
+    every : the runs of the folder: a parameter that differs among those of a protocol is shown.
+    named : parameters that are shown in any case.
+    """
+    columns = shutil.get_terminal_size((80, 24)).columns if sys.stdout.isatty() else 0
+    width = min(max((len(run.path.name) for run in shown), default=0), WIDEST_NAME)
+    varied = differing(every)
+    lines = []
+    for run in shown:
+        if run.fault:
+            lines += _fitted(f"{run.path.name:<{width}}", f"unreadable: {run.fault}", columns)
+            continue
+        wanted = {name for name in run.parameters if name in named or (run.protocol, name) in varied}
+        protocol = "" if run.protocol in run.path.name else run.protocol
+        told = [
+            protocol,
+            run.actuator,
+            run.condition,
+            *(f"{name}={_text(run.parameters[name])}" for name in sorted(wanted)),
+        ]
+        head = f"{run.path.name:<{width}}  {run.status:<9} {_time(run.duration):>8}"
+        lines += _fitted(head, "  ".join(filter(None, told)), columns)
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _fitted(head: str, tail: str, columns: int) -> list[str]:
+    line = f"{head}  {tail}".rstrip()
+    if not columns or len(line) <= columns:
+        return [line]
+    wrap = {"width": columns, "subsequent_indent": INDENT, "break_on_hyphens": False}
+    return [*textwrap.wrap(head, **wrap), *textwrap.wrap(tail, initial_indent=INDENT, **wrap)]  # type: ignore[arg-type]
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{','.join(map(_text, value))}]"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _time(seconds: float) -> str:
+    """Seconds below a minute, then minutes and hours."""
+    if seconds < 60.0:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"

@@ -1,0 +1,147 @@
+"""Choose and order runs of a list by what they are of, when they were made and what they were run with."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, date, datetime, timedelta
+from typing import Any
+
+from leactl import yamlfile
+from leactl.errors import InputError
+from leactl.runfile import layout
+from leactl.runfile.catalog import Summary
+
+KEYS = ("file", "created", "duration", "status", "protocol", "actuator", "condition", "bench", "operator")
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What is asked of a run; what is empty is not asked."""
+
+    protocol: str = ""
+    actuator: str = ""
+    condition: str = ""
+    status: str = ""
+    since: datetime | None = None
+    until: datetime | None = None  # not included
+    where: Mapping[str, Sequence[Any]] = field(default_factory=dict)  # parameters, and the values that will do
+
+    @property
+    def empty(self) -> bool:
+        """Whether every run fits."""
+        return self == Selection()
+
+    def fits(self, run: Summary) -> bool:
+        """Whether a run is what is asked for; one that cannot be read never is."""
+        texts = all(
+            getattr(self, name) in ("", getattr(run, name)) for name in ("protocol", "actuator", "condition", "status")
+        )
+        values = all(run.parameters.get(name) in wanted for name, wanted in self.where.items())
+        return not run.fault and texts and values and self._in_time(run.created)
+
+    def _in_time(self, created: str) -> bool:
+        if self.since is None and self.until is None:
+            return True
+        try:
+            moment = _utc(datetime.fromisoformat(created))
+        except ValueError:
+            return False
+        return (self.since is None or moment >= self.since) and (self.until is None or moment < self.until)
+
+
+def selection_of(
+    runs: Sequence[Summary],
+    *,
+    protocol: str = "",
+    actuator: str = "",
+    condition: str = "",
+    status: str = "",
+    since: str = "",
+    until: str = "",
+    where: Sequence[str] = (),
+) -> Selection:
+    """Read what the options of a command line ask of runs; days are of UTC, and the last one counts whole.
+
+    Raises
+    ------
+    InputError : one line for each word that no run could fit.
+    """
+    faults: list[str] = []
+    if status and status not in layout.STATUSES:
+        faults.append(f"--status {status}: one of {', '.join(layout.STATUSES)} was expected")
+    asked: dict[str, Sequence[Any]] = {}
+    known = sorted({name for run in runs for name in run.parameters})
+    for word in where:
+        name, equals, text = word.partition("=")
+        if not (name and equals):
+            faults.append(f"--where {word}: NAME=VALUE was expected")
+        elif name not in known:
+            faults.append(f"--where {word}: no run has a parameter '{name}'; known: {', '.join(known) or 'none'}")
+        else:
+            asked[name] = _values(word, text, faults)
+    first, last = _moment("--since", since, 0, faults), _moment("--until", until, 1, faults)
+    if faults:
+        raise InputError(faults)
+    return Selection(protocol, actuator, condition, status, first, last, asked)
+
+
+def ordered(runs: Iterable[Summary], key: str) -> list[Summary]:
+    """Runs by one of `KEYS` or by a parameter, those without it last, equal ones as they come.
+
+    Raises
+    ------
+    InputError : no such key, and no run has such a parameter.
+    """
+    rows = list(runs)
+    if key in KEYS:
+        return sorted(rows, key=lambda run: (bool(run.fault), getattr(run, key)))
+    if not any(key in run.parameters for run in rows):
+        known = ", ".join(sorted({name for run in rows for name in run.parameters})) or "none"
+        raise InputError(f"--sort {key}: one of {', '.join(KEYS)}, or a parameter of the runs ({known}), was expected")
+    return sorted(rows, key=lambda run: _rank(run.parameters.get(key)))
+
+
+def differing(runs: Iterable[Summary]) -> set[tuple[str, str]]:
+    """Protocols with those of their parameters that are not the same in all their runs."""
+    seen: dict[tuple[str, str], list[Any]] = {}
+    for run in runs:
+        for name, value in run.parameters.items():
+            values = seen.setdefault((run.protocol, name), [])
+            if value not in values[:2]:  # two tell that it differs
+                values.append(value)
+    return {key for key, values in seen.items() if len(values) > 1}
+
+
+def _rank(value: Any) -> tuple[int, float, str]:
+    if value is None:
+        return 2, 0.0, ""
+    return (0, float(value), "") if isinstance(value, int | float) else (1, 0.0, str(value))
+
+
+def _values(word: str, text: str, faults: list[str]) -> Sequence[Any]:
+    """A value as `--set` reads it, and the same as text; a list of one may be kept as its value."""
+    if not text.startswith("["):
+        return yamlfile.scalar(text), text
+    try:
+        value = yamlfile.parse(text, f"--where {word}").data
+    except InputError as error:
+        faults.extend(error.faults)
+        return ()
+    return (value, *value) if len(value) == 1 else (value,)
+
+
+def _moment(option: str, text: str, days_more: int, faults: list[str]) -> datetime | None:
+    """The moment that a date or a date with a time stands for."""
+    if not text:
+        return None
+    try:
+        if len(text) == len("2026-01-31"):
+            day = date.fromisoformat(text) + timedelta(days=days_more)
+            return datetime(day.year, day.month, day.day, tzinfo=UTC)
+        return _utc(datetime.fromisoformat(text))
+    except (ValueError, OverflowError):
+        faults.append(f"{option} {text}: a date as 2026-01-31 or 2026-01-31T13:00 was expected")
+        return None
+
+
+def _utc(moment: datetime) -> datetime:
+    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
