@@ -80,7 +80,9 @@ class BlackmanTukey:
     def response(self, spectra: Spectra) -> "Response":
         """Gain and phase with coherence, as far as the highest frequency."""
         raw = spectra.cross / spectra.input
-        coherence = np.abs(spectra.cross) ** 2 / (spectra.input * spectra.output)
+        power = spectra.input * spectra.output
+        # an answer without power, as of a sensor that stands still, has nothing in common with anything
+        coherence = np.divide(np.abs(spectra.cross) ** 2, power, out=np.zeros_like(power), where=power > 0.0)
         mirrored = np.concatenate([raw[FINER:0:-1].conj(), raw])  # the response at negative frequencies
         count = len(raw) - FINER
         again = 0.5 * raw[:count] + 0.25 * (mirrored[:count] + mirrored[2 * FINER : 2 * FINER + count])

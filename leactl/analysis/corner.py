@@ -22,8 +22,9 @@ from leactl.runfile.reader import Run
 
 NAME, UNIT = "corner_speed", "rad/s"
 FEWEST_LIMITED = 4  # holds beyond the corner: one more than its fit has unknowns
-SAME_SPEED = 0.1  # rad/s, of holds that count as repeats; their load settles alike
+SAME_SPEED = 0.005  # of the fastest hold, between holds that count as repeats; their load settles alike
 REACTANCE_STD = 0.1  # relative standard uncertainty of the model's n L / Kb
+LEAST_ROOT = 1e-9  # of the voltage squared: what a step of the fit leaves of it where it goes too far
 ROUNDS = 20  # Gauss-Newton; it converges in four
 Mask = npt.NDArray[np.bool_]
 
@@ -103,7 +104,7 @@ def fitted(holds: Limited, reactance: float, place: str) -> tuple[float, float, 
     theta = np.array([*unknowns, *np.zeros(1 + apart.shape[1])])
     fit: Fit | None = None
     for _ in range(ROUNDS):
-        root = np.sqrt(np.maximum(theta[0] ** 2 - (reactance * speed * current) ** 2, 1e-12))
+        root = np.sqrt(np.maximum(theta[0] ** 2 - (reactance * speed * current) ** 2, LEAST_ROOT * theta[0] ** 2))
         resistance = np.column_stack([np.ones_like(share), share, apart])
         rest = speed - (root - (resistance @ theta[1:]) * current)
         design = np.column_stack([theta[0] / root, -resistance * current[:, np.newaxis]])
@@ -127,7 +128,7 @@ def groups_of(speed: Array) -> npt.NDArray[np.int64]:
     """A number for each speed, the same where holds lie no further apart than repeats do."""
     order = np.argsort(speed)
     group = np.empty(len(speed), np.int64)
-    group[order] = np.cumsum(np.concatenate([[0], np.diff(speed[order]) > SAME_SPEED]))
+    group[order] = np.cumsum(np.concatenate([[0], np.diff(speed[order]) > SAME_SPEED * float(np.max(speed))]))
     return group
 
 

@@ -39,8 +39,8 @@ RESULTS = {
 
 CURRENT, VELOCITY = "q_axis_current", "velocity"
 DIRECTIONS = {"forward": 1.0, "backward": -1.0}
-STANDSTILL = 0.01  # rad/s (m/s): slower does not count as turning
-CREEPING = 0.02  # of the fastest level: nor does this
+CLEAR = 4.0  # standard errors of a mean velocity, below which it may be none
+CREEPING = 0.02  # of the fastest level: slower does not count as turning
 STEADY = 0.05  # of the mean: how far the means of the quarters of a settled part may lie apart
 
 
@@ -157,16 +157,17 @@ def steady(runs: Sequence[Run], levels: Levels, place: str, notes: list[str]) ->
     InputError : the rotor turned against its current throughout.
     """
     velocity, current = levels.value[VELOCITY], levels.value[CURRENT]
-    least = max(STANDSTILL, CREEPING * float(np.max(np.abs(velocity))))
+    stood = np.abs(velocity) < np.maximum(CLEAR * levels.std[VELOCITY], CREEPING * float(np.max(np.abs(velocity))))
+    stood |= velocity == 0.0
     quarters = levels.quarters[VELOCITY]
     uneven = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1) > STEADY * np.abs(velocity)
-    turned = np.abs(velocity) >= least
+    turned = ~stood
     if turned.any() and (velocity * current < 0.0)[turned].all():
         raise InputError(
             f"{place}: the rotor turned against its current in all {turned.sum()} holds in which it turned; {SWAPPED}"
         )
     reasons = {
-        "the rotor did not turn": np.abs(velocity) < least,
+        "the rotor did not turn": stood,
         "the velocity was not steady": uneven,
         "the rotor turned against its current": velocity * current < 0.0,
     }

@@ -36,6 +36,7 @@ from leactl.analysis.heating.parameters import NAMES, Instruments, known_of, nat
 from leactl.analysis.heating.record import frames_of, stretches
 from leactl.analysis.heating.resistance import REFERENCE, resistance_line
 from leactl.analysis.linefit import expect_setup, place_of
+from leactl.analysis.wrong_units import doubted
 from leactl.errors import InputError
 from leactl.runfile.reader import Run
 
@@ -147,6 +148,9 @@ def analyze(
     results += residual_results(fit, spread, notes)
     results += steadiness(fit.stretches, notes)
     results += camera_results(fit, spread, camera_offset_std, notes)
+    notes[:0] = doubted(
+        runs, [item for item in results if item.name == "phase_resistance"], ["line_voltage"], ["line_current"]
+    )
     currents = carried(known, phase_of_line, limit, ambient)
     if seen < LEAST_SEEN:
         currents = [untold(one) if one.name in STEADY else one for one in currents]

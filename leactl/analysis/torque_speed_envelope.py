@@ -43,7 +43,7 @@ MISSING = 0.02  # of the current asked for: more, and the voltage is the limit
 HELD = 0.002  # of it: less, and the drive had all of it
 CLEAR = 4.0  # standard errors of a mean current, within which it is as asked for
 SAG = 0.01  # of the bus voltage at its highest
-STEADY_RAD_S = 0.1  # between the quarters of a hold
+STEADY = 0.005  # of the highest speed, between the quarters of a hold
 INERTIA_STD = 0.1  # relative standard uncertainty of the inertia: it may be one of a drawing
 FEWEST_AT_REST = 20  # readings of torque before the first step, that tell how well its zero is known
 SAME_READING = 1e-12  # of it: a mean of equal readings is off by no more
@@ -181,7 +181,7 @@ def by_inertia(runs: Sequence[Run], levels: Levels, notes: list[str]) -> Array:
     growth = np.nan_to_num(quarters @ places) / float(places @ places) / length
     drifted = float(np.max(np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1)))
     inertias = np.array([rotor_inertia_of_model(run) for run in runs])[levels.run]
-    if drifted > STEADY_RAD_S:
+    if drifted > STEADY * float(np.max(np.abs(levels.value[VELOCITY]))):
         lacking = np.isnan(inertias).any()
         what = "in its torque, and in no interval: give the model a rotor_inertia, or settle longer"
         notes.append(

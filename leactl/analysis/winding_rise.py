@@ -18,6 +18,7 @@ from leactl.analysis.heating.record import AMBIENT, refuse_clipped, refuse_not_c
 from leactl.analysis.intervals import half_width, rounding_limit, rounding_of, step_of
 from leactl.analysis.linefit import expect_setup, place_of
 from leactl.analysis.regression import least_squares
+from leactl.analysis.wrong_units import doubted
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.reader import Run
 
@@ -118,6 +119,7 @@ def analyze(
         change(heating, per_ratio / cold.value, notes),
     )
     notes += doubts(gains, "the resistances and not on the rise")
+    notes[:0] = doubted(runs, results[:1], ["line_voltage"], ["line_current"])
     every = max(1, len(heating.time) // SHOWN)
     kelvin = (heating.resistance[::every] / cold.value - 1.0) * per_ratio
     shown = Series(str(run.path), tuple(heating.time[::every].tolist()), tuple(kelvin.tolist()))

@@ -24,6 +24,8 @@ FIGURES: dict[str, tuple[float, tuple[str, ...]]] = {
     "rotor_inertia": (30.0, ("rotor_inertia",)),
     "coulomb_friction": (30.0, ("coulomb_friction",)),
     "viscous_damping": (30.0, ("viscous_damping",)),
+    "phase_resistance": (10.0, ("phase_resistance",)),
+    "cold_resistance": (20.0, ("phase_resistance",)),  # between two leads, which is 2/3 to 2 phases
     "breakaway_torque": (30.0, ("coulomb_friction",)),
 }
 GIVEN = "the torque constant given"
@@ -33,13 +35,23 @@ UNITS = {
     "velocity": "rad/s",
     "angle": "rad",
     "phase_voltage": "V",
+    "line_voltage": "V",
+    "line_current": "A",
     GIVEN: "N*m/A",
 }
-IN_THOUSANDS = ("torque", "q_axis_current", "phase_voltage", GIVEN)  # an angle is not told in mrad by mistake
+IN_THOUSANDS = (
+    "torque",
+    "q_axis_current",
+    "phase_voltage",
+    "line_voltage",
+    "line_current",
+    GIVEN,
+)  # an angle is not told in mrad by mistake
 PREFIXES = {1: ("m", "k"), 2: ("u", "M")}  # powers of a thousand: the unit of too many, that of too few
 NEAR = 0.1  # of a power of a thousand: as close as machines are to their models for a unit to be named
 DEGREES = 180.0 / math.pi
 LIMITS = {"q_axis_current": "current_A", "torque": "torque_Nm", "velocity": "velocity_rad_s"}
+LIMITS |= {"bus_voltage": "bus_voltage_high_V"}
 LIMITS |= {f"phase_voltage_{leads}": "bus_voltage_high_V" for leads in ("ab", "bc", "ca")}
 BEYOND = 3.0  # times a limit of the bench
 NEARLY_ALL = 0.99  # of the readings, so that a spike is none

@@ -37,12 +37,16 @@ def current_held(winding: Winding, rise: float, ambient: float, duration: float,
     ambient : degC, of the air and of the actuator at the beginning.
     duration : s, `FOR_EVER` for the continuous current.
     share : of the copper heat in the hottest phase, `TURNING` to `STANDING`.
+
+    NaN where a rise above zero is no rise, or the winding has parameters that no number comes of.
     """
     from scipy.optimize import brentq
 
     def over(current: float) -> float:
         return hottest_rise(winding, current, ambient, duration, share) - rise
 
+    if not over(0.0) < 0.0:
+        return float("nan")
     most = 1.0
     while over(most) < 0.0:
         most *= 2.0
@@ -67,4 +71,6 @@ def hottest_rise(winding: Winding, current: float, ambient: float, duration: flo
         return float(min(np.linalg.solve(-rates, driven)[0], BURNT)) if stable else BURNT
     whole = np.zeros((4, 4))
     whole[:3, :3], whole[:3, 3] = rates, driven
-    return float(min(expm(whole * duration)[0, 3], BURNT))
+    with np.errstate(over="ignore", invalid="ignore"):
+        hottest = float(expm(whole * duration)[0, 3])
+    return min(hottest, BURNT) if np.isfinite(hottest) else BURNT  # beyond all numbers: it runs away

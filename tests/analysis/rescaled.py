@@ -9,8 +9,24 @@ from leactl.runfile.reader import Run
 from leactl.runfile.writer import RunInfo, RunWriter
 
 SIZES = {"larger": (20.0, 2.0, 1.6), "smaller": (0.02, 0.4, 0.5)}
-KEYS = {"_A": "A", "_rad_s": "rad/s", "_Hz": "Hz", "_s": "s", "_N_m": "N*m", "_V": "V"}
-MODEL = {"torque_constant": "N*m/A", "rotor_inertia": "N*m*s^2/rad"}
+KEYS = {
+    "_A": "A",
+    "_rad_s": "rad/s",
+    "_Hz": "Hz",
+    "_s": "s",
+    "_N_m": "N*m",
+    "_V": "V",
+    "_kg": "N*m",
+}  # weights at an arm of one length
+MODEL = {
+    "torque_constant": "N*m/A",
+    "back_emf_constant": "N*m/A",
+    "rotor_inertia": "N*m*s^2/rad",
+    "viscous_damping": "N*m*s/rad",
+    "coulomb_friction": "N*m",
+    "phase_resistance": "ohm",
+    "phase_inductance": "H",
+}
 
 
 def factor(units, size):
@@ -18,6 +34,7 @@ def factor(units, size):
     torque, current, time = size
     base = {"A": current, "N*m": torque, "N": torque, "s": time, "Hz": 1.0 / time, "V": torque / (current * time)}
     base |= {"W": torque / time, "ohm": torque / (current**2 * time), "H": torque / current**2}
+    base |= {"kg": torque * time**2, "J": torque}  # the former of an inertia, in kg*m^2
     found, sign = 1.0, 1
     for part in re.split(r"(/)", units):
         if part == "/":

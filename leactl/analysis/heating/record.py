@@ -13,6 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.analysis.estimate import NAN, listed
+from leactl.analysis.quality.gate import hanging
+from leactl.analysis.quality.hanging import longest_row
 from leactl.analysis.saturation import clipped
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
 from leactl.runfile.reader import Channel, Run
@@ -173,9 +175,9 @@ def mean_of(run: Run, places: Sequence[Channel], time: Array, notes: list[str]) 
     """Mean over the places of a region [degC] at the camera's stamps; NaN where one of them was not seen.
 
     A place that is seen in fewer than half as many frames as the best does not count: a mean over whichever places are
-    there would jump with what tells them apart.
+    there would jump with what tells them apart. Nor does a place that hangs, where its region has another.
     """
-    columns = []
+    places, columns = without_hanging(run, places, notes), []
     for one in places:
         refuse_not_celsius(run, one)
         one = within_range(run, one, notes)
@@ -195,6 +197,26 @@ def mean_of(run: Run, places: Sequence[Channel], time: Array, notes: list[str]) 
     if missing := int(np.sum(~np.isfinite(mean))):
         notes.append(f"{run.path}: {_names(places)}: {missing} of {len(mean)} frames missing; left out")
     return np.asarray(mean, np.float64)
+
+
+def without_hanging(run: Run, places: Sequence[Channel], notes: list[str]) -> list[Channel]:
+    """The places that do not hang; where all of them do, what they read before and after."""
+    rows = [longest_row(one.values) for one in places]
+    hung = [row is not None and bool(hanging(run, one, row)) for one, row in zip(places, rows, strict=True)]
+    if not any(hung):
+        return list(places)
+    lost = [one.location or one.quantity for one, hangs in zip(places, hung, strict=True) if hangs]
+    if not all(hung):
+        notes.append(f"{run.path}: left out {listed(lost)}, which hangs")
+        return [one for one, hangs in zip(places, hung, strict=True) if not hangs]
+    notes.append(f"{run.path}: {listed(lost)} hangs; those frames are left out")
+    found = []
+    for one, row in zip(places, rows, strict=True):
+        assert row is not None  # it hangs
+        values = one.values.copy()
+        values[row.first + 1 : row.last + 1] = NAN
+        found.append(replace(one, values=values))
+    return found
 
 
 def ambient_of(run: Run, notes: list[str]) -> tuple[Array, Array] | None:

@@ -8,6 +8,7 @@ uncertainty.
 """
 
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,7 +80,7 @@ def resistance_line(fit: NetworkFit, place: str) -> ResistanceLine:
         drift,
         reading**2 / 12.0 * np.outer(late, late),
         scatter.dof,
-        1.0 - float(left @ left) / about,
+        1.0 - float(left @ left) / about if about > 0.0 else math.nan,
         temperature,
         resistance,
     )

@@ -12,6 +12,7 @@ import numpy as np
 from leactl.analysis.levels import Held, span
 from leactl.analysis.quality.following import following
 from leactl.analysis.quality.hanging import Row, hangs, longest_row, stands_while
+from leactl.analysis.saturation import clipped
 from leactl.analysis.signs import SWAPPED
 from leactl.analysis.wrong_units import LIMITS, beyond_limits
 from leactl.runfile.reader import Array, Channel, Run
@@ -29,9 +30,17 @@ TOGETHER = {  # where one moves far, the other does not stand
     "phase_voltage_bc": "phase_voltage_ca",
     "phase_voltage_ca": "phase_voltage_ab",
 }
+LOOP = ("phase_voltage_ab", "phase_voltage_bc", "phase_voltage_ca")
+UNBALANCED = 0.3  # of a voltage between leads: gains of a data acquisition are a few percent apart
+FEWEST_VOLTAGES = 20  # readings of all three
 DRIVING = ("velocity", "angle")  # that a drive follows by a current of its own choice
 AT_REST = ("q_axis_current", "velocity", "angle")  # which repeat their reading while a drive is off or a shaft stands
+NEVER_NEGATIVE = ("bus_voltage",)
+HEATED = ("winding_temperature", "housing_temperature")  # whose places warm and cool together
+SUPPLIED = ("line_current", "line_voltage")
 NEVER_ZERO = ("bus_voltage", "winding_temperature", "housing_temperature", "ambient_temperature", "drive_temperature")
+STANDS = 0.25  # of a record, that a voltage across a winding that warms does not stay the same for
+WARMEST_ROOM = 60.0  # degC, as 0 degC the other end of where people and instruments work
 NOT_MEASURED = ("drive_enabled",)
 MISSING = 0.01  # of a channel's readings, above which a note says so
 NEARLY_ALL = 0.99  # of a channel's readings, that no analysis can do without
@@ -46,6 +55,7 @@ def doubts_of(run: Run) -> list[str]:
     """Notes on the channels of a run that cannot be believed; those that contradict their demand are condemned."""
     notes = beyond_limits([run], [name for name in LIMITS if run.channels(name)])
     notes += [note for role in ("test", "load") for note in contradicting_motion(run, role)]
+    notes += [note for role in ("test", "load") for note in contradicting_voltages(run, role)]
     for stream, specs in run.streams.items():
         for spec in specs:
             if spec.quantity.endswith("_reference") or spec.quantity in NOT_MEASURED or not spec.quantity:
@@ -65,11 +75,13 @@ def judged(run: Run, name: str, channel: Channel) -> Iterator[str]:
     reason = contradiction(run, channel)
     if not reason and hint and channel.quantity in DEMANDS and row is not None:
         reason = hint if row.length > NEARLY_ALL * np.isfinite(channel.values).sum() else ""
+    if not reason and channel.quantity == "line_current" and row is not None and row.value:
+        reason = hint  # the heat is not known
     if reason:
         run.condemned[name] = f"{opening} {reason}"
         yield run.condemned[name]
         return
-    if hint:
+    if hint or (hint := standing(run, channel, row)):
         yield f"{opening} {hint}"
     demand = demand_of(run, channel)
     found = following(demand, channel.values, from_zero=channel.quantity != "angle") if demand is not None else None
@@ -100,23 +112,55 @@ def contradiction(run: Run, channel: Channel) -> str:
             return f"has the opposite sign of its demand: it reads {reads} where {asked}; {SWAPPED}"
         if fault == "dead":
             return f"does not follow its demand: it reads {reads} where {asked}; is its sensor connected?"
+    if channel.quantity in HEATED and len(others := neighbours(run, channel)) > 1:
+        found = following(np.median(others, axis=0), channel.values, from_zero=False)
+        if found is not None and found.fault == "opposite":
+            return f"falls where the {len(others)} other places of {channel.quantity} rise: its sign is turned"
     if channel.quantity in NEVER_ZERO and not np.any(np.nan_to_num(channel.values)):
         return f"reads exactly 0 {channel.units} throughout; is its sensor connected?"
+    if channel.quantity in NEVER_NEGATIVE and float(np.nanmedian(channel.values)) < 0.0:
+        most = float(np.nanmin(channel.values))
+        return f"reads down to {most:.4g} {channel.units}, above zero was expected: its leads are swapped"
     return ""
 
 
 def hanging(run: Run, channel: Channel, row: Row) -> str:
     """Where a channel repeats one reading that it should not; empty where it may."""
-    moved = next((other for other in companions(run, channel) if stands_while(row, other)), None)
+    if channel.quantity in (*HEATED, *SUPPLIED) and leaves_its_range(channel, row):
+        return ""  # the analysis says so, and does without those readings
+    moved = any(stands_while(row, other) for other in companions(run, channel))
     resting = channel.quantity in AT_REST and row.value == 0.0
-    if moved is None and (resting or channel.quantity == "angle" or not hangs(channel.values, row)):
+    if not moved and (resting or channel.quantity == "angle" or not hangs(channel.values, row)):
         return ""
     begin, end = float(channel.time[row.first]), float(channel.time[row.last])
-    what = "although what it follows moved" if moved is not None else "although its noise shows elsewhere"
+    what = "although what moves with it did" if moved else "although its noise shows elsewhere"
     return (
         f"hangs: exactly {row.value:.6g} {channel.units} in {row.length} readings from {begin:.4g} to {end:.4g} s"
         f"{step_at(run, channel, row.first)}, {what}"
     )
+
+
+def standing(run: Run, channel: Channel, row: Row | None) -> str:
+    """What else is to be told of a reading that stays as it is, or that no laboratory has; empty for most."""
+    lasts = row is not None and row.value != 0.0 and row.length > STANDS * len(channel.values)
+    if row is not None and lasts and channel.quantity == "line_voltage":
+        begin, end = float(channel.time[row.first]), float(channel.time[row.last])
+        return (
+            f"stays at exactly {row.value:.6g} {channel.units} from {begin:.4g} to {end:.4g} s"
+            f"{step_at(run, channel, row.first)}: it hangs, or the winding no longer warms"
+        )
+    if channel.quantity == "ambient_temperature":
+        least = float(np.nanmedian(channel.values))
+        if not 0.0 <= least <= WARMEST_ROOM:
+            return f"reads {least:.1f} {channel.units}: are its sign and its unit right?"
+        if row is not None and row.length == np.isfinite(channel.values).sum() > FEWEST_APART:
+            return f"reads exactly {row.value:.6g} {channel.units} throughout: does it measure?"
+    return ""
+
+
+def leaves_its_range(channel: Channel, row: Row) -> bool:
+    """Whether a row is the end of a sensor's range, to which readings come and from which they go again."""
+    return clipped(channel) == row.value and row.last < int(np.flatnonzero(np.isfinite(channel.values))[-1])
 
 
 def demand_of(run: Run, channel: Channel, quantity: str = "") -> Array | None:
@@ -137,9 +181,21 @@ def demand_of(run: Run, channel: Channel, quantity: str = "") -> Array | None:
 def companions(run: Run, channel: Channel) -> Iterator[Array]:
     """What a channel cannot stand beside while it moves: its demand, its partner, the motion that a current drives."""
     others = [demand_of(run, channel), beside(run, channel, TOGETHER.get(channel.quantity))]
+    if channel.quantity in HEATED:
+        others += neighbours(run, channel)
     if channel.quantity == "q_axis_current":
         others += [demand_of(run, channel, quantity) for quantity in DRIVING]
     yield from (other for other in others if other is not None)
+
+
+def neighbours(run: Run, channel: Channel) -> list[Array]:
+    """The same quantity at other places of the same actuator, where they have the same stamps."""
+    places = run.channels(channel.quantity, channel.role)
+    return [
+        other.values
+        for other in places
+        if other.stream == channel.stream and other.location != channel.location and np.isfinite(other.values).any()
+    ]
 
 
 def beside(run: Run, channel: Channel, quantity: str | None) -> Array | None:
@@ -194,3 +250,25 @@ def contradicting_motion(run: Run, role: str) -> Iterator[str]:
             f" {float(np.abs(integral).sum()):.4g}, from {begin:.4g} to {end:.4g} s; one of them hangs, or is in"
             " another unit or sense"
         )
+
+
+def contradicting_voltages(run: Run, role: str) -> Iterator[str]:
+    """A note where the three voltages between the leads do not add up to zero, as around any loop (Kirchhoff)."""
+    found = [channel for name in LOOP for channel in run.channels(name, role)]
+    if [channel.quantity for channel in found] != list(LOOP) or len({channel.stream for channel in found}) > 1:
+        return
+    voltages = np.array([channel.values for channel in found])
+    voltages = voltages[:, np.isfinite(voltages).all(axis=0)]
+    if voltages.shape[1] < FEWEST_VOLTAGES:
+        return
+    sizes = np.sqrt(np.mean(voltages**2, axis=1))
+    left = voltages.sum(axis=0)
+    if not float(np.sqrt(np.mean(left**2))) > UNBALANCED * float(np.median(sizes)):
+        return
+    turned = np.sqrt(np.mean((left - 2.0 * voltages) ** 2, axis=1))  # of the sum, were the sign of one the other
+    at = int(np.argmin(turned))
+    told = f"{run.path}: {', '.join(label_of(channel) for channel in found)} do not add up to zero"
+    if turned[at] < UNBALANCED * sizes[at]:
+        yield f"{told}: the leads of {found[at].quantity} are swapped"
+    else:
+        yield f"{told}: one of them is not connected, or reads in another unit"

@@ -1,0 +1,71 @@
+"""Work in a process of its own, bounded in time, whose memory and last words are known afterwards."""
+
+import contextlib
+import io
+import os
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable
+from typing import NamedTuple
+
+LONGEST_S = 5.0
+MOST_MB = 300.0
+
+
+class Outcome(NamedTuple):
+    """How it ended: the exit status, a signal's number below zero, what was said, seconds, and the most memory."""
+
+    status: int
+    said: str
+    seconds: float
+    megabytes: float
+
+    @property
+    def fault(self) -> str:
+        """What must not be; empty where it ended as it should."""
+        if self.status < 0:
+            return f"ended by {signal.Signals(-self.status).name} after {self.seconds:.1f} s"
+        if self.status not in (0, 2):
+            return f"status {self.status}"
+        if self.seconds > LONGEST_S or self.megabytes > MOST_MB:
+            return f"took {self.seconds:.1f} s and {self.megabytes:.0f} MB"
+        return "" if "internal error" not in self.said and "Traceback" not in self.said else "internal error"
+
+
+def outcome(work: Callable[[], int]) -> Outcome:
+    """Run `work`, which returns an exit status, in a child."""
+    with tempfile.TemporaryFile() as said:
+        began = time.monotonic()
+        child = os.fork()
+        if not child:
+            status = 70
+            try:
+                os.dup2(said.fileno(), 1)
+                os.dup2(said.fileno(), 2)
+                sys.stdout, sys.stderr = (
+                    io.TextIOWrapper(io.FileIO(number, "w", closefd=False), errors="replace") for number in (1, 2)
+                )
+                streams = sys.stdout, sys.stderr  # kept: a command puts others around them
+                signal.signal(signal.SIGALRM, signal.SIG_DFL)
+                signal.alarm(int(2 * LONGEST_S))
+                status = work()
+            except SystemExit as end:
+                status = end.code if isinstance(end.code, int) else 70
+            except BaseException:  # whatever it is, it is an internal error
+                traceback.print_exc()
+            finally:
+                with contextlib.suppress(ValueError):  # a command may have closed them
+                    for stream in (sys.stdout, sys.stderr, *streams):
+                        stream.flush()
+                os._exit(status)
+        _, status, usage = os.wait4(child, 0)
+        said.seek(0)
+        return Outcome(
+            os.waitstatus_to_exitcode(status),
+            said.read(100_000).decode(errors="replace"),
+            time.monotonic() - began,
+            usage.ru_maxrss / 1024.0,
+        )
