@@ -7,12 +7,21 @@ SI throughout, temperatures in degC; q axis, power-invariant transform, in the w
 import math
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from leactl.yamlblock import Block
 
-Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
+LEAST, MOST = 1e-15, 1e15  # far beyond any machine in SI units, and far from where products overflow or vanish
+
+
+def _of_a_machine(value: float) -> float:
+    if value and not LEAST <= abs(value) <= MOST:
+        raise ValueError(f"{LEAST:g} to {MOST:g} was expected")
+    return value
+
+
+Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False), AfterValidator(_of_a_machine)]
+NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False), AfterValidator(_of_a_machine)]
 Percent = Annotated[float, Field(strict=True, ge=0, le=1000)]
 Tolerance = Annotated[float, Field(strict=True, ge=0, le=0.5)]
 Length = Annotated[float, Field(strict=True, gt=0, le=10)]

@@ -1,6 +1,7 @@
 """What every block of a protocol file has in common: closed sets of keys, strict numbers, and the file's head."""
 # ruff: noqa: N815 (a unit keeps its letter)
 
+import math
 from collections.abc import Collection, Iterator, Mapping
 from difflib import get_close_matches
 from typing import Annotated, Any, ClassVar, Literal
@@ -138,4 +139,4 @@ class Head(Block):
 def divides(part_hz: float, whole_hz: float) -> bool:
     """Whether every so-manyth cycle of a loop gives the part's rate."""
     ratio = whole_hz / part_hz
-    return ratio > 1 - 1e-9 and abs(ratio - round(ratio)) < 1e-9 * ratio
+    return 1 - 1e-9 < ratio < math.inf and abs(ratio - round(ratio)) < 1e-9 * ratio
