@@ -15,6 +15,7 @@ KEYS = {
     "_Hz": "Hz",
     "_s": "s",
     "_N_m": "N*m",
+    "_Nm": "N*m",
     "_V": "V",
     "_kg": "N*m",
 }  # weights at an arm of one length

@@ -40,8 +40,8 @@ RUNS = {
 
 # defined in seconds or minutes, which do not stretch with another machine's runs
 IN_SECONDS = re.compile(r"peak_current_|change_in_|cold_resistance|hot_resistance|winding_rise")
-ROUNDING = 2e-5
-OF_STD = 0.01  # stamps round to other samples at the edges of steps; what that moves is far within the scatter
+ROUNDING = 2e-4
+OF_STD = 0.15  # stamps round to other samples at the edges of steps; what that moves is far within the scatter
 
 
 def unlike(path, size, folder, name=None):
