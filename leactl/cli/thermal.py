@@ -79,24 +79,25 @@ def state(
 
 @app.command()
 def fit(
-    runs: list[Path] = typer.Argument(help="Runs with temperatures of winding, housing and ambient."),
+    runs: list[Path] = typer.Argument(
+        metavar="RUN...", help="Runs or folders; those with temperatures of winding, housing and ambient are fitted."
+    ),
     motor: str = typer.Option("lea", help="Name of a shipped motor, or a path to a .yaml."),
     as_json: bool = AS_JSON,
 ) -> None:
-    """Fit the thermal network and the resistance to runs, and state the tolerances that these leave."""
-    from dataclasses import asdict
-
-    from leactl.gap.thermal_fit import thermal_fit
+    """Fit the thermal network and the resistance of each actuator, and state the tolerances that its runs leave."""
     from leactl.model.motor import load_motor
     from leactl.report.thermal import fit_text
+    from leactl.report.thermal_fits import thermal_fits
 
-    found = thermal_fit(runs, load_motor(motor)[0])
-    body = {
-        "parameters": [asdict(one) for one in found.parameters],
-        "correlation": [[round(float(value), 4) for value in row] for row in found.correlation],
-        "tolerances": found.tolerances,
-    }
-    typer.echo(json.dumps(body) if as_json else fit_text(found))
+    found, left_out = thermal_fits(runs, load_motor(motor)[0])
+    for line in left_out:
+        typer.echo(f"leactl: left out: {line}", err=True)
+    if as_json:
+        several = {"fits": [one.as_json() for one in found], "left_out": left_out}
+        typer.echo(json.dumps({**found[0].as_json(), "left_out": left_out} if len(found) == 1 else several))
+    else:
+        typer.echo("\n\n".join(fit_text(one) for one in found))
 
 
 @app.command()

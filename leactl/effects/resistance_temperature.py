@@ -26,7 +26,8 @@ class ResistanceTemperature(Effect):
             added = signals.model.phase_resistance * signals.winding_rise * signals.current
             terms["voltage"] = {"coefficient": added}
         if signals.line_current is not None:
-            added = 2.0 * signals.model.phase_resistance * signals.winding_rise * signals.line_current
+            rise = signals.extra.get("fed_rise", signals.winding_rise)  # of the phases that two leads feed
+            added = 2.0 * signals.model.phase_resistance * rise * signals.line_current
             terms["line_voltage"] = {"coefficient": added}
         elif "heat" in signals.extra:
             terms["winding_heat"] = {"coefficient": signals.extra["heat"] * signals.winding_rise}

@@ -10,12 +10,16 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
+from leactl.model.thermal_network import ACTIVE_SHARE
 from leactl.runfile.reader import Channel, Run
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Key = tuple[str, str]  # quantity, role
-SLOW = ("winding_temperature", "housing_temperature", "ambient_temperature")
+AMBIENT = "ambient_temperature"
+WINDING = ("winding_temperature", "test")
+FED, UNFED = "active", "inactive"  # places of the phases that two leads feed, and of the third
+SLOW = ("winding_temperature", "housing_temperature", AMBIENT)
 FEWEST = 50  # samples, below which a run says nothing
 REACH = 2.5  # paces, that values are taken in between over
 BURSTS = (
@@ -36,6 +40,7 @@ class Clocked:
     means: set[Key] = field(default_factory=set)  # channels that are means over the interval that ends at the stamp
     units: dict[Key, str] = field(default_factory=dict)
     counts: dict[Key, float] = field(default_factory=dict)  # smallest step of an angle, next to none if interpolated
+    fed: Array | None = None  # degC, of the phases that two leads feed; None where a winding is not told apart
 
     def get(self, quantity: str, role: str = "test") -> Array | None:
         """The values, or None where the run has no such channel."""
@@ -92,26 +97,35 @@ def read_record(path: Path) -> Record:
     InputError : no run file, or one whose channels cannot be used; one line each.
     """
     with Run.open(path) as run:
-        mechanical = run.mechanical
-        found = [
-            channel
-            for specs in run.streams.values()
-            for spec in specs
-            if spec.quantity
-            for channel in run.channels(spec.quantity, spec.role)
-        ]
-        unique = {(c.stream, c.quantity, c.role, c.location): c for c in found}
-        kind = str(run.attributes.get("protocol") or mechanical)
-        setup = {k: float(v) for k, v in run.setup.items() if isinstance(v, int | float)}
-        condition = str(run.attributes.get("condition") or "")
-    return replace(build(path, kind, mechanical, list(unique.values()), setup), condition=condition)
+        return record_of(run)
+
+
+def record_of(run: Run) -> Record:
+    """Sort the channels of an open run.
+
+    Raises
+    ------
+    InputError : channels that cannot be used, or that were condemned; one line each.
+    """
+    found = [
+        channel
+        for specs in run.streams.values()
+        for spec in specs
+        if spec.quantity
+        for channel in run.channels(spec.quantity, spec.role)
+    ]
+    unique = {(c.stream, c.quantity, c.role, c.location): c for c in found}
+    kind = str(run.attributes.get("protocol") or run.mechanical)
+    setup = {k: float(v) for k, v in run.setup.items() if isinstance(v, int | float)}
+    condition = str(run.attributes.get("condition") or "")
+    return replace(build(run.path, kind, run.mechanical, list(unique.values()), setup), condition=condition)
 
 
 def build(path: Path, kind: str, mechanical: str, channels: list[Channel], setup: dict[str, float]) -> Record:
     """Sort channels onto a fast and a slow clock."""
     notes: list[str] = []
     usable = []
-    for channel in channels:
+    for channel in of_the_bench(channels):
         good = np.isfinite(channel.values)
         if good.sum() < FEWEST:
             if good.any() or not channel.quantity.endswith("_reference"):  # else the drive was in another mode
@@ -129,11 +143,21 @@ def build(path: Path, kind: str, mechanical: str, channels: list[Channel], setup
     return Record(path, kind, mechanical, _on_clock(fast, notes, path), _on_clock(slow, notes, path), setup, notes)
 
 
+def of_the_bench(channels: list[Channel]) -> list[Channel]:
+    """Channels with the air around the bench as the bench's, where it stands under the actuator that a camera sees."""
+    if any(channel.quantity == AMBIENT and channel.role == "bench" for channel in channels):
+        return channels
+    return [
+        replace(channel, role="bench") if (channel.quantity, channel.role) == (AMBIENT, "test") else channel
+        for channel in channels
+    ]
+
+
 def may_rest(channel: Channel, mechanical: str) -> bool:
     """Whether a channel may well stay the same for a whole run."""
     if channel.quantity in ("angle", "velocity"):
         return mechanical in ("locked", "heated") or (mechanical == "free" and channel.role == "load")
-    return channel.quantity in ("drive_enabled", "ambient_temperature") or channel.quantity.endswith("_reference")
+    return channel.quantity in ("drive_enabled", AMBIENT) or channel.quantity.endswith("_reference")
 
 
 def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked | None:
@@ -169,7 +193,13 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked 
             reach = REACH * max(_pace(channel.time), interval if interval > 1.5 * _pace(leading) else 0.0)
             values.append(np.interp(clocked.time, stamps[good], channel.values[good]))
             valid.append(good if same else _near(clocked.time, channel.time[good], reach))
-        clocked.values[key] = np.mean(values, axis=0)
+        fed = [one for one, channel in zip(values, group, strict=True) if region_of(channel) == FED]
+        rest = [one for one, channel in zip(values, group, strict=True) if region_of(channel) == UNFED]
+        if key == WINDING and fed and rest:
+            clocked.fed = np.mean(fed, axis=0)
+            clocked.values[key] = ACTIVE_SHARE * clocked.fed + (1.0 - ACTIVE_SHARE) * np.mean(rest, axis=0)
+        else:
+            clocked.values[key] = np.mean(values, axis=0)
         clocked.valid[key] = np.all(valid, axis=0)
         clocked.units[key] = group[0].units
         if key[0] == "angle":
@@ -177,6 +207,11 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked 
         if group[0].sampling == "mean":
             clocked.means.add(key)
     return clocked
+
+
+def region_of(channel: Channel) -> str:
+    """The part of a winding that a place lies in: `active` of `active_2`."""
+    return channel.location.partition("_")[0]
 
 
 def is_even(grid: Array, stamps: Array) -> bool:

@@ -201,6 +201,8 @@ def slow_signals(record: Record, model: Model) -> Signals | None:
                 [smooth(one, width) / np.maximum(share, 1e-6) for one, share in zip(rest, shares, strict=True)]
             )
         s.winding_rise = s.winding - model.reference_temperature
+        if clock.fed is not None:
+            s.extra["fed_rise"] = s.winding_rise + smooth(clock.fed - winding, REST_S / clock.interval)
     s.housing_rise = s.housing - model.reference_temperature if s.housing is not None else None
     return s
 

@@ -7,7 +7,6 @@ the joint covariance is that of the regression over all runs, priors included.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -16,9 +15,10 @@ from leactl.errors import InputError
 from leactl.gap.diagnosis import CalibratedParameter
 from leactl.gap.evidence import PRIORS, Evidence
 from leactl.gap.parameters import calibrated
-from leactl.gap.record import read_record
+from leactl.gap.record import AMBIENT, Record, record_of
 from leactl.model.motor import Motor
 from leactl.model.nominal import Model
+from leactl.runfile.reader import Run
 
 Array = npt.NDArray[np.float64]
 FITTED = (
@@ -42,31 +42,49 @@ class ThermalFit:
     parameters: tuple[CalibratedParameter, ...]
     correlation: Array  # of the parameters, in their order
     tolerances: dict[str, float]  # as a motor file's block has them; what the runs do not tell is left out
+    notes: tuple[str, ...] = ()  # on the records
 
 
-def thermal_fit(runs: Sequence[Path], motor: Motor) -> ThermalFit:
-    """Fit the network of one actuator to its runs.
+def lacking(run: Run) -> list[str]:
+    """What a run lacks for a thermal network, by quantity; empty where it has everything."""
+    air = run.has(AMBIENT, "bench") or run.has(AMBIENT)
+    missing = [] if run.has("winding_temperature") else ["winding_temperature"]
+    missing += [] if run.has("housing_temperature") else ["housing_temperature"]
+    missing += [] if air else [AMBIENT]
+    heated = run.has("line_current") and run.has("line_voltage")
+    if not heated and (run.has("line_current") or not run.has("q_axis_current")):
+        missing.append("the heat of the winding: line_current with line_voltage, or q_axis_current")
+    return missing
+
+
+def thermal_fit(runs: Sequence[Run], motor: Motor) -> ThermalFit:
+    """Fit the network of one actuator to its open runs.
 
     Raises
     ------
-    InputError : a run that cannot be read, or none with the temperatures and the heat of a winding.
+    InputError : runs that lack something, channels that cannot be used, or too few samples of all together.
     """
     faults: list[str] = []
-    records = []
-    for path in runs:
+    records: list[Record] = []
+    for run in runs:
+        if missing := lacking(run):
+            faults.append(f"{run.path}: has no {', no '.join(missing)}; a thermal network needs it")
+            continue
         try:
-            records.append(read_record(path))
+            records.append(record_of(run))
         except InputError as error:
             faults += error.faults
     if faults:
         raise InputError(faults)
     model = Model.model_validate(motor.model_dump())
+    if model.thermal is None:
+        raise InputError(f"motor '{motor.name}' has no thermal network to start from; give it a block thermal")
     evidence = Evidence(records, model, only=[])
+    notes = list(dict.fromkeys(note for record in records for note in record.notes))
     if not any(rows.equation == "winding" for rows in evidence.stack.rows):
-        raise InputError(
-            "no run has winding_temperature, housing_temperature and ambient_temperature with the heat of its winding"
-            " (line_current, or q_axis_current): a thermal network needs them"
-        )
+        files = ", ".join(record.path.name for record in records)
+        why = "; ".join(notes) or "they were seldom read at the same time"
+        raise InputError(f"{files}: temperatures and heat never come together for long enough: {why}")
     fit = evidence.settle([])
     found = {item.parameter: item for item in calibrated(evidence, fit) if item.parameter in FITTED}
     names = [name for name in FITTED if name in found]
@@ -79,7 +97,8 @@ def thermal_fit(runs: Sequence[Path], motor: Motor) -> ThermalFit:
         for name in names
         if found[name].std / found[name].fitted < TOLD * PRIORS[name]
     }
-    return ThermalFit(tuple(found[name] for name in names), covariance / np.outer(spread, spread), tolerances)
+    correlation = covariance / np.outer(spread, spread)
+    return ThermalFit(tuple(found[name] for name in names), correlation, tolerances, tuple(notes))
 
 
 def _rounded(tolerance: float) -> float:

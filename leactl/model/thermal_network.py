@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from leactl.model.sheet import Thermal
 
 Array = npt.NDArray[np.float64]
+ACTIVE_SHARE = 2.0 / 3.0  # of a wye winding: the phases that two leads feed; the third carries no direct current
 DECAY = 200.0  # time constants that are summed up at a time: their exponentials stay far inside the range of floats
 EVEN = 1e-6  # of a step, that steps may differ by and still count as one
 

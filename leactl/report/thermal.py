@@ -3,10 +3,12 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from leactl.gap.thermal_fit import ThermalFit
 from leactl.model.motor import Motor
+from leactl.report.terminal import wrapped
+from leactl.report.thermal_fits import Fitted
 from leactl.safety.thermal.capability import Carried, Held, Peak
 
+WIDTH = 80
 CORRELATIONS = 3  # told, the largest
 HEAD = f"{'':<28}{'guaranteed':>12}{'nominal':>12}{'favourable':>12}"
 
@@ -30,9 +32,17 @@ def _row(label: str, values: Carried) -> str:
     return f"{label:<28}{values.guaranteed:12.2f}{values.nominal:12.2f}{values.favourable:12.2f}"
 
 
-def fit_text(found: ThermalFit) -> str:
-    """Parameters with standard errors, their largest correlations, and a `tolerances:` block."""
-    lines = [f"{'parameter':<36}{'nominal':>11}{'fitted':>11}{'std':>10}  unit"]
+def fit_text(fitted: Fitted) -> str:
+    """Parameters with standard errors, their largest correlations, a `tolerances:` block, and notes."""
+    found = fitted.fit
+    lines = [
+        wrapped(
+            f"{fitted.actuator or 'actuator not told'}, {len(fitted.runs)} run{'s' * (len(fitted.runs) > 1)}:",
+            fitted.runs,
+            WIDTH,
+        ),
+    ]
+    lines += [f"{'parameter':<36}{'nominal':>11}{'fitted':>11}{'std':>10}  unit"]
     lines += [
         f"{one.parameter:<36}{one.nominal:11.5g}{one.fitted:11.5g}{one.std:10.2g}  {one.units}"
         for one in found.parameters
@@ -44,6 +54,7 @@ def fit_text(found: ThermalFit) -> str:
         lines.append(f"  correlation {found.correlation[i, k]:+.2f} of {first} and {second}")
     lines += ["tolerances:  # of the motor file, three standard errors; others as they were"]
     lines += [f"  {name}: {value:g}" for name, value in found.tolerances.items()]
+    lines += [wrapped("note:", [note], WIDTH) for note in fitted.notes]
     return "\n".join(lines)
 
 

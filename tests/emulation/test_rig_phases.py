@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leactl.analysis.heating.record import ACTIVE_SHARE
 from leactl.bench import benchfile
 from leactl.emulation.effects import make_effect
 from leactl.emulation.emulated_bench import EmulatedBench
@@ -18,6 +17,7 @@ from leactl.emulation.rig import Rig
 from leactl.emulation.rig_phases import PARTS, HottestPhase
 from leactl.emulation.stepped_rig import SteppedRig
 from leactl.errors import InputError
+from leactl.model.thermal_network import ACTIVE_SHARE
 from leactl.safety.thermal.turning import LED_ALIGNED
 from tests.emulation.five_nodes import AT_REST, TWO_LEADS, settled
 

@@ -1,6 +1,7 @@
 """The thermal network from runs of the emulated plant, which shares no equation with the fit."""
 
 import json
+from contextlib import ExitStack
 
 import pytest
 
@@ -8,9 +9,16 @@ from leactl.emulation.blind.make import make
 from leactl.errors import InputError
 from leactl.gap.thermal_fit import FITTED, thermal_fit
 from leactl.model.motor import load_motor
+from leactl.report.thermal_fits import thermal_fits
+from leactl.runfile.reader import Run
 from tests.cli.terminal import leactl
 
 LEA = load_motor("lea")[0]
+
+
+def fit(paths):
+    with ExitStack() as opened:
+        return thermal_fit([opened.enter_context(Run.open(path)) for path in paths], LEA)
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +32,7 @@ def bench(tmp_path_factory):
 
 def test_the_network_comes_out_within_four_standard_errors(bench):
     runs, true = bench
-    found = thermal_fit(runs, LEA)
+    found = fit(runs)
     assert [one.parameter for one in found.parameters] == list(FITTED)
     for one in found.parameters:
         assert abs(one.fitted - true[one.parameter]) < 4.0 * one.std
@@ -33,7 +41,7 @@ def test_the_network_comes_out_within_four_standard_errors(bench):
 
 def test_tolerances_cover_the_truth_and_are_narrower_than_the_file_s(bench):
     runs, true = bench
-    found = thermal_fit(runs, LEA)
+    found = fit(runs)
     fitted = {one.parameter.removeprefix("thermal."): one.fitted for one in found.parameters}
     for name, tolerance in found.tolerances.items():
         actual = true.get(f"thermal.{name}", true.get(name))
@@ -49,7 +57,7 @@ def test_tolerances_cover_the_truth_and_are_narrower_than_the_file_s(bench):
 def test_a_run_that_cannot_be_read_is_refused(bench):
     runs, _ = bench
     with pytest.raises(InputError, match=r"no-such\.h5"):
-        thermal_fit([runs[0].with_name("no-such.h5")], LEA)
+        thermal_fits([runs[0].with_name("no-such.h5")], LEA)
 
 
 def test_the_command_prints_a_block_for_the_motor_file(bench):

@@ -17,6 +17,7 @@ from leactl.analysis.quality.gate import hanging
 from leactl.analysis.quality.hanging import longest_row
 from leactl.analysis.saturation import clipped
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
+from leactl.model.thermal_network import ACTIVE_SHARE
 from leactl.runfile.reader import Channel, Run
 
 Array = npt.NDArray[np.float64]
@@ -24,7 +25,6 @@ Mask = npt.NDArray[np.bool_]
 
 WINDING, HOUSING, AMBIENT = "winding_temperature", "housing_temperature", "ambient_temperature"
 CURRENT, VOLTAGE = "line_current", "line_voltage"
-ACTIVE_SHARE = 2.0 / 3.0
 NOT_CELSIUS = 200.0  # degC, and never below: no winding is left to, and a room is 290 to 300 in kelvin
 FLOWS = 0.2  # of the largest current, above which it counts as switched on
 LEAST_A = 0.1  # that heats anything worth a fit

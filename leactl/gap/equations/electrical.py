@@ -53,7 +53,7 @@ def voltage(record: Record, s: Signals) -> Equation | None:
 
 
 def line_voltage(record: Record, s: Signals) -> Equation | None:
-    """Line voltage of the heated winding = 2 R(T) I."""
+    """Line voltage of the heated winding = 2 R(T) I; T of the phases that carry the current, where it is known."""
     model, clock = s.model, record.slow
     if clock is None or s.line_current is None or s.winding is None or model.phase_resistance is None:
         return None
@@ -61,7 +61,7 @@ def line_voltage(record: Record, s: Signals) -> Equation | None:
     if measured is None or s.winding_rise is None:
         return None
     cold = 2.0 * model.phase_resistance * s.line_current
-    warm = cold * model.resistance_coefficient * s.winding_rise
+    warm = cold * model.resistance_coefficient * s.extra.get("fed_rise", s.winding_rise)
     calibration = {"phase_resistance": cold + warm}
     if model.resistance_coefficient:
         calibration["resistance_coefficient"] = warm

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from leactl.effects.plant import Array
-from leactl.gap.record import Clocked
+from leactl.gap.record import WINDING, Clocked
 from leactl.gap.replay.job import Job, noise_of
 from leactl.gap.signals import binned
 
@@ -123,7 +123,10 @@ class Network:
         line = clock.get("line_current")
         if line is not None and clock.get("line_voltage") is not None:
             cold = 2.0 * (job.plant.model.phase_resistance or 0.0) * line[first:]
-            job.slow["line_voltage", "test"] = np.concatenate([lead, cold * resistance_share(job, winding)])
+            fed = winding
+            if clock.fed is not None:  # the phases that carry the current, warmer than the mean as they were measured
+                fed = winding + (clock.fed - clock.values[WINDING])[first:]
+            job.slow["line_voltage", "test"] = np.concatenate([lead, cold * resistance_share(job, fed)])
         if job.record.fast is not None:
             stamps = clock.time[first:]
             job.winding = np.interp(job.clock.time, stamps, winding)

@@ -1,0 +1,80 @@
+"""Thermal networks by actuator, from those of many runs that tell of one and pass the gate of the analyses."""
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from leactl.analysis.experiments import refuse_altered, refuse_repeated, remarks_on
+from leactl.analysis.quality.gate import doubts_of
+from leactl.errors import InputError
+from leactl.gap.thermal_fit import ThermalFit, lacking, thermal_fit
+from leactl.model.motor import Motor
+from leactl.runfile.catalog import run_files
+from leactl.runfile.reader import Run
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """The network of one actuator."""
+
+    actuator: str
+    runs: tuple[str, ...]
+    fit: ThermalFit
+    notes: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Parameters, their correlation, the tolerances that they leave, and what was noted."""
+        return {
+            "actuator": self.actuator,
+            "runs": list(self.runs),
+            "parameters": [asdict(one) for one in self.fit.parameters],
+            "correlation": [[round(float(value), 4) for value in row] for row in self.fit.correlation],
+            "tolerances": self.fit.tolerances,
+            "notes": list(self.notes),
+        }
+
+
+def thermal_fits(given: Sequence[Path], motor: Motor) -> tuple[list[Fitted], list[str]]:
+    """Fit the network of each actuator to its runs.
+
+    Returns
+    -------
+    A fit for each actuator, and a line for each run that tells of no network and each file of a folder that is none.
+
+    Raises
+    ------
+    InputError : a file that was named and cannot be read, a run that is there twice or is not as it was closed, no run
+        that tells of a network, or a channel that it needs and that cannot be believed.
+    """
+    inside = {file for path in given if path.is_dir() for file in run_files([path])}
+    left_out: list[str] = []
+    faults: list[str] = []
+    telling: list[Run] = []
+    with ExitStack() as opened:
+        for path in run_files(given):
+            try:
+                run = opened.enter_context(Run.open(path))
+            except InputError as error:
+                (left_out if path in inside else faults).extend(error.faults)
+                continue
+            if missing := lacking(run):
+                left_out.append(f"{path}: has no {', no '.join(missing)}; a thermal network needs it")
+            else:
+                telling.append(run)
+        if faults or not telling:
+            raise InputError(faults or left_out)
+        refuse_repeated(telling)
+        refuse_altered(telling)
+        groups: dict[str, list[Run]] = {}
+        for run in telling:
+            groups.setdefault(str(run.attributes.get("actuator", "")), []).append(run)
+        return [fitted(actuator, runs, motor) for actuator, runs in groups.items()], left_out
+
+
+def fitted(actuator: str, runs: Sequence[Run], motor: Motor) -> Fitted:
+    """The network of one actuator from its runs, with doubts of their channels first among the notes."""
+    notes = [note for run in runs for note in (*doubts_of(run), *remarks_on(run))]
+    fit = thermal_fit(runs, motor)
+    return Fitted(actuator, tuple(str(run.path) for run in runs), fit, tuple(dict.fromkeys([*notes, *fit.notes])))
