@@ -17,9 +17,13 @@ LeactlError (1)
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 _PLACED = re.compile(r"(.+?):(\d+):(\d+)  (.*)", re.DOTALL)  # as yamlfile writes the place of a fault
+_OF_A_FILE = re.compile(r"(.+?): (.*)", re.DOTALL)
+_ENDINGS = (".h5", ".partial", ".yaml", ".yml", ".csv", ".json", ".mat")  # of files that a command reads
+_AT_A_LINE = re.compile(r"line (\d+)\b")  # as readers of tables write it
 
 
 class LeactlError(Exception):
@@ -39,14 +43,19 @@ class InputError(LeactlError):
 
     def as_json(self) -> list[dict[str, Any]]:
         """Every fault as JSON takes it; file, line and column are null where it stands in no file."""
-        rows = []
-        for fault in self.faults:
-            found = _PLACED.match(fault)
-            file, line, column, message = found.groups() if found else (None, None, None, fault)
-            rows.append(
-                {"file": file, "line": line and int(line), "column": column and int(column), "message": message}
-            )
-        return rows
+        return [_parted(fault) for fault in self.faults]
+
+
+def _parted(fault: str) -> dict[str, Any]:
+    """A fault's line as file, line, column and message."""
+    placed, of_a_file = _PLACED.fullmatch(fault), _OF_A_FILE.fullmatch(fault)
+    if placed:
+        file, line, column, message = placed.groups()
+        return {"file": file, "line": int(line), "column": int(column), "message": message}
+    if of_a_file and (of_a_file[1].endswith(_ENDINGS) or Path(of_a_file[1]).exists()):
+        row = _AT_A_LINE.match(of_a_file[2])
+        return {"file": of_a_file[1], "line": int(row[1]) if row else None, "column": None, "message": of_a_file[2]}
+    return {"file": None, "line": None, "column": None, "message": fault}
 
 
 class MissingChannel(InputError):

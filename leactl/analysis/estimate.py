@@ -8,6 +8,7 @@ from typing import Any
 from leactl.errors import InputError
 
 NAN = math.nan
+FORMAT, VERSION = "leactl-analysis", 1  # of an answer as JSON
 
 
 @dataclass(frozen=True)
@@ -138,6 +139,8 @@ class Result:
         """The answer as `--json` prints it; rows carry actuator and condition where there is more than one group."""
         several = len(self.groups) > 1
         told: dict[str, Any] = {
+            "format": FORMAT,
+            "format_version": VERSION,
             "experiment": self.experiment,
             "runs": list(self.runs),
             "results": [item.as_json(several) for item in self.results],

@@ -33,6 +33,7 @@ def analyze(
     ),
 ) -> None:
     """Fit the parameters that runs were made for, with 95 % intervals, by actuator and condition."""
+    from leactl.analysis.estimate import FORMAT, VERSION
     from leactl.analysis.experiments import GENERIC, analyze_each, numbers
     from leactl.errors import InputError
     from leactl.runfile.catalog import run_files
@@ -47,7 +48,9 @@ def analyze(
     if as_json and len(results) == 1 and not faults:
         typer.echo(json.dumps(results[0].as_json(), allow_nan=False))
     elif as_json:
-        typer.echo(json.dumps({"analyses": [result.as_json() for result in results], "faults": faults}))
+        head = {"format": FORMAT, "format_version": VERSION}
+        body = {"analyses": [result.as_json() for result in results], "faults": InputError(faults).as_json()}
+        typer.echo(json.dumps(head | body, allow_nan=False))
     else:
         from leactl.report.terminal import print_result
 

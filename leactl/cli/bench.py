@@ -22,19 +22,23 @@ def list_benches(as_json: bool = AS_JSON) -> None:
 
 
 @app.command()
-def show(bench: str) -> None:
+def show(bench: str, as_json: bool = AS_JSON) -> None:
     """Show a bench's file as it is written, to copy and change."""
     from leactl.bench.benchfile import load
 
-    typer.echo(load(bench)[2].text, nl=False)
+    file, _devices, document = load(bench)
+    answer = {"name": file.name, "title": file.title, "file": document.name, "text": document.text}
+    typer.echo(json.dumps(answer) if as_json else document.text, nl=as_json)
 
 
 @app.command()
-def model(bench: str) -> None:
+def model(bench: str, as_json: bool = AS_JSON) -> None:
     """Print the nominal model of a bench, the file that `leactl gap` takes as --model."""
     from leactl.bench.benchfile import load, nominal_model
 
-    typer.echo(nominal_model(load(bench)[0]), nl=False)
+    file = load(bench)[0]
+    text = nominal_model(file)
+    typer.echo(json.dumps({"bench": file.name, "text": text}) if as_json else text, nl=as_json)
 
 
 @app.command()

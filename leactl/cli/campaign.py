@@ -54,11 +54,13 @@ def list_campaigns(as_json: bool = AS_JSON) -> None:
 
 
 @app.command()
-def show(name: str = CAMPAIGN) -> None:
+def show(name: str = CAMPAIGN, as_json: bool = AS_JSON) -> None:
     """Show a campaign's file as it is written, to copy and change."""
     from leactl.runner.campaign.campaignfile import load
 
-    typer.echo(load(name).text, nl=False)
+    found = load(name)
+    answer = {"name": found.name, "title": found.title, "runs": len(found.cells), "text": found.text}
+    typer.echo(json.dumps(answer) if as_json else found.text, nl=as_json)
 
 
 @app.command()

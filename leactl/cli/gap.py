@@ -19,14 +19,19 @@ class JsonToFileOrStdout(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Put `-` behind a `--json` that no file to write follows: an option, a run or nothing does."""
-        complete: list[str] = []
-        for index, word in enumerate(args):
-            complete.append(word)
-            following = args[index + 1] if index + 1 < len(args) else RUN_FILE
-            is_option = following.startswith("-") and following != TO_STDOUT
-            if word == JSON and (is_option or following.endswith(RUN_FILE)):
-                complete.append(TO_STDOUT)
-        return super().parse_args(ctx, complete)
+        return super().parse_args(ctx, completed(args))
+
+
+def completed(args: list[str]) -> list[str]:
+    """The words of a command line with `-` behind a `--json` that no file to write follows."""
+    complete: list[str] = []
+    for index, word in enumerate(args):
+        complete.append(word)
+        following = args[index + 1] if index + 1 < len(args) else RUN_FILE
+        is_option = following.startswith("-") and following != TO_STDOUT
+        if word == JSON and (is_option or following.endswith(RUN_FILE)):
+            complete.append(TO_STDOUT)
+    return complete
 
 
 @app.command("diagnose", cls=JsonToFileOrStdout)

@@ -2,8 +2,10 @@
 
 import errno
 import itertools
+import json
 import os
 import sys
+from contextlib import suppress
 from typing import Any, NoReturn
 
 # matrices here are small: a thread pool costs each process a second core and gains nothing; set it to override
@@ -130,7 +132,16 @@ def _let_go_of_stdout() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def _json_is_asked() -> bool:
+    """Whether stdout is to hold JSON and nothing else."""
+    words = list(itertools.takewhile(lambda word: word != "--", sys.argv[1:]))
+    return gap.JSON in words and (words[:2] != ["gap", "diagnose"] or gap.TO_STDOUT in gap.completed(words))
+
+
 def _end(lines: list[str], status: int) -> NoReturn:
+    if status == InputError.exit_status and _json_is_asked() and not getattr(sys.stdout, "used", False):
+        with suppress(OSError):  # what stdout cannot take stands on stderr
+            print(json.dumps({"faults": InputError(lines).as_json()}), flush=True)
     for line in lines[:MOST_LINES]:
         print(f"leactl: {line}", file=sys.stderr)
     if len(lines) > MOST_LINES:

@@ -16,8 +16,11 @@ def printable(text: str) -> str:
 class Printable(io.TextIOWrapper):
     """A standard stream that shows control characters instead of passing them on."""
 
+    used = False  # whether anything was written
+
     def write(self, text: str) -> int:
         """Write text for people and scripts; bytes go to `buffer` as they are."""
+        self.used = True
         return super().write(printable(text))
 
 

@@ -46,17 +46,11 @@ def check(
     protocol: str = typer.Argument(help="Name of a shipped protocol, a path to a .yaml, or - for stdin."),
     as_json: bool = AS_JSON,
 ) -> None:
-    """Check a protocol: every fault with file, line and column, as JSON on stdout too with --json."""
+    """Check a protocol: every fault with file, line and column."""
     from leactl import yamlfile
-    from leactl.errors import InputError
     from leactl.protocol.parameters import unused
 
-    try:
-        plan = _checked(protocol)
-    except InputError as error:
-        if as_json:
-            typer.echo(json.dumps({"faults": error.as_json()}))
-        raise
+    plan = _checked(protocol)
     notes = unused(yamlfile.parse(plan.text, protocol))
     if as_json:
         body = {**_head(plan), "peaks": _peaks(plan), "actions": len(plan.actions), "notes": notes}

@@ -139,11 +139,17 @@ def convert(runs: list[Path] = typer.Argument(..., metavar="RUN..."), as_json: b
 
 
 @app.command()
-def annotate(run: Path, text: str, author: str = typer.Option("", help="Who says so.")) -> None:
+def annotate(
+    run: Path, text: str, author: str = typer.Option("", help="Who says so."), as_json: bool = AS_JSON
+) -> None:
     """Add a note to a run; its data stay as they are, and that is checked."""
     from leactl.runfile.integrity import annotate as add_note
+    from leactl.runfile.reader import Run
 
     add_note(run, text, author)
+    if as_json:
+        with Run.open(run) as opened:
+            typer.echo(json.dumps({"run": str(run), "note": vars(opened.notes[-1])}))
 
 
 @app.command()

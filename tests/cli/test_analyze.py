@@ -112,7 +112,8 @@ def test_unusable_input_is_status_2_in_one_line(bench, tmp_path, arguments, word
     bench.friction(f=9.0).rename(tmp_path / "still.h5")
     bench.torque(levels=(4.9,)).rename(tmp_path / "one.h5")
     done = leactl("analyze", *arguments, *as_json)
-    assert (done.returncode, done.stdout) == (2, "")
+    assert done.returncode == 2
+    assert len(json.loads(done.stdout)["faults"]) == 1 if as_json else done.stdout == ""
     assert done.stderr.startswith(f"leactl: {words}")
     assert len(done.stderr.splitlines()) == 1
 
@@ -132,6 +133,7 @@ def test_several_experiments_are_analysed_each_by_itself(bench, tmp_path, as_fol
     answer = json.loads(done.stdout)
     counts = {one["experiment"]: len(one["runs"]) for one in answer["analyses"]}
     assert (counts, answer["faults"]) == ({"torque-constant": 2, "friction": 1}, [])
+    assert {(one["format"], one["format_version"]) for one in (answer, *answer["analyses"])} == {("leactl-analysis", 1)}
     alone = json.loads(leactl("analyze", paths[1], "--json").stdout)
     assert next(one for one in answer["analyses"] if one["experiment"] == "friction")["results"] == alone["results"]
     text = leactl("analyze", *given).stdout
