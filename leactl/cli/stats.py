@@ -10,7 +10,7 @@ from leactl.cli import finite
 
 def stats(
     runs: list[Path] = typer.Argument(
-        metavar="RUN...", help="Runs of one experiment under two conditions or more, or answers of `analyze --json`."
+        metavar="RUN...", help="Runs or folders, under two conditions or more, or answers of `analyze --json`."
     ),
     result: list[str] = typer.Option([], "--result", help="Results to compare; all with an uncertainty by default."),
     by_run: bool = typer.Option(False, "--by-run", help="One value a run instead of one for each of its repeats."),
@@ -23,13 +23,25 @@ def stats(
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
     """Compare results over conditions: ANOVA with the actuator as a random factor, Tukey HSD, effect sizes."""
-    from leactl.analysis.conditions.comparison import compare_all
+    from leactl.analysis.conditions.each import compare_each
     from leactl.analysis.experiments import numbers
+    from leactl.errors import InputError
     from leactl.report.conditions import comparisons_text
 
-    experiment, found, refused = compare_all(runs, result, by_run, **numbers(settings, torque_constant=torque_constant))
-    if as_json:
-        body = {"experiment": experiment, "results": [one.as_json() for one in found], "not_compared": refused}
+    told = numbers(settings, torque_constant=torque_constant)
+    found, without, faults = compare_each(runs, result, by_run, **told)
+    for line in without:
+        typer.echo(f"leactl: not compared: {line}", err=True)
+    if as_json and len(found) == 1 and not (without or faults):
+        typer.echo(json.dumps(found[0].as_json(), allow_nan=False))
+    elif as_json:
+        body = {
+            "comparisons": [one.as_json() for one in found],
+            "not_compared": without,
+            "faults": InputError(faults).as_json(),
+        }
         typer.echo(json.dumps(body, allow_nan=False))
-        return
-    typer.echo(comparisons_text(experiment, found, refused))
+    else:
+        typer.echo("\n\n".join(comparisons_text(one.experiment, one.found, one.refused) for one in found))
+    if faults:
+        raise InputError(faults)

@@ -213,6 +213,49 @@ def test_what_cannot_be_compared_is_refused_in_a_line(bench, tmp_path):
         compare_all([path])
 
 
+def torques(bench):
+    conditions = (("design", 0.48), ("loaded", 0.5))
+    return [bench.torque(kt=kt, condition=label, scatter=0.01) for label, kt in conditions for _ in range(3)]
+
+
+def test_runs_of_several_experiments_are_compared_each_by_itself(bench, tmp_path):
+    frictions = runs(bench)
+    torques(bench)
+    alone = json.loads(leactl("stats", *frictions, "--json").stdout)
+    done = leactl("stats", tmp_path, "--json", "--result", "coulomb_friction", "--result", "torque_constant")
+    assert (done.returncode, done.stderr) == (0, "")
+    friction, torque = json.loads(done.stdout)["comparisons"]
+    of = next(one for one in alone["results"] if one["name"] == "coulomb_friction")
+    assert (friction["experiment"], friction["results"]) == ("friction", [of])
+    assert (torque["experiment"], [one["name"] for one in torque["results"]]) == (
+        "torque-constant",
+        ["torque_constant"],
+    )
+    text = leactl("stats", tmp_path, COLUMNS="80").stdout
+    assert "friction: " in text
+    assert "torque-constant: " in text
+    told = leactl("stats", tmp_path, "--set", "torque_constant=0.3")  # friction alone takes it
+    assert told.returncode == 0
+    for words in (["--set", "gain=1"], ["--result", "gain"]):
+        refused = leactl("stats", tmp_path, *words)
+        assert (refused.returncode, refused.stdout) == (2, "")
+        assert "none of friction, torque-constant" in refused.stderr
+
+
+def test_an_experiment_without_two_conditions_is_named_and_the_others_compared(bench, tmp_path):
+    runs(bench, conditions=("design",))
+    torques(bench)
+    done = leactl("stats", tmp_path, "--json")
+    assert done.returncode == 0
+    assert [one["experiment"] for one in json.loads(done.stdout)["comparisons"]] == ["torque-constant"]
+    assert done.stderr.startswith("leactl: not compared: friction: found one condition, 'design'")
+    (tmp_path / "none.h5").write_text("no run at all")
+    spoilt = leactl("stats", tmp_path, "--json")
+    assert spoilt.returncode == 2
+    [fault] = json.loads(spoilt.stdout)["faults"]
+    assert fault == {"file": str(tmp_path / "none.h5"), "line": None, "column": None, "message": "not an HDF5 file"}
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

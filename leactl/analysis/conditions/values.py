@@ -222,6 +222,16 @@ def _of_answer(path: Path, first: int) -> tuple[str, list[Trial], set[Path]]:
     return answer.experiment, trials, {Path(run).resolve() for run in answer.runs}
 
 
+def experiment_of_answer(path: Path) -> str:
+    """The experiment that an answer of `leactl analyze --json` is of.
+
+    Raises
+    ------
+    InputError : the file is none.
+    """
+    return _of_answer(path, 0)[0]
+
+
 def _columns(trials: Sequence[Trial], notes: Sequence[str]) -> dict[str, Values]:
     """One result each: those with an uncertainty that are no part of another, such as one direction alone."""
     named: dict[str, str] = {}
