@@ -58,7 +58,7 @@ def test_json_is_pure(bench):
     done = leactl("analyze", *paths, "--json", COLUMNS="20")
     assert (done.returncode, done.stderr) == (0, "")
     answer = json.loads(done.stdout, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
-    assert list(answer) == ["experiment", "runs", "results", "notes"]
+    assert list(answer) == ["format", "format_version", "experiment", "runs", "results", "notes"]
     assert answer["runs"] == paths
     found = {(row["name"], row["condition"]): row for row in answer["results"]}
     assert found["viscous_damping", "loaded"]["value"] == pytest.approx(0.0238)
