@@ -59,7 +59,7 @@ def test_a_note_of_one_group_says_whose_it_is(bench):
 def test_json_has_exactly_the_documented_form(bench):
     path = bench.torque()
     answer = json.loads(json.dumps(analyze_runs([path]).as_json(), allow_nan=False))
-    assert list(answer) == ["experiment", "runs", "results", "notes"]
+    assert list(answer) == ["format", "format_version", "experiment", "runs", "results", "notes"]
     assert answer["experiment"] == "torque-constant"
     assert answer["runs"] == [str(path)]
     assert all(list(row) == ["name", "value", "std", "low", "high", "units"] for row in answer["results"])
