@@ -112,10 +112,10 @@ def contradiction(run: Run, channel: Channel) -> str:
             return f"has the opposite sign of its demand: it reads {reads} where {asked}; {SWAPPED}"
         if fault == "dead":
             return f"does not follow its demand: it reads {reads} where {asked}; is its sensor connected?"
-    if channel.quantity in HEATED and len(others := neighbours(run, channel)) > 1:
+    if channel.quantity in HEATED and len(others := neighbours(run, channel, region_of(channel))) > 1:
         found = following(np.median(others, axis=0), channel.values, from_zero=False)
         if found is not None and found.fault == "opposite":
-            return f"falls where the {len(others)} other places of {channel.quantity} rise: its sign is turned"
+            return f"falls where the {len(others)} other places of its region rise: its sign is turned"
     if channel.quantity in NEVER_ZERO and not np.any(np.nan_to_num(channel.values)):
         return f"reads exactly 0 {channel.units} throughout; is its sensor connected?"
     if channel.quantity in NEVER_NEGATIVE and float(np.nanmedian(channel.values)) < 0.0:
@@ -188,14 +188,25 @@ def companions(run: Run, channel: Channel) -> Iterator[Array]:
     yield from (other for other in others if other is not None)
 
 
-def neighbours(run: Run, channel: Channel) -> list[Array]:
-    """The same quantity at other places of the same actuator, where they have the same stamps."""
-    places = run.channels(channel.quantity, channel.role)
+def neighbours(run: Run, channel: Channel, region: str | None = None) -> list[Array]:
+    """The same quantity at other places of the same actuator, or of a region of it, where they have the same stamps.
+
+    A place that is condemned tells nothing of the others.
+    """
+    names = [f"{channel.stream}/{spec.name}" for spec in run.streams[channel.stream]]
+    alike = [(channel.quantity, channel.role) == (spec.quantity, spec.role) for spec in run.streams[channel.stream]]
+    places = [run.channel_at(name) for name, one in zip(names, alike, strict=True) if one and name not in run.condemned]
     return [
         other.values
         for other in places
-        if other.stream == channel.stream and other.location != channel.location and np.isfinite(other.values).any()
+        if other.location != channel.location and np.isfinite(other.values).any()
+        if region in (None, region_of(other))
     ]
+
+
+def region_of(channel: Channel) -> str:
+    """The part of an actuator that a place is in: `active` of `active_2`; one part may cool while another warms."""
+    return channel.location.partition("_")[0]
 
 
 def beside(run: Run, channel: Channel, quantity: str | None) -> Array | None:

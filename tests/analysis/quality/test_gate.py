@@ -10,6 +10,7 @@ from leactl.errors import InputError
 from leactl.runfile.reader import Run
 from tests.analysis.control_runs import step_run
 from tests.analysis.corrupted import constant, frozen, rewritten, thousandfold, turned, zero
+from tests.analysis.heated import HeatedBench
 from tests.analysis.synthetic import Bench
 from tests.analysis.test_coast_down import coasting
 from tests.analysis.test_no_load_loss import turned as turned_rotor
@@ -97,3 +98,11 @@ def test_a_shaft_at_rest_contradicts_nothing(tmp_path):
         columns["q_axis_current_reference"] = np.repeat([0.0, 5.0, 10.0, 0.0], 1000)
         path = bench.write("torque-constant", time, columns, [("rest", 0.0, 40.0, 0.0, {})], mechanical="locked")
         assert doubts(path) == []
+
+
+@pytest.mark.parametrize("heat_s", [120.0, 240.0, 480.0])
+def test_regions_that_warm_one_after_the_other_are_not_turned(tmp_path, heat_s):
+    path = HeatedBench(tmp_path).run(rate_Hz=2.0, heat_s=heat_s, cool_s=heat_s)
+    assert doubts(path) == []
+    place = rewritten(path, tmp_path / "turned", "camera/active_1", turned)
+    assert any("winding_temperature of test at active_1" in note and "sign is turned" in note for note in doubts(place))
