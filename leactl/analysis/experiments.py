@@ -13,7 +13,7 @@ from leactl.analysis.estimate import Covariance, Estimate, Grid, Plot, Result
 from leactl.analysis.quality.gate import doubts_of
 from leactl.analysis.registry import GENERIC, Experiment, load, names
 from leactl.errors import InputError
-from leactl.runfile.integrity import altered
+from leactl.runfile import integrity
 from leactl.runfile.reader import Run
 
 __all__ = ["GENERIC", "Experiment", "analyze_runs", "names"]
@@ -239,9 +239,7 @@ def refuse_repeated(runs: Sequence[Run]) -> None:
 
 def refuse_altered(runs: Sequence[Run]) -> None:
     """Refuse runs whose values are not those of their checksums: figures from them would stand for no measurement."""
-    findings = [finding for run in runs for finding in altered(run.path)]
-    if findings:
-        raise InputError([f"{finding}; nothing is worked out from it" for finding in findings])
+    integrity.refuse_altered(run.path for run in runs)
 
 
 def refuse_unknown(analysis: Experiment, options: dict[str, Any]) -> None:

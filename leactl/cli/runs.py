@@ -105,18 +105,31 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
 
 
 @app.command()
-def verify(run: Path, as_json: bool = AS_JSON) -> None:
-    """Check format, completeness and checksums; exit status 2 where something is wrong."""
+def verify(
+    runs: list[Path] = typer.Argument(..., metavar="RUN...", help="Run files, or folders of them."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Check that runs are whole and as they were closed: values, names and attributes; status 2 where one is not."""
     from leactl.errors import InputError
-    from leactl.runfile.integrity import verify as findings_of
+    from leactl.runfile.catalog import run_files
+    from leactl.runfile.integrity import examine
 
-    findings = findings_of(run)
+    paths = run_files(runs)
+    examined = []
+    for path in paths:
+        answer = examine(path)
+        examined.append(answer)
+        if not as_json and not answer.findings:
+            typer.echo(f"{path}: {answer.told}")
     if as_json:
-        typer.echo(json.dumps({"run": str(run), "findings": findings}))
+        several = len(runs) > 1 or runs[0].is_dir()
+        bodies = [answer.as_json() for answer in examined]
+        typer.echo(json.dumps({"runs": bodies} if several else bodies[0]))
+    findings = [finding for answer in examined for finding in answer.findings]
+    if findings and len(paths) > 1:
+        findings.append(f"{sum(bool(answer.findings) for answer in examined)} of {len(paths)} runs are not sound")
     if findings:
         raise InputError(findings)
-    if not as_json:
-        typer.echo(f"{run}: complete, checksums match")
 
 
 @app.command()

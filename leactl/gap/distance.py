@@ -9,6 +9,7 @@ import numpy.typing as npt
 from scipy.signal import correlate, correlation_lags
 
 from leactl.errors import InputError
+from leactl.runfile.integrity import refuse_altered
 from leactl.runfile.reader import Channel, Run
 
 Array = npt.NDArray[np.float64]
@@ -38,6 +39,7 @@ def compare_runs(first: Path, second: Path) -> list[Distance]:
     ------
     InputError : a file that cannot be used, no channel in common, or one in different units.
     """
+    refuse_altered([first, second])
     with Run.open(first) as one, Run.open(second) as other:
         ours, theirs = _channels(one), _channels(other)
     common = [key for key in ours if key in theirs]

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.model.thermal_network import ACTIVE_SHARE
+from leactl.runfile.integrity import refuse_altered
 from leactl.runfile.reader import Channel, Run
 
 Array = npt.NDArray[np.float64]
@@ -94,8 +95,9 @@ def read_record(path: Path) -> Record:
 
     Raises
     ------
-    InputError : no run file, or one whose channels cannot be used; one line each.
+    InputError : no run file, one that is not as it was closed, or whose channels cannot be used; one line each.
     """
+    refuse_altered([path])
     with Run.open(path) as run:
         return record_of(run)
 

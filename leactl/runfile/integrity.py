@@ -4,7 +4,8 @@
 """
 
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,47 @@ from typing import Any
 import h5py
 
 from leactl.errors import InputError
-from leactl.runfile import layout
+from leactl.runfile import layout, seal
 from leactl.runfile.checks import faults_of_streams, whole_rows
 from leactl.runfile.opening import damage, faults_of_links, open_run_file, reading
 from leactl.runfile.publish import new_file, refuse_existing, replacement
 from leactl.runfile.reader import Run
 from leactl.runfile.repack import repack, text_bytes, write_table
 from leactl.runfile.space import reserve, trim
+
+WHOLE = "values, names and attributes"
+
+
+@dataclass(frozen=True)
+class Examined:
+    """A run file as `verify` finds it."""
+
+    path: Path
+    findings: list[str]  # what is wrong with it, one line each
+    status: str = ""
+    covered: str = ""  # "values", or "values, names and attributes"; empty where nothing tells of changes
+
+    @property
+    def told(self) -> str:
+        """How a sound run ended and what is known to be unchanged, for a person."""
+        how = self.status or "no status"
+        if not self.covered:
+            return f"{how}; no checksums: nothing tells whether it was changed"
+        names = "" if self.covered == WHOLE else "; no seal: names and attributes are not covered"
+        return f"{how}; {self.covered} are as they were closed{names}"
+
+    def as_json(self) -> dict[str, Any]:
+        """The same for scripts."""
+        covered = self.covered or None
+        return {"run": str(self.path), "status": self.status, "covered": covered, "findings": self.findings}
+
+
+def examine(path: Path) -> Examined:
+    """Look a run file through, with how it ended."""
+    if findings := verify(path):
+        return Examined(path, findings)
+    with Run.open(path) as run:
+        return Examined(path, [], run.status, WHOLE if run.sealed else "values" if run.checked else "")
 
 
 def verify(path: Path) -> list[str]:
@@ -39,13 +74,13 @@ def verify(path: Path) -> list[str]:
                 *uneven_tables(file),
             ]
             findings += faults_of_streams(file.get("streams", {}), unfinished=False)
-            return [f"{path}: {finding}" for finding in [*findings, *wrong_checksums(file)]]
+            return [f"{path}: {finding}" for finding in [*findings, *altered_parts(file)]]
         except (OSError, RuntimeError, KeyError) as fault:
             return [f"{path}: {damage(fault)}"]
 
 
 def altered(path: Path) -> list[str]:
-    """Values that are not those stored when the run was closed, one line each; no checksum at all is no finding.
+    """What is not as it was when the run was closed, one line each; a file without checksums has no finding.
 
     Raises
     ------
@@ -53,7 +88,23 @@ def altered(path: Path) -> list[str]:
     """
     file, _live = open_run_file(path)
     with file, reading(path):
-        return [f"{path}: {finding}" for finding in wrong_checksums(file)]
+        return [f"{path}: {finding}" for finding in altered_parts(file)]
+
+
+def refuse_altered(paths: Iterable[Path]) -> None:
+    """Refuse runs that are not as they were when they were closed.
+
+    Raises
+    ------
+    InputError : a line for each value, name or attribute that is another one.
+    """
+    if findings := [finding for path in paths for finding in altered(path)]:
+        raise InputError([f"{finding}; nothing is worked out from it" for finding in findings])
+
+
+def altered_parts(file: Any) -> list[str]:
+    """Values, names and attributes that are not those of the closed run."""
+    return [*wrong_checksums(file), *seal.broken(file)]
 
 
 def unfinished(file: Any, live: bool) -> list[str]:
@@ -96,11 +147,13 @@ def uneven_tables(file: Any) -> list[str]:
 def wrong_checksums(file: Any) -> list[str]:
     """Datasets whose values are not those that were stored at close."""
     findings = []
-    stored = {place: layout.plain(dataset.attrs.get("sha256", "")) for place, dataset in layout.datasets(file)}
+    stored = {place: str(layout.plain(dataset.attrs.get("sha256", ""))) for place, dataset in layout.datasets(file)}
+    without = [place for place, expected in stored.items() if not expected]
+    if without and any(sha for place, sha in stored.items() if not place.startswith("/notes/")):
+        more = f" and {len(without) - 1} more" if len(without) > 1 else ""
+        findings.append(f"{without[0]}{more}: no checksum, though other datasets have one")
     for place, expected in stored.items():
         if not expected:
-            if any(sha for other, sha in stored.items() if not other.startswith("/notes/")):
-                findings.append(f"{place}: no checksum, though other datasets have one")
             continue
         try:
             found = layout.digest(file[place])
@@ -195,6 +248,7 @@ def amend(path: Path, change: Callable[[Any], None], apart_from: Sequence[str] =
         # a run of a newer format opens for writing only where the newest is let in; what is added stays old
         with h5py.File(copy, "r+", libver=(layout.HDF5_FORMAT[0], "latest")) as file:
             change(file)
+            seal.seal_additions(file, apart_from)
         trim(copy)
         if checksums(copy, apart_from) != before:
             raise InputError(f"{path}: the changed copy does not hold the same values; the file is as it was")

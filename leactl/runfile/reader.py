@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from leactl.errors import InputError, MissingChannel
 from leactl.quantities import ChannelSpec
-from leactl.runfile import layout
+from leactl.runfile import layout, seal
 from leactl.runfile.checks import faults_of_streams, whole_rows
 from leactl.runfile.opening import faults_of_links, open_run_file, reading
 
@@ -201,6 +201,11 @@ class Run:
     def checked(self) -> bool:
         """Whether its values carry checksums; files of other makers may have none."""
         return any("sha256" in item.attrs for _, item in layout.datasets(self._file))
+
+    @property
+    def sealed(self) -> bool:
+        """Whether its names and attributes are covered too; files of other makers may not be."""
+        return seal.SEAL in self._file.attrs
 
     def time(self, stream: str) -> Array:
         """Stamps of one stream."""

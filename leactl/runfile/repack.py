@@ -13,7 +13,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from leactl.runfile import layout
+from leactl.runfile import layout, seal
 from leactl.runfile.space import reserve, trim
 
 Row = Mapping[str, Any]
@@ -43,7 +43,8 @@ def repack(
     with h5py.File(target, "x", libver=layout.HDF5_FORMAT) as clean:
         reserve(clean, 0)
         for name in source.attrs:
-            clean.attrs[name] = source.attrs[name]
+            if name not in seal.OWN:
+                clean.attrs[name] = source.attrs[name]
         clean.attrs["status"] = status
         clean.attrs["status_reason"] = one_line(reason)
         copy_setup_and_sources(source, clean)
@@ -57,7 +58,16 @@ def repack(
         )
         for name, columns in layout.TABLES.items():
             write_table(clean.create_group(name), columns, tables.get(name, ()))
+        put_seal(clean)
     trim(target)
+
+
+def put_seal(file: Any) -> None:
+    """Seal a file that is complete."""
+    rows = seal.table_of(file)
+    reserve(file, sum(text_bytes(cell) for row in rows for cell in row.values()))
+    write_table(file.create_group(seal.SEAL), seal.COLUMNS, rows)
+    file.attrs[seal.SEAL] = seal.digest_of_table(rows)
 
 
 def copy_setup_and_sources(source: Any, clean: Any) -> None:

@@ -64,7 +64,9 @@ def newest(complete: Path, tmp_path: Path) -> Path:
             )
             dataset = new.create_dataset(place, data=item[()], dtype=item.dtype, **kinds)
             dataset.attrs.update(layout.attributes(item))
-        new.create_group("setup").attrs.update(old["setup"].attrs)
+        for name in ("setup", "parameters", "instruments"):
+            if name in old:
+                new.create_group(name).attrs.update(old[name].attrs)
         for stream in new["streams"].values():
             stream["time"].make_scale("time")
             for name in stream:
