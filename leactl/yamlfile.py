@@ -30,6 +30,7 @@ MAX_NODES = 30_000  # values; a fault in each takes 1.5 s and 150 MB to tell
 MAX_KEYS = 1000  # of one mapping: 60,000 unknown ones would be as many faults
 LONGEST_LINE = 1000  # characters of a fault: a value may be as long as the file
 LONGEST_VALUE = 80  # characters of a value in a fault
+LONGEST_INT = 300  # digits: a float holds 308
 
 # libyaml where it is there: in Python alone a file of 1 MiB takes 10 s
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -274,7 +275,7 @@ def scalar(text: str) -> Any:
     if text in _WORDS:
         return _WORDS[text]
     if _INT.match(text):
-        return int(text) if len(text) <= 4000 else text
+        return int(text) if len(text) <= LONGEST_INT else text  # a longer one is no float either
     if _FLOAT.match(text):
         return float(text)
     if _INFINITE.match(text):

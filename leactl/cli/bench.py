@@ -6,9 +6,9 @@ from pathlib import Path
 
 import typer
 
-app = typer.Typer(
-    help="Bench files, and what is done at a bench beside a protocol.", no_args_is_help=True, rich_markup_mode=None
-)
+from leactl.cli import bench_by_hand
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 RUNS = Path("runs")  # where `leactl run` puts its own, unless told otherwise
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 
@@ -160,3 +160,7 @@ def faults(name: str = typer.Argument("", help="One fault, to be explained."), a
         for key, text in described[0]["parameters"].items():
             typer.echo(row(f"  {key:<18} ", text))
         typer.echo(f"\nemulated:\n  faults:\n    - {described[0]['example']}")
+
+
+for by_hand in (bench_by_hand.stop, bench_by_hand.read, bench_by_hand.zero, bench_by_hand.jog):
+    app.command()(by_hand)

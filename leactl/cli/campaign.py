@@ -28,7 +28,6 @@ class RunByDefault(TyperGroup):
 
 app = typer.Typer(
     cls=RunByDefault,
-    help="Run campaigns: `leactl campaign CAMPAIGN` begins one or goes on with it.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )

@@ -4,7 +4,7 @@ import json
 
 import typer
 
-app = typer.Typer(help="List, explain and check driver plug-ins.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 
 

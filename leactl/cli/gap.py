@@ -7,7 +7,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
-app = typer.Typer(help="Diagnose the gap between model and bench.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 blind = typer.Typer(help="Check the diagnosis on causes nobody told it.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(blind, name="blind")
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")

@@ -14,25 +14,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import typer
 
 from leactl import __version__
-from leactl.cli import (
-    analyze,
-    bench,
-    bench_by_hand,
-    campaign,
-    demo,
-    doctor,
-    driver,
-    gap,
-    motor,
-    protocol,
-    report,
-    run,
-    runs,
-    safety,
-    schema,
-    stats,
-    thermal,
-)
+from leactl.cli import analyze, demo, doctor, report, run, schema, stats
+from leactl.cli.groups import Groups
 from leactl.cli.printable import show_control_characters
 from leactl.errors import InputError, LeactlError, Stopped
 
@@ -42,6 +25,7 @@ MOST_LINES = 50  # of faults: a screen, where a file has one in each of its line
 UsageError: Any = typer.BadParameter.__base__  # whose module typer has moved
 
 app = typer.Typer(
+    cls=Groups,
     name="leactl",
     help="Characterise electric actuators: protocols in, HDF5 runs and fitted parameters out.",
     no_args_is_help=True,
@@ -51,17 +35,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command("analyze")(analyze.analyze)
-for by_hand in (bench_by_hand.stop, bench_by_hand.read, bench_by_hand.zero, bench_by_hand.jog):
-    bench.app.command()(by_hand)
-app.add_typer(bench.app, name="bench")
-app.add_typer(campaign.app, name="campaign")
-app.add_typer(driver.app, name="driver")
-app.add_typer(gap.app, name="gap")
-app.add_typer(motor.app, name="motor")
-app.add_typer(protocol.app, name="protocol")
-app.add_typer(runs.app, name="runs")
-app.add_typer(safety.app, name="safety")
-app.add_typer(thermal.app, name="thermal")
 app.command("report", cls=report.SeveralCompared)(report.report)
 app.command("run")(run.run)
 app.command("schema")(schema.schema)
@@ -134,6 +107,8 @@ def _let_go_of_stdout() -> None:
 
 def _json_is_asked() -> bool:
     """Whether stdout is to hold JSON and nothing else."""
+    from leactl.cli import gap
+
     words = list(itertools.takewhile(lambda word: word != "--", sys.argv[1:]))
     return gap.JSON in words and (words[:2] != ["gap", "diagnose"] or gap.TO_STDOUT in gap.completed(words))
 

@@ -8,7 +8,7 @@ import typer
 
 from leactl.cli import finite
 
-app = typer.Typer(help="Motor parameter sets and motor design.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 AMBIENT = typer.Option(
     25.0, "--ambient", min=-40.0, max=60.0, help="Of the air around the actuator [degC].", callback=finite

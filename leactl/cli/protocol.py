@@ -8,7 +8,7 @@ import typer
 if TYPE_CHECKING:
     from leactl.protocol.plan import Plan
 
-app = typer.Typer(help="List, show, check and expand protocols.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 STDIN = "<stdin>"  # stands in faults where a file's name would
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 SET = typer.Option([], "--set", metavar="NAME=VALUE", help="Value of a parameter; a list as [1, 2]. May be repeated.")

@@ -8,7 +8,7 @@ import typer
 
 from leactl.cli import finite
 
-app = typer.Typer(help="List, show, verify and mend run files.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 
 

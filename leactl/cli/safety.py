@@ -10,7 +10,7 @@ import typer
 if TYPE_CHECKING:
     from leactl.runner.drill.finding import Drilled
 
-app = typer.Typer(help="Rehearse what keeps a bench safe.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 PAGE = """# The drill of the bench `{bench}`
 
 Written by `{command}`; what the columns mean is in [safety.md](safety.md), the faults are in [faults.md](faults.md).

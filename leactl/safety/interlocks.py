@@ -6,7 +6,7 @@ file leaves out of the loop, the clock and the disk has a default, never infinit
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
 
@@ -192,6 +192,12 @@ class Supply(Block):
     expected_V: Positive  # noqa: N815
     band_V: Positive  # noqa: N815
     for_s: Duration = 0.0
+
+    @model_validator(mode="after")
+    def _band_shows(self) -> Self:
+        if not self.expected_V - self.band_V < self.expected_V + self.band_V < math.inf:
+            raise ValueError(f"band_V {self.band_V:g} is no band about expected_V {self.expected_V:g}")
+        return self
 
 
 class LoopOverruns(Block):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tests.benchmarks.rounds import compare
 
-LIMIT = 2.5
+LIMIT = 1.3
 
 
 def test_help_is_there_at_once(figure):

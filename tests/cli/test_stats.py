@@ -16,6 +16,7 @@ from tests.analysis.envelopes import SPEEDS, driven
 from tests.analysis.run_outs import coasting
 from tests.analysis.synthetic import Bench
 from tests.cli.terminal import COMMAND, leactl
+from tests.runfile.specimen import unseal
 
 FRICTION = {"unloaded": 0.24, "design": 0.21, "loaded": 0.26}
 
@@ -208,6 +209,7 @@ def test_what_cannot_be_compared_is_refused_in_a_line(bench, tmp_path):
     with pytest.raises(InputError, match="the same run as"):
         compare_all([path, path])
     with h5py.File(path, "r+") as file:
+        unseal(file)
         file.attrs["condition"] = ""
     with pytest.raises(InputError, match="the run has no condition"):
         compare_all([path])

@@ -5,10 +5,12 @@ import os
 import re
 import subprocess
 import sys
+from importlib import import_module
 
 import pytest
 from typer.testing import CliRunner
 
+from leactl.cli.groups import GROUPS
 from leactl.cli.main import app
 
 from .terminal import COMMAND, leactl
@@ -43,8 +45,11 @@ def test_a_command_without_a_word_gets_its_help():
 
 def floats(app, path=()):
     """Yield every option of the commands that takes a float, with the path of its command."""
-    for group in app.registered_groups:
-        yield from floats(group.typer_instance, (*path, group.name))
+    groups = {group.name: group.typer_instance for group in app.registered_groups}
+    if not path:
+        groups |= {name: import_module(f"leactl.cli.{name}").app for name in GROUPS}
+    for name, group in groups.items():
+        yield from floats(group, (*path, name))
     for command in app.registered_commands:
         for name, parameter in inspect.signature(command.callback).parameters.items():
             if "float" in str(parameter.annotation):

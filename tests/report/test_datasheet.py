@@ -26,6 +26,7 @@ from leactl.report.datasheet.sheet import Sheet
 from leactl.report.terminal import interval_text, printed, units_in_paper, value_text
 from tests.analysis.synthetic import Bench
 from tests.report.browser import dumped, look, needs_chromium
+from tests.runfile.specimen import unseal
 
 LEA = "0.49\nname: lea"  # the value of a YAML key, and a key more
 COULOMB = {"unloaded": 0.2419, "design": 0.208, "loaded": 0.3037}
@@ -330,6 +331,7 @@ def test_every_link_leads_somewhere_and_nothing_is_fetched(campaign, sheet):
 
 def with_sensor(path, created, **facts):
     with h5py.File(path, "r+") as file:
+        unseal(file)
         file.attrs["created"] = created
         group = file.require_group("instruments/sensor")
         for name, value in facts.items():

@@ -31,3 +31,8 @@ def info(run_id: str = "20261120T101530Z-torque-constant-7f3a") -> RunInfo:
         sources={"protocol": PROTOCOL, "bench": "name: emulated\n"},
         setup={"drive_gain": 0.98},
     )
+
+
+def unseal(file) -> None:
+    """Make an open run one of other makers, whose names and attributes nothing covers."""
+    del file["seal"], file.attrs["seal"]

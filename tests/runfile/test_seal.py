@@ -15,7 +15,7 @@ from leactl.runfile.integrity import altered, annotate, examine, recover, refuse
 from leactl.runfile.writer import RunWriter
 from tests.cli.terminal import leactl
 
-from .specimen import STREAMS, info
+from .specimen import STREAMS, info, unseal
 
 
 def changed(path, change):
@@ -86,7 +86,7 @@ def test_twenty_missing_checksums_are_one_line(complete: Path):
 def test_a_file_of_other_makers_is_told_to_be_covered_by_nothing(complete: Path):
     def strip(file):
         without_checksums(file)
-        del file["seal"], file.attrs["seal"]
+        unseal(file)
 
     assert verify(changed(complete, strip)) == []
     assert "no checksums" in examine(complete).told
@@ -94,7 +94,7 @@ def test_a_file_of_other_makers_is_told_to_be_covered_by_nothing(complete: Path)
 
 def test_a_file_from_before_the_seal_says_what_is_not_covered(complete: Path):
     def strip(file):
-        del file["seal"], file.attrs["seal"]
+        unseal(file)
 
     assert verify(changed(complete, strip)) == []
     assert "names and attributes are not covered" in examine(complete).told

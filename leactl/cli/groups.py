@@ -1,0 +1,45 @@
+"""The groups of commands: `leactl --help` names them, and a group's module is imported where a word of it is asked for.
+
+Building the parameters of fifty commands, of which one is wanted, would take as long as importing typer.
+"""
+
+from importlib import import_module
+from typing import Any, Final
+
+from typer.core import TyperGroup
+from typer.main import get_group
+
+GROUPS: Final = {  # by the name of the module that has the group as `app`
+    "bench": "Bench files, and what is done at a bench beside a protocol.",
+    "campaign": "Run campaigns: `leactl campaign CAMPAIGN` begins one or goes on with it.",
+    "driver": "List, explain and check driver plug-ins.",
+    "gap": "Diagnose the gap between model and bench.",
+    "motor": "Motor parameter sets and motor design.",
+    "protocol": "List, show, check and expand protocols.",
+    "runs": "List, show, verify and mend run files.",
+    "safety": "Rehearse what keeps a bench safe.",
+    "thermal": "Limits, state and forecast of windings.",
+}
+
+
+class Groups(TyperGroup):
+    """The root: commands of its own, and groups by their names."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands.update({name: TyperGroup(name=name, help=text) for name, text in GROUPS.items()})
+        self._only_named = False  # while the root's own help is written
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The command or the group of this name; None where there is none."""
+        if cmd_name not in GROUPS or self._only_named:
+            return super().get_command(ctx, cmd_name)
+        group: Any = get_group(import_module(f"leactl.cli.{cmd_name}").app)
+        group.name, group.help = cmd_name, GROUPS[cmd_name]
+        return group
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Name every command and group in the root's help."""
+        self._only_named = True
+        super().format_commands(ctx, formatter)
+        self._only_named = False
