@@ -82,8 +82,11 @@ def test_faults_are_json_where_json_was_asked_for(tmp_path, monkeypatch, words, 
     else:
         assert [(one["file"], one["line"], one["column"]) for one in told] == faults
     assert len([line for line in done.stderr.splitlines() if line.startswith("leactl: ")]) == len(told)
-    plain = leactl(*words)
-    assert (plain.returncode, plain.stdout) == (2, "")
+
+
+def test_without_json_faults_leave_stdout_empty():
+    done = leactl("bench", "check", "nothing")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
 
 
 def test_an_answer_to_a_file_leaves_stdout_to_people(tmp_path, monkeypatch):

@@ -84,6 +84,7 @@ def test_samples_come_in_order_scaled_and_stamped_by_the_coerced_clock(told):
     np.testing.assert_allclose(told["time"], number / rate, atol=1e-12)
     np.testing.assert_allclose(told["values"], 2.0 * (np.arange(1, 4) + COUNT * number[:, np.newaxis]), rtol=1e-12)
     np.testing.assert_allclose(told["skews"], [0.0, 14e-6, 28e-6])
+    assert told["identity"] == ["NI USB-6218", "1A2B3C4", ""]
     assert told["notices"] == [
         "USB-6218 samples at 9995.0025 Hz, 9993 Hz were asked for, each input 14 us after the one before"
     ]

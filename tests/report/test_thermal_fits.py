@@ -41,7 +41,7 @@ def runs(tmp_path_factory):
     """A short run of every shipped protocol that records temperatures, and one that records none."""
     folder = tmp_path_factory.mktemp("lab")
     (folder / "spin.yaml").write_text(SPIN)
-    short = {"thermal": ("heating_s=240", "cooling_s=240"), "winding-rise": ("heating_s=400",)}
+    short = {"thermal": ("heating_s=120", "cooling_s=120"), "winding-rise": ("heating_s=240",)}
     state = {"LEACTL_STATE": str(folder / "state"), "PATH": "/usr/bin:/bin"}
     made = {}
     for protocol, settings in short.items():

@@ -6,7 +6,7 @@ import math
 import h5py
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.errors import InputError
@@ -78,6 +78,7 @@ texts = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"
 values = numbers | texts | st.lists(numbers, min_size=2, max_size=9) | st.lists(texts, min_size=2, max_size=9)
 
 
+@settings(max_examples=25)
 @given(values=st.dictionaries(st.from_regex(r"[a-z][A-Za-z0-9_]{0,20}", fullmatch=True), values, max_size=5))
 def test_every_value_that_a_protocol_takes_comes_back(tmp_path_factory, values):
     recording = writer(tmp_path_factory.mktemp("run"), values)

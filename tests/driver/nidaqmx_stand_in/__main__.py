@@ -22,6 +22,7 @@ def acquired(settings, reads, fail, samples):
     told = {"error": "", "blocks": []}
     try:
         daq.open()
+        told["identity"] = daq.identity()
         told["skews"] = [channel.skew_s for channel in daq.streams[0].channels]
         for _ in range(reads):
             told["blocks"] += [[block.times.tolist(), block.values.tolist()] for block in daq.take()]
