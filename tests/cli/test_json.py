@@ -18,7 +18,8 @@ BAD = "name: bad\nsetup: free\nrate_Hz: 10\nsteps: [{holt: {duration_s: 1}}]\n"
 
 def commands(group=None, path=()):
     group = group or get_command(app)
-    for name, command in group.commands.items():
+    for name in group.commands:
+        command = group.get_command(None, name)
         if hasattr(command, "commands"):
             yield from commands(command, (*path, name))
         else:

@@ -60,8 +60,9 @@ def test_a_run_that_cannot_be_read_is_refused(bench):
         thermal_fits([runs[0].with_name("no-such.h5")], LEA)
 
 
-def test_the_command_prints_a_block_for_the_motor_file(bench):
-    runs, _ = bench
+def test_the_command_prints_a_block_for_the_motor_file(bench, monkeypatch):
+    monkeypatch.chdir(bench[0][0].parent)
+    runs = [run.name for run in bench[0]]
     done = leactl("thermal", "fit", *map(str, runs))
     assert done.returncode == 0, done.stderr
     assert "tolerances:" in done.stdout

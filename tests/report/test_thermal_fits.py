@@ -11,6 +11,7 @@ from leactl.model.motor import load_motor
 from leactl.report.thermal_fits import thermal_fits
 from tests.analysis.heated import HeatedBench
 from tests.cli.terminal import leactl
+from tests.runfile.specimen import unseal
 from tests.runner.conftest import SPIN
 
 LEA = load_motor("lea")[0]
@@ -112,6 +113,7 @@ def test_each_actuator_has_its_own_network(tmp_path):
     bench = HeatedBench(tmp_path)
     first, second = bench.run(heat_s=600.0, cool_s=600.0), bench.run(heat_s=600.0, cool_s=600.0)
     with h5py.File(second, "r+") as file:
+        unseal(file)
         file.attrs["actuator"] = "a2"
     found, _ = thermal_fits([first, second], LEA)
     assert [(one.actuator, one.runs) for one in found] == [("a1", (str(first),)), ("a2", (str(second),))]
