@@ -159,6 +159,7 @@ def test_xl330_free_runs_at_a_gain_left_out(tmp_path):
     assert all({"load_dependent_friction", "saturation"} <= names for names in standing)
 
 
+@pytest.mark.long
 def test_xl330_friction_falls_with_speed_where_it_grows_with_load(tmp_path):
     records = [read_record(file) for file in imported("bam_xl330", "processed/*.json", tmp_path)]
     found = climb(records, [], nominal("bam_xl330"), [("position_dependent_friction", (7.0,))])

@@ -58,6 +58,7 @@ def test_a_bench_as_its_model_says_has_no_cause(diagnose):
         assert fitted[name] == pytest.approx(1.0, abs=0.01), name
 
 
+@pytest.mark.long
 def test_an_effect_behind_the_wires_is_named_with_its_size(diagnose):
     found = diagnose("quadratic_drag", {"coefficient": 4e-4})
     first = found["causes"][0]

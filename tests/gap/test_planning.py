@@ -106,6 +106,7 @@ def advised(model_file):
     return json.loads(told.stdout)
 
 
+@pytest.mark.long
 def test_advice_names_what_stays_dark_and_what_would_help(advised):
     assert advised["format"] == "leactl-gap-plan"
     shown = {line["effect"] for line in advised["effects"] if line["shown"]}
@@ -118,6 +119,7 @@ def test_advice_names_what_stays_dark_and_what_would_help(advised):
     assert set(advised["not_shown"]) == set(effect_names()) - {"resistance_temperature"} - shown - helped
 
 
+@pytest.mark.long
 def test_the_timing_of_drives_is_told_to_show_a_delay_worth_knowing(advised):
     delay = next(line for line in advised["effects"] if line["effect"] == "transport_delay")
     assert delay["shown"] is True

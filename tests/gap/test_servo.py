@@ -90,9 +90,10 @@ def test_a_light_servo_without_any_effect_has_no_cause(tmp_path):
     assert found.unexplained_probability < 0.5
 
 
-PROPOSED = (pytest.param("quadratic_drag", {"drag": 0.02}, marks=pytest.mark.long), ("dead_time", {"dead": 0.4}))
+PROPOSED = (("quadratic_drag", {"drag": 0.02}), ("dead_time", {"dead": 0.4}))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("effect", "truth"), PROPOSED)
 def test_what_a_balance_proposes_may_take_the_place_of_what_is_always_tried(tmp_path, effect, truth):
     found = diagnosed(bench(tmp_path, **truth))
