@@ -5,9 +5,7 @@ Stricter than YAML: one document, no anchors or tags, no duplicate keys, YAML 1.
 """
 
 import math
-import os
 import re
-import stat
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import yaml
 
 from leactl.errors import InputError
+from leactl.regular import open_regular
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
@@ -219,10 +218,7 @@ def load(path: Path) -> Document:
     InputError : the file is absent, no regular file, too large, not UTF-8, or not the YAML described above.
     """
     try:
-        # a FIFO without a writer would hold an ordinary open for ever
-        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as stream:
-            if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
-                raise InputError(f"{path}: a regular file was expected; this is none")
+        with open_regular(path) as stream:
             raw = stream.read(MAX_BYTES + 1)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from None

@@ -6,6 +6,7 @@ so that a file of another layout is refused and not read askew.
 
 import codecs
 import csv
+import errno
 import re
 from array import array
 from collections.abc import Sequence
@@ -14,8 +15,9 @@ from pathlib import Path
 
 from leactl.driver.text_form import TextForm
 from leactl.errors import InputError
+from leactl.regular import open_regular
 
-MOST_BYTES = 1 << 30
+MOST_BYTES = 1 << 25  # of one file: 1.6 million rows of a camera, which take 1 GB of memory
 MOST_PREAMBLE = 1000  # lines
 MOST_FAULTS = 5
 DELIMITERS = (",", ";", "\t", "|")
@@ -102,11 +104,11 @@ def text_of(path: Path, encoding: str | None) -> tuple[str, str]:
     InputError : absent, empty, too large, not in that encoding, or in one that only a person can name.
     """
     try:
-        if (size := path.stat().st_size) > MOST_BYTES:
-            raise InputError(f"{path}: {size} bytes; at most {MOST_BYTES} are read, export it in parts")
-        raw = path.read_bytes()
+        with open_regular(path, MOST_BYTES) as stream:
+            raw = stream.read()
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
+        advice = "; export it in parts" if error.errno == errno.EFBIG else ""
+        raise InputError(f"{path}: {error.strerror or error}{advice}") from None
     if not raw.strip(b"\0 \r\n\t"):
         raise InputError(f"{path}: {'empty' if not raw else 'holds nothing but blanks'}")
     found = next((name for mark, name in BOMS if raw.startswith(mark)), None)

@@ -12,17 +12,21 @@ between rows further apart it would swing as it likes.
 import csv
 import math
 from dataclasses import dataclass
+from io import TextIOWrapper
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
+from leactl.regular import open_regular
 
 Array = npt.NDArray[np.float64]
 POINTS = 720  # of a cycle, evenly spaced
 HARMONICS = 10  # of the angle: 10 Hz at a stride a second
 FEWEST_ROWS, MOST_ROWS = 12, 100_000
+MOST_BYTES = 1 << 25  # of the file: 300 for each of so many rows
 FEWEST_HARMONICS = 4  # that a joint's angle is told with
 CLOSED_WITHIN = 0.05  # of its range, that a quantity may end from where it began
 CLOSED_UNTOLD = 0.01  # the same where the last row alone tells how long the cycle takes
@@ -206,8 +210,9 @@ def _expect_closed(path: Path, name: str, values: Array, closing: bool, told: bo
 def _table(path: Path) -> tuple[tuple[str, str, str], list[int], Array]:
     """Names of the columns used, the number of each line, and the values, one row a line."""
     try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            lines = [(number, row) for number, row in enumerate(csv.reader(stream), start=1) if any(row)]
+        with TextIOWrapper(open_regular(path, MOST_BYTES), encoding="utf-8-sig", newline="") as stream:
+            every = ((number, row) for number, row in enumerate(csv.reader(stream), start=1) if any(row))
+            lines = list(islice(every, MOST_ROWS + 2))  # the header, and one row more than is taken
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from None
     except (UnicodeDecodeError, csv.Error) as error:
@@ -228,7 +233,8 @@ def _table(path: Path) -> tuple[tuple[str, str, str], list[int], Array]:
                 f"{path}:{line}: {len(row)} cells, {len(header)} were expected as in the header; decimals need a point"
             )
     if not FEWEST_ROWS <= len(rows) <= MOST_ROWS:
-        raise InputError(f"{path}: {len(rows)} rows below the header; from {FEWEST_ROWS} to {MOST_ROWS} were expected")
+        there = f"more than {MOST_ROWS}" if len(rows) > MOST_ROWS else f"{len(rows)}"
+        raise InputError(f"{path}: {there} rows below the header; from {FEWEST_ROWS} to {MOST_ROWS} were expected")
     values = np.array([[_number(path, line, row, header.index(name), name) for name in names] for line, row in rows])
     after = np.flatnonzero(np.diff(values[:, 0]) <= 0.0)
     if len(after):

@@ -11,6 +11,7 @@ import numpy as np
 from leactl.errors import InputError
 from leactl.runfile import layout
 from leactl.runfile.opening import open_run_file, reading
+from leactl.runfile.tree import is_dataset_of
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def files_of(directory: Path) -> list[Path]:
 
 def summary(path: Path) -> Summary:
     """Summary of one file."""
-    size = path.stat().st_size
+    size = path.stat().st_size if path.exists() else 0  # of a link that leads nowhere
     try:
         file, _ = open_run_file(path)
         with file, reading(path):
@@ -65,13 +66,16 @@ def summary(path: Path) -> Summary:
             known = {key: str(root.get(key, "")) for key in keys}
             return Summary(path, size, **known, parameters=layout.parameters(file), duration=duration(file))
     except InputError as fault:
-        return Summary(path, size, fault=str(fault))
+        more = f" (and {len(fault.faults) - 1} more)" if len(fault.faults) > 1 else ""
+        return Summary(path, size, fault=fault.faults[0] + more)
 
 
 def duration(file: Any) -> float:
     """The last stamp of any stream."""
     groups = [group for group in file.get("streams", {}).values() if isinstance(group, h5py.Group)]
-    stamps = np.concatenate([*(group["time"][-1:] for group in groups if "time" in group), np.zeros(1)])
+    times = [group["time"] for group in groups if "time" in group]
+    last = [time[-1:] for time in times if is_dataset_of(time, text=False) and time.ndim == 1]
+    stamps = np.concatenate([*last, np.zeros(1)])
     return float(stamps[np.isfinite(stamps)].max())
 
 

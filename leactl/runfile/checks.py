@@ -8,6 +8,7 @@ import numpy as np
 
 from leactl.quantities import accepted_units
 from leactl.runfile import layout
+from leactl.yamlfile import shown
 
 
 def faults_of_streams(streams: Any, unfinished: bool) -> list[str]:
@@ -56,7 +57,7 @@ def faults_of_units(place: str, found: dict[str, Any]) -> list[str]:
     expected = accepted_units(str(found.get("quantity", "")))
     if not expected or found.get("units") in expected:
         return []
-    return [f"{place}: {found['quantity']} has units {found.get('units')!r}, expected {' or '.join(expected)}"]
+    return [f"{place}: {found['quantity']} has units {shown(found.get('units'))}, expected {' or '.join(expected)}"]
 
 
 def faults_of_numbers(place: str, found: dict[str, Any]) -> list[str]:
@@ -66,7 +67,7 @@ def faults_of_numbers(place: str, found: dict[str, Any]) -> list[str]:
         value = found.get(name, 0.0)
         if not (isinstance(value, int | float) and math.isfinite(value) and value >= least):
             expected = "a finite number" + (" of zero or more" if least == 0.0 else "")
-            faults.append(f"{place}: {name} is {value!r}; {expected} was expected")
+            faults.append(f"{place}: {name} is {shown(value)}; {expected} was expected")
     return faults
 
 
@@ -91,3 +92,14 @@ def whole_rows(group: Any) -> int:
     """Rows that every column has and that have a stamp: where a file left by a kill is cut."""
     shortest = min(len(column) for column in group.values())
     return increasing_rows(group["time"][:shortest])
+
+
+def uneven_tables(file: Any) -> list[str]:
+    """Tables whose columns are missing or of different lengths."""
+    return [fault for name in layout.TABLES if name in file for fault in faults_of_table(file[name], name)]
+
+
+def faults_of_table(group: Any, name: str) -> list[str]:
+    """Whether the columns of one table are all there and of one length."""
+    lengths = {column: len(group[column]) if column in group else None for column in layout.TABLES[name]}
+    return [f"/{name}: columns of different lengths: {lengths}"] if len(set(lengths.values())) > 1 else []

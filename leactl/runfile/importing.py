@@ -85,7 +85,8 @@ def expanded(sources: Sequence[str]) -> list[Path]:
         else:
             matches = sorted(m for m in glob.glob(text, recursive=True) if Path(m).is_file())  # noqa: PTH207 (a text, not a folder)
         if not matches:
-            raise InputError(f"{text}: no such file")
+            is_there = Path(text).exists()
+            raise InputError(f"{text}: {'a regular file was expected; this is none' if is_there else 'no such file'}")
         found += [Path(match) for match in matches if Path(match) not in found]
     return found
 

@@ -14,8 +14,8 @@ import h5py
 
 from leactl.errors import InputError
 from leactl.runfile import layout, seal
-from leactl.runfile.checks import faults_of_streams, whole_rows
-from leactl.runfile.opening import damage, faults_of_links, open_run_file, reading
+from leactl.runfile.checks import faults_of_streams, uneven_tables, whole_rows
+from leactl.runfile.opening import DAMAGE, damage, open_run_file, reading
 from leactl.runfile.publish import new_file, refuse_existing, replacement
 from leactl.runfile.reader import Run
 from leactl.runfile.repack import repack, text_bytes, write_table
@@ -70,12 +70,11 @@ def verify(path: Path) -> list[str]:
             findings = [
                 *unfinished(file, live),
                 *missing_attributes(file),
-                *faults_of_links(file),
                 *uneven_tables(file),
             ]
             findings += faults_of_streams(file.get("streams", {}), unfinished=False)
             return [f"{path}: {finding}" for finding in [*findings, *altered_parts(file)]]
-        except (OSError, RuntimeError, KeyError) as fault:
+        except DAMAGE as fault:
             return [f"{path}: {damage(fault)}"]
 
 
@@ -133,17 +132,6 @@ def missing_attributes(file: Any) -> list[str]:
     ]
 
 
-def uneven_tables(file: Any) -> list[str]:
-    """Tables whose columns are missing or of different lengths."""
-    findings = []
-    for name, columns in layout.TABLES.items():
-        if name in file:
-            lengths = {column: len(file[name][column]) if column in file[name] else None for column in columns}
-            if len(set(lengths.values())) > 1:
-                findings.append(f"/{name}: columns of different lengths: {lengths}")
-    return findings
-
-
 def wrong_checksums(file: Any) -> list[str]:
     """Datasets whose values are not those that were stored at close."""
     findings = []
@@ -182,7 +170,7 @@ def recover(path: Path) -> Path:
         uneven = faults_of_streams(streams, unfinished=False)
         if not (live or uneven or layout.plain(file.attrs.get("status", "")) == layout.RECORDING):
             raise InputError(f"{path}: the recording ended in order; there is nothing to recover")
-        if faults := [*faults_of_links(file), *faults_of_streams(streams, unfinished=True)]:
+        if faults := faults_of_streams(streams, unfinished=True):
             raise InputError([f"{path}: {fault}" for fault in faults])
         with new_file(target) as clean:
             repack(

@@ -55,7 +55,9 @@ TEXT: Final = h5py.string_dtype("utf-8")
 def plain(value: Any) -> Any:
     """An attribute as Python sees it: str for bytes, a scalar for the one-element arrays that MATLAB writes."""
     if isinstance(value, np.ndarray):
-        return plain(value.reshape(-1)[0]) if value.size == 1 else [plain(item) for item in value]
+        if value.size == 1:
+            return plain(value.reshape(-1)[0])
+        return value.tolist() if value.dtype.kind in "fiub" else [plain(item) for item in value]
     if isinstance(value, bytes):
         return value.rstrip(b"\0").decode("utf-8", "replace")
     if isinstance(value, h5py.Empty):

@@ -11,12 +11,17 @@ from typing import Any
 import h5py
 
 from leactl.errors import InputError
+from leactl.regular import open_regular
 from leactl.runfile import layout
+from leactl.runfile.tree import faults_of_attributes, faults_of_tree
+from leactl.yamlfile import shown
 
 TOO_NEW = (
     f"written in a newer HDF5 format than h5py {h5py.__version__} with HDF5 {h5py.version.hdf5_version} reads; where it"
     " opens, `leactl runs convert` makes it old again"
 )
+# h5py meets a spoiled header with any of these: a type without a NumPy one is TypeError, a wrong length ValueError
+DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError)
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # Byte 11 of superblock version 3: bit 0, a writer has it open; bit 2, it writes in SWMR mode (HDF5 file format 3.0)
 FLAGS_AT, OPEN_FOR_WRITE, SWMR_WRITE = 11, 0x01, 0x04
@@ -25,7 +30,7 @@ FLAGS_AT, OPEN_FOR_WRITE, SWMR_WRITE = 11, 0x01, 0x04
 def open_run_file(path: Path) -> tuple[Any, bool]:
     """Open a run file for reading; says whether a writer has it open or was killed while it had."""
     try:
-        with path.open("rb") as raw:
+        with open_regular(path) as raw:
             head = raw.read(FLAGS_AT + 1)
     except IsADirectoryError:
         raise InputError(f"{path}: a folder; run files were expected, such as {path / '*.h5'}") from None
@@ -37,9 +42,13 @@ def open_run_file(path: Path) -> tuple[Any, bool]:
     live = bool(flags & SWMR_WRITE)
     try:
         file = h5py.File(path, "r", swmr=live)
-    except OSError as fault:
+    except DAMAGE as fault:
         raise InputError(f"{path}: {why(fault)}") from fault
-    if faults := faults_of_root(file):
+    try:
+        faults = faults_of_root(file) or faults_of_tree(file)
+    except DAMAGE as fault:
+        faults = [damage(fault)]
+    if faults:
         file.close()
         raise InputError([f"{path}: {fault}" for fault in faults])
     return file, live
@@ -50,18 +59,20 @@ def reading(path: Path, place: str = "") -> Iterator[None]:
     """Turn what HDF5 says of damaged data into one line with file and place."""
     try:
         yield
-    except (OSError, RuntimeError, KeyError) as fault:
+    except DAMAGE as fault:
         where = f"{path}: {place}" if place else f"{path}"
         raise InputError(f"{where}: {damage(fault)}") from fault
 
 
 def damage(fault: Exception) -> str:
     """What HDF5 says of data that it cannot read, in words a person can act on."""
+    if isinstance(fault, MemoryError):
+        return "holds more than fits into the memory of this computer"
     text = " ".join(str(fault).split())
     return TOO_NEW if "bad version number" in text else f"damaged: {text}"
 
 
-def why(fault: OSError) -> str:
+def why(fault: Exception) -> str:
     """HDF5's reason in words a person can act on."""
     text = str(fault)
     if "signature not found" in text:
@@ -74,38 +85,13 @@ def why(fault: OSError) -> str:
 def faults_of_root(file: Any) -> list[str]:
     """Whether the file is a run of a version that this program reads."""
     try:
+        if faults := faults_of_attributes(file, "/"):
+            return faults
         root = layout.attributes(file)
-    except (OSError, RuntimeError, KeyError) as fault:
-        return [f"its attributes cannot be read: {fault}"]
+    except DAMAGE as fault:
+        return [f"its attributes cannot be read: {damage(fault)}"]
     if root.get("format") != layout.FORMAT:
-        return [f"not a run file: attribute 'format' is {root.get('format')!r}, expected {layout.FORMAT!r}"]
+        return [f"not a run file: attribute 'format' is {shown(root.get('format'))}, expected {layout.FORMAT!r}"]
     if root.get("format_version") != layout.VERSION:
-        return [f"format_version is {root.get('format_version')!r}; this program reads {layout.VERSION}"]
+        return [f"format_version is {shown(root.get('format_version'))}; this program reads {layout.VERSION}"]
     return []
-
-
-def faults_of_links(node: Any, place: str = "") -> list[str]:
-    """Links that lead out of the file and datasets whose values lie elsewhere or cannot be decoded."""
-    faults = []
-    for name in node:
-        path = f"{place}/{name}"
-        if not isinstance(node.get(name, getlink=True), h5py.HardLink):
-            faults.append(f"{path}: a link instead of data; a run file holds everything itself")
-            continue
-        child = node[name]
-        if isinstance(child, h5py.Group):
-            faults += faults_of_links(child, path)
-        elif isinstance(child, h5py.Dataset):
-            if child.is_virtual or child.external:
-                faults.append(f"{path}: its values lie in another file; a run file holds everything itself")
-            faults += [f"{path}: filter {code} is neither gzip nor shuffle" for code in filters(child) - KNOWN_FILTERS]
-    return faults
-
-
-KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
-
-
-def filters(dataset: Any) -> set[int]:
-    """Codes of the filters that a dataset passes through."""
-    plist = dataset.id.get_create_plist()
-    return {plist.get_filter(index)[0] for index in range(plist.get_nfilters())}

@@ -17,8 +17,9 @@ import numpy.typing as npt
 from leactl.errors import InputError, MissingChannel
 from leactl.quantities import ChannelSpec
 from leactl.runfile import layout, seal
-from leactl.runfile.checks import faults_of_streams, whole_rows
-from leactl.runfile.opening import faults_of_links, open_run_file, reading
+from leactl.runfile.checks import faults_of_streams, faults_of_table, whole_rows
+from leactl.runfile.opening import open_run_file, reading
+from leactl.yamlfile import shown
 
 Array = npt.NDArray[np.float64]
 
@@ -81,8 +82,7 @@ class Run:
         self._file = file
         self._streams = file.get("streams", {})
         self.condemned: dict[str, str] = {}  # by `stream/name`: why whoever reads the channel is refused
-        faults = faults_of_links(file) or faults_of_streams(self._streams, self.unfinished)
-        if faults:
+        if faults := faults_of_streams(self._streams, self.unfinished):
             raise InputError([f"{path}: {fault}" for fault in faults])
         self.rows = {name: whole_rows(group) for name, group in self._streams.items()}
         self.streams = {name: channel_specs(group) for name, group in self._streams.items()}
@@ -263,20 +263,22 @@ class Run:
     def _parameters(self, index: int, text: str) -> dict[str, Any]:
         try:
             found = json.loads(text or "{}")
-        except ValueError:
+        except (ValueError, RecursionError):  # the latter of thousands of brackets
             found = None
         if not isinstance(found, dict):
-            raise InputError(f"{self.path}: /steps/parameters[{index}]: {text!r} is not a JSON object")
+            raise InputError(f"{self.path}: /steps/parameters[{index}]: {shown(text)} is not a JSON object")
         return found
 
     def _table(self, name: str, columns: dict[str, int | None]) -> list[tuple[Any, ...]]:
-        """Rows of parallel arrays, cut to the shortest; empty where the file has none."""
+        """Rows of parallel arrays, of an unfinished run cut to the shortest; empty where the file has none."""
         if name not in self._file:
             return []
         with reading(self.path, f"/{name}"):
             group = self._file[name]
             if lacking := [column for column in columns if column not in group]:
                 raise InputError(f"{self.path}: /{name}: no {', '.join(lacking)}")
+            if name in layout.TABLES and not self.unfinished and (faults := faults_of_table(group, name)):
+                raise InputError([f"{self.path}: {fault}" for fault in faults])
             cells = [layout.texts(group[c]) if layout.is_text(group[c]) else group[c][()].tolist() for c in columns]
         return list(zip(*cells, strict=False))
 

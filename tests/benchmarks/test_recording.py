@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from leactl.quantities import ChannelSpec
+from leactl.runfile import layout
 from leactl.runfile.writer import LIVE_CHUNK_ROWS, RunWriter
 from tests.benchmarks.rounds import compare
 from tests.runfile.specimen import info
@@ -28,10 +29,10 @@ CHANNELS = [
 
 def bare_file(path):
     """One growing dataset a channel, as the recording's live file has them."""
-    file = h5py.File(path, "w", libver="latest")
-    layout = {"shape": (0,), "maxshape": (None,), "chunks": (LIVE_CHUNK_ROWS,), "fillvalue": np.nan}
-    columns = [file.create_dataset("time", dtype="f8", **layout)]
-    columns += [file.create_dataset(spec.name, dtype=spec.dtype, **layout) for spec in CHANNELS]
+    file = h5py.File(path, "w", libver=layout.HDF5_FORMAT)
+    storage = {"shape": (0,), "maxshape": (None,), "chunks": (LIVE_CHUNK_ROWS,), "fillvalue": np.nan}
+    columns = [file.create_dataset("time", dtype="f8", **storage)]
+    columns += [file.create_dataset(spec.name, dtype=spec.dtype, **storage) for spec in CHANNELS]
     file.swmr_mode = True
     return file, columns
 

@@ -25,9 +25,11 @@ from leactl.analysis.experiments import (
 )
 from leactl.analysis.quality.gate import doubts_of
 from leactl.errors import InputError, NotIdentifiable
+from leactl.regular import open_regular
 from leactl.runfile.reader import Run, Step
 
 Array = npt.NDArray[np.float64]
+MOST_BYTES = 1 << 26  # of an answer; one of 50 runs has 200 kB
 Figure = Annotated[float, Field(ge=-1e100, le=1e100)]  # its square has to be a number still
 
 
@@ -204,7 +206,8 @@ def _analysed(analysis: Experiment, part: Run, options: dict[str, Any]) -> tuple
 def _of_answer(path: Path, first: int) -> tuple[str, list[Trial], set[Path]]:
     """Experiment of an answer, its trials, one for each actuator and condition, and its runs."""
     try:
-        answer = _Answer.model_validate_json(path.read_bytes())
+        with open_regular(path, MOST_BYTES) as stream:
+            answer = _Answer.model_validate_json(stream.read())
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except ValidationError:

@@ -1,0 +1,161 @@
+"""A run file that is none, holds too much or is of other kinds than the layout is refused in one line, unread."""
+
+import os
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from leactl.errors import InputError
+from leactl.runfile import tree
+from leactl.runfile.catalog import list_runs
+from leactl.runfile.integrity import altered, recover, verify
+from leactl.runfile.reader import Run
+from leactl.runfile.writer import RunWriter
+from tests.cli.terminal import leactl
+
+from .specimen import STREAMS, info
+
+
+def changed(path, change):
+    with h5py.File(path, "r+") as file:
+        change(file)
+    return path
+
+
+def instead(place, make):
+    def change(file):
+        del file[place]
+        make(file)
+
+    return change
+
+
+def announced(rows):
+    storage = {"chunks": (4096,), "maxshape": (None,), "dtype": "f8"}
+    return lambda file: file.create_dataset("streams/loop/more", (rows,), **storage)
+
+
+def nested(file):
+    file["streams/again"] = file["streams"]
+
+
+def crowd(file):
+    for number in range(tree.MOST_OBJECTS):
+        file.create_group(f"extra/{number}")
+
+
+HOSTILE = {
+    "/streams/loop/more: announces 8000000000000 bytes": announced(10**12),
+    "/streams/loop/more: announces 8000000000 bytes": announced(10**9),
+    "/streams/loop/iq: 1[0-9]{6} bytes of attributes": lambda file: file["streams/loop/iq"].attrs.create(
+        "big", np.zeros(200_000)
+    ),
+    "/: 1[0-9]{6} bytes of attributes": lambda file: file.attrs.create("big", np.zeros(200_000)),
+    "/streams: a dataset where a group": instead("streams", lambda file: file.create_dataset("streams", data=[1.0])),
+    "/steps: a dataset where a group": instead("steps", lambda file: file.create_dataset("steps", data=[1.0])),
+    "/events/message: one dimension of texts": instead(
+        "events/message", lambda file: file.create_dataset("events/message", data=[1.0])
+    ),
+    "/steps/stop: one dimension of numbers": instead(
+        "steps/stop", lambda file: file.create_dataset("steps/stop", data=np.zeros((2, 2)))
+    ),
+    "/bench/source: one text": instead(
+        "bench/source", lambda file: file.create_dataset("bench/source", data=np.zeros(3))
+    ),
+    "/streams: a link": instead(
+        "streams", lambda file: file.__setitem__("streams", h5py.ExternalLink("other.h5", "/streams"))
+    ),
+    "/streams/loop: a link": instead(
+        "streams/loop", lambda file: file.__setitem__("streams/loop", h5py.SoftLink("/streams/camera"))
+    ),
+    "lies in more than 8 groups": nested,
+    "more than 10000 groups and datasets": crowd,
+    "/extra: chunks of 800000000 bytes": lambda file: file.create_dataset(
+        "extra", (1,), "f8", maxshape=(None,), chunks=(10**8,)
+    ),
+    "/extra: a dataset without values": lambda file: file.create_dataset("extra", data=h5py.Empty("f8")),
+    "/extra: values that are neither": lambda file: file.create_dataset("extra", (1,), h5py.ref_dtype),
+}
+
+
+@pytest.mark.parametrize("words", HOSTILE)
+def test_what_no_run_holds_is_refused_by_every_door(complete: Path, words: str):
+    changed(complete, HOSTILE[words])
+    for door in (Run.open, recover, altered):
+        with pytest.raises(InputError, match=words) as caught:
+            door(complete)
+        assert len(caught.value.faults) == 1
+        assert str(caught.value).startswith(f"{complete}: ")
+    assert verify(complete) == caught.value.faults
+    (listed,) = list_runs(complete.parent)
+    assert listed.fault == str(caught.value)
+
+
+def test_a_list_goes_on_beside_what_is_no_file(complete: Path):
+    os.mkfifo(complete.with_name("fifo.h5"))
+    complete.with_name("zero.h5").symlink_to("/dev/zero")
+    complete.with_name("gone.h5").symlink_to("nowhere")
+    complete.with_name("folder.h5").mkdir()
+    listed = {run.file: run.fault for run in list_runs(complete.parent)}
+    assert listed.pop(complete.name) == ""
+    assert [listed[name].split(": ")[-1] for name in ("fifo.h5", "zero.h5", "gone.h5")] == [
+        "a regular file was expected; this is none",
+        "a regular file was expected; this is none",
+        "No such file or directory",
+    ]
+    assert "a folder" in listed["folder.h5"]
+
+
+@pytest.mark.parametrize("command", [["runs", "verify"], ["runs", "show"], ["runs", "recover"], ["analyze"], ["stats"]])
+def test_a_fifo_holds_no_command(tmp_path: Path, command: list[str]):
+    os.mkfifo(tmp_path / "run.h5")
+    ended = leactl(*command, str(tmp_path / "run.h5"))
+    assert ended.returncode == 2
+    assert "a regular file was expected" in ended.stderr
+
+
+def unchecked(file):
+    file.visititems(lambda _name, item: item.attrs.pop("sha256", None))
+
+
+def test_brackets_without_end_are_no_parameters(complete: Path):
+    def change(file):
+        unchecked(file)
+        file["steps/parameters"][0] = "[" * 100_000
+
+    changed(complete, change)
+    with Run.open(complete) as run, pytest.raises(InputError, match="is not a JSON object") as caught:
+        _ = run.steps
+    assert len(str(caught.value)) < 400
+
+
+def test_steps_of_uneven_columns_are_cut_only_where_the_recording_was(complete: Path, tmp_path: Path):
+    def change(file):
+        unchecked(file)
+        del file["steps/stop"]
+        file["steps/stop"] = np.zeros(1)
+
+    changed(complete, change)
+    with Run.open(complete) as run, pytest.raises(InputError, match="/steps: columns of different lengths"):
+        _ = run.steps
+    changed(complete, lambda file: file.attrs.__setitem__("status", "recording"))
+    with Run.open(complete) as run:
+        assert len(run.steps) == 1
+
+
+def test_a_recording_that_announced_a_block_is_read(tmp_path: Path):
+    writer = RunWriter(tmp_path, info(), STREAMS)
+    writer.append("loop", np.arange(5000) * 1e-3, np.zeros((5000, 3)))
+    writer.flush()
+    with Run.open(writer.path) as run:
+        assert run.rows["loop"] == 5000
+    writer.close("complete")
+
+
+def test_a_channel_that_packs_well_is_no_bomb(tmp_path: Path):
+    rows = tree.MOST_UNWRITTEN // 8 + 1
+    with RunWriter(tmp_path, info(), STREAMS) as writer:
+        writer.append("loop", np.arange(rows) * 1e-3, np.zeros((rows, 3)))
+    assert verify(writer.path) == []

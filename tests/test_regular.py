@@ -1,0 +1,52 @@
+"""Files that hold their reader for ever, or are larger than any of their kind, are refused before they are read."""
+
+import os
+
+import pytest
+
+from leactl.driver.text_table import MOST_BYTES as MOST_OF_TABLE
+from leactl.errors import InputError
+from leactl.model.cycle import MOST_BYTES, MOST_ROWS, read_cycle
+from leactl.regular import open_regular
+from tests.driver.camera import camera
+
+READERS = {"cycle": (read_cycle, MOST_BYTES), "camera": (lambda path: camera().read_files([path]), MOST_OF_TABLE)}
+
+
+@pytest.fixture(params=["fifo", "device"])
+def endless(tmp_path, request):
+    path = tmp_path / "endless.csv"
+    if request.param == "fifo":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    return path
+
+
+def test_a_file_of_another_kind_is_not_opened(endless):
+    with pytest.raises(OSError, match="a regular file was expected"):
+        open_regular(endless)
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_a_table_without_end_is_refused(endless, kind):
+    with pytest.raises(InputError, match=rf"{endless}: a regular file was expected; this is none"):
+        READERS[kind][0](endless)
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_a_table_that_is_too_large_is_not_read(tmp_path, kind):
+    reader, most = READERS[kind]
+    path = tmp_path / "large.csv"
+    path.touch()
+    os.truncate(path, most + 1)
+    with pytest.raises(InputError, match=f"{most + 1} bytes; at most {most} are read") as caught:
+        reader(path)
+    assert len(caught.value.faults) == 1
+
+
+def test_rows_of_a_cycle_are_read_no_further_than_they_may_be(tmp_path):
+    path = tmp_path / "rows.csv"
+    path.write_text("time_s,angle_rad,torque_Nm\n" + "0,0,1\n" * (MOST_ROWS + 1) + "no row at all" + "," * 9)
+    with pytest.raises(InputError, match=f"more than {MOST_ROWS} rows"):
+        read_cycle(path)
