@@ -1,14 +1,15 @@
 """The whole diagnosis: calibrate, search, judge, and measure on held-out runs how far the gap shrinks."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from leactl.errors import InputError
 from leactl.gap.confirm import held_out_gains
-from leactl.gap.diagnosis import Cause, Diagnosis, EffectParameter, Verdict
+from leactl.gap.diagnosis import CalibratedParameter, Cause, Diagnosis, EffectParameter, Verdict
 from leactl.gap.evidence import Evidence
 from leactl.gap.judge import Judged, judge, left_by_form, unexplained, unrest
 from leactl.gap.notes import gathered, questions, unlike
@@ -23,7 +24,7 @@ from leactl.gap.servo.ladder import climb
 from leactl.gap.servo.runs import side_by_side
 from leactl.gap.shrinkage import shrinkage
 from leactl.gap.where import profiles, where
-from leactl.gap.withdrawal import apply
+from leactl.gap.withdrawal import Applied, Fitted, Refit, apply
 from leactl.model.nominal import Model, read_model
 
 NAMED = 0.01  # probability above which an effect stands among the causes
@@ -108,10 +109,9 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     lines = ringing(evidence, evidence.settle(found.hypothesis), heard)
     surprise = unexplained(unrest(evidence, found), lines)
     causes = causes_of(evidence, found, judged)
-    alone = evidence.settle([])
-    calibrated_alone = calibrated(evidence, alone)
-    parameters = calibrated(evidence, evidence.settle(found.hypothesis))
+    calibrated_alone = calibrated(evidence, evidence.settle([]))
     members = {item.finding.effect for item in judged}
+    refit: Refit = partial(fitted_again, evidence, found)
     by_runs = servo_answer.judged_by_runs(case.model, case.fitted)
     told: tuple[str, ...] = ()
     if by_runs:
@@ -122,6 +122,8 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         parameters = servo_answer.calibration(case.model, ladder.augmented, ladder.stds)
         causes = servo_answer.causes(ladder, causes, free, with_calibration(case.model, parameters))
         members |= {item.effect for item in ladder.standing}
+        calibrated_alone = calibrated_alone if ladder.standing else parameters
+        refit = partial(fitted_by_ladder, parameters)
         told = servo_answer.rig_note(ladder.augmented, [record for record in case.fitted if record not in free])
     named = [cause for cause in causes if cause.probability >= EFFECT and cause.effect in members]
     progress("simulating again")
@@ -129,18 +131,14 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     replayed = [*case.held_out, *(r for r in case.fitted if (r.kind, r.mechanical) not in kinds)]
     applied = apply(
         case.model,
-        calibrated_alone if named else parameters,
-        parameters,
-        named,
+        calibrated_alone,
+        [named] if by_runs and named else [[cause] for cause in named],
+        refit,
         lambda tuned, augmented: shrinkage(replayed, case.model, tuned, augmented),
         bounded_fit=not by_runs,
     )
     shrunk = applied.shrunk
-    if applied.effects_withdrawn:
-        causes = tuple(cause for cause in causes if cause.probability < EFFECT)
-        parameters = calibrated_alone
-    if applied.calibration_withdrawn:
-        parameters = ()
+    causes = borne_out(causes, applied)
     if by_runs:
         surprise = unexplained(servo_answer.unfollowed(shrunk.shrinkage), {})
     located = where(replayed, shrunk.channels)
@@ -152,7 +150,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         verdict(causes, surprise.probability, not applied.calibration_withdrawn and gained(evidence, found)),
         surprise.probability,
         located,
-        parameters,
+        applied.fitted.calibration,
         causes,
         shrunk.shrinkage,
         tuple(
@@ -166,6 +164,30 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
             "traces": shrunk.traces,
             "profiles": profiles(replayed, shrunk.channels, located),
         },
+    )
+
+
+def fitted_again(evidence: Evidence, found: Found, causes: Sequence[Cause]) -> Fitted:
+    """Some members of the set fitted without the others."""
+    wanted = {cause.effect: cause for cause in causes}
+    hypothesis = [candidate for candidate in found.hypothesis if candidate[0] in wanted]
+    fit = evidence.settle(hypothesis)
+    again = [replace(wanted[c[0]], parameters=effect_parameters(evidence, fit, c)) for c in hypothesis]
+    return Fitted(tuple(again), calibrated(evidence, fit))
+
+
+def fitted_by_ladder(calibration: tuple[CalibratedParameter, ...], causes: Sequence[Cause]) -> Fitted:
+    """What free runs of a servo say, which are fitted with all effects at once."""
+    return Fitted(tuple(causes), calibration)
+
+
+def borne_out(causes: Sequence[Cause], applied: Applied) -> tuple[Cause, ...]:
+    """Causes without those that held-out runs do not bear out nor what stood for these alone; the others as applied."""
+    kept = {cause.effect: cause for cause in applied.fitted.causes}
+    return tuple(
+        kept.get(cause.effect, cause)
+        for cause in causes
+        if cause.effect in kept or cause.probability < EFFECT or kept.keys() & set(cause.indistinguishable_from)
     )
 
 

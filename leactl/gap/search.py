@@ -18,7 +18,7 @@ import numpy.typing as npt
 from leactl import yamlfile
 from leactl.effects import library
 from leactl.gap.evidence import Evidence
-from leactl.gap.regression import Candidate, Fit, Normal, gain_of
+from leactl.gap.regression import Candidate, Fit, Normal, Stack, gain_of
 from leactl.vocabulary.effect import effect_definition
 
 Array = npt.NDArray[np.float64]
@@ -101,9 +101,37 @@ def finding(
         return None
     direction = own / length
     std = size / length * math.sqrt(max(float(direction @ spread @ direction), 0.0))
-    if not whole and size - INTERVAL * std > BEYOND * effect_definition(candidate[0]).largest:
-        return None
-    return Finding(candidate, gain, size, std, tuple(values.tolist()), names, covariance)
+    result = Finding(candidate, gain, size, std, tuple(values.tolist()), names, covariance)
+    return result if whole or is_possible(evidence, result) else None
+
+
+def is_possible(evidence: Evidence, item: Finding) -> bool:
+    """Whether an effect is met in such a size; nothing is said against what noise alone would give."""
+    if is_beyond_range(item):
+        return False
+    places = evidence.columns(item.candidate)
+    return item.height <= ENTRY or not outweighs(evidence.stack, places, np.asarray(item.values))
+
+
+def is_beyond_range(item: Finding) -> bool:
+    """Whether the whole interval of an effect's size is beyond the range in which the effect is met."""
+    return item.size - INTERVAL * item.std > BEYOND * effect_definition(item.effect).largest
+
+
+def outweighs(stack: Stack, added: npt.NDArray[np.intp], values: Array) -> bool:
+    """Whether a wave over the angle is higher than all other parts of an equation together.
+
+    Where the shaft hardly turns, what is seen of such a wave is a line, which something else makes.
+    """
+    if not all(stack.names[place][3] in WAVE for place in added):
+        return False
+    for gram, local in zip(stack.grams, stack.local, strict=True):
+        touched = 1 + np.flatnonzero(np.isin(local, added))
+        parts = [0, *(1 + k for k, place in enumerate(local) if stack.names[place][0] == "calibration")]
+        power = np.diag(gram)
+        if len(parts) > 1 and values @ values * power[touched].sum() / 2.0 > np.sqrt(power[parts]).sum() ** 2:
+            return True
+    return False
 
 
 def best_of_each(
@@ -318,7 +346,7 @@ def describe(evidence: Evidence, hypothesis: list[Candidate]) -> Found:
         assert found is not None
         members.append(found)
         ranked = best_of_each(evidence, normal, others, whole=True)
-        rivals.append([found, *(r for r in ranked if r.effect != found.effect)])
+        rivals.append([found, *(r for r in ranked if r.effect != found.effect and is_possible(evidence, r))])
     rest = best_of_each(evidence, normal, hypothesis)
     return Found(hypothesis, members, rivals, rest, fit, taken, left, moved)
 

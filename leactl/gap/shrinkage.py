@@ -1,5 +1,6 @@
 """How far the gap shrinks on held-out runs: measured minus simulated again, before and after, against the floor."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,7 +19,10 @@ from leactl.quantities import UNITS
 
 Array = npt.NDArray[np.float64]
 NEAR_FLOOR = 1.1  # floors, below which no gap is left to close
-RESAMPLED = 400
+NEAR = math.log(NEAR_FLOOR)
+RESAMPLED = 2000
+FEWEST_BLOCKS = 8  # of a channel, below which resampling says little of an interval's ends
+CHANCE = 0.025  # beyond either end of an interval of 95 %
 TRACE_POINTS = 1500
 SLOW = 0.05  # s between samples, from which on a trace shows the whole run: thinned out, a faster channel would alias
 
@@ -49,6 +53,7 @@ class Growth:
 
     by_calibration: tuple[float, float]  # from the nominal model to the calibrated one
     by_effects: tuple[float, float]  # to the augmented model, from the better of the two others
+    closed: bool | None  # whether effects shrink some channel's gap beyond chance; None where no channel has the blocks
 
     @property
     def calibration_worse(self) -> bool:
@@ -114,18 +119,38 @@ def shrinkage(records: Sequence[Record], nominal: Model, calibrated: Model, augm
 def _growth(groups: Sequence[list[Compared]], random: np.random.Generator) -> Growth:
     """Resample every channel's blocks and add up the logarithms of its gaps, in floors."""
     whole, again = np.zeros(3), np.zeros((RESAMPLED, 3))
-    for group in groups:
-        counts, sums = _blocks(group)
+    channels = [_blocks(group) for group in groups]
+    for counts, sums in channels:
         picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
-        for total, squares in ((whole, sums.sum(axis=0)[None]), (again, sums[picked].sum(axis=1))):
-            floors = np.sqrt(squares[:, :3] / np.maximum(squares[:, 3:], 1e-300))
-            total += np.log(np.maximum(floors, NEAR_FLOOR)).reshape(total.shape)
+        whole += np.maximum(_log_gaps(sums.sum(axis=0)), NEAR)
+        again += np.maximum(_log_gaps(sums[picked].sum(axis=1)), NEAR)
     best = 1 if whole[1] < whole[0] else 0
     pairs = ((0, 1), (best, 2))
     first, second = (
-        (float(whole[b] - whole[a]), float(np.quantile(again[:, b] - again[:, a], 0.025))) for a, b in pairs
+        (float(whole[b] - whole[a]), float(np.quantile(again[:, b] - again[:, a], CHANCE))) for a, b in pairs
     )
-    return Growth(first, second)
+    return Growth(first, second, _closes(channels, random))
+
+
+def _closes(channels: Sequence[tuple[Array, Array]], random: np.random.Generator) -> bool | None:
+    """Whether effects shrink the gap of some channel, block by block, against the better of the models without them."""
+    long = [(counts, sums) for counts, sums in channels if len(counts) >= FEWEST_BLOCKS]
+    shrinking = []
+    for counts, sums in long:
+        observed, gaps = _log_gaps(sums.sum(axis=0)), _log_gaps(sums)
+        before = int(np.argmin(observed[:2]))
+        if observed[before] > max(observed[2], NEAR):
+            picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
+            shrinking.append((counts * (gaps[:, before] - gaps[:, 2]))[picked].sum(axis=1))
+    # of many channels one shrinks by chance: each is asked for as much less of it
+    closed = any(float(np.quantile(by, CHANCE / len(shrinking))) > 0.0 for by in shrinking)
+    return closed if long else None
+
+
+def _log_gaps(sums: Array) -> Array:
+    """Logarithms of the gaps of three models, in floors, of sums of squares whose last column is the floor's."""
+    tiny = np.finfo(np.float64).tiny
+    return np.asarray(0.5 * np.log(np.maximum(sums[..., :3], tiny) / np.maximum(sums[..., 3:], tiny)), np.float64)
 
 
 def _shrunk(group: list[Compared], random: np.random.Generator) -> Shrinkage:
@@ -138,7 +163,7 @@ def _shrunk(group: list[Compared], random: np.random.Generator) -> Shrinkage:
         picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
         again = np.sqrt(sums[picked].sum(axis=1) / counts[picked].sum(axis=1)[:, None])
         room = np.maximum(again[:, 1] - again[:, 3], 1e-12 * calibrated)
-        low, high = (float(q) for q in np.quantile((again[:, 1] - again[:, 2]) / room, (0.025, 0.975)))
+        low, high = (float(q) for q in np.quantile((again[:, 1] - again[:, 2]) / room, (CHANCE, 1.0 - CHANCE)))
     units = UNITS[first.quantity]
     return Shrinkage(
         first.quantity, first.role, first.mechanical, units, nominal, calibrated, augmented, floor, closed, low, high

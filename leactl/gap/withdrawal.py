@@ -1,7 +1,8 @@
-"""Effects and calibration that make the gap of held-out runs grow are taken back: neither named nor applied."""
+"""Effects and calibration that held-out runs do not bear out are taken back: neither named nor applied."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from leactl.gap.diagnosis import CalibratedParameter, Cause
 from leactl.gap.parameters import at_bound, with_calibration, with_effects
@@ -12,14 +13,25 @@ Simulate = Callable[[Model, Model], Shrunk]
 """Compares held-out runs with a calibrated and an augmented model."""
 
 
+class Fitted(NamedTuple):
+    """Effects, and the calibration fitted together with them."""
+
+    causes: tuple[Cause, ...]
+    calibration: tuple[CalibratedParameter, ...]
+
+
+Refit = Callable[[Sequence[Cause]], Fitted]
+"""Fits some of the effects that were named, without the others."""
+
+
 @dataclass(frozen=True)
 class Applied:
     """Models that held-out runs do not contradict, and what was taken back on the way."""
 
     calibrated: Model
     augmented: Model
+    fitted: Fitted  # what the augmented model has
     shrunk: Shrunk
-    effects_withdrawn: tuple[str, ...]
     calibration_withdrawn: bool
     notes: tuple[str, ...]
 
@@ -27,45 +39,56 @@ class Applied:
 def apply(
     model: Model,
     alone: Sequence[CalibratedParameter],
-    with_causes: Sequence[CalibratedParameter],
-    named: Sequence[Cause],
+    stages: Sequence[Sequence[Cause]],
+    refit: Refit,
     simulate: Simulate,
     bounded_fit: bool = True,
 ) -> Applied:
-    """Apply calibration and named effects to the model as far as held-out runs bear it.
+    """Apply calibration and named effects to the model as far as held-out runs bear them out.
 
     Parameters
     ----------
     alone : parameters as they are fitted without any effect.
-    with_causes : parameters as they are fitted together with the effects.
+    stages : effects that were named, surest first: each stage has to close a gap beside those before it.
     bounded_fit : whether the fit ends at `SMALLEST`; free runs of a servo tell some parameters by their ratio alone.
     """
-    notes: list[str] = []
-    withdrawn: tuple[str, ...] = ()
-    bounded = at_bounds(with_causes if named else alone) if bounded_fit else []
-    if named:
-        effects = [(cause.effect, {item.name: item.value for item in cause.parameters}) for cause in named]
-        calibrated = with_calibration(model, alone)
-        augmented = with_effects(with_calibration(model, with_causes), effects)
-        shrunk = simulate(calibrated, augmented)
-        if not (shrunk.growth.effects_worse or bounded):
-            return Applied(calibrated, augmented, shrunk, (), False, ())
-        withdrawn = tuple(cause.effect for cause in named)
-        reason = (
-            f"calibration beside it ends at a bound ({', '.join(bounded)})"
-            if bounded
-            else "with it the gap of held-out runs grows"
-        )
-        notes.append(f"not named though it fits: {', '.join(withdrawn)}; {reason}")
-        bounded = at_bounds(alone) if bounded_fit else []
+    fitted, calibrated = Fitted((), tuple(alone)), with_calibration(model, alone)
+    augmented, shrunk = calibrated, None
+    waiting, refusals = list(stages), list[str]()
+    while len(refusals) < len(waiting):  # what closes nothing by itself may do so beside another
+        index = len(refusals)
+        trial = refit([*fitted.causes, *waiting[index]])
+        entries = [(cause.effect, {item.name: item.value for item in cause.parameters}) for cause in trial.causes]
+        further = with_effects(with_calibration(model, trial.calibration), entries)
+        beside = simulate(augmented, further)
+        if reason := refusal(beside, at_bounds(trial.calibration) if bounded_fit else []):
+            refusals.append(reason)
+            continue
+        shrunk = beside if shrunk is None else simulate(calibrated, further)
+        fitted, augmented = trial, further
+        del waiting[index]
+        refusals.clear()
+    names = [", ".join(cause.effect for cause in stage) for stage in waiting]
+    notes = [f"not named though it fits: {name}; {why}" for name, why in zip(names, refusals, strict=True)]
+    if shrunk is not None:
+        return Applied(calibrated, augmented, fitted, shrunk, False, tuple(notes))
+    bounded = at_bounds(alone) if bounded_fit else []
     if not bounded:
-        calibrated = with_calibration(model, alone)
         shrunk = simulate(calibrated, calibrated)
         if not shrunk.growth.calibration_worse:
-            return Applied(calibrated, calibrated, shrunk, withdrawn, False, tuple(notes))
+            return Applied(calibrated, calibrated, fitted, shrunk, False, tuple(notes))
     reason = f"{', '.join(bounded)} ended at a bound" if bounded else "with it the gap of held-out runs grows"
     notes.append(f"calibration is not applied: {reason}; the model stays as it was given")
-    return Applied(model, model, simulate(model, model), withdrawn, True, tuple(notes))
+    return Applied(model, model, Fitted((), ()), simulate(model, model), True, tuple(notes))
+
+
+def refusal(shrunk: Shrunk, bounded: Sequence[str]) -> str:
+    """Why held-out runs do not bear further effects out; empty where they do."""
+    if bounded:
+        return f"calibration beside it ends at a bound ({', '.join(bounded)})"
+    if shrunk.growth.effects_worse:
+        return "with it the gap of held-out runs grows"
+    return "with it no gap of held-out runs shrinks beyond chance" if shrunk.growth.closed is False else ""
 
 
 def at_bounds(parameters: Sequence[CalibratedParameter]) -> list[str]:

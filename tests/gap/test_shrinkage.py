@@ -25,11 +25,11 @@ PRACTICE = next(
 CASES = ["practice-1", "practice-3", "practice-5", "practice-8"]
 
 
-def staircase(truth, seed=0):
+def staircase(truth, seed=0, seconds=6.0):
     """A locked run whose channels are the truth's own output with noise."""
-    time = INTERVAL_S * np.arange(6000)
+    time = INTERVAL_S * np.arange(round(seconds / INTERVAL_S))
     reference = 12.0 * np.sin(2 * np.pi * 0.5 * time) + 4.0 * np.sign(np.sin(2 * np.pi * 0.9 * time))
-    run = record("locked", reference=reference, seconds=6.0)
+    run = record("locked", reference=reference, seconds=seconds)
     answer = replay(run, truth)
     random = np.random.default_rng(seed)
     for name, noise in (("torque", TORQUE_NOISE), ("q_axis_current", CURRENT_NOISE), ("q_axis_voltage", 0.03)):
@@ -64,6 +64,25 @@ def test_a_model_that_adds_nothing_closes_nothing():
     torque = table(shrunk)["torque", "test", "locked"]
     assert torque.closed == 0.0
     assert torque.nominal_rms == torque.calibrated_rms == torque.augmented_rms
+
+
+@pytest.mark.parametrize(
+    ("nominal", "calibrated", "augmented", "closes"),
+    [
+        (model(), model(), model(("saturation", {"loss": 0.2})), True),
+        (model(), model(), model(), False),
+        # the calibration broke what the effect mends
+        (model(("saturation", {"loss": 0.2})), model(), model(("saturation", {"loss": 0.2})), False),
+    ],
+)
+def test_an_effect_closes_a_gap_that_neither_model_without_it_closes(nominal, calibrated, augmented, closes):
+    truth = model(("saturation", {"loss": 0.2}))
+    assert shrinkage([staircase(truth, seconds=12.0)], nominal, calibrated, augmented).growth.closed is closes
+
+
+def test_a_few_seconds_are_too_little_to_tell_whether_a_gap_closes():
+    truth = model(("saturation", {"loss": 0.2}))
+    assert shrinkage([staircase(truth)], model(), model(), truth).growth.closed is None
 
 
 def test_traces_are_thinned_and_named():
