@@ -7,13 +7,16 @@ from pathlib import Path
 import typer
 
 from leactl.cli import bench_by_hand
+from leactl.cli.completion import benches
+from leactl.cli.helptext import ON_A_BENCH, examples, group_of_commands
 
-app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+app = group_of_commands()
 RUNS = Path("runs")  # where `leactl run` puts its own, unless told otherwise
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
+SHIPPED = typer.Argument(help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches)
 
 
-@app.command("list")
+@app.command("list", epilog=examples("bench list"))
 def list_benches(as_json: bool = AS_JSON) -> None:
     """List the bench files that ship with leactl."""
     from leactl.bench.benchfile import names
@@ -21,8 +24,8 @@ def list_benches(as_json: bool = AS_JSON) -> None:
     typer.echo(json.dumps({"benches": names()}) if as_json else "\n".join(names()))
 
 
-@app.command()
-def show(bench: str, as_json: bool = AS_JSON) -> None:
+@app.command(epilog=examples("bench show testbed > mine.yaml"))
+def show(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
     """Show a bench's file as it is written, to copy and change."""
     from leactl.bench.benchfile import load
 
@@ -31,8 +34,8 @@ def show(bench: str, as_json: bool = AS_JSON) -> None:
     typer.echo(json.dumps(answer) if as_json else document.text, nl=as_json)
 
 
-@app.command()
-def model(bench: str, as_json: bool = AS_JSON) -> None:
+@app.command(epilog=examples("bench model emulated > nominal.yaml"))
+def model(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
     """Print the nominal model of a bench, the file that `leactl gap` takes as --model."""
     from leactl.bench.benchfile import load, nominal_model
 
@@ -41,8 +44,8 @@ def model(bench: str, as_json: bool = AS_JSON) -> None:
     typer.echo(json.dumps({"bench": file.name, "text": text}) if as_json else text, nl=as_json)
 
 
-@app.command()
-def check(bench: str, as_json: bool = AS_JSON) -> None:
+@app.command(epilog=examples("bench check mine.yaml"))
+def check(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
     """Check a bench file, its motors and every driver's settings as a run does, without touching a device."""
     from leactl.bench.provenance import overdue
     from leactl.runner.checked_bench import load_checked
@@ -69,9 +72,11 @@ def check(bench: str, as_json: bool = AS_JSON) -> None:
             typer.echo(f"  interlock {name:<22} " + ", ".join(f"{key} {value}" for key, value in entry.items()))
 
 
-@app.command()
+@app.command(epilog=examples("bench reset mine.yaml"))
 def reset(
-    bench: str = typer.Argument(help="The bench's name as the trip told it, or a path to a .yaml."),
+    bench: str = typer.Argument(
+        help="The bench's name as the trip told it, or a path to a .yaml.", autocompletion=benches
+    ),
     yes: bool = typer.Option(False, "--yes", help="Do not ask."),
     as_json: bool = AS_JSON,
 ) -> None:
@@ -105,9 +110,9 @@ def _confirmed(question: str) -> bool:
     return answer.strip().lower() in ("y", "yes")
 
 
-@app.command()
+@app.command(epilog=examples("bench serve emulated --bus can0=pty --setup free"))
 def serve(
-    bench: str = typer.Argument("emulated", help="An emulated bench, by name or as a .yaml."),
+    bench: str = typer.Argument("emulated", help="An emulated bench, by name or as a .yaml.", autocompletion=benches),
     bus: list[str] = typer.Option(
         [], metavar="NAME=INTERFACE:CHANNEL", help="Put a bus elsewhere; can0=pty for slcan."
     ),
@@ -143,7 +148,7 @@ def serve(
         serve_until(emulated.time, list(bridges.values()), every, lambda: bool(stop.cause))
 
 
-@app.command()
+@app.command(epilog=examples("bench faults", "bench faults frozen_drive"))
 def faults(name: str = typer.Argument("", help="One fault, to be explained."), as_json: bool = AS_JSON) -> None:
     """List the faults that an emulated bench rehearses, or explain one: its parameters and a line for a bench file."""
     from leactl.emulation.faults import find_fault, known_faults
@@ -162,5 +167,18 @@ def faults(name: str = typer.Argument("", help="One fault, to be explained."), a
         typer.echo(f"\nemulated:\n  faults:\n    - {described[0]['example']}")
 
 
-for by_hand in (bench_by_hand.stop, bench_by_hand.read, bench_by_hand.zero, bench_by_hand.jog):
-    app.command()(by_hand)
+app.command("stop", epilog=examples("bench stop", "bench stop mine.yaml --wait 10", ends=ON_A_BENCH))(
+    bench_by_hand.stop
+)
+app.command("read", epilog=examples("bench read mine.yaml", "bench read mine.yaml --for 5 --json", ends=ON_A_BENCH))(
+    bench_by_hand.read
+)
+app.command("zero", epilog=examples("bench zero mine.yaml", ends=ON_A_BENCH))(bench_by_hand.zero)
+app.command(
+    "jog",
+    epilog=examples(
+        "bench jog mine.yaml --role test --current 1.5 --for 1",
+        "bench jog mine.yaml --role load --velocity 2 --for 3",
+        ends=ON_A_BENCH,
+    ),
+)(bench_by_hand.jog)

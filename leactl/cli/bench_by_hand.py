@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from leactl.cli import finite
+from leactl.cli.completion import benches
 
 if TYPE_CHECKING:
     from leactl.runner.session import Outcome
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 END_S = 20.0  # three devices confirm within a second each; the rest is for the file
 
-BENCH = typer.Argument("emulated", help="Name of a shipped bench, or a path to a .yaml.")
+BENCH = typer.Argument("emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches)
 SETUP = typer.Option("", help="free, locked, coupled or heated; the bench file's own, else coupled.")
 OUT = typer.Option(Path("runs/by-hand"), help="Directory of the run file.")
 REALTIME = typer.Option(False, "--realtime", help="Keep wall time on an emulated bench.")

@@ -8,16 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
-from typer.core import TyperGroup
 
+from leactl.cli.completion import campaigns
+from leactl.cli.helptext import ON_A_BENCH, WholeSentences, examples, group_of_commands
 from leactl.cli.run import perform
+from leactl.errors import AcceptanceFailed
 
 if TYPE_CHECKING:
     from leactl.runner.campaign.campaignfile import Campaign
     from leactl.runner.campaign.entries import Entry
 
 
-class RunByDefault(TyperGroup):
+class RunByDefault(WholeSentences):
     """`leactl campaign FILE` is `leactl campaign run FILE`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -26,19 +28,17 @@ class RunByDefault(TyperGroup):
         return super().parse_args(ctx, args if named or not args else ["run", *args])
 
 
-app = typer.Typer(
-    cls=RunByDefault,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-)
+app = group_of_commands(RunByDefault)
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
-CAMPAIGN = typer.Argument(metavar="CAMPAIGN", help="Name of a shipped campaign, or a path to a .yaml.")
+CAMPAIGN = typer.Argument(
+    metavar="CAMPAIGN", help="Name of a shipped campaign, or a path to a .yaml.", autocompletion=campaigns
+)
 VARIANT = typer.Option("", help="Take the campaign's variant of this name.")
 SEED = typer.Option(None, min=0, max=2**63 - 1, help="Over the campaign's seed.")
 OUT = typer.Option(None, help="Folder of the campaign; runs/NAME or runs/NAME-VARIANT where left out.")
 
 
-@app.command("list")
+@app.command("list", epilog=examples("campaign list"))
 def list_campaigns(as_json: bool = AS_JSON) -> None:
     """List the campaigns that ship with leactl."""
     from leactl.runner.campaign.campaignfile import load, names
@@ -52,7 +52,7 @@ def list_campaigns(as_json: bool = AS_JSON) -> None:
         typer.echo(f"{one.name}  {len(one.cells)} runs  {one.title}")
 
 
-@app.command()
+@app.command(epilog=examples("campaign show paper"))
 def show(name: str = CAMPAIGN, as_json: bool = AS_JSON) -> None:
     """Show a campaign's file as it is written, to copy and change."""
     from leactl.runner.campaign.campaignfile import load
@@ -62,7 +62,7 @@ def show(name: str = CAMPAIGN, as_json: bool = AS_JSON) -> None:
     typer.echo(json.dumps(answer) if as_json else found.text, nl=as_json)
 
 
-@app.command()
+@app.command(epilog=examples("campaign status paper --out runs/paper"))
 def status(
     name: str = CAMPAIGN,
     variant: str = VARIANT,
@@ -98,7 +98,13 @@ def status(
     typer.echo(json.dumps(body) if as_json else standing_text(body))
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "campaign paper --variant short --out runs/paper",
+        "campaign run paper --out runs/paper --dry-run",
+        ends=(*ON_A_BENCH, AcceptanceFailed),
+    )
+)
 def run(
     name: str = CAMPAIGN,
     variant: str = VARIANT,

@@ -4,11 +4,15 @@ import json
 
 import typer
 
-app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+from leactl.cli.completion import drivers
+from leactl.cli.helptext import examples, group_of_commands
+
+app = group_of_commands()
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
+NAME = typer.Argument(help="Name of a driver plug-in.", autocompletion=drivers)
 
 
-@app.command("list")
+@app.command("list", epilog=examples("driver list"))
 def list_drivers(as_json: bool = AS_JSON) -> None:
     """List every registered driver, broken ones included."""
     from leactl.driver import registry
@@ -34,8 +38,8 @@ def list_drivers(as_json: bool = AS_JSON) -> None:
         typer.echo(row(f"{item.name:<{width}} {transport:<7} ", text))
 
 
-@app.command()
-def info(name: str, as_json: bool = AS_JSON) -> None:
+@app.command(epilog=examples("driver info elmo_can"))
+def info(name: str = NAME, as_json: bool = AS_JSON) -> None:
     """Explain one driver's settings: name, type, default and range of each."""
     from leactl.driver import registry
 
@@ -53,8 +57,8 @@ def info(name: str, as_json: bool = AS_JSON) -> None:
         typer.echo(f"  {field:<26} {kind:<9} {needed:<14} {' '.join(bounds)}".rstrip())
 
 
-@app.command()
-def check(name: str, as_json: bool = AS_JSON) -> None:
+@app.command(epilog=examples("driver check elmo_can"))
+def check(name: str = NAME, as_json: bool = AS_JSON) -> None:
     """Run the conformance checks that need no hardware over one driver; exit status 2 where one fails."""
     from leactl.driver import conformance, registry
     from leactl.errors import InputError

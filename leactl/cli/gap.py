@@ -7,9 +7,12 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
-app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
-blind = typer.Typer(help="Check the diagnosis on causes nobody told it.", no_args_is_help=True, rich_markup_mode=None)
-app.add_typer(blind, name="blind")
+from leactl.cli.completion import effects
+from leactl.cli.helptext import examples, group_of_commands
+
+app = group_of_commands()
+blind = group_of_commands()
+app.add_typer(blind, name="blind", help="Check the diagnosis on causes nobody told it.")
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 JSON, TO_STDOUT, RUN_FILE = "--json", "-", ".h5"
 
@@ -34,7 +37,14 @@ def completed(args: list[str]) -> list[str]:
     return complete
 
 
-@app.command("diagnose", cls=JsonToFileOrStdout)
+@app.command(
+    "diagnose",
+    cls=JsonToFileOrStdout,
+    epilog=examples(
+        "gap diagnose *-a.h5 --held-out *-b.h5 --model nominal.yaml",
+        "gap diagnose runs/*.h5 --model nominal.yaml --html gap.html",
+    ),
+)
 def diagnose_runs(
     runs: list[Path] = typer.Argument(metavar="RUN...", help="Run files to learn from."),
     model: Path = typer.Option(..., "--model", help="Nominal model, a .yaml."),
@@ -61,7 +71,7 @@ def diagnose_runs(
         print_diagnosis(answer)
 
 
-@app.command()
+@app.command(epilog=examples("gap simulate nominal.yaml RUN.h5 --out simulated.h5"))
 def simulate(
     model: Path = typer.Argument(help="Model file, with or without effects."),
     run: Path = typer.Argument(help="Run whose inputs are replayed."),
@@ -77,7 +87,7 @@ def simulate(
         typer.echo(f"note: {note}", err=True)
 
 
-@app.command()
+@app.command(epilog=examples("gap compare simulated.h5 RUN.h5 --json"))
 def compare(first: Path, second: Path, as_json: bool = AS_JSON) -> None:
     """Print how far SECOND is from FIRST, channel by channel: rms, mean, correlation and lag."""
     from leactl.gap.distance import as_json as answer
@@ -93,9 +103,10 @@ def compare(first: Path, second: Path, as_json: bool = AS_JSON) -> None:
         typer.echo(f"{name:<34} rms {one.rms:<10.4g} mean {one.mean:<+11.4g} {one.units:<6} {likeness}")
 
 
-@app.command()
-def effects(
-    name: str | None = typer.Argument(None, help="One effect; without it all are listed."), as_json: bool = AS_JSON
+@app.command("effects", epilog=examples("gap effects", "gap effects cogging"))
+def show_effects(
+    name: str | None = typer.Argument(None, help="One effect; without it all are listed.", autocompletion=effects),
+    as_json: bool = AS_JSON,
 ) -> None:
     """Explain what a model may lack: equation, where it shows, what it is confused with, what shows it."""
     from leactl.gap.explained import explained
@@ -109,7 +120,10 @@ def effects(
     typer.echo(one_effect(name) if name else all_effects())
 
 
-@app.command("plan")
+@app.command(
+    "plan",
+    epilog=examples("gap plan --model nominal.yaml --protocol friction", "gap plan runs/*.h5 --model nominal.yaml"),
+)
 def plan_runs(
     runs: list[Path] = typer.Argument(None, metavar="[RUN]...", help="Run files that there are."),
     model: Path = typer.Option(..., "--model", help="Nominal model, a .yaml."),
@@ -126,7 +140,7 @@ def plan_runs(
     typer.echo(json.dumps(document(advice)) if as_json else "\n".join(lines(advice)))
 
 
-@blind.command("make")
+@blind.command("make", epilog=examples("gap blind make --cases 20 --out cases --key key"))
 def make_blind(
     cases: int = typer.Option(..., "--cases", help="How many cases to draw."),
     out: Path = typer.Option(..., "--out", help="New folder for runs, nominal models and the key's hash."),
@@ -149,7 +163,7 @@ def make_blind(
     typer.echo(f"{cases} cases in {out}; their key in {key_dir}, SHA-256 {digest}")
 
 
-@blind.command("score")
+@blind.command("score", epilog=examples("gap blind score --cases cases --key key --out score"))
 def score_blind(
     cases: Path = typer.Option(..., "--cases", help="Folder of runs that `blind make` wrote."),
     key: Path = typer.Option(..., "--key", help="Folder of their key; opened after the last diagnosis."),

@@ -9,6 +9,8 @@ from typing import Any, Final
 from typer.core import TyperGroup
 from typer.main import get_group
 
+from leactl.cli.helptext import WholeSentences
+
 GROUPS: Final = {  # by the name of the module that has the group as `app`
     "bench": "Bench files, and what is done at a bench beside a protocol.",
     "campaign": "Run campaigns: `leactl campaign CAMPAIGN` begins one or goes on with it.",
@@ -22,7 +24,7 @@ GROUPS: Final = {  # by the name of the module that has the group as `app`
 }
 
 
-class Groups(TyperGroup):
+class Groups(WholeSentences):
     """The root: commands of its own, and groups by their names."""
 
     def __init__(self, **settings: Any) -> None:

@@ -14,10 +14,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import typer
 
 from leactl import __version__
-from leactl.cli import analyze, demo, doctor, report, run, schema, stats
+from leactl.cli import analyze, demo, docs, doctor, report, run, schema, stats
 from leactl.cli.groups import Groups
+from leactl.cli.helptext import ON_A_BENCH, examples
 from leactl.cli.printable import show_control_characters
-from leactl.errors import InputError, LeactlError, Stopped
+from leactl.errors import AcceptanceFailed, InputError, LeactlError, Stopped
 
 CTRL_C_OF_TYPER = 130
 READER_GONE = 141  # as a shell has it where SIGPIPE ends a command: 128 + 13
@@ -29,18 +30,30 @@ app = typer.Typer(
     name="leactl",
     help="Characterise electric actuators: protocols in, HDF5 runs and fitted parameters out.",
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
+    epilog="leactl COMMAND --help has examples and exit statuses; leactl docs has the manual.",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command("analyze")(analyze.analyze)
-app.command("report", cls=report.SeveralCompared)(report.report)
-app.command("run")(run.run)
-app.command("schema")(schema.schema)
-app.command("stats")(stats.stats)
-app.command("demo")(demo.demo)
-app.command("doctor")(doctor.doctor)
+app.command("analyze", epilog=examples("analyze runs", "analyze RUN.h5 --json"))(analyze.analyze)
+app.command(
+    "report",
+    cls=report.SeveralCompared,
+    epilog=examples("report runs --html sheet.html", "report new --compare old --pdf sheet.pdf"),
+)(report.report)
+app.command(
+    "run",
+    epilog=examples(
+        "run friction --bench emulated --out runs",
+        "run torque-constant --bench mine.yaml --set hold_s=6 --actuator LEA-2",
+        ends=(*ON_A_BENCH, AcceptanceFailed),
+    ),
+)(run.run)
+app.command("schema", epilog=examples("schema protocol > protocol.schema.json", "schema bench --table"))(schema.schema)
+app.command("stats", epilog=examples("stats runs", "stats runs --result torque_constant --json"))(stats.stats)
+app.command("demo", epilog=examples("demo", "demo --out demo --seed 7", ends=ON_A_BENCH))(demo.demo)
+app.command("docs", epilog=examples("docs", "docs safety"))(docs.docs)
+app.command("doctor", epilog=examples("doctor", "doctor --json"))(doctor.doctor)
 
 
 def _show_version(wanted: bool) -> None:

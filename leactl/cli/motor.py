@@ -7,16 +7,19 @@ from textwrap import indent
 import typer
 
 from leactl.cli import finite
+from leactl.cli.completion import motors
+from leactl.cli.helptext import examples, group_of_commands
 
-app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+app = group_of_commands()
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
+MOTOR = typer.Argument(help="Name of a shipped motor, or a path to a .yaml.", autocompletion=motors)
 AMBIENT = typer.Option(
     25.0, "--ambient", min=-40.0, max=60.0, help="Of the air around the actuator [degC].", callback=finite
 )
 BUS = typer.Option(29.6, "--bus-voltage", min=0.1, max=1000.0, help="Of the drive's bus [V].", callback=finite)
 
 
-@app.command("list")
+@app.command("list", epilog=examples("motor list"))
 def list_motors(as_json: bool = AS_JSON) -> None:
     """List the motors that ship with leactl."""
     from leactl.model.motor import motor_names
@@ -25,8 +28,8 @@ def list_motors(as_json: bool = AS_JSON) -> None:
     typer.echo(json.dumps({"motors": names}) if as_json else "\n".join(names))
 
 
-@app.command()
-def show(motor: str, ambient: float = AMBIENT, bus_voltage: float = BUS, as_json: bool = AS_JSON) -> None:
+@app.command(epilog=examples("motor show lea --ambient 30"))
+def show(motor: str = MOTOR, ambient: float = AMBIENT, bus_voltage: float = BUS, as_json: bool = AS_JSON) -> None:
     """Show one motor by name, or from a YAML file after checking it, with what follows from it."""
     from leactl.model.motor import load_sheet
     from leactl.report.motors import Setting, comparison, comparison_text, known
@@ -44,7 +47,7 @@ def show(motor: str, ambient: float = AMBIENT, bus_voltage: float = BUS, as_json
     typer.echo(document.text.rstrip() + "\n\n" + indent(comparison_text([one]), "# ", lambda line: True).rstrip())
 
 
-@app.command()
+@app.command(epilog=examples("motor compare lea mine.yaml"))
 def compare(
     motors: list[str] = typer.Argument(None, metavar="[MOTOR]...", help="Names or paths; all that ship by default."),
     ambient: float = AMBIENT,
@@ -59,12 +62,12 @@ def compare(
     typer.echo(json.dumps(comparison(found)) if as_json else comparison_text(found))
 
 
-@app.command()
+@app.command(epilog=examples("motor scale --radius 60"))
 def scale(
     radius: float = typer.Option(
         ..., "--radius", metavar="MM", help="Air-gap radius of the motor to be.", callback=finite
     ),
-    motor: str = typer.Option("u8-kv100", help="The motor that is known, by name or path."),
+    motor: str = typer.Option("u8-kv100", help="The motor that is known, by name or path.", autocompletion=motors),
     known_radius: float | None = typer.Option(
         None, "--known-radius", metavar="MM", help="Its air-gap radius.", callback=finite
     ),
@@ -87,7 +90,7 @@ def scale(
     typer.echo(scaled_text(sheet, found, radius / 1e3))
 
 
-@app.command()
+@app.command(epilog=examples("motor energy hip.csv knee.csv --body-mass 70"))
 def energy(
     cycles: list[Path] = typer.Argument(metavar="CYCLE.csv...", help="Angle and torque of a joint over one cycle."),
     motors: list[str] = typer.Option([], "--motor", help="Names or paths; all that ship by default."),
@@ -139,7 +142,7 @@ def energy(
     typer.echo(json.dumps({"cycles": body}, allow_nan=False) if as_json else "\n".join(texts))
 
 
-@app.command("preload")
+@app.command("preload", epilog=examples("motor preload --gap 0.8"))
 def preload_of(
     motor: str = typer.Option("lea", help="Name or path; its file has a `bearings:` block."),
     gap: list[float] = typer.Option(

@@ -5,18 +5,28 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from leactl.cli.completion import benches, protocols, settings
+from leactl.cli.helptext import examples, group_of_commands
+
 if TYPE_CHECKING:
     from leactl.protocol.plan import Plan
 
-app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+app = group_of_commands()
 STDIN = "<stdin>"  # stands in faults where a file's name would
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
-SET = typer.Option([], "--set", metavar="NAME=VALUE", help="Value of a parameter; a list as [1, 2]. May be repeated.")
+SHIPPED = typer.Argument(help="Name of a shipped protocol, or a path to a .yaml.", autocompletion=protocols)
+SET = typer.Option(
+    [],
+    "--set",
+    metavar="NAME=VALUE",
+    help="Value of a parameter; a list as [1, 2]. May be repeated.",
+    autocompletion=settings,
+)
 CONDITION = typer.Option("", "--condition", metavar="LABEL", help="Take the protocol's parameters of this condition.")
-BENCH = typer.Option("", "--bench", help="Check the setpoints against this bench's limits.")
+BENCH = typer.Option("", "--bench", help="Check the setpoints against this bench's limits.", autocompletion=benches)
 
 
-@app.command("list")
+@app.command("list", epilog=examples("protocol list"))
 def list_protocols(as_json: bool = AS_JSON) -> None:
     """List the protocols that ship with leactl."""
     from leactl.protocol.protocolfile import load, names
@@ -32,8 +42,8 @@ def list_protocols(as_json: bool = AS_JSON) -> None:
         typer.echo(row(f"{plan.name:<{width}}  {plan.setup:<8} {_duration(plan.duration_s):>10}  ", plan.title))
 
 
-@app.command()
-def show(name: str, as_json: bool = AS_JSON) -> None:
+@app.command(epilog=examples("protocol show friction > mine.yaml"))
+def show(name: str = SHIPPED, as_json: bool = AS_JSON) -> None:
     """Show a protocol's file as it is written, to copy and change."""
     from leactl.protocol.protocolfile import load
 
@@ -41,9 +51,11 @@ def show(name: str, as_json: bool = AS_JSON) -> None:
     typer.echo(json.dumps({**_head(plan), "text": plan.text}) if as_json else plan.text, nl=as_json)
 
 
-@app.command()
+@app.command(epilog=examples("protocol check mine.yaml", "protocol check - < mine.yaml"))
 def check(
-    protocol: str = typer.Argument(help="Name of a shipped protocol, a path to a .yaml, or - for stdin."),
+    protocol: str = typer.Argument(
+        help="Name of a shipped protocol, a path to a .yaml, or - for stdin.", autocompletion=protocols
+    ),
     as_json: bool = AS_JSON,
 ) -> None:
     """Check a protocol: every fault with file, line and column."""
@@ -61,9 +73,9 @@ def check(
     typer.echo(f"{plan.name}: {len(plan.actions)} actions, {_duration(plan.duration_s)}, no faults")
 
 
-@app.command()
+@app.command(epilog=examples("protocol plan friction", "protocol plan mine.yaml --bench emulated --set hold_s=6"))
 def plan(
-    protocol: str,
+    protocol: str = SHIPPED,
     overrides: list[str] = SET,
     condition: str = CONDITION,
     bench: str = BENCH,

@@ -8,14 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from leactl.cli.completion import benches, protocols, settings
+
 if TYPE_CHECKING:
     from leactl.runner.session import Outcome, Request
 
 
 def run(
-    protocol: str = typer.Argument(help="Name of a shipped protocol, or a path to a .yaml."),
-    bench: str = typer.Option("emulated", help="Name of a shipped bench, or a path to a .yaml."),
-    settings: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Set a parameter; seed=N on emulated."),
+    protocol: str = typer.Argument(help="Name of a shipped protocol, or a path to a .yaml.", autocompletion=protocols),
+    bench: str = typer.Option(
+        "emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches
+    ),
+    settings: list[str] = typer.Option(
+        [], "--set", metavar="NAME=VALUE", help="Set a parameter; seed=N on emulated.", autocompletion=settings
+    ),
     actuator: str = typer.Option("", help="Which actuator is on the bench: its serial number or any label."),
     condition: str = typer.Option("", help="Condition of the run: unloaded, design, loaded or any label."),
     operator: str = typer.Option("", help="Who runs the bench."),

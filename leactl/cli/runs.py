@@ -7,12 +7,13 @@ from typing import Any
 import typer
 
 from leactl.cli import finite
+from leactl.cli.helptext import examples, group_of_commands
 
-app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+app = group_of_commands()
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 
 
-@app.command("list")
+@app.command("list", epilog=examples("runs list", "runs list runs --where hold_s=6 --sort created"))
 def list_runs(
     directory: Path = typer.Argument(Path("runs")),
     protocol: str = typer.Option("", help="Only runs of this protocol."),
@@ -55,7 +56,7 @@ def list_runs(
         typer.echo(f"leactl: none of {len(every)} runs in {directory} is what was asked for", err=True)
 
 
-@app.command()
+@app.command(epilog=examples("runs show RUN.h5"))
 def show(run: Path, as_json: bool = AS_JSON) -> None:
     """Show what a run holds: attributes, streams with units, steps, events and notes."""
     from leactl.report.listing import row
@@ -104,7 +105,7 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
         typer.echo(row(f"note {note.time} ", f"{note.author}: {note.text}"))
 
 
-@app.command()
+@app.command(epilog=examples("runs verify runs", "runs verify RUN.h5 --json"))
 def verify(
     runs: list[Path] = typer.Argument(..., metavar="RUN...", help="Run files, or folders of them."),
     as_json: bool = AS_JSON,
@@ -132,7 +133,7 @@ def verify(
         raise InputError(findings)
 
 
-@app.command()
+@app.command(epilog=examples("runs recover RUN.h5"))
 def recover(run: Path, as_json: bool = AS_JSON) -> None:
     """Write a clean copy of a run whose recording was cut off; the original stays."""
     from leactl.runfile.integrity import recover as clean_copy
@@ -141,7 +142,7 @@ def recover(run: Path, as_json: bool = AS_JSON) -> None:
     typer.echo(json.dumps({"run": str(written), "status": "recovered"}) if as_json else str(written))
 
 
-@app.command()
+@app.command(epilog=examples("runs convert runs/*.h5"))
 def convert(runs: list[Path] = typer.Argument(..., metavar="RUN..."), as_json: bool = AS_JSON) -> None:
     """Rewrite runs of a newer HDF5 format so that HDF5 1.10, MATLAB and older h5py read them; values stay."""
     from leactl.runfile.conversion import convert as rewrite
@@ -151,7 +152,7 @@ def convert(runs: list[Path] = typer.Argument(..., metavar="RUN..."), as_json: b
     typer.echo(json.dumps({"runs": [str(run) for run in runs]}) if as_json else "\n".join(map(str, runs)))
 
 
-@app.command()
+@app.command(epilog=examples('runs annotate RUN.h5 "bearing greased" --author ana'))
 def annotate(
     run: Path, text: str, author: str = typer.Option("", help="Who says so."), as_json: bool = AS_JSON
 ) -> None:
@@ -165,7 +166,7 @@ def annotate(
             typer.echo(json.dumps({"run": str(run), "note": vars(opened.notes[-1])}))
 
 
-@app.command()
+@app.command(epilog=examples("runs attach RUN.h5 camera.csv --device camera --check"))
 def attach(
     run: Path,
     files: list[Path] = typer.Argument(..., metavar="FILE...", help="One record: an export, or its parts in order."),
@@ -189,7 +190,7 @@ def attach(
         typer.echo("\n".join(joined.told()))
 
 
-@app.command()
+@app.command(epilog=examples("runs export RUN.h5 --format csv --out csv"))
 def export(
     run: Path,
     to: str = typer.Option("csv", "--format", help="csv, mat or parquet."),
@@ -203,7 +204,7 @@ def export(
     typer.echo(json.dumps({"files": files}) if as_json else "\n".join(files))
 
 
-@app.command("import")
+@app.command("import", epilog=examples("runs import log.csv --map map.yaml --out imported"))
 def import_foreign(
     sources: list[str] = typer.Argument(..., metavar="SOURCE...", help="CSV, MAT or JSON files, or patterns."),
     mapping: Path = typer.Option(..., "--map", help="YAML file that says which column is which channel."),
@@ -226,7 +227,7 @@ def attached_told(stream: dict[str, Any]) -> str:
     return f", attached from {found['record_files']}, {within} by {found['alignment_method']}"
 
 
-@app.command()
+@app.command(epilog=examples("runs plot RUN.h5 torque test_iq", "runs plot RUN.h5 torque --html plot.html"))
 def plot(
     run: Path,
     channels: list[str] = typer.Argument(

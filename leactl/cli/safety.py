@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from leactl.cli.completion import benches
+from leactl.cli.helptext import ON_A_BENCH, examples, group_of_commands
+
 if TYPE_CHECKING:
     from leactl.runner.drill.finding import Drilled
 
-app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+app = group_of_commands()
 PAGE = """# The drill of the bench `{bench}`
 
 Written by `{command}`; what the columns mean is in [safety.md](safety.md), the faults are in [faults.md](faults.md).
@@ -23,9 +26,11 @@ def safety() -> None:
     """Rehearse what keeps a bench safe."""
 
 
-@app.command()
+@app.command(epilog=examples("safety drill", "safety drill mine.yaml --only frozen_drive", ends=ON_A_BENCH))
 def drill(
-    bench: str = typer.Argument("emulated", help="Name of a shipped bench, or a path to a .yaml."),
+    bench: str = typer.Argument(
+        "emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches
+    ),
     only: list[str] = typer.Option([], metavar="NAME", help="This rehearsal alone; `leactl bench faults` lists them."),
     yes: bool = typer.Option(False, "--yes", help="Do not ask before each rehearsal on a real bench."),
     served: bool = typer.Option(False, "--served", help="Meet an emulated bench that another process serves."),

@@ -7,21 +7,23 @@ from typing import Any
 import typer
 
 from leactl.cli import finite
+from leactl.cli.completion import benches, motors, protocols, settings
+from leactl.cli.helptext import examples, group_of_commands
 
-app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+app = group_of_commands()
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 AMBIENT = typer.Option(
     25.0, "--ambient", min=-40.0, max=60.0, help="Of the air around the actuator [degC].", callback=finite
 )
-BENCH = typer.Option("emulated", help="Name of a shipped bench, or a path to a .yaml.")
-SET = typer.Option([], "--set", metavar="NAME=VALUE", help="Set a parameter of the protocol.")
+BENCH = typer.Option("emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches)
+SET = typer.Option([], "--set", metavar="NAME=VALUE", help="Set a parameter of the protocol.", autocompletion=settings)
 ACTUATOR = typer.Option("", help="Label of the one under test.")
 COLD = typer.Option(False, "--cold", help="Nothing has heated the actuators.")
 
 
-@app.command()
+@app.command(epilog=examples("thermal limits --motor lea --ambient 30"))
 def limits(
-    motor: str = typer.Option("lea", help="Name of a shipped motor, or a path to a .yaml."),
+    motor: str = typer.Option("lea", help="Name of a shipped motor, or a path to a .yaml.", autocompletion=motors),
     ambient: float = AMBIENT,
     speed: list[float] = typer.Option(
         [31.4], min=0.0, max=1000.0, help="Further speeds [rad/s], for the heat of friction.", callback=finite
@@ -51,7 +53,7 @@ def limits(
     typer.echo(limits_text(found, ambient, held, short))
 
 
-@app.command()
+@app.command(epilog=examples("thermal state --bench emulated"))
 def state(
     bench: str = BENCH, actuator: str = typer.Option("", help="Label of the one under test."), as_json: bool = AS_JSON
 ) -> None:
@@ -77,12 +79,12 @@ def state(
     typer.echo(json.dumps({"bench": file.name, "windings": rows}) if as_json else state_text(file.name, rows))
 
 
-@app.command()
+@app.command(epilog=examples("thermal fit runs --motor lea"))
 def fit(
     runs: list[Path] = typer.Argument(
         metavar="RUN...", help="Runs or folders; those with temperatures of winding, housing and ambient are fitted."
     ),
-    motor: str = typer.Option("lea", help="Name of a shipped motor, or a path to a .yaml."),
+    motor: str = typer.Option("lea", help="Name of a shipped motor, or a path to a .yaml.", autocompletion=motors),
     as_json: bool = AS_JSON,
 ) -> None:
     """Fit the thermal network and the resistance of each actuator, and state the tolerances that its runs leave."""
@@ -100,9 +102,9 @@ def fit(
         typer.echo("\n\n".join(fit_text(one) for one in found))
 
 
-@app.command()
+@app.command(epilog=examples("thermal plan thermal --bench emulated-heated --cold"))
 def plan(
-    protocol: str,
+    protocol: str = typer.Argument(help="Name of a shipped protocol, or a path to a .yaml.", autocompletion=protocols),
     bench: str = BENCH,
     overrides: list[str] = SET,
     condition: str = typer.Option("", help="Condition of the run."),

@@ -1,0 +1,62 @@
+"""`leactl docs`: the pages that come with the program, listed and printed."""
+
+import json
+from pathlib import Path
+
+import typer
+
+import leactl
+from leactl.errors import InputError
+
+INSTALLED = "share/doc/leactl"  # below the environment, as pyproject.toml has it
+
+
+def docs(
+    page: str = typer.Argument("", help="Print this page; without one all are listed."),
+    as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
+) -> None:
+    """List the pages of the manual and where they lie, or print one."""
+    from leactl.report.listing import row
+
+    folder = folder_of_pages()
+    titles = {path.stem: title(path) for path in sorted(folder.glob("*.md"))}
+    if page and page not in titles:
+        raise InputError(f"there is no page {page!r}; there are {', '.join(titles)}")
+    if as_json:
+        text = {"text": (folder / f"{page}.md").read_text(encoding="utf-8")} if page else {}
+        typer.echo(json.dumps({"folder": str(folder), "pages": titles, **text}))
+    elif page:
+        typer.echo((folder / f"{page}.md").read_text(encoding="utf-8"), nl=False)
+    else:
+        width = max(map(len, titles))
+        typer.echo("".join(f"{row(f'{name:<{width}}  ', text)}\n" for name, text in titles.items()) + f"\nin {folder}")
+
+
+def folder_of_pages() -> Path:
+    """Where the pages are: beside the package in a checkout, else where the installer put them.
+
+    Raises
+    ------
+    InputError : they are in neither place.
+    """
+    from importlib.metadata import PackageNotFoundError, files
+
+    checkout = Path(leactl.__file__).parents[1] / "docs"
+    if (checkout / "run-format.md").is_file():
+        return checkout
+    try:
+        installed = [
+            Path(str(file.locate())).resolve() for file in files("leactl") or [] if INSTALLED in file.as_posix()
+        ]
+    except PackageNotFoundError:
+        installed = []
+    folders = {path.parent for path in installed if path.name == "run-format.md" and path.is_file()}
+    if not folders:
+        raise InputError("the pages are not installed; they are the folder docs of the project's source")
+    return folders.pop()
+
+
+def title(path: Path) -> str:
+    """A page's first line, without its mark."""
+    with path.open(encoding="utf-8") as stream:
+        return stream.readline().lstrip("# ").rstrip()

@@ -1,0 +1,104 @@
+"""What `--help` says of every command, and what a shell offers: examples that parse, whole sentences, true names."""
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer
+from typer.main import get_command
+
+from leactl import errors
+from leactl.cli.helptext import MEANINGS
+from leactl.cli.main import app
+from leactl.protocol.protocolfile import load
+
+ROOT = get_command(app)
+LEACTL = Path(sys.executable).with_name("leactl")
+
+
+def walk(group, path=()):
+    """Every group and command with the words that lead to it."""
+    yield path, group
+    for name in getattr(group, "commands", {}):
+        yield from walk(group.get_command(None, name), (*path, name))
+
+
+EVERY = dict(walk(ROOT))
+COMMANDS = {path: command for path, command in EVERY.items() if not hasattr(command, "commands")}
+
+
+def helped(path):
+    return EVERY[path].get_help(typer.Context(EVERY[path], info_name=" ".join(("leactl", *path)), terminal_width=80))
+
+
+def examples(path):
+    """Words of each, without what the shell redirects."""
+    lines = [line for line in helped(path).splitlines() if line.startswith("    leactl ")]
+    return [shlex.split(re.split(" [<>] ", line)[0])[1:] for line in lines]
+
+
+def by_words(words):
+    """The command that words lead to, and those left for it."""
+    command, rest = ROOT, list(words)
+    while hasattr(command, "commands"):
+        named = rest and rest[0] in command.commands
+        # `leactl campaign FILE` is `leactl campaign run FILE`
+        command = command.get_command(None, rest.pop(0) if named else "run")
+    return command, rest
+
+
+@pytest.mark.parametrize("path", COMMANDS, ids=" ".join)
+def test_every_command_has_examples_that_parse(path):
+    assert examples(path)
+    for words in examples(path):
+        command, rest = by_words(words)
+        assert command.name == COMMANDS[path].name
+        given, _, _ = command.make_parser(typer.Context(command)).parse_args(rest)
+        lacking = [param.name for param in command.params if param.required and not given.get(param.name)]
+        assert not lacking
+
+
+@pytest.mark.parametrize("path", EVERY, ids=" ".join)
+def test_help_is_whole_in_80_columns(path):
+    lines = helped(path).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert not [line for line in lines if line.endswith("...") and "]" not in line]
+
+
+def test_every_status_is_told_with_one_meaning():
+    def below(kind):
+        return {kind.exit_status}.union(*(below(child) for child in kind.__subclasses__()))
+
+    assert {error.exit_status for error in MEANINGS} == below(errors.LeactlError)
+    assert len({error.exit_status for error in MEANINGS}) == len(MEANINGS)
+    told = re.search(r"Exit status: ([^.]*)\.", " ".join(helped(("run",)).split())).group(1)
+    assert [int(part.split()[0]) for part in told.split(", ")] == [0, *sorted(below(errors.LeactlError))]
+
+
+def offered(*words):
+    """What bash offers for the last of these words."""
+    script = f'source <("{LEACTL}" --show-completion bash); COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1));'
+    script += f' _leactl_completion "{LEACTL}"; printf "%s\\n" "${{COMPREPLY[@]}}"'
+    done = subprocess.run(
+        [shutil.which("bash"), "-c", script, "bash", *words], capture_output=True, text=True, check=True
+    )
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize(
+    ("words", "names"),
+    [
+        (("leactl", "runs", "ver"), ["verify"]),
+        (("leactl", "run", "torque-c"), ["torque-constant"]),
+        (("leactl", "run", "friction", "--bench", "emulated-"), ["emulated-heated"]),
+        (("leactl", "gap", "effects", "cogg"), ["cogging"]),
+        (("leactl", "run", "friction", "--set", ""), [f"{name}=" for name in load("friction").parameters]),
+        (("leactl", "run", "./no-such", "--set", ""), []),
+    ],
+)
+def test_bash_completes_names_and_parameters(words, names):
+    assert offered(*words) == names
