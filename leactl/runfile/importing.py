@@ -23,6 +23,7 @@ from leactl.runfile.importing_checks import implausible
 from leactl.runfile.importing_mapping import FieldOf, Mapping
 from leactl.runfile.importing_parts import split
 from leactl.runfile.importing_sources import Source, open_source
+from leactl.runfile.importing_steps import Step, steps_of
 from leactl.runfile.importing_streams import Stream, build_streams, number
 from leactl.runfile.importing_trees import Lacking
 from leactl.runfile.publish import move_without_overwriting, refuse_existing
@@ -35,6 +36,7 @@ class Imported:
 
     info: RunInfo
     streams: dict[str, Stream]
+    steps: list[Step]
     told: str  # where it came from
 
 
@@ -98,7 +100,8 @@ def read(path: Path, mapping: Mapping, document: yamlfile.Document) -> list[Impo
     ------
     InputError : everything that is wrong with it, one line each.
     """
-    source = open_source(path, mapping.format, mapping.csv, wanted(mapping))
+    labels = [mapping.steps_by_column.column] if mapping.steps_by_column else []
+    source = open_source(path, mapping.format, mapping.csv, wanted(mapping), labels)
     streams = build_streams(source, mapping, document)
     doubtful = [f"{path}: {line}" for name, stream in streams.items() for line in implausible(name, stream)]
     if doubtful:
@@ -157,7 +160,8 @@ def describe(
     )
     with source.path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    return Imported(info, streams, f"{source.path.name} (SHA-256 {digest}) by {Path(document.name).name}")
+    steps = steps_of(streams, mapping, document, str(source.path))
+    return Imported(info, streams, steps, f"{source.path.name} (SHA-256 {digest}) by {Path(document.name).name}")
 
 
 def text(source: Source, value: str | FieldOf, place: tuple[str, ...], document: yamlfile.Document) -> str:
@@ -200,6 +204,10 @@ def write(runs: Sequence[Imported], out: Path) -> list[Path]:
             with RunWriter(aside, run.info, {name: s.specs for name, s in run.streams.items()}) as writer:
                 for name, stream in run.streams.items():
                     writer.append(name, stream.time, np.stack(stream.values, axis=1))
+                for step in run.steps:
+                    writer.step(*step)
+                if run.steps:
+                    writer.event(0.0, "info", "import", f"{len(run.steps)} steps as the mapping tells them")
                 writer.event(0.0, "info", "import", run.told)
                 for name, stream in run.streams.items():
                     if stream.aligned:

@@ -24,6 +24,11 @@ PLAUSIBLE: Final[dict[str, tuple[float, float]]] = {
 SHORTEST_S, LONGEST_S = 1e-7, 3600.0  # between samples
 FEWEST = 50  # samples, to compare a velocity with its angle
 FACTOR = 20.0  # by which a velocity may miss the change of its angle: filters and unlike sensors stay well below
+TAKEN_FOR: Final = {  # the ratio of a velocity to the change of its angle, where one unit was taken for another
+    30.0 / np.pi: "rpm taken for rad/s",
+    2.0 * np.pi: "turns/s taken for rad/s, or turns for rad",
+}
+AS_NEAR, ERRORS = 0.002, 4.0  # of such a ratio, and in standard errors, whichever is more: gears are no units
 
 
 def implausible(stream: str, found: Stream) -> Iterator[str]:
@@ -58,10 +63,25 @@ def unlike_velocities(stream: str, found: Stream) -> Iterator[str]:
         # both as travel over a twentieth of the run: quantised angles and noisy velocities average out
         marks = np.linspace(0, len(time) - 1, 21).astype(int)
         travelled = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time))])
-        by_angle, by_velocity = np.sum(np.abs(np.diff(angle[marks]))), np.sum(np.abs(np.diff(travelled[marks])))
-        if min(by_angle, by_velocity) < 1e-6:
+        by_angle, by_velocity = np.diff(angle[marks]), np.diff(travelled[marks])
+        if min(np.abs(by_angle).sum(), np.abs(by_velocity).sum()) < 1e-6:
             continue
-        ratio = float(by_velocity / by_angle)
+        ratio = float(np.abs(by_velocity).sum() / np.abs(by_angle).sum())
+        told = f"stream {stream}, channel {other}: {ratio:.3g} times the change of {name}"
         if not 1 / FACTOR < ratio < FACTOR:
-            told = f"{ratio:.3g} times the change of {name}"
-            yield f"stream {stream}, channel {other}: {told}; are the units of both right?"
+            yield f"{told}; are the units of both right?"
+        elif taken := unit_taken_for_another(by_angle, by_velocity):
+            yield f"{told}: {taken}; are the units of both right?"
+
+
+def unit_taken_for_another(by_angle: Array, by_velocity: Array) -> str:
+    """Which unit was taken for which, where travel by one channel is that factor of travel by the other; else empty."""
+    power = float(by_angle @ by_angle)
+    ratio = abs(float(by_velocity @ by_angle)) / power
+    left = np.abs(by_velocity) - ratio * np.abs(by_angle)
+    error = float(np.sqrt(left @ left / (len(left) - 1) / power))
+    for factor, taken in TAKEN_FOR.items():
+        for expected in (factor, 1.0 / factor):
+            if abs(ratio - expected) < max(AS_NEAR * expected, ERRORS * error) and ERRORS * error < 0.1 * expected:
+                return taken if expected == factor else f"the other way round of {taken}"
+    return ""

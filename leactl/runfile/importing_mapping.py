@@ -21,6 +21,7 @@ Text = Annotated[str, StringConstraints(strict=True, min_length=1)]
 Name = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
 Row = Annotated[int, Field(strict=True, ge=0)]
 Column = Text | Row
+PLACE = r"^[^/]+/[^/]+$"  # stream/channel
 
 
 class FieldOf(Block):
@@ -142,8 +143,50 @@ class Part(Block):
 class ByDirection(Block):
     """Each sweep in one direction becomes a run: `-forward`, `-reverse`, numbered from the second on."""
 
-    channel: Annotated[str, StringConstraints(strict=True, pattern=r"^[^/]+/[^/]+$")]  # stream/channel
+    channel: Annotated[str, StringConstraints(strict=True, pattern=PLACE)]
     least: Above  # travel that makes a sweep, in the channel's units
+
+
+class StepAt(Block):
+    """A step of the run by its instants, on the run's clock."""
+
+    name: Name
+    start_s: Number
+    stop_s: Number
+    settle_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] = 0.0  # of its head, to be left out
+    parameters: dict[Name, Number | str] = {}
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not self.start_s + self.settle_s < self.stop_s:
+            raise ValueError(f"start_s {self.start_s:g} and settle_s {self.settle_s:g} are not before {self.stop_s:g}")
+        return self
+
+
+class StepsByColumn(Block):
+    """Steps where a column of the source keeps one number or label; what has no name is no step."""
+
+    stream: Name
+    column: Column
+    names: Annotated[dict[Text, Name], Field(min_length=1)]  # of the step, by what stands in the column
+    settle_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] = 0.0
+    parameters: dict[Name, Annotated[str, StringConstraints(strict=True, pattern=PLACE)]] = {}  # medians of channels
+
+
+class StepsByHolds(Block):
+    """Steps named `hold` where a channel, best a setpoint, stays where it is."""
+
+    channel: Annotated[str, StringConstraints(strict=True, pattern=PLACE)]
+    parameter: Name  # that the level is told under, such as current_A
+    least_s: Above  # shorter ones are none
+    settle_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] = 0.0
+    parameters: dict[Name, Number | str] = {}
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not self.settle_s < self.least_s:
+            raise ValueError(f"settle_s {self.settle_s:g} leaves nothing of a hold of least_s {self.least_s:g}")
+        return self
 
 
 class RunMapping(Block):
@@ -171,6 +214,9 @@ class Mapping(Block):
     streams: Annotated[dict[Name, StreamMapping], Field(min_length=1)]
     parts: tuple[Part, ...] = ()
     by_direction: ByDirection | None = None
+    steps: tuple[StepAt, ...] = ()
+    steps_by_column: StepsByColumn | None = None
+    steps_by_holds: StepsByHolds | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -181,7 +227,16 @@ class Mapping(Block):
             raise ValueError(f"parts: suffix {', '.join(sorted(repeated))} stands twice")
         if any(part.rows for part in self.parts) and len(self.streams) > 1:
             raise ValueError("parts: rows mean nothing to several streams; use time_s")
+        given = [name for name in ("steps", "steps_by_column", "steps_by_holds") if getattr(self, name)]
+        if len(given) > 1:
+            raise ValueError(f"give one of {' and '.join(given)}")
+        if self.steps and (self.parts or self.by_direction):
+            raise ValueError("steps: instants of the whole mean nothing to its parts; use steps_by_column or _by_holds")
+        if self.steps_by_column and self.steps_by_column.stream not in self.streams:
+            raise ValueError(f"steps_by_column.stream: no stream {self.steps_by_column.stream!r} is mapped")
         wanted = [self.by_direction.channel] if self.by_direction else []
+        wanted += [self.steps_by_holds.channel] if self.steps_by_holds else []
+        wanted += self.steps_by_column.parameters.values() if self.steps_by_column else []
         for name, stream in self.streams.items():
             estimate = stream.clock.estimate if stream.clock else None
             if estimate:

@@ -34,8 +34,15 @@ class Source(Protocol):
         """Where a row of a column stands, for messages."""
 
 
-def open_source(path: Path, fmt: str | None, form: CsvForm, wanted: Sequence[str | int]) -> Source:
+def open_source(
+    path: Path, fmt: str | None, form: CsvForm, wanted: Sequence[str | int], labels: Sequence[str | int] = ()
+) -> Source:
     """Open a foreign file.
+
+    Parameters
+    ----------
+    wanted : columns that will be asked for, of which a table of text keeps these alone.
+    labels : further ones, which are text even where they hold numbers.
 
     Raises
     ------
@@ -47,7 +54,7 @@ def open_source(path: Path, fmt: str | None, form: CsvForm, wanted: Sequence[str
         raise InputError(f"{path}: the ending does not tell its format; give `format: csv`, `mat` or `json`")
     try:
         if kind == "csv":
-            return CsvSource(path, form, wanted)
+            return CsvSource(path, form, wanted, labels)
         return TreeSource(path, mat_tree(path) if kind == "mat" else json_tree(path))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or ' '.join(str(error).split())}") from None
@@ -56,14 +63,14 @@ def open_source(path: Path, fmt: str | None, form: CsvForm, wanted: Sequence[str
 class CsvSource:
     """A table of text; only the columns that are asked for are kept."""
 
-    def __init__(self, path: Path, form: CsvForm, wanted: Sequence[str | int]) -> None:
+    def __init__(self, path: Path, form: CsvForm, wanted: Sequence[str | int], labels: Sequence[str | int]) -> None:
         self.path, self._form = path, form
         self._names: list[str] = []
         self._lines = array("q")
         self._columns: dict[int, list[str] | array[float]] = {}
         try:
             with path.open(encoding=form.encoding, newline="") as file:
-                self._read(file, wanted)
+                self._read(file, wanted, labels)
         except UnicodeDecodeError as error:
             raise InputError(f"{path}: not {form.encoding} at byte {error.start}; give csv.encoding") from None
         except LookupError:
@@ -71,7 +78,7 @@ class CsvSource:
         except csv.Error as error:
             raise InputError(f"{path}: {error}") from None
 
-    def _read(self, file: Any, wanted: Sequence[str | int]) -> None:
+    def _read(self, file: Any, wanted: Sequence[str | int], labels: Sequence[str | int]) -> None:
         form, missing = self._form, set(self._form.missing)
         first = form.data_line or form.header_line + 1
         table = csv.reader(file, delimiter=form.delimiter, skipinitialspace=True)
@@ -86,8 +93,9 @@ class CsvSource:
                 continue
             if not width:
                 width = len(cells)
-                kept = self._found(wanted, width)
-                self._columns = {at: array("d") for at in kept}
+                as_text = self._found(labels, width)
+                kept = sorted({*self._found(wanted, width), *as_text})
+                self._columns = {at: [] if at in as_text else array("d") for at in kept}
             if len(cells) != width:
                 faults.append(f"{self.path}: line {line}: {len(cells)} cells where {width} were expected")
             else:

@@ -26,6 +26,7 @@ class Stream:
     specs: list[ChannelSpec]
     values: list[Array]
     aligned: str = ""  # how an estimated clock was tied, and how well
+    labels: list[str] | None = None  # of each row: what a column says that steps are told by
 
     def channel(self, name: str) -> Array:
         """Values of one channel."""
@@ -33,7 +34,9 @@ class Stream:
 
     def rows(self, first: int, last: int) -> "Stream":
         """Rows from the first up to before the last."""
-        return Stream(self.time[first:last], self.specs, [column[first:last] for column in self.values], self.aligned)
+        labels = self.labels[first:last] if self.labels is not None else None
+        columns = [column[first:last] for column in self.values]
+        return Stream(self.time[first:last], self.specs, columns, self.aligned, labels)
 
 
 def build_streams(source: Source, mapping: Mapping, document: Document) -> dict[str, Stream]:
@@ -47,7 +50,9 @@ def build_streams(source: Source, mapping: Mapping, document: Document) -> dict[
     streams: dict[str, Stream] = {}
     for name, wanted in mapping.streams.items():
         try:
-            streams[name] = build_stream(source, name, wanted, document)
+            by = mapping.steps_by_column
+            told_by = by.column if by is not None and by.stream == name else None
+            streams[name] = build_stream(source, name, wanted, told_by, document)
         except InputError as found:
             faults += found.faults
     if faults:
@@ -71,8 +76,10 @@ def build_streams(source: Source, mapping: Mapping, document: Document) -> dict[
     return streams
 
 
-def build_stream(source: Source, name: str, wanted: StreamMapping, document: Document) -> Stream:
-    """Read one stream on its own clock."""
+def build_stream(
+    source: Source, name: str, wanted: StreamMapping, told_by: str | int | None, document: Document
+) -> Stream:
+    """Read one stream on its own clock, with the labels of the column that steps are told by."""
     faults: list[str] = []
     specs, values, columns = [], [], []
     for channel, mapped in wanted.channels.items():
@@ -91,7 +98,25 @@ def build_stream(source: Source, name: str, wanted: StreamMapping, document: Doc
         told = ", ".join(f"{spec.name} {len(column)}" for spec, column in zip(specs, values, strict=True))
         raise InputError(document.fault(("streams", name), f"{source.path}: columns of different length: {told}"))
     time, keep = stamps(source, name, wanted, lengths.pop(), document)
-    return Stream(time[keep], specs, [column[keep] for column in values])
+    labels = None
+    if told_by is not None:
+        try:
+            raw = source.column(told_by, wanted.records)
+        except Lacking as lacking:
+            raise InputError(document.fault(("steps_by_column", "column"), str(lacking))) from None
+        if len(raw) != len(keep):
+            told = f"{source.path}: {len(raw)} labels for {len(keep)} rows"
+            raise InputError(document.fault(("steps_by_column", "column"), told))
+        labels = [label(value) for value, kept in zip(raw, keep, strict=True) if kept]
+    return Stream(time[keep], specs, [column[keep] for column in values], labels=labels)
+
+
+def label(value: float | str) -> str:
+    """What stands in a cell as a text; a number in its shortest form."""
+    try:
+        return f"{float(value):g}"
+    except ValueError:
+        return str(value).strip()
 
 
 def build_channel(

@@ -1,0 +1,192 @@
+"""Steps of imported recordings: an export of a run, imported again by each way, gives the run's own results."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from leactl.errors import InputError
+from leactl.runfile.importing import import_runs
+from leactl.runfile.importing_steps import held
+from leactl.runfile.reader import Run
+from tests.cli.terminal import leactl
+
+CSV = """
+mechanical: free
+run: {protocol: friction, actuator: a1}
+streams:
+  loop:
+    time: {column: "time [s]"}
+    channels:
+      iq_ref: {column: "test_iq_ref [A]", quantity: q_axis_current_reference}
+      iq: {column: "test_iq [A]", quantity: q_axis_current}
+      omega: {column: "test_omega [rad/s]", quantity: velocity}
+      theta: {column: "test_theta [rad]", quantity: angle}
+"""
+MAT = """
+mechanical: coupled
+run: {protocol: torque-constant, actuator: a1}
+streams:
+  loop:
+    records: streams.loop
+    time: {column: time}
+    channels:
+      iq_ref: {column: test_iq_ref.values, quantity: q_axis_current_reference}
+      iq: {column: test_iq.values, quantity: q_axis_current}
+  sensor:
+    records: streams.torque_sensor
+    time: {column: time}
+    channels: {torque: {column: torque.values, quantity: torque}}
+"""
+HOLDS = "steps_by_holds: {channel: loop/iq_ref, parameter: current_A, least_s: 2.9, settle_s: 1.5}\n"
+
+
+def answered(*arguments):
+    done = leactl(*arguments, "--json")
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.fixture(scope="module")
+def friction(tmp_path_factory):
+    """A short run of the emulated bench, its table, and what it says of itself."""
+    here = tmp_path_factory.mktemp("friction")
+    chosen = ("--set", "hold_s=3", "--set", "settle_s=1.5", "--set", "trials=1", "--out", here)
+    run = answered("run", "friction", *chosen)["run"]
+    answered("runs", "export", run, "--format", "csv", "--out", here / "csv")
+    [table] = (here / "csv").glob("*.loop.csv")
+    return here, run, table, results(run, "friction")
+
+
+def results(run, experiment, *options):
+    return {line["name"]: line for line in answered("analyze", run, "--as", experiment, *options)["results"]}
+
+
+def imported(here, table, text):
+    mapping = here / "map.yaml"
+    mapping.write_text(text)
+    out = here / f"imported-{len(list(here.glob('imported-*')))}"
+    [file] = import_runs([str(table)], mapping, out)
+    return file
+
+
+def by_instants(run):
+    with Run.open(run) as found:
+        steps = [(s.start, s.stop, s.settle, s.parameters) for s in found.steps if s.name == "hold"]
+    lines = [
+        f"  - {{name: hold, start_s: {start}, stop_s: {stop}, settle_s: {settle},"
+        f" parameters: {{current_A: {about['current_A']}, direction: {about['direction']}}}}}"
+        for start, stop, settle, about in steps
+    ]
+    return "\n".join(["steps:", *lines, ""])
+
+
+def with_labels(run, table):
+    """The table with a column of labels that are empty between the holds."""
+    with Run.open(run) as found:
+        holds = [(s.start, s.stop) for s in found.steps if s.name == "hold"]
+    head, *lines = table.read_text().splitlines()
+    rows = [head + ",phase"]
+    for line in lines:
+        time = float(line.split(",")[0])
+        number = next((n for n, (start, stop) in enumerate(holds) if start <= time < stop), None)
+        rows.append(f"{line},{'' if number is None else f'level {number % 2}'}")
+    labelled = table.with_name("labelled.csv")
+    labelled.write_text("\n".join(rows) + "\n")
+    return labelled
+
+
+BY_COLUMN = """
+steps_by_column:
+  stream: loop
+  column: phase
+  names: {"level 0": hold, "level 1": hold}
+  settle_s: 1.5
+  parameters: {current_A: loop/iq_ref}
+"""
+
+
+@pytest.mark.parametrize("way", ["instants", "column", "holds"])
+def test_friction_of_an_imported_table_is_that_of_the_run(friction, way):
+    here, run, table, expected = friction
+    source = with_labels(run, table) if way == "column" else table
+    steps = {"instants": by_instants(run), "column": BY_COLUMN, "holds": HOLDS}[way]
+    file = imported(here, source, CSV + steps)
+    found = results(file, "friction", "--torque-constant", "0.49")
+    for name in ("viscous_damping", "coulomb_friction"):
+        assert abs(found[name]["value"] - expected[name]["value"]) < expected[name]["std"]
+    with Run.open(file) as kept, Run.open(run) as own:
+        assert len(kept.steps) >= sum(step.name == "hold" for step in own.steps)
+        assert any("steps" in event.message for event in kept.events)
+
+
+def test_torque_constant_of_an_imported_matrix_is_that_of_the_run(tmp_path):
+    chosen = ("--set", "hold_s=1", "--set", "rest_s=3", "--set", "trials=2", "--out", tmp_path)
+    run = answered("run", "torque-constant", *chosen)["run"]
+    answered("runs", "export", run, "--format", "mat", "--out", tmp_path / "mat")
+    [source] = (tmp_path / "mat").glob("*.mat")
+    file = imported(tmp_path, source, MAT + HOLDS.replace("2.9", "0.9").replace("1.5", "0.5"))
+    expected, found = (results(path, "torque-constant")["torque_constant"] for path in (run, file))
+    assert abs(found["value"] - expected["value"]) < 2.0 * expected["std"]
+
+
+@pytest.mark.parametrize(
+    ("steps", "place"),
+    [
+        ("steps: [{name: hold, start_s: 0, stop_s: 1e6}]\n", "steps[0]"),
+        ("steps: [{name: hold, start_s: 1, stop_s: 3}, {name: hold, start_s: 2, stop_s: 4}]\n", "steps[1]"),
+        ("steps: [{name: hold, start_s: 3, stop_s: 3}]\n", "not before"),
+        ("steps_by_column: {stream: loop, column: phase, names: {a: hold}}\n", "phase"),
+        ('steps_by_column: {stream: loop, column: "test_enabled [1]", names: {7: hold}}\n', "7"),
+        ("steps_by_column: {stream: other, column: phase, names: {a: hold}}\n", "other"),
+        ("steps_by_holds: {channel: loop/iq_ref, parameter: current_A, least_s: 1e4}\n", "loop/iq_ref"),
+        ("steps_by_holds: {channel: loop/none, parameter: current_A, least_s: 1}\n", "loop/none"),
+        ("steps_by_holds: {channel: loop/iq_ref, parameter: current_A, least_s: 1, settle_s: 2}\n", "settle_s"),
+        (HOLDS + "steps: [{name: hold, start_s: 0, stop_s: 1}]\n", "give one of"),
+    ],
+)
+def test_steps_that_cannot_be_are_one_line_and_nothing_is_written(friction, tmp_path, steps, place):
+    *_, table, _ = friction
+    mapping = tmp_path / "map.yaml"
+    mapping.write_text(CSV + steps)
+    with pytest.raises(InputError) as refused:
+        import_runs([str(table)], mapping, tmp_path / "out")
+    assert any(line.startswith(f"{mapping}:") and place in line for line in refused.value.faults)
+    assert not (tmp_path / "out").exists()
+
+
+@given(
+    st.lists(st.integers(-9, 9), min_size=2, max_size=6), st.sampled_from([0.0, 1e-3, 0.02]), st.integers(0, 2**32 - 1)
+)
+def test_levels_are_found_where_they_change(levels, noise, seed):
+    levels = [level for level, before in zip(levels, [None, *levels], strict=False) if level != before]
+    random = np.random.default_rng(seed)
+    values = np.repeat(np.asarray(levels, float), 60) + noise * random.standard_normal(60 * len(levels))
+    values[random.random(len(values)) < 0.05] = np.nan
+    found = [(first, after) for first, after in held(values) if after - first > 40]
+    assert len(found) == len(levels)
+    for (first, after), level in zip(found, levels, strict=True):
+        assert np.nanmedian(values[first:after]) == pytest.approx(level, abs=noise)
+
+
+@pytest.mark.parametrize(
+    ("factor", "taken"), [(30 / np.pi, "rpm"), (2 * np.pi, "turns"), (6.25, ""), (1.0, ""), (9.0, "")]
+)
+def test_a_velocity_in_another_unit_is_refused_and_a_gear_is_not(tmp_path, factor, taken):
+    time = np.arange(4000) * 0.005
+    angle = np.round((3.0 * np.sin(0.7 * time) + 0.4 * time) * 1000) / 1000
+    speed = factor * (2.1 * np.cos(0.7 * time) + 0.4) + 0.05 * np.random.default_rng(1).standard_normal(4000)
+    rows = "\n".join(f"{t:.6g},{q:.6g},{w:.6g}" for t, q, w in zip(time, angle, speed, strict=True))
+    (tmp_path / "log.csv").write_text(f"t,q,w\n{rows}\n")
+    (tmp_path / "map.yaml").write_text(
+        "mechanical: free\nstreams: {loop: {time: {column: t}, channels: {"
+        "q: {column: q, quantity: angle}, w: {column: w, quantity: velocity}}}}\n"
+    )
+    chosen = ([str(tmp_path / "log.csv")], tmp_path / "map.yaml", tmp_path / "out")
+    if not taken:
+        assert import_runs(*chosen)
+        return
+    with pytest.raises(InputError, match=taken):
+        import_runs(*chosen)
