@@ -113,7 +113,7 @@ def faults_of_attributes(item: Any, place: str) -> list[str]:
 
 def attribute_bytes(item: Any) -> int:
     """What the attributes of an object take in the file, as their headers say."""
-    count = int(h5py.h5o.get_info(item.id).num_attrs)
+    count = int(h5py.h5a.get_num_attrs(item.id))
     least = count * ATTRIBUTE_HEADER
     if least > MOST_ATTRIBUTES:
         return least
