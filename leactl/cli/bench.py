@@ -170,6 +170,11 @@ def faults(name: str = typer.Argument("", help="One fault, to be explained."), a
 app.command("stop", epilog=examples("bench stop", "bench stop mine.yaml --wait 10", ends=ON_A_BENCH))(
     bench_by_hand.stop
 )
+app.command("pause", epilog=examples("bench pause mine.yaml", ends=ON_A_BENCH))(bench_by_hand.pause)
+app.command("resume", epilog=examples("bench resume mine.yaml", ends=ON_A_BENCH))(bench_by_hand.resume)
+app.command("remark", epilog=examples('bench remark "the bearing squeaks" mine.yaml', ends=ON_A_BENCH))(
+    bench_by_hand.remark
+)
 app.command("read", epilog=examples("bench read mine.yaml", "bench read mine.yaml --for 5 --json", ends=ON_A_BENCH))(
     bench_by_hand.read
 )

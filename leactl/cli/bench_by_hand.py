@@ -1,4 +1,4 @@
-"""`leactl bench stop, read, zero, jog`: what an operator does at a bench beside a protocol."""
+"""`leactl bench stop, pause, resume, remark, read, zero, jog`: what an operator does at a bench beside a protocol."""
 
 import json
 import time
@@ -11,12 +11,18 @@ from leactl.cli import finite
 from leactl.cli.completion import benches
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from leactl.runner.session import Outcome
     from leactl.runner.underway import Underway
 
+LONGEST_REMARK = 1000  # characters
 END_S = 20.0  # three devices confirm within a second each; the rest is for the file
 
 BENCH = typer.Argument("emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches)
+RUNNING = typer.Argument(
+    "", help="A bench by name or as a .yaml; without one, every run that this user sees.", autocompletion=benches
+)
 SETUP = typer.Option("", help="free, locked, coupled or heated; the bench file's own, else coupled.")
 OUT = typer.Option(Path("runs/by-hand"), help="Directory of the run file.")
 REALTIME = typer.Option(False, "--realtime", help="Keep wall time on an emulated bench.")
@@ -26,7 +32,7 @@ AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 
 
 def stop(
-    bench: str = typer.Argument("", help="A bench by name or as a .yaml; without one, every run that this user sees."),
+    bench: str = RUNNING,
     wait_s: float = typer.Option(
         END_S, "--wait", metavar="SECONDS", min=0, help="How long to wait for the end.", callback=finite
     ),
@@ -56,6 +62,56 @@ def stop(
         if not (as_json or end["doubt"]):
             where = f"{end['status']}: {end['reason']}; {end['run']}" if end["ended"] else "its file is still written"
             typer.echo(f"{end['bench']}: every device confirmed safe; {where}")
+    if faults:
+        raise DeviceError("; ".join(faults))
+
+
+def pause(bench: str = RUNNING, as_json: bool = AS_JSON) -> None:
+    """Let the run on a bench pause at its next rest, where nothing is commanded, until `bench resume` or its key p."""
+    _ask_each(bench, as_json, lambda run: run.ask_to_pause(True), "pauses at its next rest")
+
+
+def resume(bench: str = RUNNING, as_json: bool = AS_JSON) -> None:
+    """Let the run on a bench that pauses go on."""
+    _ask_each(bench, as_json, lambda run: run.ask_to_pause(False), "goes on")
+
+
+def remark(
+    text: str = typer.Argument(help="What is to stand in the record."), bench: str = RUNNING, as_json: bool = AS_JSON
+) -> None:
+    """Record a remark in the events of the run on a bench, with the moment at which the run sees it."""
+    from leactl.errors import InputError
+
+    if not text.strip() or len(text) > LONGEST_REMARK:
+        raise InputError(f"a remark of {len(text)} characters; from 1 to {LONGEST_REMARK} were expected")
+    _ask_each(bench, as_json, lambda run: run.remark(text), "records it")
+
+
+def _ask_each(bench: str, as_json: bool, ask: "Callable[[Underway], None]", answer: str) -> None:
+    """Ask every run on a bench for something, and say who was asked.
+
+    Raises
+    ------
+    DeviceError : nothing runs there, or a run cannot be asked.
+    """
+    from leactl.errors import DeviceError
+    from leactl.runner import underway
+
+    found, faults = underway.running()
+    found = _runs_on(bench, found)
+    asked = []
+    for run in found:
+        try:
+            ask(run)
+            asked.append(run)
+        except DeviceError as fault:
+            faults.append(str(fault))
+        finally:
+            run.close()
+    told = [{"bench": run.bench, "protocol": run.protocol, "process": run.process} for run in asked]
+    typer.echo(json.dumps({"runs": told}) if as_json else "\n".join(f"{run} {answer}" for run in asked), nl=bool(asked))
+    if not found:
+        faults.append(f"nothing runs on {bench}" if bench else "nothing runs")
     if faults:
         raise DeviceError("; ".join(faults))
 

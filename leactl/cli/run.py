@@ -85,7 +85,7 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
             progress.title = f"{heading}{progress.title}"
             return live_view(progress, console)
 
-        return execute(request, granted if emulated else keys.ask, watch, [keys.pressed])
+        return execute(request, granted if emulated else keys.ask, watch, [keys.pressed], [keys.pause_pressed])
 
 
 def told(outcome: "Outcome") -> dict[str, Any]:

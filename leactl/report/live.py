@@ -134,7 +134,7 @@ def log_line(progress: Progress) -> str:
     values = ", ".join(f"{name} {value}" for name, value in _values(progress))
     parts = [f"{progress.title}: {progress.step or 'starting'}", _how_far(progress), _so_far(progress), values]
     parts += [f"warning: {progress.warnings[-1]}"] if progress.warnings else []
-    return "; ".join(filter(None, [*parts, progress.prompt or progress.hint]))
+    return "; ".join(filter(None, [*parts, progress.pause, progress.prompt or progress.hint]))
 
 
 def draw(progress: Progress, width: int, height: int, encoding: str = "utf-8") -> list[Text]:
@@ -147,7 +147,7 @@ def draw(progress: Progress, width: int, height: int, encoding: str = "utf-8") -
     if progress.prompt:
         below.append((f"{progress.prompt}  {HOW}", "bold yellow"))
     elif progress.hint:
-        below.append((progress.hint, "bold"))
+        below += [(text, "bold") for text in (progress.pause, progress.hint) if text]
     foot = [Text(line, style) for text, style in below for line in textwrap.wrap(_plain(text, encoding), across)]
     foot = foot[-height:]
     step = _beside(progress.step or "starting", _how_far(progress), across, encoding)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from leactl.bench.bench import Bench
 from leactl.driver.contract import AnalogInput, Block, Mode, Row
-from leactl.errors import DeviceError, InputError
+from leactl.errors import DeviceError, InputError, Stopped
 from leactl.protocol.plan import (
     Action,
     Engage,
@@ -29,13 +29,14 @@ from leactl.runner.channel_limits import ChannelLimits
 from leactl.runner.criterion import Judge
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import Flush
-from leactl.runner.signals import StopRequest
+from leactl.runner.signals import StopRequest, Wishes
 from leactl.runner.watchdog import CYCLES, Unwatched
 from leactl.safety.supervisor import Supervisor
 
 ANSWER_SHARE = 0.6  # of a period that the drives' answers may take
 LEAST_ANSWER_S = 0.002
 SWITCHED_S = 10.0  # a supply has to be on or off after; its driver gives up before where it is told that it is not
+LONGEST_PAUSE_S = 3600.0  # after it nobody is beside the bench any more, and the run ends in order
 NOTICES_EVERY = 16  # cycles: nothing is done about them, so they need not cost every cycle
 
 Operator = Callable[[str], Callable[[], bool]]
@@ -57,11 +58,16 @@ class Loop:
         operator: Operator,
         watchdog: Unwatched,
         limits: ChannelLimits,
+        wishes: Wishes,
     ) -> None:
         self._plan, self._bench, self._supervisor, self._writer = plan, bench, supervisor, writer
         self._flush, self._stop, self._progress, self._operator = flush, stop, progress, operator
         self._watchdog, self._sign = watchdog, watchdog.sign
-        self._limits = limits
+        self._limits, self._wishes = limits, wishes
+        self._at_rest: dict[str, bool] = {}  # by role in operation: whether its setpoint lets it rest
+        self._supplying: set[str] = set()
+        self._pausing = False
+        self._modes: dict[str, Mode] = {}
         self._limited = limits.any
         self._clock = bench.clock
         self._period = 1.0 / plan.rate_Hz
@@ -95,6 +101,8 @@ class Loop:
             self._cycle()
             for action in self._plan.actions:
                 self._perform(action)
+                if self._wishes.paused() and self._rests:
+                    self._pause()
             self._cycle()
         except BaseException as error:
             self._supervisor.latch(str(error))  # a drive's fault as well as a trip: nothing is commanded after it
@@ -122,6 +130,31 @@ class Loop:
             case Record():
                 self._every = round(self._plan.rate_Hz / action.rate_Hz) if action.rate_Hz else 0
                 self._phase = 0
+
+    @property
+    def _rests(self) -> bool:
+        """Whether nothing is commanded now but angles that are held: a pause leaves out nothing of the plan."""
+        return all(self._at_rest.values()) and not self._supplying
+
+    def _pause(self) -> None:
+        """Go on with supervised cycles, and nothing commanded, until people want the run to go on.
+
+        Raises
+        ------
+        Stopped : nobody has wanted it for `LONGEST_PAUSE_S`.
+        """
+        began = self.time
+        self._pausing = True
+        self._note("info", "operator", "paused")
+        try:
+            while self._wishes.paused():
+                if self.time - began > LONGEST_PAUSE_S:
+                    raise Stopped(f"paused for {LONGEST_PAUSE_S:g} s")
+                self._cycle()
+        finally:
+            self._writer.step("pause", began, self.time, 0.0, {})
+        self._pausing = False
+        self._note("info", "operator", f"went on after a pause of {self.time - began:.4g} s")
 
     # -- one cycle ---------------------------------------------------------------------------------------------------
 
@@ -172,6 +205,10 @@ class Loop:
     def _pass_on_notices(self) -> None:
         for source, text in self._bench.notices():
             self._note("warning", source, text)
+        for text in self._wishes.remarks():
+            self._note("info", "operator", f"remark: {text}")
+        wanted = "paused" if self._pausing else "pauses at the next rest"
+        self._progress.pause = wanted if self._wishes.paused() else ""
         for text in self._supervisor.take_warnings():
             self._note("warning", "safety", text)
             self._progress.warnings.append(text)
@@ -225,6 +262,9 @@ class Loop:
                     break
             self._command(setpoints, segment.duration_s)
         finally:
+            for role, profile in setpoints:
+                held = self._modes.get(role) is Mode.ANGLE
+                self._at_rest[role] = held or profile.at(segment.duration_s) == 0.0
             if segment.duration_s > 0.0:
                 self._limits.leave(segment.name, self.time)
                 parameters = (
@@ -261,6 +301,7 @@ class Loop:
                 self._supervisor.release(role)
             else:
                 self._supervisor.engage(role, mode)
+            self._modes[role], self._at_rest[role] = mode, True
         self._progress.step = "modes " + ", ".join(f"{role} {mode}" for role, mode in modes.items())
         self._note("info", "runner", self._progress.step)
         engaged = [role for role, mode in modes.items() if mode is not Mode.OFF]
@@ -278,7 +319,9 @@ class Loop:
         for role, output in outputs.items():
             if output is None:
                 supplies.switch_off(role)
+                self._supplying.discard(role)
             else:
+                self._supplying.add(role)
                 supplies.put_out(role, *output)
         end = self.time + SWITCHED_S
         self._cycle()

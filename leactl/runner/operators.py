@@ -18,7 +18,8 @@ from leactl.errors import Stopped
 
 HOW = "[Enter goes on, anything else stops the run]"
 STOP_KEYS = {ord(" "): "space", ord("q"): "q"}
-STOP_HINT = "space or q stops the run"
+PAUSE_KEY = ord("p")
+STOP_HINT = "space or q stops the run, p pauses it"
 
 
 class Keyboard:
@@ -26,7 +27,7 @@ class Keyboard:
 
     def __init__(self, terminal: int | None = None) -> None:
         self._terminal = terminal
-        self._asking = False
+        self._asking = self._pause_pressed = False
         self._poll = select.poll()
         if terminal is not None:
             self._poll.register(terminal, select.POLLIN)
@@ -45,7 +46,13 @@ class Keyboard:
         if not typed:  # it has hung up, and would be ready for ever
             self._poll.unregister(terminal)
             self._terminal = None
+        self._pause_pressed ^= typed.count(PAUSE_KEY) % 2 == 1
         return next((f"stopped by the operator: key {STOP_KEYS[key]}" for key in typed if key in STOP_KEYS), "")
+
+    def pause_pressed(self) -> bool:
+        """Whether the key for a pause was pressed since this was asked last: it begins one, and ends it."""
+        pressed, self._pause_pressed = self._pause_pressed, False
+        return pressed
 
     def ask(self, text: str) -> Callable[[], bool]:
         """Ask as `at_the_terminal` does; a stop key that was pressed just before the question still stops.

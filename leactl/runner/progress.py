@@ -24,6 +24,7 @@ class Progress:
     step: str = ""
     prompt: str = ""
     hint: str = ""  # what the operator can do meanwhile
+    pause: str = ""  # that one is wanted, or lasts
     warnings: list[str] = field(default_factory=list)  # of interlocks, in the order of their crossing
     view_fault: str = ""  # what went wrong with showing the run, which is no fault of the run
     done_s: float = 0.0

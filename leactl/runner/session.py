@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 from leactl import __version__, yamlfile
@@ -29,7 +30,7 @@ from leactl.runner.latch import Latch
 from leactl.runner.loop import Loop, Operator
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import InlineFlush, ThreadedFlush
-from leactl.runner.signals import StopRequest, StopSource, listening
+from leactl.runner.signals import StopRequest, StopSource, Wishes, listening
 from leactl.runner.underway import Announcement
 from leactl.runner.watchdog import Unwatched, beside
 from leactl.runner.windings import Windings
@@ -89,12 +90,19 @@ class Outcome:
     verdicts: Sequence[Verdict] = ()  # on the limits of channels
 
 
-def execute(request: Request, operator: Operator, watch: Watch, stops: Sequence[StopSource] = ()) -> Outcome:
+def execute(
+    request: Request,
+    operator: Operator,
+    watch: Watch,
+    stops: Sequence[StopSource] = (),
+    pauses: Sequence[Callable[[], bool]] = (),
+) -> Outcome:
     """Run a plan on a bench; the outcome carries the error that ended it, where there was one.
 
     Parameters
     ----------
     stops : looked at once a cycle, besides signals and `leactl bench stop`; whatever gives a cause ends the run.
+    pauses : each tells whether a pause, or its end, has been asked for since it was called last.
 
     Raises
     ------
@@ -124,7 +132,10 @@ def execute(request: Request, operator: Operator, watch: Watch, stops: Sequence[
             with windings.remembered():
                 bench.open()
                 try:
-                    outcome = _run(request, bench, windings, supervisor, stop, operator, watch, announcement, watchdog)
+                    wishes = Wishes(partial(_paused, announcement, pauses), announcement.remarks)
+                    outcome = _run(
+                        request, bench, windings, supervisor, stop, wishes, operator, watch, announcement, watchdog
+                    )
                 finally:
                     left = bench.close()
             announcement.tell(status=outcome.status, reason=outcome.reason, run=str(outcome.path.resolve()))
@@ -181,6 +192,7 @@ def _run(
     windings: Windings,
     supervisor: Supervisor,
     stop: StopRequest,
+    wishes: Wishes,
     operator: Operator,
     watch: Watch,
     announcement: Announcement,
@@ -195,7 +207,7 @@ def _run(
         flush = ThreadedFlush(writer) if paced else InlineFlush(writer)
         progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
         limits = _limits(plan, bench)
-        loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator, watchdog, limits)
+        loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator, watchdog, limits, wishes)
     except BaseException:
         announcement.tell_safe(supervisor.make_safe())
         raise
@@ -252,6 +264,14 @@ def _run(
     status, reason = _status(error)
     told = [*notes, *(f"warning: {text}" for text in progress.warnings)]
     return Outcome(writer.path, status, reason, error, safe, loop.time, loop.overruns, told, loop.zeros, verdicts)
+
+
+def _paused(announcement: Announcement, pauses: Sequence[Callable[[], bool]]) -> bool:
+    """Whether a pause is wanted: a key at the terminal turns what `leactl bench pause` and `resume` set."""
+    for pressed in pauses:
+        if pressed():
+            announcement.pause(not announcement.paused)
+    return announcement.paused
 
 
 @contextmanager

@@ -1,8 +1,8 @@
-"""What asks a run to stop: signals, which set a flag, and sources that the loop looks at; neither breaks its end."""
+"""What people ask of a run: to stop, by signals and sources that the loop looks at; to pause; to record a remark."""
 
 import signal
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -10,6 +10,18 @@ from leactl.errors import Stopped
 
 StopSource = Callable[[], str]
 """Looked at once a cycle: the cause to stop for, or an empty text."""
+
+
+class Wishes:
+    """What people want of a run beside its end: a pause, and remarks in its record."""
+
+    def __init__(
+        self,
+        paused: Callable[[], bool] = lambda: False,
+        remarks: Callable[[], Sequence[str]] = tuple,
+    ) -> None:
+        self.paused = paused  # whether it is wanted now
+        self.remarks = remarks  # those that came since it was called last
 
 
 class StopRequest:

@@ -1,7 +1,7 @@
-"""Runs under way: each keeps a file that tells what it is, and through which another process asks it to stop.
+"""Runs under way: each keeps a file that tells what it is, and through which others ask it to stop, to pause or remark.
 
 A run locks its file for as long as its process lives, which tells a run from what a kill left behind; and since nothing
-is signalled, no process that took over a number can be hit. The loop looks at one byte of it, mapped into its memory.
+is signalled, no process that took over a number can be hit. The loop looks at two bytes of it, mapped into its memory.
 A run on real buses announces itself to every user of the machine, any of whom may stop it.
 """
 
@@ -24,9 +24,11 @@ from leactl.errors import DeviceError, InputError
 from leactl.runner import state
 from leactl.runner.state import Place
 
-GOES_ON, STOP = b"-", b"!"  # the file's first byte; one line of JSON after the other follows
+GOES_ON, PAUSE, STOP = b"-", b"=", b"!"  # the file's first byte
+UNREMARKED = b"\0"  # its second one, which counts remarks; one line of JSON after the other follows
 CAUSE = "stopped by `leactl bench stop`"
 LOOK_EVERY_S = 0.02
+HEAD = len(GOES_ON + UNREMARKED)
 
 
 class Announcement:
@@ -35,11 +37,31 @@ class Announcement:
     def __init__(self, descriptor: int, fault: str = "") -> None:
         self.fault = fault  # why nobody can find it
         self._descriptor = descriptor
-        self._byte = mmap.mmap(descriptor, 1, prot=mmap.PROT_READ)
+        self._head = mmap.mmap(descriptor, HEAD, prot=mmap.PROT_READ)
+        self._remarked = self._read_to = 0
 
     def asked(self) -> str:
         """The cause to stop for, once somebody has asked; empty before."""
-        return CAUSE if self._byte[0] == STOP[0] else ""
+        return CAUSE if self._head[0] == STOP[0] else ""
+
+    @property
+    def paused(self) -> bool:
+        """Whether somebody has asked for a pause."""
+        return self._head[0] == PAUSE[0]
+
+    def pause(self, wanted: bool) -> None:
+        """Ask for a pause, or for its end, as another process does; a stop that was asked for stands."""
+        if self._head[0] != STOP[0]:
+            os.pwrite(self._descriptor, PAUSE if wanted else GOES_ON, 0)
+
+    def remarks(self) -> list[str]:
+        """What has been remarked since this was asked last."""
+        if self._head[1] == self._remarked:
+            return []
+        self._remarked = self._head[1]
+        told = [line["remark"] for line in _lines(self._descriptor, self._read_to) if "remark" in line]
+        self._read_to = os.fstat(self._descriptor).st_size
+        return [str(text) for text in told]
 
     def tell(self, **what: Any) -> None:
         """Add to what the file tells; a disk that takes nothing is nothing to a run."""
@@ -53,7 +75,7 @@ class Announcement:
 
     def close(self) -> None:
         """Let go: from here on the run has ended."""
-        self._byte.close()
+        self._head.close()
         os.close(self._descriptor)
 
 
@@ -74,13 +96,13 @@ def announced(
     path = place.runs / f"{bench}.{os.getpid()}.{secrets.token_hex(4)}.run"
     about = {"bench": bench, "file": str(Path(bench_file).resolve()), "protocol": protocol, "process": os.getpid()}
     try:
-        announcement = Announcement(_locked(path, GOES_ON + _line(about), place.shared))
+        announcement = Announcement(_locked(path, GOES_ON + UNREMARKED + _line(about), place.shared))
     except OSError as error:
         fault = f"{path.parent}: `leactl bench stop` cannot reach this run: {error.strerror or error}"
         if needed:
             raise InputError(f"{fault}; set LEACTL_STATE to a directory that can be written") from None
         nowhere = os.memfd_create("run")
-        os.write(nowhere, GOES_ON)
+        os.write(nowhere, GOES_ON + UNREMARKED)
         announcement = Announcement(nowhere, fault)
     try:
         yield announcement
@@ -128,14 +150,38 @@ class Underway:
         ------
         DeviceError : this user may not.
         """
+        self._ask("stop", STOP, 0)
+
+    def ask_to_pause(self, wanted: bool) -> None:
+        """Ask for a pause, which begins at the run's next rest, or for its end; a stop that was asked for stands.
+
+        Raises
+        ------
+        DeviceError : this user may not.
+        """
+        if os.pread(self.descriptor, 1, 0) != STOP:
+            self._ask("pause" if wanted else "go on", PAUSE if wanted else GOES_ON, 0)
+
+    def remark(self, text: str) -> None:
+        """Have the run record a remark with the moment at which it sees it.
+
+        Raises
+        ------
+        DeviceError : this user may not.
+        """
+        count = os.pread(self.descriptor, 1, len(GOES_ON))
+        self._ask("record a remark", _line({"remark": text}), os.fstat(self.descriptor).st_size)
+        self._ask("record a remark", bytes([(count[0] + 1) % 256]), len(GOES_ON))
+
+    def _ask(self, what: str, text: bytes, place: int) -> None:
         try:
-            os.pwrite(self.descriptor, STOP, 0)
+            os.pwrite(self.descriptor, text, place)
         except OSError as error:
             reason: object = error.strerror or error
             if error.errno == errno.EBADF:  # it could be opened for reading alone
                 owner = os.fstat(self.descriptor).st_uid
                 reason = f"no permission; the run is that of user {owner}, who may, as root may"
-            raise DeviceError(f"{self}: cannot be asked to stop: {reason}") from None
+            raise DeviceError(f"{self}: cannot be asked to {what}: {reason}") from None
 
     def wait(self, deadline: float) -> bool:
         """Whether the run's process has ended it, looked for until this moment of `time.monotonic`."""
@@ -208,13 +254,20 @@ def _ended(descriptor: int) -> bool:
 
 
 def _told(descriptor: int) -> dict[str, Any]:
-    text = os.pread(descriptor, state.MOST_BYTES, 0)[1:]
     told: dict[str, Any] = {}
+    for line in _lines(descriptor, 0):
+        told |= line
+    return told
+
+
+def _lines(descriptor: int, begin: int) -> Iterator[dict[str, Any]]:
+    """What stands in a run's file from a place on, one object a line."""
+    text = os.pread(descriptor, state.MOST_BYTES, max(begin, HEAD))
     for line in text.split(b"\n")[:-1]:  # the last one is empty, or not whole yet
         with suppress(ValueError):  # cut short by a full disk
-            line_told = json.loads(line)
-            told |= line_told if isinstance(line_told, dict) else {}
-    return told
+            told = json.loads(line)
+            if isinstance(told, dict):
+                yield told
 
 
 def _line(what: Mapping[str, Any]) -> bytes:

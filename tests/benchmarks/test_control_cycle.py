@@ -17,7 +17,7 @@ from leactl.runner.operators import granted
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import FLUSH_S
 from leactl.runner.request import prepare
-from leactl.runner.signals import StopRequest
+from leactl.runner.signals import StopRequest, Wishes
 from leactl.runner.watchdog import Unwatched
 from leactl.safety.supervisor import Axis, Supervisor
 from tests.benchmarks.replay import SYNC, RehearsedBus, ReplayBus
@@ -123,6 +123,7 @@ def prepared(request, machine, number):
         granted,
         Unwatched(),
         ChannelLimits((), bench.streams(), request.bench.name),
+        Wishes(),
     )
     return loop, bench, writer, wiring
 

@@ -200,3 +200,24 @@ def test_another_user_s_run_goes_on_and_is_status_5(hold, monkeypatch):
         )
         assert run.poll() is None
         shutil.rmtree(Path(shared) / "runs")
+
+
+def test_a_remark_and_a_pause_reach_a_run_and_nothing_running_is_said(here, processes):
+    run = start(*SPINNING)
+    processes.append(run)
+    path = live_run(here, run)
+    told = leactl("bench", "remark", "the bearing squeaks")
+    assert (told.returncode, told.stderr) == (0, "")
+    assert told.stdout == f"spin on emulated, process {run.pid} records it\n"
+    told = leactl("bench", "pause", "emulated", "--json")
+    assert json.loads(told.stdout) == {"runs": [{"bench": "emulated", "protocol": "spin", "process": run.pid}]}
+    assert leactl("bench", "resume").returncode == 0
+    assert leactl("bench", "stop").returncode == 0
+    run.communicate()
+    with Run.open(path) as recorded:
+        assert "remark: the bearing squeaks" in [event.message for event in recorded.events]
+    for words in (("pause",), ("resume", "emulated"), ("remark", "x")):
+        done = leactl("bench", *words)
+        assert (done.returncode, done.stdout) == (5, "")
+        assert done.stderr.startswith("leactl: nothing runs")
+    assert leactl("bench", "remark", " ").returncode == 2

@@ -14,7 +14,7 @@ from leactl.runner.loop import Loop
 from leactl.runner.operators import granted
 from leactl.runner.progress import Progress
 from leactl.runner.session import SENSED_SETUPS
-from leactl.runner.signals import StopRequest
+from leactl.runner.signals import StopRequest, Wishes
 from leactl.runner.watchdog import Unwatched
 from leactl.runner.windings import guard_settings, motors_of
 from leactl.safety.cross_checks import TorqueModel
@@ -159,7 +159,8 @@ def _loop(plan: Plan, bench: DirectBench, supervisor: Supervisor | Unsupervised)
     nothing = NoFile()
     progress = Progress(plan.name, plan.duration_s, bench.streams())
     limits = ChannelLimits((), bench.streams(), bench.file.name)
-    loop = Loop(plan, bench, supervisor, nothing, nothing, StopRequest(), progress, granted, Unwatched(), limits)  # type: ignore[arg-type]
+    asked = StopRequest(), progress, granted, Unwatched(), limits, Wishes()
+    loop = Loop(plan, bench, supervisor, nothing, nothing, *asked)  # type: ignore[arg-type]
     status, reason = "complete", ""
     try:
         loop.run()

@@ -44,6 +44,7 @@ def spin(tmp_path, monkeypatch):
         out=tmp_path / "runs",
         realtime=False,
         stops=(),
+        pauses=(),
     ):
         path = tmp_path / "protocol.yaml"
         path.write_text(text)
@@ -63,7 +64,7 @@ def spin(tmp_path, monkeypatch):
 
         monkeypatch.setattr(emulated_bench, "EmulatedBench", Rehearsed)
         request = prepare(str(path), bench, sets, "a1", condition, "", out, realtime)
-        outcome = execute(request, operator, watch, stops)
+        outcome = execute(request, operator, watch, stops, pauses)
         return outcome, benches[0]
 
     return run

@@ -108,7 +108,7 @@ def test_no_cycle_begins_after_a_stop_key(spin, keyboard, text, name):
 def test_other_keys_and_what_was_typed_before_the_run_stop_nothing(spin, keyboard):
     typing(keyboard, b"q \n")(None)
     with operators.keyboard(shown=True) as keys:
-        assert keys.hint == "space or q stops the run"
+        assert keys.hint == "space or q stops the run, p pauses it"
         outcome, _bench = spin(at=[(0.3, typing(keyboard, b"abc\n\x1b"))], stops=[keys.pressed])
     assert outcome.status == "complete"
 
