@@ -9,6 +9,7 @@ import typer
 from leactl.cli import bench_by_hand
 from leactl.cli.completion import benches
 from leactl.cli.helptext import ON_A_BENCH, examples, group_of_commands
+from leactl.errors import DeviceError
 
 app = group_of_commands()
 RUNS = Path("runs")  # where `leactl run` puts its own, unless told otherwise
@@ -110,7 +111,7 @@ def _confirmed(question: str) -> bool:
     return answer.strip().lower() in ("y", "yes")
 
 
-@app.command(epilog=examples("bench serve emulated --bus can0=pty --setup free"))
+@app.command(epilog=examples("bench serve emulated --bus can0=pty --setup free", ends=(DeviceError,)))
 def serve(
     bench: str = typer.Argument("emulated", help="An emulated bench, by name or as a .yaml.", autocompletion=benches),
     bus: list[str] = typer.Option(

@@ -11,8 +11,13 @@ from leactl.errors import InputError
 INSTALLED = "share/doc/leactl"  # below the environment, as pyproject.toml has it
 
 
+def pages(incomplete: str) -> list[str]:
+    """Pages that a shell offers."""
+    return sorted(path.stem for path in folder_of_pages().glob(f"{incomplete}*.md"))
+
+
 def docs(
-    page: str = typer.Argument("", help="Print this page; without one all are listed."),
+    page: str = typer.Argument("", help="Print this page; without one all are listed.", autocompletion=pages),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
     """List the pages of the manual and where they lie, or print one."""

@@ -8,6 +8,7 @@ import typer
 from typer.core import TyperCommand
 
 from leactl.cli.completion import effects
+from leactl.cli.completion import protocols as complete_protocols
 from leactl.cli.helptext import examples, group_of_commands
 
 app = group_of_commands()
@@ -127,7 +128,9 @@ def show_effects(
 def plan_runs(
     runs: list[Path] = typer.Argument(None, metavar="[RUN]...", help="Run files that there are."),
     model: Path = typer.Option(..., "--model", help="Nominal model, a .yaml."),
-    protocols: list[str] = typer.Option([], "--protocol", help="A protocol that will be run; may be repeated."),
+    protocols: list[str] = typer.Option(
+        [], "--protocol", help="A protocol that will be run; may be repeated.", autocompletion=complete_protocols
+    ),
     noise: list[str] = typer.Option([], "--noise", metavar="QUANTITY=STD", help="Noise of a planned channel, SI."),
     as_json: bool = AS_JSON,
 ) -> None:

@@ -7,12 +7,12 @@ from textwrap import indent
 import typer
 
 from leactl.cli import finite
-from leactl.cli.completion import motors
+from leactl.cli.completion import motors as complete_motors
 from leactl.cli.helptext import examples, group_of_commands
 
 app = group_of_commands()
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
-MOTOR = typer.Argument(help="Name of a shipped motor, or a path to a .yaml.", autocompletion=motors)
+MOTOR = typer.Argument(help="Name of a shipped motor, or a path to a .yaml.", autocompletion=complete_motors)
 AMBIENT = typer.Option(
     25.0, "--ambient", min=-40.0, max=60.0, help="Of the air around the actuator [degC].", callback=finite
 )
@@ -49,7 +49,9 @@ def show(motor: str = MOTOR, ambient: float = AMBIENT, bus_voltage: float = BUS,
 
 @app.command(epilog=examples("motor compare lea mine.yaml"))
 def compare(
-    motors: list[str] = typer.Argument(None, metavar="[MOTOR]...", help="Names or paths; all that ship by default."),
+    motors: list[str] = typer.Argument(
+        None, metavar="[MOTOR]...", help="Names or paths; all that ship by default.", autocompletion=complete_motors
+    ),
     ambient: float = AMBIENT,
     bus_voltage: float = BUS,
     as_json: bool = AS_JSON,
@@ -67,7 +69,9 @@ def scale(
     radius: float = typer.Option(
         ..., "--radius", metavar="MM", help="Air-gap radius of the motor to be.", callback=finite
     ),
-    motor: str = typer.Option("u8-kv100", help="The motor that is known, by name or path.", autocompletion=motors),
+    motor: str = typer.Option(
+        "u8-kv100", help="The motor that is known, by name or path.", autocompletion=complete_motors
+    ),
     known_radius: float | None = typer.Option(
         None, "--known-radius", metavar="MM", help="Its air-gap radius.", callback=finite
     ),
@@ -93,7 +97,9 @@ def scale(
 @app.command(epilog=examples("motor energy hip.csv knee.csv --body-mass 70"))
 def energy(
     cycles: list[Path] = typer.Argument(metavar="CYCLE.csv...", help="Angle and torque of a joint over one cycle."),
-    motors: list[str] = typer.Option([], "--motor", help="Names or paths; all that ship by default."),
+    motors: list[str] = typer.Option(
+        [], "--motor", help="Names or paths; all that ship by default.", autocompletion=complete_motors
+    ),
     stride_time: float | None = typer.Option(None, metavar="S", help="How long a cycle takes.", callback=finite),
     body_mass: float | None = typer.Option(None, metavar="KG", help="For torque_Nm_per_kg.", callback=finite),
     ratio: float | None = typer.Option(

@@ -35,7 +35,7 @@ def run(
     insert_cooldown: bool = typer.Option(False, "--insert-cooldown", help="Wait where a winding would grow too hot."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
-    """Run a protocol on a bench; status 3 is a safety trip, 4 a stop, 5 a device, 6 an acceptance limit not met."""
+    """Run a protocol on a bench: every setpoint supervised, every sample in one run file."""
     from leactl.runner.request import prepare
     from leactl.runner.signals import to_the_end
 

@@ -97,6 +97,9 @@ def offered(*words):
         (("leactl", "run", "friction", "--bench", "emulated-"), ["emulated-heated"]),
         (("leactl", "gap", "effects", "cogg"), ["cogging"]),
         (("leactl", "run", "friction", "--set", ""), [f"{name}=" for name in load("friction").parameters]),
+        (("leactl", "motor", "energy", "a.csv", "--motor", "u8"), ["u8-kv100"]),
+        (("leactl", "gap", "plan", "--protocol", "torque-c"), ["torque-constant"]),
+        (("leactl", "docs", "dead"), ["dead-man"]),
         (("leactl", "run", "./no-such", "--set", ""), []),
     ],
 )

@@ -49,6 +49,7 @@ pole_pairs: 21
 """
 # whose keys are names of the user's own: none of them can be misspelt
 OWN_NAMES = (
+    "regions",
     "parameters",
     "buses",
     "devices",
