@@ -13,7 +13,7 @@ import os
 import secrets
 import stat
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,11 +24,11 @@ from leactl.errors import DeviceError, InputError
 from leactl.runner import state
 from leactl.runner.state import Place
 
-GOES_ON, PAUSE, STOP = b"-", b"=", b"!"  # the file's first byte
-UNREMARKED = b"\0"  # its second one, which counts remarks; one line of JSON after the other follows
+GOES_ON, STOP, PAUSE = b"-", b"!", b"="
+HEAD = 2  # bytes: the first asks for a stop and the second for a pause, so that neither can undo the other
 CAUSE = "stopped by `leactl bench stop`"
 LOOK_EVERY_S = 0.02
-HEAD = len(GOES_ON + UNREMARKED)
+MOST_TOLD = 1 << 22  # bytes, with thousands of remarks
 
 
 class Announcement:
@@ -38,7 +38,7 @@ class Announcement:
         self.fault = fault  # why nobody can find it
         self._descriptor = descriptor
         self._head = mmap.mmap(descriptor, HEAD, prot=mmap.PROT_READ)
-        self._remarked = self._read_to = 0
+        self._read_to = HEAD
 
     def asked(self) -> str:
         """The cause to stop for, once somebody has asked; empty before."""
@@ -47,21 +47,20 @@ class Announcement:
     @property
     def paused(self) -> bool:
         """Whether somebody has asked for a pause."""
-        return self._head[0] == PAUSE[0]
+        return self._head[1] == PAUSE[0]
 
     def pause(self, wanted: bool) -> None:
-        """Ask for a pause, or for its end, as another process does; a stop that was asked for stands."""
-        if self._head[0] != STOP[0]:
-            os.pwrite(self._descriptor, PAUSE if wanted else GOES_ON, 0)
+        """Ask for a pause, or for its end, as another process does."""
+        os.pwrite(self._descriptor, PAUSE if wanted else GOES_ON, 1)
 
     def remarks(self) -> list[str]:
         """What has been remarked since this was asked last."""
-        if self._head[1] == self._remarked:
+        if os.fstat(self._descriptor).st_size <= self._read_to:
             return []
-        self._remarked = self._head[1]
-        told = [line["remark"] for line in _lines(self._descriptor, self._read_to) if "remark" in line]
-        self._read_to = os.fstat(self._descriptor).st_size
-        return [str(text) for text in told]
+        text = os.pread(self._descriptor, state.MOST_BYTES, self._read_to)
+        whole = text[: text.rfind(b"\n") + 1]  # a line that is being written is read the next time
+        self._read_to += len(whole)
+        return [str(line["remark"]) for line in _lines(whole) if "remark" in line]
 
     def tell(self, **what: Any) -> None:
         """Add to what the file tells; a disk that takes nothing is nothing to a run."""
@@ -96,13 +95,13 @@ def announced(
     path = place.runs / f"{bench}.{os.getpid()}.{secrets.token_hex(4)}.run"
     about = {"bench": bench, "file": str(Path(bench_file).resolve()), "protocol": protocol, "process": os.getpid()}
     try:
-        announcement = Announcement(_locked(path, GOES_ON + UNREMARKED + _line(about), place.shared))
+        announcement = Announcement(_locked(path, 2 * GOES_ON + _line(about), place.shared))
     except OSError as error:
         fault = f"{path.parent}: `leactl bench stop` cannot reach this run: {error.strerror or error}"
         if needed:
             raise InputError(f"{fault}; set LEACTL_STATE to a directory that can be written") from None
         nowhere = os.memfd_create("run")
-        os.write(nowhere, GOES_ON + UNREMARKED)
+        os.write(nowhere, 2 * GOES_ON)
         announcement = Announcement(nowhere, fault)
     try:
         yield announcement
@@ -150,17 +149,17 @@ class Underway:
         ------
         DeviceError : this user may not.
         """
-        self._ask("stop", STOP, 0)
+        self._ask("stop", lambda: os.pwrite(self.descriptor, STOP, 0))
 
     def ask_to_pause(self, wanted: bool) -> None:
-        """Ask for a pause, which begins at the run's next rest, or for its end; a stop that was asked for stands.
+        """Ask for a pause, which begins at the run's next rest, or for its end.
 
         Raises
         ------
         DeviceError : this user may not.
         """
-        if os.pread(self.descriptor, 1, 0) != STOP:
-            self._ask("pause" if wanted else "go on", PAUSE if wanted else GOES_ON, 0)
+        byte = PAUSE if wanted else GOES_ON
+        self._ask("pause" if wanted else "go on", lambda: os.pwrite(self.descriptor, byte, 1))
 
     def remark(self, text: str) -> None:
         """Have the run record a remark with the moment at which it sees it.
@@ -169,16 +168,22 @@ class Underway:
         ------
         DeviceError : this user may not.
         """
-        count = os.pread(self.descriptor, 1, len(GOES_ON))
-        self._ask("record a remark", _line({"remark": text}), os.fstat(self.descriptor).st_size)
-        self._ask("record a remark", bytes([(count[0] + 1) % 256]), len(GOES_ON))
 
-    def _ask(self, what: str, text: bytes, place: int) -> None:
+        def append() -> None:
+            end = os.open(f"/proc/self/fd/{self.descriptor}", os.O_WRONLY | os.O_APPEND)  # whole, whoever else remarks
+            try:
+                os.write(end, _line({"remark": text}))
+            finally:
+                os.close(end)
+
+        self._ask("record a remark", append)
+
+    def _ask(self, what: str, write: Callable[[], object]) -> None:
         try:
-            os.pwrite(self.descriptor, text, place)
+            write()
         except OSError as error:
             reason: object = error.strerror or error
-            if error.errno == errno.EBADF:  # it could be opened for reading alone
+            if error.errno in (errno.EBADF, errno.EACCES):  # it could be opened for reading alone
                 owner = os.fstat(self.descriptor).st_uid
                 reason = f"no permission; the run is that of user {owner}, who may, as root may"
             raise DeviceError(f"{self}: cannot be asked to {what}: {reason}") from None
@@ -255,14 +260,13 @@ def _ended(descriptor: int) -> bool:
 
 def _told(descriptor: int) -> dict[str, Any]:
     told: dict[str, Any] = {}
-    for line in _lines(descriptor, 0):
+    for line in _lines(os.pread(descriptor, MOST_TOLD, HEAD)):
         told |= line
     return told
 
 
-def _lines(descriptor: int, begin: int) -> Iterator[dict[str, Any]]:
-    """What stands in a run's file from a place on, one object a line."""
-    text = os.pread(descriptor, state.MOST_BYTES, max(begin, HEAD))
+def _lines(text: bytes) -> Iterator[dict[str, Any]]:
+    """Objects, one a line."""
     for line in text.split(b"\n")[:-1]:  # the last one is empty, or not whole yet
         with suppress(ValueError):  # cut short by a full disk
             told = json.loads(line)

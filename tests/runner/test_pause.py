@@ -68,6 +68,18 @@ def test_a_run_is_stopped_while_it_pauses(spin):
     assert paused(outcome)[0].stop == pytest.approx(2.0, abs=0.1)
 
 
+def test_remarks_of_many_come_all_and_whole(spin):
+    texts = [f"remark {number} {'x' * 200}" for number in range(300)]
+
+    def all_at_once(run):
+        for text in texts:
+            run.remark(text)
+
+    outcome, _bench = spin(at=[(0.3, asking(all_at_once))])
+    with Run.open(outcome.path) as run:
+        assert [e.message for e in run.events if e.source == "operator"] == [f"remark: {text}" for text in texts]
+
+
 def test_a_stop_is_not_taken_back_by_the_end_of_a_pause(spin):
     def both(run):
         run.ask_to_stop()
