@@ -74,6 +74,7 @@ class Loop:
         self._answer_s = max(ANSWER_SHARE * self._period, LEAST_ANSWER_S)
         self._start = self._next = self._clock.now()
         self._newest: dict[str, Sequence[float]] = {}
+        progress.own = self._newest
         self._row: list[float] = []
         self._judged: Sequence[float] = ()  # the row that a criterion was given last
         self._every, self._phase = round(plan.rate_Hz / plan.record_Hz), 0
@@ -187,8 +188,7 @@ class Loop:
             supervisor.free_space(self._flush.free_bytes)
             self._pass_on_notices()
             self._see_watchdog()
-        progress = self._progress
-        progress.values, progress.own = row, self._newest
+        self._progress.values = row
         self._pace(began)
 
     def _pace(self, began: float) -> None:

@@ -62,10 +62,10 @@ class CurrentTracking:
 
     def ask(self, demand: float) -> None:
         """Take a new demand: any reading within `low` to `high` agrees with it, others are for `look` to judge."""
-        self._demand, self._asked = demand, True
+        self._asked = True
         self._demands.append(demand)
         if self._judges:
-            allowed = self._floor + self._share * abs(demand)
+            allowed = self._floor + self._share * (demand if demand > 0.0 else -demand)
             self.low, self.high = demand - allowed, demand + allowed
         else:
             self.low, self.high = -math.inf, math.inf
@@ -79,7 +79,8 @@ class CurrentTracking:
         """
         if not self._judges:
             return
-        demand, demands = self._demand, self._demands
+        demands = self._demands
+        demand = demands[-1]
         if not self._asked:  # the same demand for another cycle
             demands.append(demand)
         self._asked = False
