@@ -105,18 +105,22 @@ def by_holds(streams: dict[str, Stream], by: StepsByHolds, document: Document, s
 def held(values: Array) -> Iterator[tuple[int, int]]:
     """Stretches (first row, row after the last) in which a channel stays by its own mean, as near as its noise lets it.
 
-    The noise is that of neighbouring rows, so a setpoint that is repeated exactly is held exactly. What is missing ends
-    no stretch.
+    The noise is that of neighbouring rows, so a setpoint that is repeated exactly is held exactly. Two rows off it
+    in a row end a stretch; what is missing ends none.
     """
     known = np.flatnonzero(np.isfinite(values))
     changes = np.abs(np.diff(values[known], prepend=values[known[0]]))
     near = max(SCATTER * MAD * float(np.median(changes)) / math.sqrt(2.0), ROUNDED * float(np.abs(values[known]).max()))
     first, total, count = 0, 0.0, 0
+    off: tuple[int, float] | None = None  # the row before, where it was off its level: one alone is a stray reading
     for row, value in zip(known.tolist(), values[known].tolist(), strict=True):
-        if count and abs(value - total / count) > near:
-            yield first, row
-            first, total, count = row, 0.0, 0
-        total, count = total + value, count + 1
+        if not count or abs(value - total / count) <= near:
+            total, count, off = total + value, count + 1, None
+        elif off is None:
+            off = row, value
+        else:
+            yield first, off[0]
+            first, total, count, off = off[0], value, 1, None
     yield first, len(values)
 
 

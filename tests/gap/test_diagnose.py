@@ -19,7 +19,7 @@ from leactl.vocabulary.effect import effect_names
 
 SEED, FEW = 16, 3  # of what no effect explains: the resonator is among the first three
 EVERY = effect_names()
-OFTEN = (*EVERY[::6], "torque_ripple")  # what an ordinary run tries; all of them are a long one
+OFTEN = (*EVERY[::12], "torque_ripple")  # what an ordinary run tries; all of them are a long one
 PRACTICE = Path(__file__).parents[3] / "shared" / "gap-cases" / "practice"
 
 

@@ -123,6 +123,7 @@ def test_a_parameter_that_the_model_leaves_out_is_fitted_and_written(tmp_path):
     assert found.extra["calibrated"].coulomb_friction == pytest.approx(TRUE["coulomb_friction"], rel=0.1)
 
 
+@pytest.mark.long
 def test_runs_at_another_pace_are_left_out_and_named(tmp_path):
     records = bench(tmp_path, load=0.3)
     slow = records[-1].fast
@@ -144,6 +145,7 @@ def test_a_servo_that_lacks_nothing_but_its_parameters_has_no_cause(tmp_path):
     assert standing(*bench(tmp_path), proposed=[("position_dependent_friction", (3.0,))]) == {}
 
 
+@pytest.mark.long
 def test_friction_that_grows_with_load_stands_alone(tmp_path):
     found = standing(*bench(tmp_path, load=0.3))
     assert list(found) == ["load_dependent_friction"]
@@ -156,6 +158,7 @@ def test_friction_that_grows_with_load_and_falls_with_speed_is_found_together(tm
     assert "saturation" not in found
 
 
+@pytest.mark.long
 def test_torque_that_falls_short_is_told_from_friction(tmp_path):
     found = standing(*bench(tmp_path, lost=0.3), proposed=[("saturation", (2.0,))])
     assert list(found) == ["saturation"]
@@ -191,6 +194,7 @@ def test_a_fit_finds_a_delay_of_the_reference(tmp_path):
     assert found.parameters["reference_delay"] == pytest.approx(0.006, abs=5e-4)
 
 
+@pytest.mark.long
 def test_fits_side_by_side_end_where_each_ends_alone(tmp_path):
     runs = servo_runs(swung(tmp_path), servo_model())
     starts = [SERVO | {"coulomb_friction": 0.03}, SERVO | {"load_dependent_friction.coefficient": 0.2}]

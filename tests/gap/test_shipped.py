@@ -7,7 +7,7 @@ import pytest
 from leactl.protocol.protocolfile import load, names
 from tests.cli.terminal import leactl
 
-OFTEN = ("separate-slow-friction", "torque-sensor-calibration")  # what an ordinary run tries
+OFTEN = ("torque-sensor-calibration",)  # what an ordinary run tries
 NAMED_WRONGLY = {"position-step", "separate-sensor-timing", "torque-pulses", "torque-speed-envelope"}
 CALLED_UNKNOWN = {
     "back-emf",
