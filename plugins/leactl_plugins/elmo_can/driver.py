@@ -311,9 +311,7 @@ class ElmoCan(Driver):
             followed[2] = self._value * self._angle_per_count
         if fresh[0]:
             values[6] = 1.0 if engaged else 0.0
-        silence = deadline - self._heard
-        if silence > self._longest_silence:  # the deadline is no earlier than now: else the clock need not be asked
-            silence = self._clock.now() - self._heard
+        silence = self._clock.now() - self._heard
         if engaged and silence <= self._longest_silence and not self._emergency:
             self._enable_by = -math.inf  # from here on, leaving operation is the drive's own doing
         else:
