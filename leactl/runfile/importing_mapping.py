@@ -24,6 +24,15 @@ Column = Text | Row
 PLACE = r"^[^/]+/[^/]+$"  # stream/channel
 
 
+def as_label(cell: str | float, decimal: str = ".") -> str:
+    """What stands in a cell as a label: a number in its shortest form, other text as it is."""
+    try:
+        number = float(cell.replace(decimal, ".") if isinstance(cell, str) else cell)
+    except ValueError:
+        return str(cell)
+    return f"{number + 0.0:.15g}"  # 0 for -0
+
+
 class FieldOf(Block):
     """A number or text that stands once in the source, as `scale * field + offset` where it is a number."""
 
@@ -171,6 +180,16 @@ class StepsByColumn(Block):
     names: Annotated[dict[Text, Name], Field(min_length=1)]  # of the step, by what stands in the column
     settle_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] = 0.0
     parameters: dict[Name, Annotated[str, StringConstraints(strict=True, pattern=PLACE)]] = {}  # medians of channels
+
+    @field_validator("names")
+    @classmethod
+    def _unlike(cls, names: dict[str, str]) -> dict[str, str]:
+        by_label: dict[str, str] = {}
+        for text, name in names.items():
+            if (label := as_label(text)) in by_label:
+                raise ValueError(f"label {label} stands twice")
+            by_label[label] = name
+        return by_label
 
 
 class StepsByHolds(Block):

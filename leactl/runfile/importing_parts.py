@@ -1,5 +1,6 @@
 """One recording as several runs: by rows, by instants, or by the direction of a sweep."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -110,4 +111,4 @@ def during(streams: Streams, begin: float, end: float) -> Streams:
 def from_zero(streams: Streams) -> Streams:
     """The same with its own start as time zero."""
     start = min(float(stream.time[0]) for stream in streams.values() if len(stream.time))
-    return {n: Stream(s.time - start, s.specs, s.values) for n, s in streams.items()}
+    return {name: replace(stream, time=stream.time - start) for name, stream in streams.items()}

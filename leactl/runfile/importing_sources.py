@@ -4,8 +4,9 @@ Numbers come as float64; what is missing is NaN; true and false are 1 and 0. Not
 """
 
 import csv
+import sys
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
-from leactl.runfile.importing_mapping import CsvForm
+from leactl.runfile.importing_mapping import CsvForm, as_label
 from leactl.runfile.importing_trees import Lacking, TreeSource, json_tree, mat_tree
 
 Array = npt.NDArray[np.float64]
@@ -26,6 +27,9 @@ class Source(Protocol):
 
     def column(self, name: str | int, records: str | None) -> Array | list[str]:
         """A column: numbers, or text where it holds any."""
+
+    def labels(self, name: str | int, records: str | None) -> list[str]:
+        """A column as labels, whether it holds numbers or text."""
 
     def field(self, name: str | int) -> float | str:
         """A single value."""
@@ -42,7 +46,7 @@ def open_source(
     Parameters
     ----------
     wanted : columns that will be asked for, of which a table of text keeps these alone.
-    labels : further ones, which are text even where they hold numbers.
+    labels : columns that will be asked for as labels, whether they are `wanted` as well or not.
 
     Raises
     ------
@@ -68,6 +72,7 @@ class CsvSource:
         self._names: list[str] = []
         self._lines = array("q")
         self._columns: dict[int, list[str] | array[float]] = {}
+        self._labels: dict[int, list[str]] = {}
         try:
             with path.open(encoding=form.encoding, newline="") as file:
                 self._read(file, wanted, labels)
@@ -82,7 +87,6 @@ class CsvSource:
         form, missing = self._form, set(self._form.missing)
         first = form.data_line or form.header_line + 1
         table = csv.reader(file, delimiter=form.delimiter, skipinitialspace=True)
-        kept: list[int] = []
         width = 0
         faults: list[str] = []
         for cells in table:
@@ -93,15 +97,16 @@ class CsvSource:
                 continue
             if not width:
                 width = len(cells)
-                as_text = self._found(labels, width)
-                kept = sorted({*self._found(wanted, width), *as_text})
-                self._columns = {at: [] if at in as_text else array("d") for at in kept}
+                self._columns = {at: array("d") for at in self._found(wanted, width)}
+                self._labels = {at: [] for at in self._found(labels, width)}
             if len(cells) != width:
                 faults.append(f"{self.path}: line {line}: {len(cells)} cells where {width} were expected")
             else:
                 self._lines.append(line)
-                for at in kept:
+                for at in self._columns:
                     self._put(at, cells[at].strip(), line, missing)
+                for at, texts in self._labels.items():
+                    texts.append(sys.intern(cells[at].strip()))  # a few texts stand in millions of rows
             if len(faults) == 5:
                 break
         if faults:
@@ -118,7 +123,7 @@ class CsvSource:
             column.append(np.nan)
             return
         try:
-            column.append(float(cell.replace(",", ".") if self._form.decimal == "," else cell))
+            column.append(float(cell.replace(self._form.decimal, ".")))
         except ValueError:
             lowered = cell.lower()
             if lowered in ("true", "false"):
@@ -145,16 +150,25 @@ class CsvSource:
 
     def column(self, name: str | int, records: str | None) -> Array | list[str]:
         """A column by header or index."""
+        found = self._columns[self._known(name, self._columns)]
+        return found if isinstance(found, list) else np.frombuffer(found, np.float64)
+
+    def labels(self, name: str | int, records: str | None) -> list[str]:
+        """A column by header or index, as labels."""
+        cells = self._labels[self._known(name, self._labels)]
+        labels = {cell: as_label(cell, self._form.decimal) for cell in set(cells)}
+        return [labels[cell] for cell in cells]
+
+    def _known(self, name: str | int, kept: Iterable[int]) -> int:
+        """Where a column that was asked for stands."""
         if isinstance(name, str) and self._names.count(name) > 1:
             raise Lacking(f"{self.path}: the header has {name!r} {self._names.count(name)} times; give its index")
-        width = max(len(self._names), *self._columns, 0) + 1
-        at = self._at(name, width)
-        if at is None or at not in self._columns:
+        at = self._at(name, max(len(self._names), *kept, 0) + 1)
+        if at is None or at not in kept:
             has = ", ".join(self._names) if self._names else "no header"
             hint = "; is csv.delimiter right?" if len(self._names) == 1 else ""
             raise Lacking(f"{self.path} has no column {name!r}; it has {has}{hint}")
-        found = self._columns[at]
-        return found if isinstance(found, list) else np.frombuffer(found, np.float64)
+        return at
 
     def field(self, name: str | int) -> float | str:
         """The value of a column that never changes."""

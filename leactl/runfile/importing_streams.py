@@ -101,22 +101,14 @@ def build_stream(
     labels = None
     if told_by is not None:
         try:
-            raw = source.column(told_by, wanted.records)
+            raw = source.labels(told_by, wanted.records)
         except Lacking as lacking:
             raise InputError(document.fault(("steps_by_column", "column"), str(lacking))) from None
         if len(raw) != len(keep):
             told = f"{source.path}: {len(raw)} labels for {len(keep)} rows"
             raise InputError(document.fault(("steps_by_column", "column"), told))
-        labels = [label(value) for value, kept in zip(raw, keep, strict=True) if kept]
+        labels = [label for label, kept in zip(raw, keep, strict=True) if kept]
     return Stream(time[keep], specs, [column[keep] for column in values], labels=labels)
-
-
-def label(value: float | str) -> str:
-    """What stands in a cell as a text; a number in its shortest form."""
-    try:
-        return f"{float(value):g}"
-    except ValueError:
-        return str(value).strip()
 
 
 def build_channel(

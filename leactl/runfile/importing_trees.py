@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
+from leactl.runfile.importing_mapping import as_label
 
 Array = npt.NDArray[np.float64]
 MAX_JSON_BYTES = 1 << 30  # held in memory about five times over
@@ -33,6 +34,10 @@ class TreeSource:
         base = self._walk(self._tree, records) if records else self._tree
         found = self._indexed(base, name, records) if isinstance(name, int) else self._walk(base, name)
         return self._as_column(found, name)
+
+    def labels(self, name: str | int, records: str | None) -> list[str]:
+        """A column by path, as labels."""
+        return [as_label(value) for value in self.column(name, records)]
 
     def field(self, name: str | int) -> float | str:
         """A single value by path."""

@@ -190,3 +190,57 @@ def test_a_velocity_in_another_unit_is_refused_and_a_gear_is_not(tmp_path, facto
         return
     with pytest.raises(InputError, match=taken):
         import_runs(*chosen)
+
+
+SMALL = """
+mechanical: free
+csv: {{delimiter: ";", decimal: "{decimal}"}}
+streams:
+  loop:
+    time: {{column: t}}
+    channels: {{iq: {{column: iq, quantity: q_axis_current_reference}}}}
+{steps}
+"""
+
+
+def small_table(path, levels, decimal="."):
+    """Two seconds a level at 50 rows a second: stamps, the level, and the level again."""
+    rows = [f"{k * 0.02:.2f};{level!r};{level!r}" for k, level in enumerate(np.repeat(levels, 100).tolist())]
+    path.write_text("\n".join(["t;iq;phase", *rows, ""]).replace(".", decimal))
+    return path
+
+
+def steps_in(file):
+    with Run.open(file) as run:
+        return [(step.name, round(step.start, 6), round(step.stop, 6), step.parameters) for step in run.steps]
+
+
+@pytest.mark.parametrize("column", ["iq", "phase"])
+@pytest.mark.parametrize(
+    ("levels", "decimal"), [((0.5, 1.0, 1.5), "."), ((0.5, 1.0, 1.5), ","), ((20000.01, 20000.02), ".")]
+)
+def test_a_column_that_tells_steps_may_be_a_channel_too(tmp_path, column, levels, decimal):
+    names = ", ".join(f"{level}: level_{number}" for number, level in enumerate(levels))
+    by = f"steps_by_column: {{stream: loop, column: {column}, names: {{{names}}}, parameters: {{current_A: loop/iq}}}}"
+    table = small_table(tmp_path / "log.csv", levels, decimal)
+    expected = [
+        (f"level_{n}", 2.0 * n, pytest.approx(2.0 * n + 2.0, abs=0.021), {"current_A": level})
+        for n, level in enumerate(levels)
+    ]
+    assert steps_in(imported(tmp_path, table, SMALL.format(decimal=decimal, steps=by))) == expected
+
+
+def test_parts_of_a_recording_keep_the_column_that_tells_their_steps(tmp_path):
+    by = "steps_by_column: {stream: loop, column: phase, names: {2: hold}}\n"
+    parts = "parts: [{suffix: a, time_s: [0, 3]}, {suffix: b, time_s: [3, 5.9]}]\n"
+    (tmp_path / "map.yaml").write_text(SMALL.format(decimal=".", steps=parts + by))
+    table = small_table(tmp_path / "log.csv", (1.0, 2.0, 3.0))
+    first, second = import_runs([str(table)], tmp_path / "map.yaml", tmp_path / "out")
+    assert steps_in(first) == [("hold", 2.0, 2.98, {})]
+    assert steps_in(second) == [("hold", 0.0, 1.0, {})]
+
+
+def test_two_names_for_one_label_are_refused(tmp_path):
+    by = "steps_by_column: {stream: loop, column: phase, names: {2: a, 2.0: b}}\n"
+    with pytest.raises(InputError, match=r"steps_by_column\.names: label 2 stands twice"):
+        imported(tmp_path, small_table(tmp_path / "log.csv", (1.0, 2.0)), SMALL.format(decimal=".", steps=by))
