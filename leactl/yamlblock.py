@@ -1,13 +1,13 @@
 """A mapping of a YAML file with a closed set of keys: a key that it lacks is answered with the one that was meant."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any, ClassVar, Self
 
 from pydantic import BaseModel, ConfigDict, ModelWrapValidatorHandler, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from leactl.yamlfile import NOT_A_MAPPING, UNKNOWN_KEY
+from leactl.yamlfile import AT_ODDS, NOT_A_MAPPING, UNKNOWN_KEY, Location
 
 MOST_GUESSES = 20  # unknown keys of one block for which the one that was meant is looked for
 LONGEST_GUESS = 80  # characters of a key that is compared
@@ -34,6 +34,15 @@ class Block(BaseModel):
             raise ValidationError.from_exception_data(cls.__name__, kept) from None
 
     @classmethod
+    def faulty(cls, faults: Sequence[tuple[Location, str]]) -> ValidationError:
+        """An error for a validator to raise, with the keys at fault where keys are at odds with one another."""
+        items = [
+            InitErrorDetails(type=PydanticCustomError(AT_ODDS, "{message}", {"message": message}), loc=keys, input=None)
+            for keys, message in faults
+        ]
+        return ValidationError.from_exception_data(cls.__name__, items)
+
+    @classmethod
     def _keys(cls) -> list[str]:
         """The keys as they stand in a file."""
         return [field.alias or name for name, field in cls.model_fields.items()]
@@ -58,7 +67,7 @@ class Block(BaseModel):
             error: Any = PydanticCustomError(UNKNOWN_KEY, f"unknown key; {expected} was expected")
         elif kind == "model_type" and not place:
             error = PydanticCustomError(NOT_A_MAPPING, f"a mapping with keys of {', '.join(cls._keys())} was expected")
-        elif kind in (UNKNOWN_KEY, NOT_A_MAPPING):
+        elif kind in (UNKNOWN_KEY, NOT_A_MAPPING, AT_ODDS):
             error = PydanticCustomError(kind, item["msg"])
         else:
             error = kind

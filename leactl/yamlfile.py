@@ -152,7 +152,8 @@ def shown(value: Any) -> str:
 _WAS_EXPECTED = " was expected"
 UNKNOWN_KEY = "unknown_key"  # kind of an error that names the key which was probably meant
 NOT_A_MAPPING = "not_a_mapping"
-_OWN_KINDS = (UNKNOWN_KEY, NOT_A_MAPPING)
+AT_ODDS = "at_odds"  # with what stands elsewhere in the file
+_OWN_KINDS = (UNKNOWN_KEY, NOT_A_MAPPING, AT_ODDS)
 _WITHOUT_VALUE = ("missing", "extra_forbidden")
 _ABOUT_THE_WHOLE = ("too_short", "string_type", "float_type", "int_type", "list_type", "tuple_type", "bool_type")
 _NUMBER, _WHOLE, _TEXT = "a number was expected", "a whole number was expected", "a text was expected"

@@ -142,7 +142,7 @@ def describe(
         }
         for block in ("setup", "parameters")
     )
-    stem = re.sub(r"[^A-Za-z0-9._-]+", "-", source.path.stem).strip("-.") or "run"
+    stem = re.sub(r"[^A-Za-z0-9._-]+", "-", source.path.stem).strip("-._") or "run"
     info = RunInfo(
         run_id=f"{stem}-{suffix}" if suffix else stem,
         simulated=mapping.run.simulated,

@@ -5,6 +5,7 @@ a channel gets is `sign * (scale * column + offset)` in `units`, converted to th
 """
 # ruff: noqa: N815 (a unit keeps its letter)
 
+from collections.abc import Iterator
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, field_validator, model_validator
@@ -14,6 +15,7 @@ from leactl.quantities import UNITS
 from leactl.runfile.instruments import Instrument
 from leactl.units import converter, known_units
 from leactl.yamlblock import Block
+from leactl.yamlfile import Location
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Above = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
@@ -239,31 +241,59 @@ class Mapping(Block):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.parts and self.by_direction:
-            raise ValueError("give either parts or by_direction")
-        suffixes = [part.suffix for part in self.parts]
-        if repeated := {s for s in suffixes if suffixes.count(s) > 1}:
-            raise ValueError(f"parts: suffix {', '.join(sorted(repeated))} stands twice")
-        if any(part.rows for part in self.parts) and len(self.streams) > 1:
-            raise ValueError("parts: rows mean nothing to several streams; use time_s")
-        given = [name for name in ("steps", "steps_by_column", "steps_by_holds") if getattr(self, name)]
-        if len(given) > 1:
-            raise ValueError(f"give one of {' and '.join(given)}")
-        if self.steps and (self.parts or self.by_direction):
-            raise ValueError("steps: instants of the whole mean nothing to its parts; use steps_by_column or _by_holds")
-        if self.steps_by_column and self.steps_by_column.stream not in self.streams:
-            raise ValueError(f"steps_by_column.stream: no stream {self.steps_by_column.stream!r} is mapped")
-        wanted = [self.by_direction.channel] if self.by_direction else []
-        wanted += [self.steps_by_holds.channel] if self.steps_by_holds else []
-        wanted += self.steps_by_column.parameters.values() if self.steps_by_column else []
-        for name, stream in self.streams.items():
-            estimate = stream.clock.estimate if stream.clock else None
-            if estimate:
-                wanted += [f"{name}/{estimate.channel}", estimate.against]
-                if estimate.against.split("/")[0] == name:
-                    raise ValueError(f"streams.{name}.clock.estimate.against: is a channel of the same stream")
-        for place in wanted:
-            stream_name, channel = place.split("/")
-            if stream_name not in self.streams or channel not in self.streams[stream_name].channels:
-                raise ValueError(f"no channel {place!r} is mapped")
+        if faults := [*self._faults_of_parts(), *self._faults_of_steps(), *self._faults_of_channels()]:
+            raise self.faulty(faults)
         return self
+
+    def _faults_of_parts(self) -> Iterator[tuple[Location, str]]:
+        if self.parts and self.by_direction:
+            yield ("by_direction",), "stands beside parts; one of both was expected"
+        suffixes = [part.suffix for part in self.parts]
+        for index, part in enumerate(self.parts):
+            if part.suffix in suffixes[:index]:
+                yield ("parts", index, "suffix"), f"{part.suffix!r} stands twice"
+            if part.rows and len(self.streams) > 1:
+                yield ("parts", index, "rows"), "rows mean nothing to several streams; time_s was expected"
+
+    def _faults_of_steps(self) -> Iterator[tuple[Location, str]]:
+        given = [name for name in ("steps", "steps_by_column", "steps_by_holds") if getattr(self, name)]
+        for name in given[1:]:
+            yield (name,), f"stands beside {given[0]}; one way to find steps was expected"
+        if self.steps and (self.parts or self.by_direction):
+            yield (
+                ("steps",),
+                "instants of the whole mean nothing to its parts; steps_by_column or _by_holds was expected",
+            )
+        if self.steps_by_column and self.steps_by_column.stream not in self.streams:
+            mapped = ", ".join(self.streams)
+            yield ("steps_by_column", "stream"), f"no stream {self.steps_by_column.stream!r} is mapped; {mapped} are"
+
+    def _faults_of_channels(self) -> Iterator[tuple[Location, str]]:
+        named: list[tuple[Location, str]] = []
+        if self.by_direction:
+            named.append((("by_direction", "channel"), self.by_direction.channel))
+        if self.steps_by_holds:
+            named.append((("steps_by_holds", "channel"), self.steps_by_holds.channel))
+        if self.steps_by_column:
+            parameters = self.steps_by_column.parameters.items()
+            named += [(("steps_by_column", "parameters", name), channel) for name, channel in parameters]
+        for name, stream in self.streams.items():
+            if stream.clock and (estimate := stream.clock.estimate):
+                keys: Location = ("streams", name, "clock", "estimate")
+                named += [((*keys, "channel"), f"{name}/{estimate.channel}"), ((*keys, "against"), estimate.against)]
+                if estimate.against.split("/")[0] == name:
+                    yield (*keys, "against"), "is a channel of the same stream"
+        mapped: list[str] = []
+        alike: dict[tuple[str, str, str], str] = {}
+        for name, stream in self.streams.items():
+            for channel, about in stream.channels.items():
+                mapped.append(f"{name}/{channel}")
+                keys = ("streams", name, "channels", channel)
+                other = alike.setdefault((about.quantity, about.role, about.location), mapped[-1])
+                if other != mapped[-1]:
+                    yield keys, f"same quantity, role and location as {other}; give each a location"
+                if channel == "time":
+                    yield keys, "'time' is the name of a stream's stamps; another was expected"
+        for keys, channel in named:
+            if channel not in mapped:
+                yield keys, f"no channel {channel!r} is mapped; {', '.join(mapped)} are"

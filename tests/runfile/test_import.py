@@ -290,3 +290,8 @@ def test_a_long_recording_is_read_in_seconds(folder):
         file.writelines(f"{k * 0.001:.3f},{(k % 1000) * 1e-3},abc,1\n" for k in range(rows))
     with Run.open(imported(folder, folder / "a.csv", SPLIT.format(how=""))) as run:
         assert run.rows["loop"] == rows
+
+
+def test_a_source_named_as_no_run_can_be_gives_a_run(folder):
+    write_csv(folder / "_a.csv", {"t": T, "q": ANGLE})
+    assert imported(folder, folder / "_a.csv", SPLIT.format(how="")).name == "a.h5"

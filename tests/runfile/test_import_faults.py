@@ -74,6 +74,36 @@ def test_a_fault_of_the_mapping_has_its_line_and_column(folder, old, new, told):
     assert any(told in fault for fault in refused(folder, PLAIN.replace(old, new)))
 
 
+TWICE = "parts: [{suffix: a, rows: [0, 9]}, {suffix: a, rows: [9, 18]}]"
+BOTH = "parts: [{suffix: a, rows: [0, 9]}]\nby_direction: {channel: loop/angle, least: 1}"
+STEPS = "steps: [{name: a, start_s: 0, stop_s: 1}]\nparts: [{suffix: a, time_s: [0, 1]}]"
+LABELS = "steps_by_column: {stream: loop, column: q, names: {1: hold}, parameters: {current_A: loop/x}}"
+HOLDS = "steps_by_holds: {channel: loop/x, parameter: v, least_s: 1}"
+CLOCK = "clock: {estimate: {channel: speed, against: loop/angle}}\n    time: {"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place", "told"),
+    [
+        ("free", f"free\n{BOTH}", "3:15  by_direction", "stands beside parts"),
+        ("free", f"free\n{TWICE}", "2:45  parts[1].suffix", "'a' stands twice"),
+        ("free", f"free\n{STEPS}", "2:8  steps", "instants of the whole mean nothing to its parts"),
+        ("free", f"free\n{HOLDS}", "2:27  steps_by_holds.channel", "no channel 'loop/x' is mapped; loop/angle"),
+        ("free", f"free\n{LABELS}", "2:86  steps_by_column.parameters.current_A", "no channel 'loop/x' is mapped"),
+        ("free", f"free\n{LABELS}".replace("loop,", "lop,"), "2:27  steps_by_column.stream", "no stream 'lop'"),
+        ("time: {", CLOCK, "4:49  streams.loop.clock.estimate.against", "is a channel of the same stream"),
+        ("time: {", CLOCK.replace("speed", "x"), "4:33  streams.loop.clock.estimate.channel", "no channel 'loop/x'"),
+        ("velocity}", "angle}", "7:14  streams.loop.channels.speed", "same quantity, role and location as loop/angle"),
+        ("speed:", "time:", "7:13  streams.loop.channels.time", "'time' is the name of a stream's stamps"),
+    ],
+)  # fmt: skip
+def test_keys_at_odds_with_others_have_their_own_line_and_column(folder, old, new, place, told):
+    assert old in PLAIN
+    faults = refused(folder, PLAIN.replace(old, new, 1))
+    assert any(f"map.yaml:{place}: {told}" in fault for fault in faults)
+    assert not any(":1:1 " in fault for fault in faults)
+
+
 def spoilt(folder, row, column, cell):
     lines = (folder / "a.csv").read_text().splitlines()
     cells = lines[row].split(",")

@@ -144,7 +144,7 @@ def test_torque_constant_of_an_imported_matrix_is_that_of_the_run(tmp_path):
         ("steps_by_holds: {channel: loop/iq_ref, parameter: current_A, least_s: 1e4}\n", "loop/iq_ref"),
         ("steps_by_holds: {channel: loop/none, parameter: current_A, least_s: 1}\n", "loop/none"),
         ("steps_by_holds: {channel: loop/iq_ref, parameter: current_A, least_s: 1, settle_s: 2}\n", "settle_s"),
-        (HOLDS + "steps: [{name: hold, start_s: 0, stop_s: 1}]\n", "give one of"),
+        (HOLDS + "steps: [{name: hold, start_s: 0, stop_s: 1}]\n", "stands beside steps"),
     ],
 )
 def test_steps_that_cannot_be_are_one_line_and_nothing_is_written(friction, tmp_path, steps, place):
