@@ -212,10 +212,17 @@ def import_foreign(
     as_json: bool = AS_JSON,
 ) -> None:
     """Import recordings of other rigs as run files; all sources are checked first, and nothing is overwritten."""
-    from leactl.runfile.importing import import_runs
+    from leactl.runfile.importing import read_runs, write
 
-    files = [str(path) for path in import_runs(sources, mapping, out)]
-    typer.echo(json.dumps({"files": files}) if as_json else "\n".join(files))
+    runs = read_runs(sources, mapping)
+    files = [str(path) for path in write(runs, out)]
+    notes = list(dict.fromkeys(note for run in runs for note in run.notes))
+    if as_json:
+        typer.echo(json.dumps({"files": files, "notes": notes}))
+        return
+    for note in notes:
+        typer.echo(f"note: {note}", err=True)
+    typer.echo("\n".join(files))
 
 
 def attached_told(stream: dict[str, Any]) -> str:

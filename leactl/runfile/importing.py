@@ -26,6 +26,7 @@ from leactl.runfile.importing_sources import Source, open_source
 from leactl.runfile.importing_steps import Step, steps_of
 from leactl.runfile.importing_streams import Stream, build_streams, number
 from leactl.runfile.importing_trees import Lacking
+from leactl.runfile.importing_units import notes_on_units
 from leactl.runfile.publish import move_without_overwriting, refuse_existing
 from leactl.runfile.writer import RunWriter
 
@@ -37,15 +38,12 @@ class Imported:
     info: RunInfo
     streams: dict[str, Stream]
     steps: list[Step]
-    told: str  # where it came from
+    origin: str  # the source and the mapping
+    notes: list[str]  # what a person should look at, with the source's name
 
 
 def import_runs(sources: Sequence[str], mapping_path: Path, out: Path) -> list[Path]:
     """Import every source under one mapping into the directory `out`, as `<source>.h5` or `<source>-<part>.h5`.
-
-    Parameters
-    ----------
-    sources : paths, or patterns such as `logs/*.json`.
 
     Returns
     -------
@@ -54,6 +52,20 @@ def import_runs(sources: Sequence[str], mapping_path: Path, out: Path) -> list[P
     Raises
     ------
     InputError : a fault in the mapping or in a source, one line each, or a file that exists already.
+    """
+    return write(read_runs(sources, mapping_path), out)
+
+
+def read_runs(sources: Sequence[str], mapping_path: Path) -> list[Imported]:
+    """Read every source under one mapping into runs that are ready to be written.
+
+    Parameters
+    ----------
+    sources : paths, or patterns such as `logs/*.json`.
+
+    Raises
+    ------
+    InputError : a fault in the mapping or in a source, one line each.
     """
     document = yamlfile.load(mapping_path)
     mapping = document.validate(Mapping)
@@ -68,7 +80,7 @@ def import_runs(sources: Sequence[str], mapping_path: Path, out: Path) -> list[P
     faults += [f"{name}.h5: several sources make this run; import them apart" for name in repeated(names)]
     if faults:
         raise InputError(faults)
-    return write(runs, out)
+    return runs
 
 
 def repeated(names: Sequence[str]) -> list[str]:
@@ -106,8 +118,9 @@ def read(path: Path, mapping: Mapping, document: yamlfile.Document) -> list[Impo
     doubtful = [f"{path}: {line}" for name, stream in streams.items() for line in implausible(name, stream)]
     if doubtful:
         raise InputError(doubtful)
+    notes = [f"{path}: {line}" for line in notes_on_units(streams, mapping)]
     parts = split(source.path, streams, mapping, document)
-    runs = [describe(source, suffix, part, mapping, document) for suffix, part in parts]
+    runs = [describe(source, suffix, part, mapping, document, notes) for suffix, part in parts]
     faults = [fault for run in runs for fault in faults_of(run.info, {n: s.specs for n, s in run.streams.items()})]
     if faults:
         raise InputError([document.fault((), fault) for fault in dict.fromkeys(faults)])
@@ -127,7 +140,12 @@ def wanted(mapping: Mapping) -> list[str | int]:
 
 
 def describe(
-    source: Source, suffix: str, streams: dict[str, Stream], mapping: Mapping, document: yamlfile.Document
+    source: Source,
+    suffix: str,
+    streams: dict[str, Stream],
+    mapping: Mapping,
+    document: yamlfile.Document,
+    notes: list[str],
 ) -> Imported:
     """Put together what is known of one run."""
     about = {
@@ -161,7 +179,8 @@ def describe(
     with source.path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     steps = steps_of(streams, mapping, document, str(source.path))
-    return Imported(info, streams, steps, f"{source.path.name} (SHA-256 {digest}) by {Path(document.name).name}")
+    origin = f"{source.path.name} (SHA-256 {digest}) by {Path(document.name).name}"
+    return Imported(info, streams, steps, origin, notes)
 
 
 def text(source: Source, value: str | FieldOf, place: tuple[str, ...], document: yamlfile.Document) -> str:
@@ -208,7 +227,9 @@ def write(runs: Sequence[Imported], out: Path) -> list[Path]:
                     writer.step(*step)
                 if run.steps:
                     writer.event(0.0, "info", "import", f"{len(run.steps)} steps as the mapping tells them")
-                writer.event(0.0, "info", "import", run.told)
+                writer.event(0.0, "info", "import", run.origin)
+                for note in run.notes:
+                    writer.event(0.0, "warning", "import", note)
                 for name, stream in run.streams.items():
                     if stream.aligned:
                         writer.event(0.0, "info", "import", f"stream {name}: {stream.aligned}")

@@ -134,18 +134,14 @@ def test_a_fault_of_the_data_has_its_row_and_column(folder, row, column, cell, t
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("quantity: velocity", "quantity: velocity, scale: 1000", "channel speed: 1e+03 times the change of angle"),
-        ("quantity: velocity", "quantity: velocity, scale: 0.001", "channel speed: 0.001 times the change of angle"),
         ("column: t", "column: t, units: ns", "s between samples; are time.units right?"),
         ("column: q, quantity: angle", "column: q, quantity: winding_temperature, units: K", "outside -100 .. 600"),
         ("column: q, quantity: angle", "column: q, quantity: bus_voltage, scale: 1e9", "are units and scale right?"),
     ],
 )
 def test_units_that_are_wrong_by_a_thousand_are_met_at_the_door(folder, old, new, told):
-    # travel of a sine cancels over whole periods: a ramp that a person would sweep
-    write_csv(folder / "a.csv", {"t": T, "q": 2.0 * T, "w": 2.0 + 0 * T})
     (fault,) = refused(folder, PLAIN.replace(old, new))
-    assert told in fault.replace("1000 times", "1e+03 times")
+    assert told in fault
 
 
 @pytest.mark.parametrize(
@@ -221,7 +217,7 @@ def test_sources_of_one_name(folder):
 def test_the_command_answers_in_text_json_and_status(folder):
     mapping(folder, PLAIN)
     done = leactl("runs", "import", folder / "a.csv", "--map", folder / "map.yaml", "--out", folder / "out", "--json")
-    assert json.loads(done.stdout) == {"files": [str(folder / "out" / "a.h5")]}
+    assert json.loads(done.stdout) == {"files": [str(folder / "out" / "a.h5")], "notes": []}
     for arguments in ([folder / "a.csv"], [folder / "none.csv"], [folder]):
         again = leactl("runs", "import", *arguments, "--map", folder / "map.yaml", "--out", folder / "out")
         assert again.returncode == 2

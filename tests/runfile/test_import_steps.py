@@ -171,27 +171,6 @@ def test_levels_are_found_where_they_change(levels, noise, seed):
         assert np.nanmedian(values[first:after]) == pytest.approx(level, abs=noise)
 
 
-@pytest.mark.parametrize(
-    ("factor", "taken"), [(30 / np.pi, "rpm"), (2 * np.pi, "turns"), (6.25, ""), (1.0, ""), (9.0, "")]
-)
-def test_a_velocity_in_another_unit_is_refused_and_a_gear_is_not(tmp_path, factor, taken):
-    time = np.arange(4000) * 0.005
-    angle = np.round((3.0 * np.sin(0.7 * time) + 0.4 * time) * 1000) / 1000
-    speed = factor * (2.1 * np.cos(0.7 * time) + 0.4) + 0.05 * np.random.default_rng(1).standard_normal(4000)
-    rows = "\n".join(f"{t:.6g},{q:.6g},{w:.6g}" for t, q, w in zip(time, angle, speed, strict=True))
-    (tmp_path / "log.csv").write_text(f"t,q,w\n{rows}\n")
-    (tmp_path / "map.yaml").write_text(
-        "mechanical: free\nstreams: {loop: {time: {column: t}, channels: {"
-        "q: {column: q, quantity: angle}, w: {column: w, quantity: velocity}}}}\n"
-    )
-    chosen = ([str(tmp_path / "log.csv")], tmp_path / "map.yaml", tmp_path / "out")
-    if not taken:
-        assert import_runs(*chosen)
-        return
-    with pytest.raises(InputError, match=taken):
-        import_runs(*chosen)
-
-
 SMALL = """
 mechanical: free
 csv: {{delimiter: ";", decimal: "{decimal}"}}
