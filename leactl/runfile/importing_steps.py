@@ -1,23 +1,18 @@
 """Steps of an imported recording: by instants, by a column that tells them, or where a channel holds its level."""
 
 import math
-from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from leactl.errors import InputError
+from leactl.runfile.importing_holds import NotDistinct, held
 from leactl.runfile.importing_mapping import Mapping, StepsByColumn, StepsByHolds
 from leactl.runfile.importing_streams import Stream
 from leactl.yamlfile import Document
 
-Array = npt.NDArray[np.float64]
-SCATTER = 5.0  # standard deviations of a channel's noise that a level may be left by
-ROUNDED = 1e-9  # of a channel's largest value, that a mean of equal numbers may be off by
 MOST_SEEN = 10  # labels that a fault names
-MAD = 1.4826  # standard deviations in the median of absolute deviations, of normal noise
 
 
 class Step(NamedTuple):
@@ -84,44 +79,26 @@ def by_column(streams: dict[str, Stream], by: StepsByColumn, document: Document,
 
 
 def by_holds(streams: dict[str, Stream], by: StepsByHolds, document: Document, source: str) -> list[Step]:
-    """A step for each stretch in which a channel stays within its noise."""
+    """A step for each stretch in which a channel holds a level."""
     name, channel = by.channel.split("/")
     stream, values = streams[name], streams[name].channel(channel)
+    is_setpoint = stream.spec(channel).quantity.endswith("_reference")
+    try:
+        holds = held(stream.time, values, by.least_s, by.settle_s, is_setpoint)
+    except NotDistinct as why:
+        told = f"{source}: levels of {by.channel} are not distinct from noise: {why}; a setpoint, steps or"
+        raise InputError(document.fault(("steps_by_holds", "channel"), f"{told} steps_by_column can tell")) from None
     found = []
-    for first, after in held(values):
-        start, stop = during(stream, first, after)
-        if stop - start < by.least_s:
-            continue
-        settled = values[first:after][stream.time[first:after] >= start + by.settle_s]
+    for hold in holds:
+        start, stop = during(stream, hold.first, hold.after)
+        settled = values[hold.first : hold.after][stream.time[hold.first : hold.after] >= start + by.settle_s]
         held_at = float(np.nanmedian(settled))
-        came = {"direction": "rising" if values[first - 1] < held_at else "falling"} if first else {}
+        came = {} if math.isnan(hold.before) else {"direction": "rising" if hold.before < held_at else "falling"}
         found.append(Step("hold", start, stop, by.settle_s, {by.parameter: held_at, **came, **by.parameters}))
     if not found:
         told = f"{source}: {by.channel} holds no level for least_s {by.least_s:g}"
         raise InputError(document.fault(("steps_by_holds", "least_s"), told))
     return found
-
-
-def held(values: Array) -> Iterator[tuple[int, int]]:
-    """Stretches (first row, row after the last) in which a channel stays by its own mean, as near as its noise lets it.
-
-    The noise is that of neighbouring rows, so a setpoint that is repeated exactly is held exactly. Two rows off it
-    in a row end a stretch; what is missing ends none.
-    """
-    known = np.flatnonzero(np.isfinite(values))
-    changes = np.abs(np.diff(values[known], prepend=values[known[0]]))
-    near = max(SCATTER * MAD * float(np.median(changes)) / math.sqrt(2.0), ROUNDED * float(np.abs(values[known]).max()))
-    first, total, count = 0, 0.0, 0
-    off: tuple[int, float] | None = None  # the row before, where it was off its level: one alone is a stray reading
-    for row, value in zip(known.tolist(), values[known].tolist(), strict=True):
-        if not count or abs(value - total / count) <= near:
-            total, count, off = total + value, count + 1, None
-        elif off is None:
-            off = row, value
-        else:
-            yield first, off[0]
-            first, total, count, off = off[0], value, 1, None
-    yield first, len(values)
 
 
 def during(stream: Stream, first: int, after: int) -> tuple[float, float]:

@@ -30,7 +30,11 @@ class Stream:
 
     def channel(self, name: str) -> Array:
         """Values of one channel."""
-        return self.values[[spec.name for spec in self.specs].index(name)]
+        return self.values[self.specs.index(self.spec(name))]
+
+    def spec(self, name: str) -> ChannelSpec:
+        """What one channel is."""
+        return next(spec for spec in self.specs if spec.name == name)
 
     def rows(self, first: int, last: int) -> "Stream":
         """Rows from the first up to before the last."""

@@ -4,12 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from leactl.errors import InputError
 from leactl.runfile.importing import import_runs
-from leactl.runfile.importing_steps import held
 from leactl.runfile.reader import Run
 from tests.cli.terminal import leactl
 
@@ -155,20 +152,6 @@ def test_steps_that_cannot_be_are_one_line_and_nothing_is_written(friction, tmp_
         import_runs([str(table)], mapping, tmp_path / "out")
     assert any(line.startswith(f"{mapping}:") and place in line for line in refused.value.faults)
     assert not (tmp_path / "out").exists()
-
-
-@given(
-    st.lists(st.integers(-9, 9), min_size=2, max_size=6), st.sampled_from([0.0, 1e-3, 0.02]), st.integers(0, 2**32 - 1)
-)
-def test_levels_are_found_where_they_change(levels, noise, seed):
-    levels = [level for level, before in zip(levels, [None, *levels], strict=False) if level != before]
-    random = np.random.default_rng(seed)
-    values = np.repeat(np.asarray(levels, float), 60) + noise * random.standard_normal(60 * len(levels))
-    values[random.random(len(values)) < 0.05] = np.nan
-    found = [(first, after) for first, after in held(values) if after - first > 40]
-    assert len(found) == len(levels)
-    for (first, after), level in zip(found, levels, strict=True):
-        assert np.nanmedian(values[first:after]) == pytest.approx(level, abs=noise)
 
 
 SMALL = """
