@@ -99,7 +99,7 @@ def test_a_reading_that_flickers_by_one_count_is_held():
     true = np.repeat([0.0, 20.0, 40.0, 20.0], ROWS)
     for share in (0.003, 0.03, 0.3):
         found = held(stamps(true), true + (random.random(len(true)) < share), 3.5, 1.0, False)
-        assert [hold.first for hold in found] == pytest.approx([0, 400, 800, 1200], abs=2)
+        assert [hold.first for hold in found] == pytest.approx([0, 400, 800, 1200], abs=0.05 * ROWS)
 
 
 @pytest.mark.parametrize("seed", range(5))
