@@ -204,25 +204,33 @@ def export(
     typer.echo(json.dumps({"files": files}) if as_json else "\n".join(files))
 
 
-@app.command("import", epilog=examples("runs import log.csv --map map.yaml --out imported"))
+@app.command(
+    "import",
+    epilog=examples("runs import log.csv --map map.yaml --check", "runs import log.csv --map map.yaml --out imported"),
+)
 def import_foreign(
     sources: list[str] = typer.Argument(..., metavar="SOURCE...", help="CSV, MAT or JSON files, or patterns."),
     mapping: Path = typer.Option(..., "--map", help="YAML file that says which column is which channel."),
     out: Path = typer.Option(Path("runs"), "--out", help="Directory for the run files."),
+    check: bool = typer.Option(False, "--check", help="Read everything, tell what would be written, write nothing."),
     as_json: bool = AS_JSON,
 ) -> None:
     """Import recordings of other rigs as run files; all sources are checked first, and nothing is overwritten."""
-    from leactl.runfile.importing import read_runs, write
+    from leactl.runfile.importing import read_runs, targets_of, write
+    from leactl.runfile.importing_preview import preview, preview_lines
 
     runs = read_runs(sources, mapping)
-    files = [str(path) for path in write(runs, out)]
+    files = targets_of(runs, out) if check else write(runs, out)
+    previews = [preview(run, file) for run, file in zip(runs, files, strict=True)] if check else []
     notes = list(dict.fromkeys(note for run in runs for note in run.notes))
     if as_json:
-        typer.echo(json.dumps({"files": files, "notes": notes}))
+        body = {"files": [str(file) for file in files], "written": not check, "notes": notes}
+        typer.echo(json.dumps(body | ({"runs": previews} if check else {}), allow_nan=False))
         return
     for note in notes:
         typer.echo(f"note: {note}", err=True)
-    typer.echo("\n".join(files))
+    lines = [line for about in previews for line in preview_lines(about)] if check else map(str, files)
+    typer.echo("\n".join(lines))
 
 
 def attached_told(stream: dict[str, Any]) -> str:

@@ -207,11 +207,22 @@ def created(source: Source, mapping: Mapping, document: yamlfile.Document) -> st
     return f"{(moment if moment.tzinfo else moment.replace(tzinfo=UTC)).astimezone(UTC):%Y-%m-%dT%H:%M:%SZ}"
 
 
-def write(runs: Sequence[Imported], out: Path) -> list[Path]:
-    """Write all runs aside, then give each its name."""
+def targets_of(runs: Sequence[Imported], out: Path) -> list[Path]:
+    """The file that each run gets.
+
+    Raises
+    ------
+    InputError : one of them exists already.
+    """
     targets = [out / f"{run.info.run_id}.h5" for run in runs]
     for target in targets:
         refuse_existing(target)
+    return targets
+
+
+def write(runs: Sequence[Imported], out: Path) -> list[Path]:
+    """Write all runs aside, then give each its name."""
+    targets = targets_of(runs, out)
     try:
         out.mkdir(parents=True, exist_ok=True)
         aside = Path(tempfile.mkdtemp(prefix=".import-", dir=out))

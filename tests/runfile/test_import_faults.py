@@ -217,9 +217,37 @@ def test_sources_of_one_name(folder):
 def test_the_command_answers_in_text_json_and_status(folder):
     mapping(folder, PLAIN)
     done = leactl("runs", "import", folder / "a.csv", "--map", folder / "map.yaml", "--out", folder / "out", "--json")
-    assert json.loads(done.stdout) == {"files": [str(folder / "out" / "a.h5")], "notes": []}
+    assert json.loads(done.stdout) == {"files": [str(folder / "out" / "a.h5")], "written": True, "notes": []}
     for arguments in ([folder / "a.csv"], [folder / "none.csv"], [folder]):
         again = leactl("runs", "import", *arguments, "--map", folder / "map.yaml", "--out", folder / "out")
         assert again.returncode == 2
         assert again.stderr.startswith("leactl: ")
         assert "Traceback" not in again.stderr
+
+
+def test_a_check_tells_what_would_be_written_and_writes_nothing(folder):
+    text = (
+        PLAIN + "steps: [{name: hold, start_s: 0.5, stop_s: 1.5, parameters: {current_A: 0.25, direction: rising}}]\n"
+    )
+    mapping(folder, text + "parameters: {hold_s: 1.0}\nrun: {protocol: friction}\n")
+    spoilt(folder, 7, 1, "")
+    arguments = ("runs", "import", folder / "a.csv", "--map", folder / "map.yaml", "--out", folder / "out")
+    before = sorted(folder.iterdir())
+    done = leactl(*arguments, "--check")
+    assert (done.returncode, done.stderr) == (0, "")
+    said = [" ".join(line.split()) for line in done.stdout.splitlines()]
+    assert said[0].startswith(f"{folder / 'out' / 'a.h5'}: free, created ")
+    assert said[0].endswith("; not written")
+    assert "stream loop: 400 rows, 0 .. 1.995 s, every 0.005 s" in said
+    assert f"angle test angle {np.delete(ANGLE, 6).min():.6g} .. {ANGLE.max():.6g} rad, 1 missing" in said
+    assert said[-2:] == ["1 steps", "hold 0.5 .. 1.5 s current_A 0.25, direction rising"]
+    told = json.loads(leactl(*arguments, "--check", "--json").stdout)
+    assert (told["files"], told["written"]) == ([str(folder / "out" / "a.h5")], False)
+    [run] = told["runs"]
+    assert run["streams"]["loop"]["channels"][0]["missing"] == 1
+    assert run["steps"][0]["parameters"] == {"current_A": 0.25, "direction": "rising"}
+    assert sorted(folder.iterdir()) == before
+    assert leactl(*arguments).returncode == 0
+    again = leactl(*arguments, "--check")  # what the import itself would refuse
+    assert again.returncode == 2
+    assert "a.h5: exists already" in again.stderr
