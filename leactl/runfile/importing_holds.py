@@ -7,7 +7,7 @@ says too little where it is coloured, by a filter, a ripple or a loop.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -45,7 +45,7 @@ def held(time: Array, values: Array, least_s: float, settle_s: float, is_setpoin
     """Stretches of `least_s` or more in which a channel stays at its level.
 
     One row off a setpoint's level is a stray, two in a row end a stretch; a reading's stretch ends where its mean
-    changes. What is missing ends none.
+    changes. What is missing ends neither, but for a silence of a quarter of `least_s`.
 
     Raises
     ------
@@ -57,13 +57,21 @@ def held(time: Array, values: Array, least_s: float, settle_s: float, is_setpoin
     stamps, levels = time[known], without_strays(values[known])
     rounded = ROUNDED * float(np.abs(levels).max())
     window = round(len(known) * least_s / WINDOWS / max(float(stamps[-1] - stamps[0]), least_s))
-    exact = repeated(levels, rounded) if is_setpoint or window < FEWEST else []
-    holds = lasting(exact, time, known, least_s)
-    if not holds and window >= FEWEST:
+    # rows behind which a channel is silent for long, as a setpoint is in another mode of its drive
+    silences = np.flatnonzero(np.diff(stamps, append=time[-1]) > least_s / WINDOWS) + 1
+
+    def lasting(holds: Iterable[Hold]) -> dict[Hold, Hold]:
+        """Parts of holds that last long enough, by known rows and among all."""
+        parts = {part: among_all(part, known, silences, len(values)) for part in parted(holds, silences)}
+        ends = {part: float(time[min(whole.after, len(time) - 1)]) for part, whole in parts.items()}
+        return {part: whole for part, whole in parts.items() if ends[part] - time[whole.first] >= least_s}
+
+    found = lasting(repeated(levels, rounded)) if is_setpoint or window < FEWEST else {}
+    if not found and window >= FEWEST:
         means = Means(levels, window)
-        holds = lasting(between_changes(levels, means, rounded), time, known, least_s)
-        refuse_wandering(holds, levels, means, stamps, settle_s)
-    return [hold._replace(first=int(known[hold.first]), after=row_after(known, hold, len(values))) for hold in holds]
+        found = lasting(between_changes(levels, means, rounded))
+        refuse_wandering([*found], levels, means, stamps, settle_s, rounded)
+    return [*found.values()]
 
 
 def without_strays(values: Array) -> Array:
@@ -74,15 +82,21 @@ def without_strays(values: Array) -> Array:
     return np.concatenate([values[:1], middle, values[-1:]])
 
 
-def row_after(known: Rows, hold: Hold, rows: int) -> int:
-    """The row behind a hold, among all rows."""
-    return int(known[hold.after]) if hold.after < len(known) else rows
+def parted(holds: Iterable[Hold], silences: Rows) -> Iterator[Hold]:
+    """The parts of holds between silences; what came before one is not known behind it."""
+    for hold in holds:
+        inside = silences[(silences > hold.first) & (silences < hold.after)].tolist()
+        for first, after in pairwise([hold.first, *inside, hold.after]):
+            yield hold._replace(first=first, after=after, before=math.nan if first in silences else hold.before)
 
 
-def lasting(holds: list[Hold], time: Array, known: Rows, least_s: float) -> list[Hold]:
-    """Those that last long enough, up to the row behind them."""
-    ends = [time[row_after(known, hold, len(time)) - (hold.after == len(known))] for hold in holds]
-    return [hold for hold, end in zip(holds, ends, strict=True) if end - time[known[hold.first]] >= least_s]
+def among_all(hold: Hold, known: Rows, silences: Rows, rows: int) -> Hold:
+    """A hold of known rows among all: up to the next known one, or to the last one before a silence."""
+    if hold.after in silences:
+        after = int(known[hold.after - 1]) + 1
+    else:
+        after = int(known[hold.after]) if hold.after < len(known) else rows
+    return hold._replace(first=int(known[hold.first]), after=after)
 
 
 def repeated(values: Array, rounded: float) -> list[Hold]:
@@ -196,14 +210,16 @@ def came_from(values: Array, first: int, level: float, near: float, window: int)
     return float(before.mean()) if len(before) else math.nan
 
 
-def refuse_wandering(holds: list[Hold], values: Array, means: Means, stamps: Array, settle_s: float) -> None:
+def refuse_wandering(
+    holds: list[Hold], values: Array, means: Means, stamps: Array, settle_s: float, rounded: float
+) -> None:
     """Refuse a level that wanders by more than its noise explains, and not by little beside the next level.
 
     Raises
     ------
     NotDistinct : that it does.
     """
-    apart = min((abs(a.level - b.level) for a, b in pairwise(holds)), default=float(np.ptp(means.mean)))
+    steps = [abs(hold.level - before.level) for before, hold in pairwise(holds)]
     for hold in holds:
         first = int(np.searchsorted(stamps, stamps[hold.first] + settle_s))
         inside = means.mean[first : max(hold.after - means.window, first)]
@@ -213,8 +229,9 @@ def refuse_wandering(holds: list[Hold], values: Array, means: Means, stamps: Arr
         rows = float(np.var(values[first : hold.after])) - float(np.var(inside))
         expected = 0.5 * means.colour**2 * max(rows, 0.0)
         beyond = float(np.var(inside)) - expected * (1.0 + CHANGE * math.sqrt(2.0 / count))
-        if beyond > 0.0 and 2.0 * math.sqrt(beyond) > WANDERS * apart:
-            raise NotDistinct(
-                f"from {stamps[hold.first]:.6g} s on it wanders by {2.0 * math.sqrt(beyond):.3g} beyond its noise"
-                f" and shows no change of level"
-            )
+        wander = 2.0 * math.sqrt(max(beyond, 0.0))
+        # less than it wanders apart are holds of one level
+        apart = min((step for step in steps if step > wander), default=float(np.ptp(means.mean)))
+        if wander > max(WANDERS * apart, rounded):
+            begin = f"{stamps[hold.first]:.6g} s"
+            raise NotDistinct(f"from {begin} on it wanders by {wander:.3g} and shows no change of level")

@@ -5,8 +5,9 @@ a channel gets is `sign * (scale * column + offset)` in `units`, converted to th
 """
 # ruff: noqa: N815 (a unit keeps its letter)
 
+import re
 from collections.abc import Iterator
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, TypeGuard
 
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
@@ -23,6 +24,7 @@ Text = Annotated[str, StringConstraints(strict=True, min_length=1)]
 Name = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
 Row = Annotated[int, Field(strict=True, ge=0)]
 Column = Text | Row
+SCALED = ("A", "V", "N*m")  # units of quantities whose calibration analyses count; a clock and an encoder are exact
 PLACE = r"^[^/]+/[^/]+$"  # stream/channel
 
 
@@ -33,6 +35,11 @@ def as_label(cell: str | float, decimal: str = ".") -> str:
     except ValueError:
         return str(cell)
     return f"{number + 0.0:.15g}"  # 0 for -0
+
+
+def is_place(value: float | str) -> TypeGuard[str]:
+    """Whether a parameter of a step is that of a `stream/channel`."""
+    return isinstance(value, str) and re.match(PLACE, value) is not None
 
 
 class FieldOf(Block):
@@ -110,6 +117,7 @@ class ChannelMapping(Block):
     device: str = ""
     long_name: str = ""
     sampling: Literal["instant", "mean"] = "instant"
+    scale_std: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.0  # relative, of the instrument's calibration
 
     @field_validator("quantity")
     @classmethod
@@ -117,6 +125,14 @@ class ChannelMapping(Block):
         if value not in UNITS:
             raise ValueError(f"no such quantity; known: {', '.join(UNITS)}")
         return value
+
+    @model_validator(mode="after")
+    def _counted(self) -> Self:
+        if self.scale_std and UNITS.get(self.quantity) not in SCALED:
+            raise self.faulty(
+                [(("scale_std",), f"counts for {', '.join(SCALED)}; nothing reads that of {self.quantity}")]
+            )
+        return self
 
     @model_validator(mode="after")
     def _convertible(self) -> Self:
@@ -181,7 +197,7 @@ class StepsByColumn(Block):
     column: Column
     names: Annotated[dict[Text, Name], Field(min_length=1)]  # of the step, by what stands in the column
     settle_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] = 0.0
-    parameters: dict[Name, Annotated[str, StringConstraints(strict=True, pattern=PLACE)]] = {}  # medians of channels
+    parameters: dict[Name, Number | str] = {}  # the median of a `stream/channel`, or what is given
 
     @field_validator("names")
     @classmethod
@@ -276,7 +292,7 @@ class Mapping(Block):
             named.append((("steps_by_holds", "channel"), self.steps_by_holds.channel))
         if self.steps_by_column:
             parameters = self.steps_by_column.parameters.items()
-            named += [(("steps_by_column", "parameters", name), channel) for name, channel in parameters]
+            named += [(("steps_by_column", "parameters", name), value) for name, value in parameters if is_place(value)]
         for name, stream in self.streams.items():
             if stream.clock and (estimate := stream.clock.estimate):
                 keys: Location = ("streams", name, "clock", "estimate")

@@ -8,7 +8,7 @@ import numpy as np
 
 from leactl.errors import InputError
 from leactl.runfile.importing_holds import NotDistinct, held
-from leactl.runfile.importing_mapping import Mapping, StepsByColumn, StepsByHolds
+from leactl.runfile.importing_mapping import Mapping, StepsByColumn, StepsByHolds, is_place
 from leactl.runfile.importing_streams import Stream
 from leactl.yamlfile import Document
 
@@ -66,11 +66,14 @@ def by_column(streams: dict[str, Stream], by: StepsByColumn, document: Document,
     for first, after in pairwise([0, *changes, len(labels)]):
         if labels[first] in by.names:
             start, stop = during(stream, first, after)
-            levels = {
-                name: level(streams, place, start + by.settle_s, stop, document.fault(("steps_by_column",), source))
-                for name, place in by.parameters.items()
-            }
-            found.append(Step(by.names[labels[first]], start, stop, by.settle_s, levels))
+            found.append(Step(by.names[labels[first]], start, stop, by.settle_s, {}))
+            for name, value in by.parameters.items():
+                known = level(streams, value, start, stop, by.settle_s) if is_place(value) else value
+                if known is None:
+                    why = f"{source}: {value} has no reading from {start + by.settle_s:g} s to {stop:g} s"
+                    raise InputError(document.fault(("steps_by_column", "settle_s"), f"{why}; a shorter one has"))
+                if not (isinstance(known, float) and math.isnan(known)):
+                    found[-1].parameters[name] = known
     if not found:
         seen = ", ".join(list(dict.fromkeys(labels))[:MOST_SEEN])
         told = f"{source}: none of {', '.join(by.names)} stands in column {by.column!r}, which has {seen}"
@@ -106,11 +109,12 @@ def during(stream: Stream, first: int, after: int) -> tuple[float, float]:
     return float(stream.time[first]), float(stream.time[min(after, len(stream.time) - 1)])
 
 
-def level(streams: dict[str, Stream], place: str, start: float, stop: float, fault: str) -> float:
-    """Median of a channel during a step; a refusal begins with `fault`."""
+def level(streams: dict[str, Stream], place: str, start: float, stop: float, settle: float) -> float | None:
+    """Median of a channel in the settled part of a step; NaN where it is silent in all of it, None in that alone."""
     name, channel = place.split("/")
     stream = streams[name]
-    values = stream.channel(channel)[(stream.time >= start) & (stream.time < stop)]
-    if not np.isfinite(values).any():
-        raise InputError(f"{fault}: {place} has no reading from {start:g} s to {stop:g} s; is settle_s too long?")
-    return float(np.nanmedian(values))
+    values = stream.channel(channel)
+    if not np.isfinite(values[(stream.time >= start) & (stream.time < stop)]).any():
+        return math.nan
+    settled = values[(stream.time >= start + settle) & (stream.time < stop)]
+    return float(np.nanmedian(settled)) if np.isfinite(settled).any() else None

@@ -150,6 +150,7 @@ def build_channel(
         sampling=mapped.sampling,
         units=units if units in LINEAR else "",
         dtype="f8",
+        scale_std=mapped.scale_std,
     )
     return spec, np.asarray(values, np.float64)
 

@@ -50,6 +50,8 @@ def refused(folder, text=PLAIN, sources=("a.csv",)):
         ("quantity: angle}", "quantity: angle, scale: .inf}", "a finite number was expected"),
         ("quantity: angle}", "quantity: angle, scale: '2'}", "a number or a mapping with keys of field"),
         ("quantity: angle}", "quantity: angle, sign: 2}", "sign"),
+        ("quantity: angle}", "quantity: angle, scale_std: 0.1}", "map.yaml:6:54  streams.loop.channels.angle.sc"),
+        ("quantity: angle}", "quantity: torque, scale_std: 1}", "less than 1 was expected"),
         ("quantity: angle}", "quantity: angle, scale: {field: k}}", "has no column 'k'"),
         ("quantity: angle}", "quantity: angle, scale: {field: w}}", "holds 400 values where one was expected"),
         ("{column: t}", "{}", "give one of column, rate_Hz, step_s; none is given"),

@@ -54,6 +54,15 @@ def test_two_rows_off_a_setpoint_end_its_hold_and_one_does_not(rows, holds):
     assert [(hold.first, hold.after) for hold in held(stamps(values), values, 3.0, 0.5, True)] == holds
 
 
+@pytest.mark.parametrize("is_setpoint", [True, False])
+def test_a_long_silence_ends_a_hold_and_a_short_one_does_not(is_setpoint):
+    values = np.repeat([1.0, 2.0, 2.0], ROWS)
+    values[100:110] = values[300:500] = values[795:1000] = values[1190:] = np.nan
+    found = held(stamps(values), values, 1.8, 0.5, is_setpoint)
+    assert [(hold.first, hold.after) for hold in found] == [(0, 300), (500, 795), (1000, 1200)]
+    assert all(math.isnan(hold.before) for hold in found)
+
+
 @given(
     levels_that_differ,
     st.sampled_from([0.0, 0.05]),  # of the distance between levels
@@ -100,6 +109,15 @@ def test_a_reading_that_flickers_by_one_count_is_held():
     for share in (0.003, 0.03, 0.3):
         found = held(stamps(true), true + (random.random(len(true)) < share), 3.5, 1.0, False)
         assert [hold.first for hold in found] == pytest.approx([0, 400, 800, 1200], abs=0.05 * ROWS)
+
+
+def test_a_level_that_comes_again_and_drifts_a_little_is_held():
+    random = np.random.default_rng(2)
+    true = np.concatenate(
+        [np.repeat([2.0, 0.0], [ROWS, 100]), np.repeat([2.0, 0.0], [ROWS, 100]), np.repeat(2.0, ROWS)]
+    )
+    values = true * (1.0 + 2e-3 * stamps(true)) + 1e-3 * random.standard_normal(len(true))
+    assert [hold.first for hold in held(stamps(true), values, 3.5, 0.5, False)] == [0, 500, 1000]
 
 
 @pytest.mark.parametrize("seed", range(5))

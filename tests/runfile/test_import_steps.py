@@ -22,21 +22,6 @@ streams:
       omega: {column: "test_omega [rad/s]", quantity: velocity}
       theta: {column: "test_theta [rad]", quantity: angle}
 """
-MAT = """
-mechanical: coupled
-run: {protocol: torque-constant, actuator: a1}
-streams:
-  loop:
-    records: streams.loop
-    time: {column: time}
-    channels:
-      iq_ref: {column: test_iq_ref.values, quantity: q_axis_current_reference}
-      iq: {column: test_iq.values, quantity: q_axis_current}
-  sensor:
-    records: streams.torque_sensor
-    time: {column: time}
-    channels: {torque: {column: torque.values, quantity: torque}}
-"""
 HOLDS = "steps_by_holds: {channel: loop/iq_ref, parameter: current_A, least_s: 2.9, settle_s: 1.5}\n"
 
 
@@ -119,16 +104,6 @@ def test_friction_of_an_imported_table_is_that_of_the_run(friction, way):
         assert any("steps" in event.message for event in kept.events)
 
 
-def test_torque_constant_of_an_imported_matrix_is_that_of_the_run(tmp_path):
-    chosen = ("--set", "hold_s=1", "--set", "rest_s=3", "--set", "trials=2", "--out", tmp_path)
-    run = answered("run", "torque-constant", *chosen)["run"]
-    answered("runs", "export", run, "--format", "mat", "--out", tmp_path / "mat")
-    [source] = (tmp_path / "mat").glob("*.mat")
-    file = imported(tmp_path, source, MAT + HOLDS.replace("2.9", "0.9").replace("1.5", "0.5"))
-    expected, found = (results(path, "torque-constant")["torque_constant"] for path in (run, file))
-    assert abs(found["value"] - expected["value"]) < 2.0 * expected["std"]
-
-
 @pytest.mark.parametrize(
     ("steps", "place"),
     [
@@ -206,3 +181,22 @@ def test_two_names_for_one_label_are_refused(tmp_path):
     by = "steps_by_column: {stream: loop, column: phase, names: {2: a, 2.0: b}}\n"
     with pytest.raises(InputError, match=r"steps_by_column\.names: label 2 stands twice"):
         imported(tmp_path, small_table(tmp_path / "log.csv", (1.0, 2.0)), SMALL.format(decimal=".", steps=by))
+
+
+@pytest.mark.parametrize(("silent", "told"), [((4.0, 6.0), ""), ((5.0, 6.0), "settle_s: "), ((4.0, 5.0), "")])
+def test_a_step_without_a_reading_lacks_its_parameter_and_a_settled_part_without_one_is_refused(tmp_path, silent, told):
+    by = """steps_by_column: {stream: loop, column: phase, names: {1: hold, 2: hold, 3: hold}, settle_s: 1,
+      parameters: {current_A: loop/iq, role: load, repeat: 2}}"""
+    table = small_table(tmp_path / "log.csv", (1.0, 2.0, 3.0))
+    rows = [row.split(";") for row in table.read_text().splitlines()]
+    rows[1:] = [[t, "" if silent[0] <= float(t) < silent[1] else iq, phase] for t, iq, phase in rows[1:]]
+    table.write_text("\n".join(map(";".join, rows)) + "\n")
+    text = SMALL.format(decimal=".", steps=by)
+    if told:
+        with pytest.raises(InputError, match=f"{told}.*loop/iq has no reading from 5 s to 5.98 s"):
+            imported(tmp_path, table, text)
+        return
+    last = {} if silent == (4.0, 6.0) else {"current_A": 3.0}
+    found = [about for *_, about in steps_in(imported(tmp_path, table, text))]
+    fixed = {"role": "load", "repeat": 2}
+    assert found == [{"current_A": 1.0} | fixed, {"current_A": 2.0} | fixed, last | fixed]
