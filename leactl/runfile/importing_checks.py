@@ -11,6 +11,8 @@ from leactl.runfile.importing_streams import Stream
 PLAUSIBLE: Final[dict[str, tuple[float, float]]] = {
     "A": (-5e4, 5e4),
     "V": (-1e5, 1e5),
+    "rad": (-1e10, 1e10),
+    "m": (-1e6, 1e6),
     "rad/s": (-1e5, 1e5),
     "m/s": (-500.0, 500.0),
     "N*m": (-1e7, 1e7),

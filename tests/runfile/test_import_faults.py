@@ -139,6 +139,7 @@ def test_a_fault_of_the_data_has_its_row_and_column(folder, row, column, cell, t
         ("column: t", "column: t, units: ns", "s between samples; are time.units right?"),
         ("column: q, quantity: angle", "column: q, quantity: winding_temperature, units: K", "outside -100 .. 600"),
         ("column: q, quantity: angle", "column: q, quantity: bus_voltage, scale: 1e9", "are units and scale right?"),
+        ("column: q, quantity: angle", "column: q, quantity: angle, scale: 1e300", "outside -1e+10 .. 1e+10"),
     ],
 )
 def test_units_that_are_wrong_by_a_thousand_are_met_at_the_door(folder, old, new, told):
