@@ -25,7 +25,7 @@ UNSURE = 2.0  # standard errors that the scatter of means may be more than a rec
 MOST_ROUNDS = 20  # of leaving out the changes that stand out, which end sooner where nothing more is left out
 TAIL, BEYOND = 0.995, 2.5  # a row is off its level by so many times what that share of rows is off: 7 sd where normal
 ROUNDED = 1e-9  # of a channel's largest value, that a mean of equal numbers may be off by
-WANDERS = 0.25  # of the distance to the next level, that a level may wander by beyond its noise
+WANDERS = 0.25  # of the least step from one level to the next, that a level may wander by beyond its noise
 
 
 class Hold(NamedTuple):
@@ -124,6 +124,7 @@ class Means:
         self.mean = mean  # of the window that begins at each row
         self.change = mean[window:] - mean[:-window]  # from `window` rows before each row, the first of which is that
         self.scatter = np.sqrt(0.5 * (variance[window:] + variance[:-window]))
+        self.least_step = float(np.ptp(mean))  # from one level to the next
         self.colour = 0.0  # by how much means scatter, of the scatter of the rows in them
 
     def estimate_colour(self, rounded: float) -> None:
@@ -172,20 +173,31 @@ def between_changes(values: Array, means: Means, rounded: float) -> list[Hold]:
         after + int(np.argmax(np.abs(means.change[after - window : first - window])))
         for (_, after), (first, _) in pairwise(runs)
     ]
-    found = []
-    for (first, after), (begin, end) in zip(runs, pairwise([0, *edges, len(values)]), strict=True):
-        level = float(np.median(values[first:after]))
-        # without the rows whose windows reach into a change, where enough are left
-        inner = values[first + window // 2 : after - window // 2]
-        off = (inner if len(inner) >= window else values[first:after]) - level
-        near = max(BEYOND * float(np.quantile(np.abs(off), TAIL)), count)
-        sway = max(CHANGE * float(np.std(smoothed(off, window // WINDOWS))), 0.5 * count)
-        part = values[begin:end] - level
-        at_level = np.flatnonzero((np.abs(part) <= near) & (np.abs(smoothed(part, window // WINDOWS)) <= sway))
-        if len(at_level):
-            start, stop = begin + int(at_level[0]), begin + int(at_level[-1]) + 1
-            found.append(Hold(start, stop, level, came_from(values, start, level, near, window)))
-    return found
+    sizes = np.abs(means.change[np.asarray(edges, int) - window])
+    means.least_step = float(sizes.min(initial=means.least_step))
+    bounds = pairwise([0, *edges, len(values)])
+    holds = [hold_around(values, run, part, window, count) for run, part in zip(runs, bounds, strict=True)]
+    return [hold for hold in holds if hold is not None]
+
+
+def hold_around(values: Array, run: tuple[int, int], bounds: tuple[int, int], window: int, count: float) -> Hold | None:
+    """The rows around a run without change that are at its level, one by one and as means; none where none is."""
+    first, after = run
+    level = float(np.median(values[first:after]))
+    # without the rows whose windows reach into a change, where enough are left
+    inner = values[first + window // 2 : after - window // 2]
+    off = (inner if len(inner) >= window else values[first:after]) - level
+    near = max(BEYOND * float(np.quantile(np.abs(off), TAIL)), count)
+    sway = max(CHANGE * float(np.std(smoothed(off, window // WINDOWS))), 0.5 * count)
+    by_row = bounds[0] + np.flatnonzero(np.abs(values[bounds[0] : bounds[1]] - level) <= near)
+    if not len(by_row):
+        return None
+    begin, end = int(by_row[0]), int(by_row[-1]) + 1
+    by_mean = begin + np.flatnonzero(np.abs(smoothed(values[begin:end] - level, window // WINDOWS)) <= sway)
+    if not len(by_mean):
+        return None
+    start = int(by_mean[0])
+    return Hold(start, int(by_mean[-1]) + 1, level, came_from(values, start, level, near, window))
 
 
 def runs_of(chosen: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
@@ -213,13 +225,12 @@ def came_from(values: Array, first: int, level: float, near: float, window: int)
 def refuse_wandering(
     holds: list[Hold], values: Array, means: Means, stamps: Array, settle_s: float, rounded: float
 ) -> None:
-    """Refuse a level that wanders by more than its noise explains, and not by little beside the next level.
+    """Refuse a level that wanders by more than its noise explains, and not by little beside a step.
 
     Raises
     ------
     NotDistinct : that it does.
     """
-    steps = [abs(hold.level - before.level) for before, hold in pairwise(holds)]
     for hold in holds:
         first = int(np.searchsorted(stamps, stamps[hold.first] + settle_s))
         inside = means.mean[first : max(hold.after - means.window, first)]
@@ -230,8 +241,6 @@ def refuse_wandering(
         expected = 0.5 * means.colour**2 * max(rows, 0.0)
         beyond = float(np.var(inside)) - expected * (1.0 + CHANGE * math.sqrt(2.0 / count))
         wander = 2.0 * math.sqrt(max(beyond, 0.0))
-        # less than it wanders apart are holds of one level
-        apart = min((step for step in steps if step > wander), default=float(np.ptp(means.mean)))
-        if wander > max(WANDERS * apart, rounded):
+        if wander > max(WANDERS * means.least_step, rounded):
             begin = f"{stamps[hold.first]:.6g} s"
             raise NotDistinct(f"from {begin} on it wanders by {wander:.3g} and shows no change of level")

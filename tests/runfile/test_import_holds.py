@@ -113,15 +113,16 @@ def test_a_reading_that_flickers_by_one_count_is_held():
 
 def test_a_level_that_comes_again_and_drifts_a_little_is_held():
     random = np.random.default_rng(2)
-    true = np.concatenate(
-        [np.repeat([2.0, 0.0], [ROWS, 100]), np.repeat([2.0, 0.0], [ROWS, 100]), np.repeat(2.0, ROWS)]
-    )
-    values = true * (1.0 + 2e-3 * stamps(true)) + 1e-3 * random.standard_normal(len(true))
-    assert [hold.first for hold in held(stamps(true), values, 3.5, 0.5, False)] == [0, 500, 1000]
+    parts = [[0.0] * 100 + [2.0] * ROWS for _ in range(8)]
+    values = np.concatenate([parts[0][100:], *parts[1:]])
+    values += 0.02 * random.standard_normal(len(values))
+    values[500 * 3 : 500 * 3 + ROWS] += np.linspace(0.0, 0.05, ROWS)
+    holds = held(stamps(values), values, 3.5, 0.5, False)
+    assert [hold.first for hold in holds] == pytest.approx([500 * number for number in range(8)], abs=0.05 * ROWS)
 
 
 @pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("kind", ["walk", "coloured", "white", "small steps", "drift"])
+@pytest.mark.parametrize("kind", ["walk", "coloured", "white", "small steps", "drift", "drift and a step"])
 def test_levels_that_noise_hides_are_refused(kind, seed):
     random = np.random.default_rng(seed)
     levels = np.repeat([0.0, 1.0, 2.0, 1.0, 0.0, 1.0], ROWS)
@@ -131,7 +132,10 @@ def test_levels_that_noise_hides_are_refused(kind, seed):
         "white": levels + 30.0 * random.standard_normal(len(levels)),
         "small steps": levels + 3.0 * random.standard_normal(len(levels)),
         "drift": np.linspace(0.0, 1.0, len(levels)) + 0.1 * random.standard_normal(len(levels)),
+        "drift and a step": np.concatenate([np.linspace(0.0, 0.4, 5 * ROWS), np.full(ROWS, 0.8)]),
     }[kind]
+    if kind == "drift and a step":
+        values += 0.02 * random.standard_normal(len(values))
     with pytest.raises(NotDistinct):
         held(stamps(values), values, 3.5, 1.0, False)
 
