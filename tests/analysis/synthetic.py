@@ -85,6 +85,7 @@ class Bench:
         model="",
         resolution=None,
         scale_std=0.0,
+        parameters=None,
     ):
         """Write columns of the test actuator by quantity, and steps as the run file has them; return its path.
 
@@ -114,6 +115,7 @@ class Bench:
             software="",
             created="2026-11-20T10:15:30Z",
             sources=sources,
+            parameters=parameters or {},
         )
         writer = RunWriter(self.directory, info, {"loop": specs})
         writer.append("loop", time, np.column_stack(list(columns.values())))

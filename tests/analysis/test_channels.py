@@ -12,12 +12,12 @@ from .excited import first_order
 RATE = 200.0
 
 
-def holds(bench, drift=0.0, deviation=0.01, count=3, seed=1, **how):
+def holds(bench, drift=0.0, deviation=0.01, count=3, seed=1, name="bespoke", level=1.0, **how):
     rng = np.random.default_rng(seed)
     time = np.arange(round(count * 5 * RATE)) / RATE
-    columns = {"torque": 1.0 + drift * time + rng.normal(0.0, deviation, len(time)), "velocity": 0.0 * time + 3.0}
+    columns = {"torque": level + drift * time + rng.normal(0.0, deviation, len(time)), "velocity": 0.0 * time + 3.0}
     steps = [("hold", 5.0 * k, 5.0 * k + 5.0, 1.0, {"current_A": k}) for k in range(count)]
-    return bench.write("bespoke", time, columns, steps, protocol="name: bespoke\n", **how)
+    return bench.write(name, time, columns, steps, protocol=f"name: {name}\n", **how)
 
 
 def test_a_protocol_that_names_no_analysis_is_analysed_by_its_channels(bench):
@@ -58,6 +58,79 @@ def test_runs_are_analysed_by_channels_on_request_and_repeats_are_averaged(bench
     assert result.find("hold_1_q_axis_current").value == pytest.approx(4.9, abs=1e-6)
     with pytest.raises(InputError, match="other steps or channels than"):
         analyze_runs([holds(bench), holds(bench, count=2)])
+
+
+def test_a_run_that_ended_early_does_not_keep_the_others_from_being_analysed(bench):
+    early = holds(bench, count=1, level=5.0, status="tripped")
+    none = bench.write("bespoke", np.arange(2) / RATE, {"torque": np.zeros(2), "velocity": np.zeros(2)}, [],
+                       status="tripped", protocol="name: bespoke\n")  # fmt: skip
+    result = analyze_runs([none, early, holds(bench, seed=2), holds(bench, seed=3)])
+    assert result.find("hold_1_torque").value == pytest.approx(1.0, abs=0.01)
+    for path in (none, early):
+        assert any(note.startswith(f"{path}: left out: it ended early") for note in result.notes)
+    alone = analyze_runs([none, early])
+    assert alone.find("hold_1_torque").value == pytest.approx(5.0, abs=0.01)
+
+
+def test_a_stopped_run_with_all_steps_counts_as_a_repeat(bench):
+    result = analyze_runs([holds(bench), holds(bench, level=2.0, status="stopped")])
+    assert result.find("hold_1_torque").value == pytest.approx(1.5, abs=0.01)
+
+
+def test_several_protocols_and_parameters_are_analysed_apart_and_named(bench):
+    first = [holds(bench, level=level, parameters={"hold_s": level, "top": 7}) for level in (1.0, 2.0)]
+    result = analyze_runs([*first, holds(bench, name="other", level=3.0)])
+    means = {item.name: item.value for item in result.results if item.name.endswith("hold_1_torque")}
+    assert means == pytest.approx(
+        {
+            "bespoke hold_s=1.0: hold_1_torque": 1.0,
+            "bespoke hold_s=2.0: hold_1_torque": 2.0,
+            "other: hold_1_torque": 3.0,
+        },
+        abs=0.01,
+    )
+    assert {item.name.split(":")[0] for item in analyze_runs(first).results} == {"hold_s=1.0", "hold_s=2.0"}
+
+
+def test_the_very_same_readings_twice_are_no_better_known_than_once(bench):
+    once, again = (analyze_runs(paths) for paths in ([holds(bench)], [holds(bench), holds(bench)]))
+    for name in ("hold_1_torque", "hold_1_torque_drift"):
+        assert again.find(name).value == pytest.approx(once.find(name).value)
+        assert again.find(name).std >= 0.7 * once.find(name).std > 0.0
+        assert again.find(name).low < again.find(name).value < again.find(name).high
+
+
+def test_holds_of_another_name_are_analysed_too_and_moves_are_not(bench):
+    time = np.arange(round(40 * RATE)) / RATE
+    columns = {"torque": 1.0 + np.random.default_rng(4).normal(0.0, 0.01, len(time))}
+    told = {"role": "test", "repeat": 1}
+    named = ("steady", {"velocity_rad_s": 5.0}), ("ramp", {}), ("turn", {}), ("sine", {"kind": "sine"})
+    steps = [(name, 5.0 * k, 5.0 * k + 5.0, 1.0, told | own) for k, (name, own) in enumerate(named)]
+    steps += [("coast", 20.0, 25.0, 0.0, {"repeat": 1}), ("set", 25.0, 25.0, 0.0, told | {"current_A": 1.0})]
+    steps += [("steady", 30.0, 35.0, 0.0, told | {"current_A": 0.0, "until": "met"})]
+    result = analyze_runs([bench.write("bespoke", time, columns, steps, protocol="name: bespoke\n")])
+    assert {item.name.split("_torque")[0] for item in result.results} == {"steady_1", "coast_1", "steady_2"}
+
+
+def test_a_channel_that_stands_still_drifts_by_nothing(bench):
+    time = np.arange(round(5 * RATE)) / RATE
+    columns = {"torque": np.full(len(time), 29.6), "velocity": np.full(len(time), 1.0)}
+    steps = [("hold", 0.0, 5.0, 1.0, {"current_A": 1.0})]
+    result = analyze_runs([bench.write("bespoke", time, columns, steps, protocol="name: bespoke\n")])
+    for channel in ("torque", "velocity"):
+        drift = result.find(f"hold_1_{channel}_drift")
+        assert (drift.value, drift.std, drift.low, drift.high) == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_channels_with_too_few_samples_are_told_once_for_all_holds(bench):
+    time = np.arange(round(20 * RATE)) / RATE
+    gone = np.full(len(time), np.nan)
+    steps = [("hold", 4.0 * k, 4.0 * k + 4.0, 1.0, {"current_A": k}) for k in range(5)]
+    path = bench.write("bespoke", time, {"torque": np.ones(len(time)), "velocity": gone}, steps, protocol="name: x\n")
+    notes = [note for note in analyze_runs([path]).notes if "fewer than" in note]
+    assert len(notes) == 1
+    assert "hold_1, hold_2, hold_3, hold_4 and 1 more" in notes[0]
+    assert "(velocity)" in notes[0]
 
 
 def test_a_run_without_steps_counts_as_one_hold(bench):
