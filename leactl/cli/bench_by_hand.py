@@ -38,7 +38,7 @@ def stop(
     ),
     as_json: bool = AS_JSON,
 ) -> None:
-    """Stop the run on a bench and say how it ended; status 0 where every device confirmed that it is safe, else 5."""
+    """Stop the run on a bench and say how it ended."""
     from leactl.errors import DeviceError
     from leactl.runner import underway
 

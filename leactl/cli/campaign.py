@@ -12,7 +12,7 @@ import typer
 from leactl.cli.completion import campaigns
 from leactl.cli.helptext import ON_A_BENCH, WholeSentences, examples, group_of_commands
 from leactl.cli.run import perform
-from leactl.errors import AcceptanceFailed
+from leactl.errors import AcceptanceFailed, Stopped
 
 if TYPE_CHECKING:
     from leactl.runner.campaign.campaignfile import Campaign
@@ -24,8 +24,13 @@ class RunByDefault(WholeSentences):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Put the command in where none is named."""
-        named = args and args[0] in (*self.commands, "--help")
+        named = args and args[0] in (*self.commands, *ctx.help_option_names)
         return super().parse_args(ctx, args if named or not args else ["run", *args])
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """Offer what the command that is put in would take first, beside the commands."""
+        first = next(param for param in self.commands["run"].params if param.param_type_name == "argument")
+        return [*super().shell_complete(ctx, incomplete), *first.shell_complete(ctx, incomplete)]
 
 
 app = group_of_commands(RunByDefault)
@@ -103,6 +108,7 @@ def status(
         "campaign paper --variant short --out runs/paper",
         "campaign run paper --out runs/paper --dry-run",
         ends=(*ON_A_BENCH, AcceptanceFailed),
+        means={Stopped: "stopped by a person or a prompt that nobody answers"},
     )
 )
 def run(
@@ -123,7 +129,7 @@ def run(
     bus: list[str] = typer.Option([], metavar="NAME=INTERFACE:CHANNEL", help="Put a bus elsewhere."),
     as_json: bool = AS_JSON,
 ) -> None:
-    """Begin a campaign or go on with it; statuses as of `leactl run`, 4 also where a prompt finds nobody to answer."""
+    """Begin a campaign or go on with it."""
     from leactl.errors import AcceptanceFailed, InputError
     from leactl.report.campaign import plan_text
     from leactl.report.outputs import refusal

@@ -6,7 +6,7 @@ import typer
 
 
 def doctor(as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout.")) -> None:
-    """Check Python, packages, plug-ins, buses, browser and disk; status 2 where something needed is missing."""
+    """Check Python, packages, plug-ins, buses, browser and disk."""
     from dataclasses import asdict
 
     from leactl.bench.machine import examine

@@ -1,5 +1,6 @@
 """What the help of every command and group has in common: examples, exit statuses, and sentences that are whole."""
 
+from collections.abc import Mapping
 from typing import Any, Final
 
 import typer
@@ -36,15 +37,19 @@ def group_of_commands(kind: type[WholeSentences] = WholeSentences) -> typer.Type
     return typer.Typer(cls=kind, no_args_is_help=True, rich_markup_mode=None)
 
 
-def examples(*lines: str, ends: tuple[type[LeactlError], ...] = ()) -> str:
+def examples(
+    *lines: str, ends: tuple[type[LeactlError], ...] = (), means: Mapping[type[LeactlError], str] | None = None
+) -> str:
     """The end of a command's help.
 
     Parameters
     ----------
     lines : commands as a person types them, without `leactl`.
     ends : how it may end beside what every command may.
+    means : what a status says of this command, in place of what it says of most.
     """
-    statuses = {error.exit_status: MEANINGS[error] for error in (*ALWAYS, *ends)}
+    meanings = {**MEANINGS, **(means or {})}
+    statuses = {error.exit_status: meanings[error] for error in (*ALWAYS, *ends)}
     told = ", ".join(f"{status} {meaning}" for status, meaning in sorted({0: "done", **statuses}.items()))
     shown = "".join(f"\n  leactl {line}" for line in lines)
     return f"\b\nExample{'s' if len(lines) > 1 else ''}:{shown}\n\nExit status: {told}."

@@ -53,7 +53,9 @@ app.command("schema", epilog=examples("schema protocol > protocol.schema.json", 
 app.command("stats", epilog=examples("stats runs", "stats runs --result torque_constant --json"))(stats.stats)
 app.command("demo", epilog=examples("demo", "demo --out demo --seed 7", ends=ON_A_BENCH))(demo.demo)
 app.command("docs", epilog=examples("docs", "docs safety"))(docs.docs)
-app.command("doctor", epilog=examples("doctor", "doctor --json"))(doctor.doctor)
+app.command("doctor", epilog=examples("doctor", "doctor --json", means={InputError: "something needed is missing"}))(
+    doctor.doctor
+)
 
 
 def _show_version(wanted: bool) -> None:

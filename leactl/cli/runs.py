@@ -8,6 +8,7 @@ import typer
 
 from leactl.cli import finite
 from leactl.cli.helptext import examples, group_of_commands
+from leactl.errors import InputError
 
 app = group_of_commands()
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
@@ -105,13 +106,16 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
         typer.echo(row(f"note {note.time} ", f"{note.author}: {note.text}"))
 
 
-@app.command(epilog=examples("runs verify runs", "runs verify RUN.h5 --json"))
+@app.command(
+    epilog=examples(
+        "runs verify runs", "runs verify RUN.h5 --json", means={InputError: "a run is not so or cannot be read"}
+    )
+)
 def verify(
     runs: list[Path] = typer.Argument(..., metavar="RUN...", help="Run files, or folders of them."),
     as_json: bool = AS_JSON,
 ) -> None:
-    """Check that runs are whole and as they were closed: values, names and attributes; status 2 where one is not."""
-    from leactl.errors import InputError
+    """Check that runs are whole and as they were closed: values, names and attributes."""
     from leactl.runfile.catalog import run_files
     from leactl.runfile.integrity import examine
 

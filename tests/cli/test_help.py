@@ -15,6 +15,7 @@ from leactl import errors
 from leactl.cli.helptext import MEANINGS
 from leactl.cli.main import app
 from leactl.protocol.protocolfile import load
+from leactl.runner.campaign.campaignfile import names as campaigns
 
 ROOT = get_command(app)
 LEACTL = Path(sys.executable).with_name("leactl")
@@ -69,6 +70,14 @@ def test_help_is_whole_in_80_columns(path):
     assert not [line for line in lines if line.endswith("...") and "]" not in line]
 
 
+@pytest.mark.parametrize("path", EVERY, ids=" ".join)
+def test_statuses_are_told_once_and_at_the_end(path):
+    before, _, told = " ".join(helped(path).split()).partition("Exit status: ")
+    assert not re.search(r"\bstatus(es)? (\d|as)", before)
+    statuses = [part.split()[0] for part in told.removesuffix(".").split(", ")] if told else []
+    assert statuses == sorted(set(statuses))
+
+
 def test_every_status_is_told_with_one_meaning():
     def below(kind):
         return {kind.exit_status}.union(*(below(child) for child in kind.__subclasses__()))
@@ -100,6 +109,9 @@ def offered(*words):
         (("leactl", "motor", "energy", "a.csv", "--motor", "u8"), ["u8-kv100"]),
         (("leactl", "gap", "plan", "--protocol", "torque-c"), ["torque-constant"]),
         (("leactl", "docs", "dead"), ["dead-man"]),
+        (("leactl", "campaign", ""), ["list", "show", "status", "run", *campaigns()]),
+        (("leactl", "campaign", "pap"), ["paper"]),
+        (("leactl", "campaign", "paper", "--redo"), ["--redo-lost"]),
         (("leactl", "run", "./no-such", "--set", ""), []),
     ],
 )
