@@ -128,6 +128,8 @@ def analyze_each(paths: Sequence[Path], experiment: str = "", **options: Any) ->
     InputError : the runs are of one experiment, which cannot be analysed, or an option that none of several takes.
     """
     groups, faults = by_experiment(paths, experiment)
+    if faults and not groups:  # and so nothing that an option could be for
+        return [], faults
     if len(groups) == 1 and not faults:
         return [analyze_runs(paths, experiment, **options)], []
     given = {name: value for name, value in options.items() if value is not None}

@@ -89,6 +89,7 @@ def test_a_torque_constant_of_ones_own(bench):
     ("arguments", "words"),
     [
         (["absent.h5"], "absent.h5: cannot be read: No such file or directory"),
+        (["absent.h5", "--as", "friction", "--torque-constant", "0.49"], "absent.h5: cannot be read: No such file"),
         (["text.h5"], "text.h5: not an HDF5 file"),
         (["torque.h5", "./torque.h5"], "torque.h5: the same run as torque.h5; give each run once"),
         (

@@ -278,8 +278,9 @@ def test_a_file_that_is_no_answer_is_refused(tmp_path, text, message):
 
 
 def test_unusable_input_is_status_2(tmp_path):
-    done = leactl("stats", tmp_path / "absent.h5")
+    done = leactl("stats", tmp_path / "absent.h5", "--set", "torque_constant=0.49")
     assert (done.returncode, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
     assert "absent.h5: cannot be read" in done.stderr
 
 

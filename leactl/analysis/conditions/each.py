@@ -51,6 +51,8 @@ def compare_each(
             groups.setdefault(experiment_of_answer(path), []).append(path)
     if len(groups) < 2 and not faults:
         return [Compared(*compare_all(paths, names, by_run, **options))], [], []
+    if faults and not groups:
+        raise InputError(faults)
     told = {name: value for name, value in options.items() if value is not None}
     taken: set[str] = set()
     compared: list[Compared] = []
