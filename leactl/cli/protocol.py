@@ -86,14 +86,17 @@ def plan(
 
     expanded = load(protocol, read_overrides(overrides), condition)
     if bench:
+        from leactl.bench.bench import Bench
         from leactl.bench.benchfile import host_silences
-        from leactl.bench.benchfile import load as load_bench
-        from leactl.safety.refusals import check_rate, check_setpoints
+        from leactl.bench.wiring import MachineWiring
+        from leactl.runner.checked_bench import load_checked
+        from leactl.runner.fitting import check_fit
+        from leactl.safety.refusals import check_rate
 
-        file, devices, _document = load_bench(bench)
+        file, devices, _document = load_checked(bench)
         if file.emulated is not None:
             file.emulated.expect(condition)
-        check_setpoints(file.limits, expanded.peaks())
+        check_fit(expanded, Bench(file, devices, MachineWiring()))
         check_rate(expanded.rate_Hz, host_silences(devices))
     if as_json:
         rows = [row._asdict() for row in expanded.timeline()]

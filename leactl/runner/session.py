@@ -22,10 +22,11 @@ from leactl.driver.contract import Confirmation, MotionDevice
 from leactl.driver.stopping import doubt
 from leactl.errors import AcceptanceFailed, DeviceError, InputError, SafetyTrip, Stopped
 from leactl.model.motor import load_motor
-from leactl.protocol.plan import ChannelLimit, Engage, Plan, Record, Supply
+from leactl.protocol.plan import Plan, Record, Supply
 from leactl.runfile.writer import RunInfo, RunWriter, new_run_id
 from leactl.runner import exclusive, latch, state, underway
-from leactl.runner.channel_limits import ACCEPTANCE, ChannelLimits, Verdict
+from leactl.runner.channel_limits import ACCEPTANCE, Verdict
+from leactl.runner.fitting import check_fit, check_setup, limits_of
 from leactl.runner.latch import Latch
 from leactl.runner.loop import Loop, Operator
 from leactl.runner.progress import Progress
@@ -37,7 +38,6 @@ from leactl.runner.windings import Windings
 from leactl.safety.cross_checks import TorqueModel
 from leactl.safety.current_tracking import VoltageNeed
 from leactl.safety.disk import check_room, free_bytes, planned_bytes
-from leactl.safety.refusals import check_setpoints
 from leactl.safety.supervisor import Axis, Supervisor
 
 SENSED_SETUPS = ("coupled", "locked")  # where the torque sensor sees what the test actuator gives
@@ -167,9 +167,7 @@ def preview(request: Request) -> Preview:
 def _ready(request: Request, windings: Windings) -> tuple[Request, Bench, Supervisor]:
     """The request with the plan that its windings allow, its bench, none of whose devices is open, and supervisor."""
     bench = Bench(request.bench, request.devices, _wiring(request))
-    _check_roles(request, bench)
-    _check_needs(request, bench)
-    _limits(request.plan, bench)
+    check_fit(request.plan, bench)
     refuse_blind(bench, request.bench_document)
     planned = _planned_bytes(request.plan, bench)
     check_room(request.bench.interlocks.disk_space, free_bytes(request.directory), planned)
@@ -206,7 +204,7 @@ def _run(
         paced = request.realtime or not request.in_process
         flush = ThreadedFlush(writer) if paced else InlineFlush(writer)
         progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
-        limits = _limits(plan, bench)
+        limits = limits_of(plan, bench)
         loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator, watchdog, limits, wishes)
     except BaseException:
         announcement.tell_safe(supervisor.make_safe())
@@ -301,37 +299,10 @@ def _latch(bench: Latch, error: SafetyTrip, run: Path) -> None:
 
 def _check(request: Request) -> None:
     """Refuse what cannot go well, before anything is touched."""
-    plan, bench = request.plan, request.bench
-    if bench.setup is not None and bench.setup != plan.setup:
-        raise InputError(f"protocol '{plan.name}' needs set-up '{plan.setup}'; bench '{bench.name}' is '{bench.setup}'")
+    bench = request.bench
     if not request.in_process and (request.seed is not None or request.realtime):
         raise InputError(f"bench '{bench.name}' is not emulated here: it takes no seed and always keeps wall time")
-    check_setpoints(bench.limits, plan.peaks())
-
-
-def _check_roles(request: Request, bench: Bench) -> None:
-    wanted = {role for action in request.plan.actions if isinstance(action, Engage) for role in action.modes}
-    missing = sorted(wanted - bench.drives.keys())
-    if missing:
-        raise InputError(
-            f"protocol '{request.plan.name}' moves the {' and the '.join(missing)} drive;"
-            f" bench '{request.bench.name}' has {', '.join(sorted(bench.drives)) or 'none'}"
-        )
-
-
-def _check_needs(request: Request, bench: Bench) -> None:
-    measured = {channel.quantity for channels in bench.streams().values() for channel in channels}
-    missing = [quantity for quantity in request.plan.needs if quantity not in measured]
-    if missing:
-        raise InputError(
-            f"protocol '{request.plan.name}' needs {', '.join(missing)};"
-            f" no device of bench '{request.bench.name}' measures that"
-        )
-
-
-def _limits(plan: Plan, bench: Bench) -> ChannelLimits:
-    limits = [limit for limit in plan.acceptance if isinstance(limit, ChannelLimit)]
-    return ChannelLimits(limits, bench.streams(), bench.file.name)
+    check_setup(request.plan, bench)
 
 
 def _check_supplies(request: Request, supervisor: Supervisor) -> None:

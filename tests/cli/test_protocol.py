@@ -9,6 +9,7 @@ from importlib import resources
 
 import pytest
 
+from leactl.bench.benchfile import SHIPPED
 from leactl.protocol import protocolfile
 from tests.cli.terminal import COMMAND, leactl
 
@@ -151,6 +152,44 @@ def test_plan_is_checked_against_a_bench(mine):
     done = leactl("protocol", "plan", mine, "--bench", "emulated", "--set", "levels_A=[1, -45]")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "leactl: test q_axis_current_reference: 45 A is above the bench limit of 30 A\n"
+
+
+HELD = (
+    "hold: {role: test, current_A: 1, duration_s: 3, until: {%s, statistic: mean, window_s: 1, below: 30, unit: degC}}"
+)
+AWAITED = "quantity: winding_temperature, role: test"
+LIMIT = "{channel: winding_temperature, statistic: max, high: 80, unit: degC}"
+MISFITS = {
+    "hold until": (HELD % AWAITED, "", "waits for winding_temperature of test; no device of bench 'emulated'"),
+    "wait_until": (
+        f"wait_until: {{{AWAITED}, below: 30, unit: degC, timeout_s: 1}}",
+        "",
+        "waits for winding_temperature of test; no device of bench 'emulated'",
+    ),
+    "acceptance": ("mode: {test: off}", f"acceptance: [{LIMIT}]", "measures no winding_temperature of role 'test'"),
+    "needs": ("mode: {test: off}", "needs: [winding_temperature]", "needs winding_temperature; no device of bench"),
+}
+
+
+@pytest.mark.parametrize("name", MISFITS)
+def test_channels_that_a_bench_does_not_measure_are_refused_by_the_plan_and_before_a_run(tmp_path, name):
+    step, more, words = MISFITS[name]
+    head = MINE.partition("steps:")[0].replace("levels_A: [1, 2], hold_s: 3", "").replace("hold_s: 4", "")
+    (tmp_path / "warm.yaml").write_text(f"{head}steps:\n  - mode: {{test: current}}\n  - {step}\n{more}\n")
+    planned = leactl("protocol", "plan", tmp_path / "warm.yaml", "--bench", "emulated")
+    run = leactl("run", tmp_path / "warm.yaml", "--bench", "emulated", "--out", tmp_path / "runs")
+    assert (planned.returncode, planned.stdout) == (run.returncode, run.stdout) == (2, "")
+    assert planned.stderr == run.stderr
+    assert words in run.stderr
+    assert not list(tmp_path.glob("runs/*.h5"))
+
+
+def test_a_plan_says_that_a_bench_is_built_for_another_set_up(mine, tmp_path):
+    text = (SHIPPED / "testbed.yaml").read_text()
+    (tmp_path / "one.yaml").write_text(text.replace("\nmotors", "\nsetup: coupled\nmotors", 1))
+    done = leactl("protocol", "plan", mine, "--bench", tmp_path / "one.yaml")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "protocol 'mine' needs set-up 'locked'; bench 'testbed' is 'coupled'" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,72 @@
+"""Whether a bench has what a plan asks for; refused before anything is touched, by a run and where one is planned."""
+
+from leactl.bench.bench import Bench
+from leactl.bench.benchfile import BenchFile
+from leactl.errors import InputError
+from leactl.protocol.plan import ChannelLimit, Engage, Plan, Segment, Until, WaitUntil
+from leactl.runner.channel_limits import ChannelLimits
+from leactl.safety.refusals import check_setpoints
+
+
+def check_fit(plan: Plan, bench: Bench) -> None:
+    """Refuse a plan whose set-up, setpoints, drives or channels are not the bench's.
+
+    Raises
+    ------
+    InputError : the first of them.
+    """
+    check_setup(plan, bench.file)
+    _check_roles(plan, bench)
+    _check_needs(plan, bench)
+    _check_awaited(plan, bench)
+    limits_of(plan, bench)
+
+
+def check_setup(plan: Plan, file: BenchFile) -> None:
+    """Refuse another set-up than the bench is built for, and setpoints beyond its limits."""
+    if file.setup is not None and file.setup != plan.setup:
+        raise InputError(f"protocol '{plan.name}' needs set-up '{plan.setup}'; bench '{file.name}' is '{file.setup}'")
+    check_setpoints(file.limits, plan.peaks())
+
+
+def limits_of(plan: Plan, bench: Bench) -> ChannelLimits:
+    """The plan's limits on channels.
+
+    Raises
+    ------
+    InputError : the bench measures no such channel.
+    """
+    limits = [limit for limit in plan.acceptance if isinstance(limit, ChannelLimit)]
+    return ChannelLimits(limits, bench.streams(), bench.file.name)
+
+
+def _check_roles(plan: Plan, bench: Bench) -> None:
+    wanted = {role for action in plan.actions if isinstance(action, Engage) for role in action.modes}
+    missing = sorted(wanted - bench.drives.keys())
+    if missing:
+        raise InputError(
+            f"protocol '{plan.name}' moves the {' and the '.join(missing)} drive;"
+            f" bench '{bench.file.name}' has {', '.join(sorted(bench.drives)) or 'none'}"
+        )
+
+
+def _check_needs(plan: Plan, bench: Bench) -> None:
+    measured = {channel.quantity for channels in bench.streams().values() for channel in channels}
+    missing = [quantity for quantity in plan.needs if quantity not in measured]
+    if missing:
+        raise InputError(
+            f"protocol '{plan.name}' needs {', '.join(missing)}; no device of bench '{bench.file.name}' measures that"
+        )
+
+
+def _check_awaited(plan: Plan, bench: Bench) -> None:
+    """Refuse channels that a wait or a hold's criterion looks at and no device measures."""
+    measured = {(channel.quantity, channel.role) for channels in bench.streams().values() for channel in channels}
+    asked: list[WaitUntil | Until] = [action for action in plan.actions if isinstance(action, WaitUntil)]
+    asked += [action.until for action in plan.actions if isinstance(action, Segment) and action.until is not None]
+    awaited = dict.fromkeys((one.quantity, one.role) for one in asked)
+    if missing := [f"{quantity} of {role}" for quantity, role in awaited if (quantity, role) not in measured]:
+        raise InputError(
+            f"protocol '{plan.name}' waits for {', '.join(missing)};"
+            f" no device of bench '{bench.file.name}' measures that"
+        )
