@@ -2,12 +2,14 @@
 
 import logging
 from collections.abc import Callable
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Protocol
 
 from leactl.bench.benchfile import CanBus, I2cBus, SerialBus
 from leactl.driver.clock import Clock, MonotonicClock
 from leactl.driver.i2c_port import SmBus
 from leactl.driver.serial_port import SerialLine
+from leactl.errors import InputError
 
 if TYPE_CHECKING:
     import can
@@ -15,6 +17,18 @@ if TYPE_CHECKING:
 
 # a bus whose constructor failed complains there that nobody shut it down (python-can 4.6); the failure itself is raised
 logging.getLogger("can").addHandler(logging.NullHandler())
+
+
+def unknown_interface(bus: CanBus) -> str:
+    """What is wrong with a bus whose interface python-can does not have; empty where it has it."""
+    import can
+
+    known = sorted(can.VALID_INTERFACES)
+    if bus.interface in known:
+        return ""
+    close = get_close_matches(bus.interface, known, n=1)
+    expected = close[0] if close else f"one of {', '.join(known)}"
+    return f"python-can has no interface '{bus.interface}'; {expected} was expected"
 
 
 class Wiring(Protocol):
@@ -55,6 +69,8 @@ class MachineWiring:
         def connect() -> "can.BusABC":
             import can
 
+            if fault := unknown_interface(bus):
+                raise InputError(f"bus '{name}': {fault}")
             options: dict[str, Any] = dict(bus.options)
             if bus.interface not in ("udp_multicast", "virtual"):
                 options.setdefault("bitrate", bus.bitrate)

@@ -28,9 +28,9 @@ def list_benches(as_json: bool = AS_JSON) -> None:
 @app.command(epilog=examples("bench show testbed > mine.yaml"))
 def show(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
     """Show a bench's file as it is written, to copy and change."""
-    from leactl.bench.benchfile import load
+    from leactl.runner.checked_bench import load_checked
 
-    file, _devices, document = load(bench)
+    file, _devices, document = load_checked(bench)
     answer = {"name": file.name, "title": file.title, "file": document.name, "text": document.text}
     typer.echo(json.dumps(answer) if as_json else document.text, nl=as_json)
 
@@ -38,9 +38,10 @@ def show(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
 @app.command(epilog=examples("bench model emulated > nominal.yaml"))
 def model(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
     """Print the nominal model of a bench, the file that `leactl gap` takes as --model."""
-    from leactl.bench.benchfile import load, nominal_model
+    from leactl.bench.benchfile import nominal_model
+    from leactl.runner.checked_bench import load_checked
 
-    file = load(bench)[0]
+    file = load_checked(bench)[0]
     text = nominal_model(file)
     typer.echo(json.dumps({"bench": file.name, "text": text}) if as_json else text, nl=as_json)
 
@@ -168,9 +169,15 @@ def faults(name: str = typer.Argument("", help="One fault, to be explained."), a
         typer.echo(f"\nemulated:\n  faults:\n    - {described[0]['example']}")
 
 
-app.command("stop", epilog=examples("bench stop", "bench stop mine.yaml --wait 10", ends=ON_A_BENCH))(
-    bench_by_hand.stop
-)
+app.command(
+    "stop",
+    epilog=examples(
+        "bench stop",
+        "bench stop mine.yaml --wait 10",
+        ends=(DeviceError,),
+        means={DeviceError: "a device has not confirmed that it is safe or a run cannot be asked"},
+    ),
+)(bench_by_hand.stop)
 app.command("pause", epilog=examples("bench pause mine.yaml", ends=ON_A_BENCH))(bench_by_hand.pause)
 app.command("resume", epilog=examples("bench resume mine.yaml", ends=ON_A_BENCH))(bench_by_hand.resume)
 app.command("remark", epilog=examples('bench remark "the bearing squeaks" mine.yaml', ends=ON_A_BENCH))(

@@ -9,6 +9,7 @@ import typer
 
 from leactl.cli.completion import benches
 from leactl.cli.helptext import ON_A_BENCH, examples, group_of_commands
+from leactl.errors import SafetyTrip
 
 if TYPE_CHECKING:
     from leactl.runner.drill.finding import Drilled
@@ -26,7 +27,14 @@ def safety() -> None:
     """Rehearse what keeps a bench safe."""
 
 
-@app.command(epilog=examples("safety drill", "safety drill mine.yaml --only frozen_drive", ends=ON_A_BENCH))
+@app.command(
+    epilog=examples(
+        "safety drill",
+        "safety drill mine.yaml --only frozen_drive",
+        ends=ON_A_BENCH,
+        means={SafetyTrip: "safety trip or a rehearsal that did not end as it ought to"},
+    )
+)
 def drill(
     bench: str = typer.Argument(
         "emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches
@@ -39,14 +47,13 @@ def drill(
     report: Path = typer.Option(None, metavar="FILE", help="Write the report to this .md as well."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
-    """Rehearse every fault on a bench: what caught it, how fast, how the bench ended; status 3 where something was not.
+    """Rehearse every fault on a bench: what caught it, how fast, how the bench ended.
 
     On a real bench nothing is put out of order: stops, and a sensor that you unplug, each asked for before.
     """
     import tempfile
     from dataclasses import replace
 
-    from leactl.errors import SafetyTrip
     from leactl.report.drill import markdown, print_drill
 
     if report is not None:
@@ -71,13 +78,13 @@ def drill(
 
 
 def _drill(bench: str, only: list[str], yes: bool, served: bool, bus: list[str], directory: Path) -> "Drilled":
-    from leactl.bench.benchfile import load
     from leactl.errors import InputError
     from leactl.report.drill import progress
+    from leactl.runner.checked_bench import load_checked
     from leactl.runner.drill.emulated import EmulatedDrill
     from leactl.runner.drill.real import Person, RealDrill
 
-    if load(bench)[0].emulated is not None and not served:
+    if load_checked(bench)[0].emulated is not None and not served:
         if bus:
             raise InputError("--bus: an emulated bench has its buses in this process; --served meets another's")
         with progress() as tell:

@@ -58,11 +58,11 @@ def state(
     bench: str = BENCH, actuator: str = typer.Option("", help="Label of the one under test."), as_json: bool = AS_JSON
 ) -> None:
     """Show how warm the windings of a bench may be by now, and how that is known."""
-    from leactl.bench.benchfile import load
     from leactl.report.thermal import state_text
+    from leactl.runner.checked_bench import load_checked
     from leactl.runner.windings import Windings
 
-    file, devices, _document = load(bench)
+    file, devices, _document = load_checked(bench)
     windings = Windings(file, devices, actuator)
     rows: list[dict[str, Any]] = [
         {
@@ -113,13 +113,13 @@ def plan(
     as_json: bool = AS_JSON,
 ) -> None:
     """Forecast how hot a protocol may make the windings, and the waits that would keep them below the limit."""
-    from leactl.bench.benchfile import load as load_bench
     from leactl.errors import InputError
     from leactl.protocol.protocolfile import load, read_overrides
     from leactl.report.thermal import forecast_text
+    from leactl.runner.checked_bench import load_checked
     from leactl.runner.windings import Windings
 
-    file, devices, _document = load_bench(bench)
+    file, devices, _document = load_checked(bench)
     expanded = load(protocol, read_overrides(overrides), condition)
     windings = Windings(file, devices, actuator, cold=cold)
     found = windings.forecast(expanded)

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from leactl.bench import benchfile
 from leactl.bench.bench import Bench, refuse_blind
-from leactl.bench.benchfile import BenchFile, CheckedDevice, host_silences
-from leactl.bench.wiring import MachineWiring
+from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, host_silences
+from leactl.bench.wiring import MachineWiring, unknown_interface
 from leactl.driver.contract import SAFE_STATE_S
 from leactl.emulation.emulated_block import check_emulated
 from leactl.errors import InputError
@@ -33,7 +33,7 @@ def load_checked(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], Doc
     """
     file, devices, document = benchfile.load(name_or_path)
     motors = _motors(file, document)
-    faults = list(_burnt_before_the_end(file, devices, document, motors))
+    faults = [*_unknown_interfaces(file, document), *_burnt_before_the_end(file, devices, document, motors)]
     try:
         check_emulated(file, devices, document)
     except InputError as error:
@@ -45,6 +45,13 @@ def load_checked(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], Doc
     if faults:
         raise InputError(faults)
     return file, devices, document
+
+
+def _unknown_interfaces(file: BenchFile, document: Document) -> Iterator[str]:
+    """CAN interfaces that python-can does not have; an emulated bench answers in place of its own."""
+    for name, bus in file.buses.items() if file.emulated is None else ():
+        if isinstance(bus, CanBus) and (fault := unknown_interface(bus)):
+            yield document.fault(("buses", name, "interface"), fault)
 
 
 def _motors(file: BenchFile, document: Document) -> Mapping[str, Motor]:

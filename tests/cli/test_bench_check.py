@@ -157,6 +157,40 @@ def test_no_key_with_a_letter_wrong_is_taken_in_silence(tmp_path_factory, key, d
         load_checked(str(path))
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("bench", "show"),
+        ("bench", "model"),
+        ("protocol", "plan", "spin.yaml", "--bench"),
+        ("thermal", "state", "--bench"),
+        ("thermal", "plan", "spin.yaml", "--bench"),
+        ("safety", "drill"),
+    ],
+    ids=" ".join,
+)
+def test_every_command_that_reads_a_bench_refuses_what_the_check_refuses(here, command):
+    (here / "mine.yaml").write_text(emulated("  test: {bogus: 2}\n"))
+    refused = leactl("bench", "check", "mine.yaml")
+    done = leactl(*command, "mine.yaml")
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", refused.stderr)
+    assert refused.stderr.startswith("leactl: mine.yaml:")
+
+
+REAL = (SHIPPED / "testbed.yaml").read_text()
+
+
+def test_a_bus_interface_that_does_not_exist_is_refused_with_the_one_that_was_probably_meant(here, monkeypatch):
+    monkeypatch.setenv("LEACTL_MACHINE_STATE", str(here / "machine"))
+    (here / "real.yaml").write_text(REAL.replace("interface: socketcan", "interface: socketcann", 1))
+    done = leactl("bench", "check", "real.yaml")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "  buses.can0.interface: python-can has no interface 'socketcann'; socketcan was expected" in done.stderr
+    put = leactl("bench", "read", "testbed", "--bus", "can0=no-such-thing:0")
+    assert put.returncode == 2
+    assert "bus 'can0': python-can has no interface 'no-such-thing'; one of " in put.stderr
+
+
 def test_a_bus_put_elsewhere_on_a_bench_emulated_here_is_refused():
     done = leactl("run", "spin.yaml", "--bus", "can0=vcan:0")
     assert (done.returncode, done.stdout) == (2, "")
