@@ -1,11 +1,14 @@
 """What the model that a run carries says: the parameters that its bench was set up with."""
 
 import math
-from typing import Any
+import sys
+from typing import Any, Final
 
 from leactl import yamlfile
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
+
+LARGEST: Final = math.sqrt(sys.float_info.max)
 
 
 def model_of(run: Run) -> dict[str, Any]:
@@ -26,9 +29,10 @@ def rotor_inertia_of_model(run: Run) -> float:
 
 
 def positive(found: object) -> float:
-    """A number above zero as it stands in a model; NaN where it is none."""
-    number = isinstance(found, int | float) and not isinstance(found, bool) and found > 0
-    return float(found) if number else math.nan  # type: ignore[arg-type]
+    """A number above zero as it stands in a model; NaN where it is none, or none whose square is a number too."""
+    if not isinstance(found, int | float) or isinstance(found, bool) or not 0 < found <= LARGEST:
+        return math.nan
+    return float(found) if found**2 > 0 else math.nan
 
 
 def torque_constant_of_model(run: Run) -> float:

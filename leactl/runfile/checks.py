@@ -61,12 +61,12 @@ def faults_of_units(place: str, found: dict[str, Any]) -> list[str]:
 
 
 def faults_of_numbers(place: str, found: dict[str, Any]) -> list[str]:
-    """Attributes that are to be numbers and are none: a skew [s], or a standard uncertainty below zero."""
+    """Attributes that are to be numbers and are none: a skew [s], or a share that is not from 0 to 1."""
     faults = []
-    for name, least in (("skew", -math.inf), ("scale_std", 0.0)):
+    for name, least, most in (("skew", -math.inf, math.inf), ("scale_std", 0.0, 1.0)):
         value = found.get(name, 0.0)
-        if not (isinstance(value, int | float) and math.isfinite(value) and value >= least):
-            expected = "a finite number" + (" of zero or more" if least == 0.0 else "")
+        if not (isinstance(value, int | float) and math.isfinite(value) and least <= value <= most):
+            expected = "a finite number" if math.isinf(most) else f"a number from {least:g} to {most:g}"
             faults.append(f"{place}: {name} is {shown(value)}; {expected} was expected")
     return faults
 

@@ -110,6 +110,7 @@ def test_the_uncertainty_of_the_torque_constant_adds_in_squares(bench):
         ({"levels": (0.6,)}, "found 1 levels of current|one level of current"),
         ({"levels": (0.0, 0.6), "signs": (1,)}, "found 1 levels of current at which the rotor turned steadily"),
         ({"torque_constant": None}, "found no model; a torque constant is needed, give --torque-constant"),
+        ({"torque_constant": 1e308}, r"found a model whose torque_constant is 1e\+308; a torque constant is needed"),
         ({"torque_constant": "strong"}, "a model whose torque_constant is 'strong'"),
         ({"torque_constant": -0.49}, "a model whose torque_constant is -0.49"),
         ({"levels": (0.6, 0.74), "trials": 1, "signs": (1,)}, "2 points for 2 unknowns leave no degree of freedom"),
