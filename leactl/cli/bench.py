@@ -161,8 +161,9 @@ def faults(name: str = typer.Argument("", help="One fault, to be explained."), a
     if as_json:
         typer.echo(json.dumps({"faults": described}))
         return
+    width = max(len(fault["fault"]) for fault in described)
     for fault in described:
-        typer.echo(row(f"{fault['fault']:<20} ", fault["summary"]))
+        typer.echo(row(f"{fault['fault']:<{width}} ", fault["summary"]))
     if name:
         for key, text in described[0]["parameters"].items():
             typer.echo(row(f"  {key:<18} ", text))

@@ -46,6 +46,7 @@ OUT = typer.Option(None, help="Folder of the campaign; runs/NAME or runs/NAME-VA
 @app.command("list", epilog=examples("campaign list"))
 def list_campaigns(as_json: bool = AS_JSON) -> None:
     """List the campaigns that ship with leactl."""
+    from leactl.report.listing import row
     from leactl.runner.campaign.campaignfile import load, names
 
     found = [load(name) for name in names()]
@@ -53,8 +54,9 @@ def list_campaigns(as_json: bool = AS_JSON) -> None:
         rows = [{"name": one.name, "title": one.title, "runs": len(one.cells)} for one in found]
         typer.echo(json.dumps({"campaigns": rows}))
         return
+    width = max(len(one.name) for one in found)
     for one in found:
-        typer.echo(f"{one.name}  {len(one.cells)} runs  {one.title}")
+        typer.echo(row(f"{one.name:<{width}}  {len(one.cells):3d} runs  ", one.title))
 
 
 @app.command(epilog=examples("campaign show paper"))
