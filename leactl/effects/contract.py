@@ -59,8 +59,10 @@ class Signals:
     acceleration: Array | None = None
     sliding: Array | None = None
     torque: Array | None = None
+    count: float = 0.0  # rad, of the encoder; zero where its steps do not show
     settled: npt.NDArray[np.bool_] | bool = True  # whether it is known where a locked rotor sticks,
     unleapt: npt.NDArray[np.bool_] | bool = True  # and how it slides
+    resolved: npt.NDArray[np.bool_] | bool = True  # whether samples tell the motion between them
     calm_torque: Array | None = None  # the same and
     calm_velocity: Array | None = None  # smoothed until the encoder's steps no longer show: what lags are made of
     winding_rise: Array | None = None  # K above the model's reference temperature

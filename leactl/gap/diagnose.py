@@ -12,7 +12,8 @@ from leactl.gap.confirm import held_out_gains
 from leactl.gap.diagnosis import CalibratedParameter, Cause, Diagnosis, EffectParameter, Verdict
 from leactl.gap.evidence import Evidence
 from leactl.gap.judge import Judged, judge, left_by_form, unexplained, unrest
-from leactl.gap.notes import gathered, questions, unlike
+from leactl.gap.notes import beyond_null, gathered, questions, unlike
+from leactl.gap.null import measure
 from leactl.gap.parameters import calibrated, effect_parameters, with_calibration
 from leactl.gap.record import Record, read_record
 from leactl.gap.regression import Candidate, Fit
@@ -100,6 +101,9 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
             "no equation of the model can be checked with these runs: a diagnosis needs the angle and the q-axis"
             " current of a moving run, voltage and current, or temperatures and heat"
         )
+    progress("measuring sound machines")
+    null = measure(case.fitted, case.model)
+    evidence.compare_with(null)
     progress("searching effects")
     found = search(evidence)
     progress("trying them on held-out runs")
@@ -155,7 +159,13 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         shrunk.shrinkage,
         tuple(
             dict.fromkeys(
-                left + told + applied.notes + notes + shrunk.notes + questions(case.model, case.fitted, evidence)
+                left
+                + told
+                + applied.notes
+                + notes
+                + beyond_null(evidence, null)
+                + shrunk.notes
+                + questions(case.model, case.fitted, evidence)
             )
         ),
         {

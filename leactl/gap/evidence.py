@@ -4,7 +4,8 @@ Noise is taken from what a hypothesis leaves over, pooled over runs of one kind;
 count for less, so that no number of samples makes up for a model that is only roughly right.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 
@@ -30,7 +31,9 @@ from leactl.gap.regression import (
     residuals,
     stack,
 )
+from leactl.gap.scales import scales
 from leactl.model.nominal import Model
+from leactl.vocabulary.effect import effect_definition
 
 Array = npt.NDArray[np.float64]
 PRIORS = {
@@ -57,6 +60,7 @@ GAINS = (
     "current_sensor_gain",
 )  # not to be asked where no back-EMF tells the torque constant
 READINGS = {"coupled_torque", "locked_torque", "swung_torque"}  # a torque sensor taken at its word tells it then
+UNTOLD = 1.0  # of its prior, by which sound machines may move a parameter that their runs tell
 PINNED = 1e-4  # prior of a torque constant that nothing tells
 UNKNOWN_UNREST = 10.0  # of an equation that no bench without an effect has been seen with
 LONGEST_DEPENDENCE = 60  # rows
@@ -65,11 +69,33 @@ FEW_LAGS = 6
 ORDERS_TRIED = 3  # of each periodic effect
 
 
+@dataclass(frozen=True)
+class Null:
+    """What sound machines show in the place of effects and model errors."""
+
+    unrest: Mapping[tuple[str, str], float]  # by equation and kind of run
+    floors: Mapping[str, float]  # size of each effect, in units of its leading parameter
+    lines: Mapping[tuple[str, str, str], float]  # height of the highest line in what each channel leaves over
+    moved: Mapping[str, tuple[float, float]]  # of each parameter: mean and scatter of its relative change
+    untold: tuple[str, ...]  # parameters that they move by themselves: these runs cannot tell them
+
+
 class Evidence:
     """All equations of all runs, and the weights that a hypothesis gives them."""
 
-    def __init__(self, records: Sequence[Record], model: Model, only: Sequence[Candidate] | None = None) -> None:
+    def __init__(
+        self,
+        records: Sequence[Record],
+        model: Model,
+        only: Sequence[Candidate] | None = None,
+        untold: Sequence[str] = (),
+    ) -> None:
         self.model, self.records = model, list(records)
+        self.sound: Mapping[tuple[str, str], float] = {}
+        self.floors = floors(records, model)  # size of each effect below which it is model error
+        self.moved: Mapping[str, tuple[float, float]] = {}
+        self.lines: Mapping[tuple[str, str, str], float] = {}
+        self.untold = tuple(untold)  # parameters that stay as the model has them
         self.candidates: list[Candidate] = list(only) if only is not None else every_form(model)
         self._terms = TermsOf()
         self._equations: list[tuple[str, str, Equation]] = [
@@ -87,6 +113,7 @@ class Evidence:
             self.candidates = [c for c in self.candidates if c[0] not in GAINS]
             if not names & READINGS:
                 self.priors["torque_constant"] = PINNED
+        self.priors.update(dict.fromkeys(self.untold, PINNED))
         self.stack: Stack = stack([rows for _, rows in made], self.priors)
         self.weigh_as_usual()
         if only is None and made:
@@ -94,9 +121,23 @@ class Evidence:
 
     def weigh_as_usual(self) -> None:
         """Take the noise that shows from row to row, with what a sound model usually leaves beside it."""
-        usual = usual_unrest()
         for rows in self.stack.rows:
-            rows.noise, rows.dependence = rows.white, usual.get(rows.equation, UNKNOWN_UNREST)
+            rows.noise, rows.dependence = rows.white, self.expected(rows)
+
+    def compare_with(self, null: Null) -> None:
+        """Take what sound machines show in these runs; a parameter that these cannot tell is not fitted."""
+        self.sound, self.moved, self.lines = null.unrest, null.moved, null.lines
+        for effect, size in null.floors.items():
+            self.floors[effect] = max(self.floors.get(effect, 0.0), size)
+        self.untold = null.untold
+        self.priors.update(dict.fromkeys(self.untold, PINNED))
+        self.stack = stack([rows for _, rows in self._made], self.priors)
+        self.weigh_as_usual()
+
+    def expected(self, rows: Rows) -> float:
+        """The unrest that a sound machine shows in some rows: as measured on the case, at least as others have it."""
+        usual = table()["unrest"].get(rows.equation, UNKNOWN_UNREST)
+        return max(self.sound.get((rows.equation, rows.kind), 0.0), usual)
 
     def add(self, candidates: Sequence[Candidate]) -> None:
         """Take further forms of effects into the regression."""
@@ -129,6 +170,16 @@ class Evidence:
             dependence = float(np.mean([rows_per_independent(left) for left, _ in pool]))
             for _, rows in pool:
                 rows.noise, rows.dependence = max(noise, 1e-12), dependence
+
+    def unrest(self) -> dict[tuple[str, str], float]:
+        """Power under the present noise over that from row to row, as many rows as count for one; by equation and kind.
+
+        Where every row is right but for noise it is about one.
+        """
+        found: dict[tuple[str, str], list[float]] = {}
+        for rows in self.stack.rows:
+            found.setdefault((rows.equation, rows.kind), []).append((rows.noise / rows.white) ** 2 * rows.dependence)
+        return {key: float(np.mean(values)) for key, values in found.items()}
 
     def settle(self, hypothesis: Sequence[Candidate], rounds: int = 2) -> Fit:
         """Fit a hypothesis and the noise it leaves, by turns."""
@@ -205,8 +256,15 @@ def every_form(model: Model) -> list[Candidate]:
 
 
 @cache
-def usual_unrest() -> dict[str, float]:
-    """Power that sound models leave over, over the noise that shows from row to row, by equation."""
+def table() -> dict[str, dict[str, float]]:
+    """Sizes and unrest that equations of other authors leave where nothing is wrong, in units of the machine."""
     entry = resources.files("leactl.gap") / "floors.yaml"
-    found: dict[str, float] = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data["unrest"]
+    found: dict[str, dict[str, float]] = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data
     return found
+
+
+def floors(records: Sequence[Record], model: Model) -> dict[str, float]:
+    """Size that model error alone gives each effect, in the unit of its leading parameter."""
+    units = scales(records, model)
+    sizes = table()["floors"].items()
+    return {effect: size * units.get(effect_definition(effect).worth_knowing.units, 0.0) for effect, size in sizes}

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.effects import library
-from leactl.gap.evidence import Evidence, usual_unrest
+from leactl.gap.evidence import Evidence
 from leactl.gap.regression import Candidate, Rows
 from leactl.gap.ringing import Line
 from leactl.gap.search import LOOSE, Finding, Found
@@ -89,13 +89,10 @@ def unrest(evidence: Evidence, found: Found) -> dict[tuple[str, str, str], float
     Noise shows from one row to the next; what does not, and what makes neighbouring rows alike, is model error. Keys
     are equation, quantity and mechanical set-up.
     """
-    usual = usual_unrest()
     ratios: dict[tuple[str, str, str], list[float]] = {}
     for index, rows in enumerate(evidence.stack.rows):
         value = (rows.noise / rows.white) ** 2 * rows.dependence
-        expected = usual.get(rows.equation)
-        if expected is None:
-            continue
+        expected = evidence.expected(rows)
         slow = max(rows.noise**2 - rows.white**2 * NOISE_BESIDE, 0.0)
         # what a shared parameter leaves of a large signal is no sign either
         if left_by_form(found, index) or slow < (SHARED_LEFT * largest(rows)) ** 2:

@@ -1,9 +1,10 @@
 """What a diagnosis could not answer, plainly: questions whose channels or set-ups the runs lack."""
 
+import math
 from collections.abc import Sequence
 
 from leactl.effects import library
-from leactl.gap.evidence import Evidence
+from leactl.gap.evidence import Evidence, Null
 from leactl.gap.record import Record
 from leactl.model.nominal import Model
 
@@ -27,6 +28,20 @@ def questions(model: Model, records: Sequence[Record], evidence: Evidence) -> tu
     hidden = invisible(model, evidence)
     if hidden:
         notes.append(f"invisible in these runs: {', '.join(hidden)}")
+    return tuple(notes)
+
+
+def beyond_null(evidence: Evidence, null: Null) -> tuple[str, ...]:
+    """Notes on parameters that sound machines move by themselves, and on equations that none could be simulated for."""
+    notes = []
+    if null.untold:
+        named = ", ".join(f"{name} ({100.0 * math.hypot(*null.moved[name]):.0f} %)" for name in null.untold)
+        notes.append(
+            f"these runs cannot tell {named}: fits to simulated sound runs move it so far; the model's is kept"
+        )
+    missing = sorted({equation for equation, _ in evidence.unrest().keys() - null.unrest.keys()})
+    if missing:
+        notes.append(f"no sound run could be simulated for {', '.join(missing)}: judged by what other machines leave")
     return tuple(notes)
 
 

@@ -67,7 +67,10 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
         if name[0] != "calibration":
             continue
         parameter, change = name[1], float(fit.values[index])
+        if parameter in evidence.untold:
+            continue
         std = math.sqrt(max(float(fit.covariance[index, index]), 0.0)) * disagreement(normal, fit, index)
+        std = math.hypot(std, *evidence.moved.get(parameter, (0.0, 0.0)))
         nominal = nominal_value(evidence.model, parameter)
         if parameter == "ambient_offset":
             found.append(CalibratedParameter(parameter, 0.0, change, std, UNITS[parameter]))

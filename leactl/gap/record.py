@@ -41,11 +41,17 @@ class Clocked:
     means: set[Key] = field(default_factory=set)  # channels that are means over the interval that ends at the stamp
     units: dict[Key, str] = field(default_factory=dict)
     counts: dict[Key, float] = field(default_factory=dict)  # smallest step of an angle, next to none if interpolated
+    between: dict[Key, tuple[Array, Array]] = field(default_factory=dict)  # stamps and values of one taken in between
     fed: Array | None = None  # degC, of the phases that two leads feed; None where a winding is not told apart
 
     def get(self, quantity: str, role: str = "test") -> Array | None:
         """The values, or None where the run has no such channel."""
         return self.values.get((quantity, role))
+
+    def own(self, quantity: str, role: str = "test") -> Array:
+        """The values as they were measured, before any was taken in between."""
+        key = quantity, role
+        return self.between[key][1] if key in self.between else self.values[key]
 
     def all_valid(self, *keys: Key) -> Mask:
         """Samples at which all these channels were measured."""
@@ -194,6 +200,8 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked 
             stamps = leading if same else channel.time
             reach = REACH * max(_pace(channel.time), interval if interval > 1.5 * _pace(leading) else 0.0)
             values.append(np.interp(clocked.time, stamps[good], channel.values[good]))
+            if len(group) == 1:
+                clocked.between[key] = stamps[good], channel.values[good]
             valid.append(good if same else _near(clocked.time, channel.time[good], reach))
         fed = [one for one, channel in zip(values, group, strict=True) if region_of(channel) == FED]
         rest = [one for one, channel in zip(values, group, strict=True) if region_of(channel) == UNFED]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.evidence import Evidence, usual_unrest
+from leactl.gap.evidence import Evidence
 from leactl.gap.regression import Fit, Rows, residuals
 
 Array = npt.NDArray[np.float64]
@@ -29,7 +29,7 @@ COLOURLESS = 10.0  # usual unrest, up to which a sound model leaves a rest even 
 class Line:
     """The highest line of a spectrum."""
 
-    height: float  # over its neighbourhood, less what chance gives it
+    height: float  # over its neighbourhood, less what chance gives it, in units of what a sound machine shows
     frequency: float  # Hz
 
 
@@ -38,19 +38,16 @@ def ringing(evidence: Evidence, fit: Fit, heard: Sequence[bool]) -> dict[tuple[s
 
     Keys are equation, quantity and mechanical set-up. Channels with too few rows are left out.
     """
-    usual = usual_unrest()
     spectra: dict[tuple[str, str, str], list[Array]] = {}
     rates: dict[tuple[str, str, str], float] = {}
     for index, rows in enumerate(evidence.stack.rows):
-        # a locked rotor moves by single counts of its encoder, which have a rhythm of their own
-        counts = rows.mechanical == "locked" and rows.quantity == "velocity"
-        if counts or not heard[index] or usual.get(rows.equation, np.inf) > COLOURLESS or len(rows.index) < SEGMENT:
+        if not heard[index] or evidence.expected(rows) > COLOURLESS or len(rows.index) < SEGMENT:
             continue
         left = residuals(evidence.stack, fit, index) / rows.white
         step = int(np.min(np.diff(rows.index)))
         place = (rows.index - rows.index[0]) // step
         even = np.full(place[-1] + 1, np.nan)
-        even[place] = np.where(steady(rows, place), np.nan, left)
+        even[place] = np.where(steady(rows, place) | by_counts(rows), np.nan, left)
         key = (rows.equation, rows.quantity, rows.mechanical)
         rates[key] = 1.0 / (step * rows.signals.interval)
         spectra.setdefault(key, []).extend(periodograms(even))
@@ -58,7 +55,8 @@ def ringing(evidence: Evidence, fit: Fit, heard: Sequence[bool]) -> dict[tuple[s
     for key, found in spectra.items():
         if len(found) >= FEWEST:
             at, over = highest_bin(np.mean(found, axis=0))
-            lines[key] = Line(over * (1.0 - DEVIATIONS / np.sqrt(len(found))), at * rates[key] / SEGMENT)
+            height = over * (1.0 - DEVIATIONS / np.sqrt(len(found))) / max(evidence.lines.get(key, 1.0), 1.0)
+            lines[key] = Line(height, at * rates[key] / SEGMENT)
     return lines
 
 
@@ -74,6 +72,14 @@ def steady(rows: Rows, place: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
     mean = (sums[last] - sums[first]) / count
     spread = np.sqrt(np.maximum((squares[last] - squares[first]) / count - mean**2, 0.0))
     return np.asarray(spread < STEADY * np.abs(mean), np.bool_)
+
+
+def by_counts(rows: Rows) -> npt.NDArray[np.bool_]:
+    """Rows of speed in which a shaft moves by single counts of its encoder, which have a rhythm of their own."""
+    signals = rows.signals
+    if signals.velocity is None or rows.quantity != "velocity":
+        return np.zeros(len(rows.index), bool)
+    return np.asarray(np.abs(signals.velocity[rows.index]) * signals.interval < signals.count, np.bool_)
 
 
 def periodograms(values: Array) -> list[Array]:

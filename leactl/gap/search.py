@@ -8,14 +8,11 @@ is measured against the size that model error alone gives it on benches without 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib import resources
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from leactl import yamlfile
 from leactl.effects import library
 from leactl.gap.evidence import Evidence
 from leactl.gap.regression import Candidate, Fit, Normal, Stack, gain_of
@@ -26,7 +23,7 @@ MOST = 3  # effects in a set
 ENTRY = 3.2  # times its floor and uncertainty, that an effect must be large to enter a set
 EXCHANGES = 4
 SHORTLIST = 4
-USUAL_SPREAD = 1.25  # of usual noise, by which one sound bench differs from the next
+USUAL_SPREAD = 2.0  # of a sound machine's noise, by which the next one may differ
 WHOLE_ROUNDS = 2
 WAVE = ("cos", "sin")  # coefficients that make one amplitude
 LOOSE, LOOSE_ERROR = 0.8, 0.1  # the same where an effect must explain less than that by its own account
@@ -47,6 +44,7 @@ class Finding:
     values: tuple[float, ...]
     names: tuple[str, ...]
     covariance: Array
+    floor: float  # size that a sound machine gives it
 
     @property
     def effect(self) -> str:
@@ -56,43 +54,37 @@ class Finding:
     @property
     def height(self) -> float:
         """Size over what noise and model error alone would give it."""
-        return self.size / math.hypot(self.std, floor(self.effect))
-
-
-@cache
-def floors() -> dict[str, float]:
-    """The size that model error alone gives each effect, in units of its leading parameter."""
-    entry = resources.files("leactl.gap") / "floors.yaml"
-    found: dict[str, float] = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data["floors"]
-    return found
-
-
-def floor(effect: str) -> float:
-    """The floor of one effect; none for one that has not been measured."""
-    return floors().get(effect, 0.0)
+        return self.size / math.hypot(self.std, self.floor)
 
 
 def finding(
-    evidence: Evidence, normal: Normal, base: npt.NDArray[np.intp], candidate: Candidate, whole: bool = False
+    evidence: Evidence,
+    normal: Normal,
+    base: npt.NDArray[np.intp],
+    candidate: Candidate,
+    whole: bool = False,
+    free: bool = False,
 ) -> Finding | None:
     """What one form of an effect takes away beyond a base.
 
     None where no run shows it, where its sign makes no sense, and where its whole interval is beyond the range in which
-    the effect is met: what would have to be so large is something else.
+    the effect is met: what would have to be so large is something else. A free one may have any sign and size.
     """
     added = evidence.columns(candidate)
     if len(added) == 0:
         return None
     gain, values, covariance = gain_of(normal, base, added)
     effect = library()[candidate[0]]
-    if effect.one_sided and values[0] <= 0.0:
+    if effect.one_sided and values[0] <= 0.0 and not free:
         return None
-    if effect.shaped and not SHAPE[0] < values[0] < SHAPE[1]:
+    if effect.shaped and not free and not SHAPE[0] < values[0] < SHAPE[1]:
         return None
     if effect.shaped and whole:
         gain = float((2.0 * values[0] - 1.0) / covariance[0, 0])  # of the shape as it is, not of a share of it
     names = tuple(evidence.coefficient(place) for place in added)
     found = dict(zip(names, values.tolist(), strict=True))
+    if effect.shaped and free:
+        found[names[0]] = min(abs(found[names[0]]), SHAPE[1])
     size = effect.size(candidate[1], found, evidence.model)
     leading = [k for k, name in enumerate(names) if name in WAVE] or [0]
     own, spread = values[leading], covariance[np.ix_(leading, leading)]
@@ -101,8 +93,30 @@ def finding(
         return None
     direction = own / length
     std = size / length * math.sqrt(max(float(direction @ spread @ direction), 0.0))
-    result = Finding(candidate, gain, size, std, tuple(values.tolist()), names, covariance)
-    return result if whole or is_possible(evidence, result) else None
+    floor = evidence.floors.get(candidate[0], 0.0)
+    result = Finding(candidate, gain, size, std, tuple(values.tolist()), names, covariance, floor)
+    return result if whole or free or is_possible(evidence, result) else None
+
+
+def sizes_by_chance(evidence: Evidence) -> dict[str, float]:
+    """Size of every effect by itself, in the form that takes most away, whatever its sign, beyond what noise explains.
+
+    The best of many forms is larger by noise than one: the largest of n squares of unit variance is about 1 + 2 ln n.
+    """
+    normal = evidence.normal()
+    base = evidence.stack.columns_of([])
+    best: dict[str, tuple[float, float, float]] = {}
+    for candidate in evidence.candidates:
+        item = finding(evidence, normal, base, candidate, free=True)
+        if item is not None and item.gain > best.get(item.effect, (0.0,))[0]:
+            best[item.effect] = item.gain, item.size, item.std
+    found = {}
+    for name, (_, size, std) in best.items():
+        effect = library()[name]
+        tried = effect.orders[1] - effect.orders[0] + 1 if effect.periodic else len(effect.forms)
+        beyond = math.sqrt(max(size**2 - std**2 * (1.0 + 2.0 * math.log(tried)), 0.0))
+        found[name] = min(beyond, BEYOND * effect_definition(name).largest)
+    return found
 
 
 def is_possible(evidence: Evidence, item: Finding) -> bool:

@@ -8,11 +8,13 @@ sharp one.
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from leactl.effects.contract import Signals
 from leactl.effects.shapes import play
+from leactl.gap.noise import quantum_of
 from leactl.gap.record import Clocked, Record
 from leactl.gap.smoothing import middle, slope, smooth
 from leactl.model.nominal import BenchModel, Model
@@ -31,6 +33,9 @@ SWING_DAMPING = 0.03  # of critical, as shafts without a damper have it
 RINGS_S = 0.05  # how long a locked rotor may swing on its shaft
 STICKS, SLIDES = 0.5, 1.0  # swings, in its friction, that leave open where a rotor sticks, and how it slides
 STICKY = 0.01  # of the largest torque, friction below which it hardly matters where a rotor sticks
+DIFFERENCED = 70.0  # variance of a fourth difference, over that of a sample
+SETTLES = 3.0  # time constants of a current loop
+SUDDEN, AROUND = 4.0, 9  # noise power, over so many samples, from which the motion changes between two of them
 SHARP = 0.7  # samples, smoothing of the current where friction sticks: enough that noise does not work the play
 
 
@@ -76,8 +81,43 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
         s.calm_torque = s.torque if s.mechanical == "locked" else smooth(s.torque, CALM)
     if s.velocity is not None:
         s.calm_velocity = smooth(s.velocity, CALM)
+    if angle is not None:
+        s.count = quantum_of(np.diff(angle))
+        s.resolved = resolved(angle, s.count) & ~unseen(clock, model.bench)
     s.settled, s.unleapt = settled(s, STICKS), settled(s, SLIDES)
     return s
+
+
+def resolved(angle: Array, count: float) -> Mask:
+    """Samples around which an angle moves smoothly enough for its samples to tell the motion between them.
+
+    Where fourth differences stand out of their noise, the motion has parts as fast as the sampling. An encoder whose
+    counts do not show tells nothing of that.
+    """
+    if count == 0.0 or len(angle) < AROUND:
+        return np.ones(len(angle), np.bool_)
+    change = np.diff(angle, 4)
+    noise = max(float(np.median(np.abs(change))) / 0.6745, count * np.sqrt(DIFFERENCED / 12.0))
+    sudden = np.zeros(len(angle), np.bool_)
+    sudden[2:-2] = uniform_filter1d((change / noise) ** 2, AROUND) > SUDDEN
+    return ~sudden
+
+
+def unseen(clock: Clocked, bench: BenchModel) -> Mask:
+    """Samples around which a current changes and settles again before the next sample shows any of it.
+
+    That is where a drive is switched, and where a servo's target moves if its current loop is that fast.
+    """
+    found = np.zeros(len(clock.time), np.bool_)
+    settles = 2.0 * np.pi * (bench.current_loop_bandwidth or 0.0) * clock.interval > SETTLES
+    for quantity, role in clock.values:
+        targets = quantity in ("velocity_reference", "angle_reference") and settles
+        if quantity != "drive_enabled" and (not targets or ("q_axis_current", role) in clock.means):
+            continue
+        steps = np.diff(clock.values[quantity, role]) != 0.0
+        found[1:] |= steps
+        found[:-1] |= steps
+    return found
 
 
 def averaged(clock: Clocked, quantity: str, role: str = "test") -> Array | None:

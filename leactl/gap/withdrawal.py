@@ -88,7 +88,11 @@ def refusal(shrunk: Shrunk, bounded: Sequence[str]) -> str:
         return f"calibration beside it ends at a bound ({', '.join(bounded)})"
     if shrunk.growth.effects_worse:
         return "with it the gap of held-out runs grows"
-    return "with it no gap of held-out runs shrinks beyond chance" if shrunk.growth.closed is False else ""
+    if shrunk.growth.closed is False:
+        return "with it no gap of held-out runs shrinks beyond chance"
+    # runs too short to tell chance have to show at least that it shrinks
+    undecided = shrunk.growth.closed is None and shrunk.growth.by_effects[0] >= 0.0
+    return "with it no gap of held-out runs shrinks" if undecided else ""
 
 
 def at_bounds(parameters: Sequence[CalibratedParameter]) -> list[str]:

@@ -16,7 +16,7 @@ def rows(equation, columns=()):
 
 def found(taken, left, moved):
     candidate = ("cogging", (6.0,))
-    member = Finding(candidate, 50.0, 1.0, 0.1, (1.0,), ("cos",), np.eye(1))
+    member = Finding(candidate, 50.0, 1.0, 0.1, (1.0,), ("cos",), np.eye(1), floor=0.0)
     return Found([candidate], [member], [[member]], [], None, taken, left, [moved])
 
 

@@ -7,18 +7,7 @@ import pytest
 from leactl.protocol.protocolfile import load, names
 from tests.cli.terminal import leactl
 
-OFTEN = ("torque-sensor-calibration",)  # what an ordinary run tries
-NAMED_WRONGLY = {"position-step", "separate-sensor-timing", "torque-pulses", "torque-speed-envelope"}
-CALLED_UNKNOWN = {
-    "back-emf",
-    "coast-down",
-    "efficiency",
-    "efficiency-driven",
-    "thermal",
-    "torque-constant",
-    "winding-rise",
-}
-CALIBRATED_WRONGLY = {"back-drive", "current-step", "no-load-loss", "position-noise", "separate-angle"}
+OFTEN = ("back-emf", "coast-down", "torque-sensor-calibration")  # what an ordinary run tries
 
 
 def diagnosed(protocol, here):
@@ -42,19 +31,8 @@ def test_nothing_is_missing_where_nothing_is(protocol, tmp_path):
     nothing_is_named(diagnosed(protocol, tmp_path))
 
 
-def marked(protocol):
-    """A protocol, marked where its answer is known to be wrong: floors are not measured on the case yet."""
-    wrong = {
-        "names an effect": NAMED_WRONGLY,
-        "says unknown": CALLED_UNKNOWN,
-        "calibrates a parameter that these runs cannot tell": CALIBRATED_WRONGLY,
-    }
-    marks = [pytest.mark.xfail(reason=reason, strict=True) for reason, among in wrong.items() if protocol in among]
-    return pytest.param(protocol, marks=marks)
-
-
 @pytest.mark.long
-@pytest.mark.parametrize("protocol", [marked(name) for name in names()])
+@pytest.mark.parametrize("protocol", names())
 def test_no_shipped_protocol_shows_an_effect_that_is_not_there(protocol, tmp_path):
     nothing_is_named(diagnosed(protocol, tmp_path))
 

@@ -100,6 +100,15 @@ def test_an_effect_that_shows_beside_another_alone_is_tried_again(model):
     assert applied.notes == ()
 
 
+@pytest.mark.parametrize(("by_effects", "named"), [(-0.1, True), (0.0, False), (0.1, False)])
+def test_runs_too_short_to_tell_chance_have_to_show_a_gap_that_shrinks(model, by_effects, named):
+    def simulate(calibrated, augmented):
+        return Shrunk((), (), (), (), growth(-1.0, by_effects if augmented.effects else 0.0, None))
+
+    applied = apply(model, [SOUND], [[SATURATION]], beside(SOUND), simulate)
+    assert bool(applied.fitted.causes) is named
+
+
 def test_calibration_with_which_the_gap_grows_leaves_the_model_as_it_was(model):
     applied = apply(model, [SOUND], [], beside(SOUND), simulated(0.2, 0.0))
     assert applied.calibrated == applied.augmented == model

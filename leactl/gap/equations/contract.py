@@ -17,6 +17,8 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Place = Callable[[Array], Array]
 
+STAMPED = 0.05  # of an interval, to which two channels of one sample are of one moment
+
 
 @dataclass
 class Equation:

@@ -1,13 +1,19 @@
 """Voltage of the winding, of the heated leads, of the bus; current after its reference."""
 
+import math
+
 import numpy as np
 
 from leactl.effects.contract import Signals
-from leactl.gap.equations.contract import Equation
+from leactl.gap.ceiling import CEILING, at_ceiling
+from leactl.gap.equations.contract import STAMPED, Equation
+from leactl.gap.noise import noise_of, quantum_of
 from leactl.gap.record import Record
+from leactl.gap.signals import moved_by_a_servo
 from leactl.gap.smoothing import slope, smooth
 
-CEILING = 0.96  # of the largest q-axis voltage, from which a drive may no longer hold its current
+SWIFT = 5.0  # standard deviations of a current's noise, by which a servo may move it between two samples
+RECOVERS = 8.0  # samples around the voltage ceiling in which a current loop is still on its way back
 
 
 def voltage(record: Record, s: Signals) -> Equation | None:
@@ -80,6 +86,7 @@ def line_voltage(record: Record, s: Signals) -> Equation | None:
         mask,
         {"line_voltage": lambda c: c},
         calibration,
+        rounding=quantum_of(clock.own("line_voltage")) / math.sqrt(12.0),
         width=0.0,
         step=2,
     )
@@ -92,14 +99,12 @@ def current(record: Record, s: Signals) -> Equation | None:
         return None
     measured = clock.values["q_axis_current", "test"]
     mask = clock.all_valid(("q_axis_current", "test"), ("q_axis_current_reference", "test"))
-    volts = clock.get("q_axis_voltage")
-    if volts is not None and s.model.bench.bus_voltage:
-        # at the ceiling of the voltage no current follows its reference, whatever the loop
-        at_ceiling = np.abs(volts) > CEILING * s.model.bench.bus_voltage / np.sqrt(2.0)
-        mask &= smooth(at_ceiling.astype(float), 8.0) < 1e-3
+    mask &= smooth(at_ceiling(clock, s.model).astype(float), RECOVERS) < 1e-3
     change = slope(s.following, s.interval)
-    nuisance = {}
-    if clock.get("velocity_reference") is not None or clock.get("angle_reference") is not None:
+    nuisance = {"current_stamp_s": (-change, STAMPED * s.interval)}
+    if moved_by_a_servo(clock):
+        swift = np.abs(np.diff(s.following, prepend=s.following[0])) > SWIFT * noise_of(measured)
+        mask &= smooth(swift.astype(float), RECOVERS) < 1e-3
         # the drive's own servo moves the reference between samples: when in the interval is not recorded
         nuisance["reference_sampling_s"] = (-change, 0.5 * s.interval)
     return Equation(

@@ -33,7 +33,7 @@ def free(record: Record, s: Signals) -> Equation | None:
     drive, calibration, places = parts
     left = drive - sum(c for name, c in calibration.items() if name != "torque_constant")
     calibration["torque_constant"] = -drive
-    mask = moving(s.velocity, 4.0) & record.fast.all_valid(("q_axis_current", "test"), ("angle", "test"))
+    mask = moving(s.velocity, 4.0) & s.resolved & record.fast.all_valid(("q_axis_current", "test"), ("angle", "test"))
     return Equation("free_torque", "velocity", "test", "N*m", left, s, mask, places, calibration)
 
 
@@ -51,7 +51,7 @@ def coupled(record: Record, s: Signals) -> Equation | None:
     places = {name: _negative(place) for name, place in against.items()}
     places["torque_reading"] = lambda c: c
     keys = ("torque", "test"), ("q_axis_current", "test"), ("angle", "test")
-    mask = moving(s.velocity, 4.0) & record.fast.all_valid(*keys)
+    mask = moving(s.velocity, 4.0) & s.resolved & record.fast.all_valid(*keys)
     return Equation("coupled_torque", "torque", "test", "N*m", left, s, mask, places, calibration)
 
 
@@ -81,7 +81,7 @@ def both(record: Record, s: Signals) -> Equation | None:
     calibration["load.viscous_damping"] = damping
     calibration["load.coulomb_friction"] = friction
     keys = ("q_axis_current", "test"), ("q_axis_current", "load"), ("velocity", "load"), ("angle", "test")
-    mask = moving(s.velocity, 4.0) & moving(measured, 4.0) & clock.all_valid(*keys)
+    mask = moving(s.velocity, 4.0) & moving(measured, 4.0) & s.resolved & clock.all_valid(*keys)
     return Equation(
         "both_torque",
         "velocity",

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.contract import Signals
-from leactl.gap.equations.contract import Equation
-from leactl.gap.record import Record, smallest_step
+from leactl.gap.equations.contract import STAMPED, Equation
+from leactl.gap.record import Record
 from leactl.gap.smoothing import BASE, middle, slope, smooth
 
 Array = npt.NDArray[np.float64]
@@ -30,20 +30,20 @@ def velocity(record: Record, s: Signals) -> Equation | None:
         "rad/s",
         restored(middle(measured), filter_constant(s), s.interval) - s.velocity,
         s,
-        clock.all_valid(("velocity", "test"), ("angle", "test")) & s.unleapt,
+        clock.all_valid(("velocity", "test"), ("angle", "test")) & s.unleapt & s.resolved,
         {"velocity_reading": lambda c: c},
         {},
-        rounding=rounded_speed(clock.values["angle", "test"], clock.interval),
+        {"velocity_stamp_s": (-slope(s.velocity, s.interval), STAMPED * s.interval)},
+        rounding=rounded_speed(s),
         width=VELOCITY_WIDTH,
         step=8,
     )
 
 
-def rounded_speed(angle: Array, interval: float) -> float:
+def rounded_speed(s: Signals) -> float:
     """Standard deviation [rad/s] that an encoder's counts leave in a row of speed."""
-    count = smallest_step(np.diff(angle))  # a fast shaft skips counts from sample to sample, but not in their change
     spread = math.hypot(BASE, VELOCITY_WIDTH)
-    return count / math.sqrt(12.0) / interval * math.sqrt(1.0 / (4.0 * math.sqrt(math.pi) * spread**3))
+    return s.count / math.sqrt(12.0) / s.interval * math.sqrt(1.0 / (4.0 * math.sqrt(math.pi) * spread**3))
 
 
 def filter_constant(s: Signals) -> float:
@@ -67,7 +67,7 @@ def shaft(record: Record, s: Signals) -> Equation | None:
         "rad/s",
         restored(own, filter_constant(s), s.interval) - smooth(load) - twisting,
         s,
-        clock.all_valid(("velocity", "load"), ("angle", "test")),
+        clock.all_valid(("velocity", "load"), ("angle", "test")) & s.resolved,
         {
             "twist": lambda c: slope(c, s.interval),
             "angle_reading": lambda c: slope(smooth(c), s.interval),
@@ -95,6 +95,7 @@ def lock(record: Record, s: Signals) -> Equation | None:
     if angle is None:
         return None
     twist = s.torque / stiffness
+    count = clock.counts.get(("angle", "test"), 0.0)
     return Equation(
         "lock",
         "angle",
@@ -106,7 +107,8 @@ def lock(record: Record, s: Signals) -> Equation | None:
         {"twist": lambda c: c},
         {"bench.shaft_stiffness": -twist},
         nuisance={"lock_angle": (np.ones_like(twist), 0.1)},
-        levels=1.0 + float(np.ptp(angle)) / max(clock.counts.get(("angle", "test"), 0.0), 1e-12),
+        rounding=count / math.sqrt(12.0),
+        levels=1.0 + float(np.ptp(angle)) / max(count, 1e-12),
         width=8.0,
         step=16,
     )

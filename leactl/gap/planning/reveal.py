@@ -14,7 +14,7 @@ import numpy.typing as npt
 from leactl.effects import library
 from leactl.gap.evidence import Evidence, every_form
 from leactl.gap.regression import Candidate, Normal
-from leactl.gap.search import ENTRY, SHAPE, WAVE, floor
+from leactl.gap.search import ENTRY, SHAPE, WAVE
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 
@@ -129,7 +129,7 @@ class Projected:
         unit = {name: 1.0 if k == leading[0] else 0.0 for k, name in enumerate(names)}
         small = {name: 1e-3 * value for name, value in unit.items()}
         slope = abs(effect.size(candidate[1], small, model)) / 1e-3
-        needed = ENTRY * float(np.hypot(slope * std, floor(candidate[0])))
+        needed = ENTRY * float(np.hypot(slope * std, self.evidence.floors.get(candidate[0], 0.0)))
         if not effect.shaped:
             return needed
         # a shape is known to be its own only while most of it is there

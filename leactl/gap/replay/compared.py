@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from leactl.gap.noise import quantum_of
 from leactl.gap.record import Clocked, Key, Mask, Record
-from leactl.gap.replay.job import Job, quantum_of
+from leactl.gap.replay.job import Job
 from leactl.gap.signals import fast_signals
 from leactl.gap.smoothing import smooth
 

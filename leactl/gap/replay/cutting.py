@@ -5,14 +5,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import CubicSpline
 
 from leactl.effects.plant import Array, Plant
 from leactl.gap.replay.drive import measured, spread
 from leactl.gap.replay.job import Job
-from leactl.gap.replay.lanes import Lanes, Servo
+from leactl.gap.replay.lanes import Lanes, Servo, Tracking
 from leactl.gap.replay.starting import reach
+from leactl.gap.smoothing import smooth
 
 RESTART_S = 1.0
+TRACKED = 20.0  # samples, time constant by which a tracked rotor is kept near its motion
+FORGOTTEN = 12.0  # of these time constants in a stretch at least: what it began with is gone at its end
 LOCKED_STRETCH_S = 0.25
 Index = npt.NDArray[np.intp]
 
@@ -28,6 +32,8 @@ class Cut:
     drive: Array  # N*m at the instants, or rad where a position servo drives
     load_drive: Array | None
     share: Array | None
+    target: Array | None = None  # rad, at the instants, that a tracked rotor is kept near
+    target_speed: Array | None = None  # rad/s
 
     @property
     def steps(self) -> int:
@@ -74,11 +80,27 @@ def cut_of(job: Job, kind: str) -> Cut:
         assert found is not None
         load_drive = (plant.model.torque_constant or 0.0) * found[0]
     first = 0 if kind == "locked" else reach(job)
-    seconds = {"locked": LOCKED_STRETCH_S, "turning": RESTART_S}.get(kind)
+    tracked = max(RESTART_S, FORGOTTEN * TRACKED * clock.interval)
+    seconds = {"locked": LOCKED_STRETCH_S, "turning": RESTART_S, "tracked": tracked}.get(kind)
     length = samples if seconds is None else max(1, round(seconds / clock.interval))
     job.first = first
     count = -(-((samples - 1 - first) * parts + 1) // (length * parts))
-    return Cut(job, first, length, count, drive, load_drive, share)
+    cut = Cut(job, first, length, count, drive, load_drive, share)
+    if kind == "tracked":
+        cut.target, cut.target_speed = target_of(job)
+    return cut
+
+
+def target_of(job: Job) -> tuple[Array, Array]:
+    """The measured motion without its noise, at the instants: angle [rad] and speed [rad/s]."""
+    clock = job.clock
+    angle, speed = clock.get("angle"), clock.get("velocity")
+    if angle is None:
+        assert speed is not None
+        angle = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1])) * clock.interval])
+    even = CubicSpline(np.arange(len(angle)), smooth(angle))
+    at = np.arange((len(angle) - 1) * job.parts + 1) / job.parts
+    return np.asarray(even(at), np.float64), np.asarray(even(at, 1) / clock.interval, np.float64)
 
 
 def by_servo(job: Job) -> bool:
@@ -158,6 +180,14 @@ def lanes_of(cuts: Sequence[Cut], picked: Sequence[Index]) -> Lanes:
             torque_constant=constant("torque_constant"),
             emf=constant("emf"),
         )
+    tracking = None
+    if cuts[0].target is not None:
+        tracking = Tracking(
+            angle=inputs("target", 0.0),
+            velocity=inputs("target_speed", 0.0),
+            stiffness=constant("tracking"),
+            damping=constant("tracking_damping"),
+        )
     return Lanes(
         step=cuts[0].job.step,
         plants=plants,
@@ -173,6 +203,7 @@ def lanes_of(cuts: Sequence[Cut], picked: Sequence[Index]) -> Lanes:
         stiffness=constant("stiffness"),
         gravity=constant("gravity"),
         servo=servo,
+        tracking=tracking,
     )
 
 
@@ -196,6 +227,10 @@ def constants_of(job: Job) -> dict[str, float]:
         "stiffness": 0.0 if record.mechanical == "free" else job.plant.stiffness or 0.0,
         "gravity": gravity,
     }
+    rate = 1.0 / (TRACKED * job.clock.interval)
+    moved = inertia + (found["load_inertia"] if record.mechanical == "coupled" else 0.0)
+    found["tracking"] = moved * rate**2 if job.tracked else 0.0
+    found["tracking_damping"] = 2.0 * moved * rate if job.tracked else 0.0
     if by_servo(job):
         assert model.drive is not None
         constant = model.torque_constant or 0.0

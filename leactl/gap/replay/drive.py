@@ -4,13 +4,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from leactl.gap.replay.job import Job, noise_of, quantum_of
+from leactl.gap.ceiling import at_ceiling
+from leactl.gap.noise import noise_of, quantum_of
+from leactl.gap.replay.job import Job
 from leactl.gap.signals import led, moved_by_a_servo
 
 Array = npt.NDArray[np.float64]
 LONGEST_DELAY_S = 0.012  # by which a drive may follow late
 BUSIEST = 2000  # samples that tell how a reference moves
-CEILING = 0.96  # of bus voltage over sqrt(2), from which a drive may no longer hold its current
 RECOVERS = 12  # samples around the ceiling in which the loop is still on its way back
 STANDS_S = 1.0  # how long a rounding error may stay the same
 
@@ -42,19 +43,13 @@ def follow(job: Job) -> None:
 
 def held_back(job: Job, reading: Array, mean: Array) -> tuple[Array, Array]:
     """The measured current where the drive's voltage stands at its ceiling: no loop follows a reference there."""
-    volts, bus = job.clock.get("q_axis_voltage"), job.plant.model.bench.bus_voltage
-    found = measured(job, "test")
-    if volts is None or bus is None or found is None:
+    found, beyond = measured(job, "test"), at_ceiling(job.clock, job.plant.model)
+    if found is None or not beyond.any():
         return reading, mean
-    logged = job.clock.get("bus_voltage", "bench")
-    there = bus if logged is None else np.fmin(logged, bus)  # a supply that gives way lowers the ceiling
-    at_ceiling = np.abs(volts) > CEILING * there / np.sqrt(2.0)
-    if not at_ceiling.any():
-        return reading, mean
-    near = np.convolve(at_ceiling, np.ones(2 * RECOVERS + 1), "same") > 0
+    near = np.convolve(beyond, np.ones(2 * RECOVERS + 1), "same") > 0
     steps = np.repeat(near[1:], job.parts)
     job.notes.append(
-        f"{job.record.path.name}: {int(at_ceiling.sum())} samples at the voltage ceiling; the measured current drives"
+        f"{job.record.path.name}: {int(beyond.sum())} samples at the voltage ceiling; the measured current drives"
         " the replay there"
     )
     instants = np.concatenate([steps[:1], steps])

@@ -10,11 +10,14 @@ import numpy as np
 from scipy.linalg import expm
 
 from leactl.effects.plant import Array
+from leactl.gap.noise import noise_of
 from leactl.gap.record import WINDING, Clocked
-from leactl.gap.replay.job import Job, noise_of
+from leactl.gap.replay.job import Job
 from leactl.gap.signals import binned
+from leactl.gap.smoothing import smooth
 
 START_S = 1.0  # to either side of the start
+FED_WIDTH = 8.0  # samples, smoothing of a share that a camera tells
 AWAY = 1e9  # K/W of a body that is not there
 
 
@@ -77,10 +80,19 @@ class Network:
         """Joule heat at the reference temperature [W], over the interval that begins at each sample."""
         resistance, line = self.job.plant.model.phase_resistance or 0.0, self.clock.get("line_current")
         if line is not None:
-            return 2.0 * resistance * line**2
+            return 2.0 * resistance * line**2 * self._fed_share()
         assert self.job.current is not None
         squared = self.job.current[:: self.job.parts] ** 2
         return resistance * binned(self.job.clock.time, squared, self.clock.time)
+
+    def _fed_share(self) -> Array | float:
+        """Resistance of the phases that two leads feed over that of the whole winding, as their temperatures tell."""
+        clock, plant = self.clock, self.job.plant
+        if clock.fed is None:
+            return 1.0
+        cold = 1.0 - plant.resistance_coefficient * plant.model.reference_temperature
+        fed, whole = (cold + plant.resistance_coefficient * values for values in (clock.fed, clock.values[WINDING]))
+        return np.asarray(smooth(fed, FED_WIDTH) / smooth(whole, FED_WIDTH), np.float64)
 
     def _speed(self) -> Array:
         """Measured speed [rad/s], as root mean square over the interval that begins at each sample."""

@@ -19,6 +19,7 @@ class Job:
     record: Record
     plant: Plant
     disturbance: np.random.Generator | None = None  # draws once more the noise that start and inputs carry
+    tracked: bool = False  # whether a turning rotor is kept near its measured motion instead of starting again
 
     current: Array | None = None  # A, that flows, at the instants of the sub-steps
     current_mean: Array | None = None  # A, over each sub-step
@@ -28,6 +29,7 @@ class Job:
     velocity: Array | None = None  # rad/s, over each sub-step
     torque: Array | None = None  # N*m, onto the shaft, at the instants
     load_velocity: Array | None = None  # rad/s, over each sub-step
+    pull: Array | None = None  # N*m, that keeps a tracked rotor near its motion, at the instants
     starts: npt.NDArray[np.intp] | None = None  # samples at which the motion starts again
     first: int = 0  # sample at which the motion starts
     fast: dict[Key, Array] = field(default_factory=dict)  # what the channels of the fast clock read
@@ -57,21 +59,3 @@ class Job:
         none = np.zeros_like(time)
         housing = self.housing if self.housing is not None else none + self.plant.model.reference_temperature
         return Course(time, self.clock.interval, none, housing)
-
-
-def noise_of(values: Array, quantum: float | None = None) -> float:
-    """Standard deviation of a channel's noise from its third differences, at least that of its quantisation."""
-    if len(values) < 8:
-        return 0.0
-    rough = float(np.median(np.abs(np.diff(values, 3))) / (0.6745 * np.sqrt(20.0)))
-    return float(max(rough, (quantum if quantum is not None else quantum_of(values)) / np.sqrt(12.0)))
-
-
-def quantum_of(values: Array) -> float:
-    """Smallest step between two values of a channel, zero where every value is another."""
-    levels = np.unique(values[: 1 << 14])
-    if len(levels) < 2 or len(levels) > 0.9 * min(len(values), 1 << 14):
-        return 0.0
-    steps = np.diff(levels)
-    steps = steps[steps > 1e-9 * float(np.max(np.abs(levels)))]
-    return float(np.min(steps)) if len(steps) else 0.0

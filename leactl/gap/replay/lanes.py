@@ -48,6 +48,16 @@ class Servo:
 
 
 @dataclass
+class Tracking:
+    """A torque that keeps a rotor near a motion: a spring and a damper between the two."""
+
+    angle: Array  # rad, (steps, lanes)
+    velocity: Array  # rad/s, (steps, lanes)
+    stiffness: Array  # N*m/rad
+    damping: Array  # N*m*s/rad
+
+
+@dataclass
 class Lanes:
     """Stretches of runs with the constants of their benches; each array has one value a lane, inputs one a step too."""
 
@@ -65,6 +75,7 @@ class Lanes:
     stiffness: Array  # N*m/rad; zero where nothing is on the shaft
     gravity: Array  # N*m, of a pendulum held out level
     servo: Servo | None = None
+    tracking: Tracking | None = None
 
 
 @dataclass
@@ -76,6 +87,7 @@ class Motion:
     torque: Array
     load_velocity: Array
     current: Array | None
+    pull: Array | None  # N*m, that tracking adds to the drive
     end: State
 
 
@@ -106,11 +118,15 @@ def stepped(lanes: Lanes, start: State) -> Motion:
     ahead, push, torque = np.empty(count), np.empty(count), np.zeros(count)
     shape = (steps, count)
     current = np.empty(shape) if servo is not None else None
-    out = Motion(np.empty(shape), np.empty(shape), np.zeros(shape), np.zeros(shape), current, start)
+    pull = np.empty(shape) if lanes.tracking is not None else None
+    out = Motion(np.empty(shape), np.empty(shape), np.zeros(shape), np.zeros(shape), current, pull, start)
     for group in groups:
         group.attach(angle, velocity, ahead, torque, twist, push)
     for index in range(steps):
         drive = lanes.drive[index]
+        if out.pull is not None:
+            out.pull[index] = _pull(lanes.tracking, index, angle, velocity)
+            drive = drive + out.pull[index]
         if servo is not None and out.current is not None:
             flowing = out.current[index] = _servo_current(servo, index, angle, velocity, groups)
             drive = servo.torque_constant * flowing
@@ -165,6 +181,13 @@ def _servo_current(servo: Servo, index: int, angle: Array, velocity: Array, grou
         group.lose(volts, flowing)
         flowing = (volts - servo.emf * velocity) / servo.resistance
     return np.where(np.isnan(wanted), 0.0, flowing)
+
+
+def _pull(tracking: Tracking | None, index: int, angle: Array, velocity: Array) -> Array:
+    """Torque of the spring and the damper to the motion that is tracked."""
+    assert tracking is not None
+    pull = tracking.stiffness * (tracking.angle[index] - angle)
+    return np.asarray(pull + tracking.damping * (tracking.velocity[index] - velocity), np.float64)
 
 
 def _answer(damping: Array, inertia: Array, step: float) -> tuple[Array, Array]:

@@ -2,7 +2,8 @@
 
 A turning rotor starts again every second from its measured state: its angle is an integral, and what goes by the angle
 would drift apart. A locked one never does, for friction keeps what the last move left: its stretches are stepped at
-once, and again wherever one did not begin where the one before it ended. A position servo runs through.
+once, and again wherever one did not begin where the one before it ended. A rotor that is kept near its motion is
+stepped likewise, for it forgets where it began. A position servo runs through.
 """
 
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from leactl.gap.replay.lanes import Motion, State, stepped
 from leactl.gap.replay.starting import starting_motion
 
 SLOWEST_S = 0.05  # interval of samples, beyond which a start is lost before it is measured
+FORGOTTEN_AFTER = 3  # passes, after which a tracked rotor knows nothing of where it began
 CLOSE = 3e-4  # of the largest torque, by which a stretch may begin off the end of the one before
 
 
@@ -34,12 +36,14 @@ def move(jobs: Sequence[Job]) -> None:
         longest = max(cut.length for cut in cuts)
         for cut in cuts:
             cut.length = longest  # a servo that ends earlier goes on at its last reference
-        if kind == "locked":
-            settle(cuts)
+        if kind in ("locked", "tracked"):
+            settle(cuts, kind)
         else:
             every = [np.arange(cut.count) for cut in cuts]
             keep(cuts, every, run(cuts, every, [start_of(cut, kind) for cut in cuts]))
         for cut in cuts:
+            if kind == "tracked":
+                carry(cut.job)
             cut.job.restarts = kind == "turning"
             cut.job.starts = cut.first + cut.length * np.arange(cut.count)
 
@@ -70,17 +74,31 @@ def kind_of(job: Job) -> str | None:
         if job.plant.stiffness is None or job.clock.get("q_axis_current", "load") is None:
             job.notes.append(f"{name}: a coupled replay needs bench.shaft_stiffness and the load's current")
             return None
-        return "turning"
-    return "turning" if job.record.mechanical == "free" else None
+    elif job.record.mechanical != "free":
+        return None
+    return "tracked" if job.tracked else "turning"
+
+
+def carry(job: Job) -> None:
+    """Let the current of a tracked rotor make the torque that keeps it near its motion."""
+    constant = job.plant.model.torque_constant
+    if job.current is None or job.current_mean is None or job.pull is None or constant is None:
+        return
+    more = job.pull[: len(job.current)] / constant
+    job.current = job.current + more
+    job.current_mean = job.current_mean + 0.5 * (more[1:] + more[:-1])
 
 
 def start_of(cut: Cut, kind: str) -> State:
     """Where each stretch of a turning rotor or a servo begins."""
     job = cut.job
     at = cut.first + cut.length * np.arange(cut.count)
-    angle, velocity = starting_motion(job, at)
+    if cut.target is None or cut.target_speed is None:
+        angle, velocity = starting_motion(job, at)
+    else:
+        angle, velocity = cut.target[at * job.parts], cut.target_speed[at * job.parts]
     c = constants_of(job)
-    drive = cut.drive[at * job.parts] if kind == "turning" else np.zeros(len(at))
+    drive = np.zeros(len(at)) if kind == "servo" else cut.drive[at * job.parts]
     load_drive = cut.load_drive[at * job.parts] if cut.load_drive is not None else np.zeros(len(at))
     rubbing = np.tanh(velocity / 0.1)
     net = drive - c["damping"] * velocity - c["friction"] * rubbing
@@ -107,11 +125,11 @@ def run(cuts: Sequence[Cut], picked: Sequence[Index], starts: Sequence[State]) -
     return stepped(lanes_of(cuts, picked), together)
 
 
-def settle(cuts: Sequence[Cut]) -> None:
-    """Step the stretches of locked rotors until each begins where the one before it ended."""
+def settle(cuts: Sequence[Cut], kind: str) -> None:
+    """Step the stretches of locked or tracked rotors until each begins where the one before it ended."""
     picked: list[Index] = [np.arange(cut.count) for cut in cuts]
-    starts = [resting(cut) for cut in cuts]
-    for _ in range(max(cut.count for cut in cuts) + 1):
+    starts = [resting(cut) if kind == "locked" else start_of(cut, kind) for cut in cuts]
+    for _ in range(max(cut.count for cut in cuts) + 1 if kind == "locked" else FORGOTTEN_AFTER):
         motion = run(cuts, picked, [start.picked(lanes) for start, lanes in zip(starts, picked, strict=True)])
         keep(cuts, picked, motion)
         wrong: list[Index] = []
@@ -129,8 +147,10 @@ def settle(cuts: Sequence[Cut]) -> None:
 def continued(cut: Cut, start: State, after: Index, ends: State) -> npt.NDArray[np.bool_]:
     """Let stretches begin where those before them ended; tells which had begun elsewhere."""
     c = constants_of(cut.job)
-    impedance = np.sqrt(c["stiffness"] * c["inertia"])
+    spring = c["stiffness"] or c["tracking"]
+    impedance = np.sqrt(spring * c["inertia"])
     off = np.abs(ends.twist - start.twist[after]) * c["stiffness"]
+    off = off + np.abs(ends.angle - start.angle[after]) * c["tracking"]
     off = off + np.abs(ends.velocity - start.velocity[after]) * impedance
     off = off + np.abs(ends.bristle - start.bristle[after]) * c["friction"]
     wrong = np.asarray(off > CLOSE * float(np.max(np.abs(cut.drive), initial=1e-9)))
@@ -162,7 +182,7 @@ def keep(cuts: Sequence[Cut], picked: Sequence[Index], motion: Motion) -> None:
         at += len(lanes)
         if len(lanes) == 0:
             continue
-        for name in ("angle", "velocity", "torque", "load_velocity", "current"):
+        for name in ("angle", "velocity", "torque", "load_velocity", "current", "pull"):
             values = getattr(motion, name)
             if values is not None:
                 cut.put(name, values[:, own], lanes)

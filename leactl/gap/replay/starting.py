@@ -3,7 +3,8 @@
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.replay.job import Array, Job, noise_of
+from leactl.gap.noise import noise_of
+from leactl.gap.replay.job import Array, Job
 
 HALF_S = 4e-3  # to either side of the start: short against the change of speed, long against the encoder's steps
 

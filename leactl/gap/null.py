@@ -1,0 +1,232 @@
+"""What a sound machine of this kind leaves over, measured on the case: the model itself through the case's own runs.
+
+Each run is simulated again without any effect, in one piece, kept near its measured motion by a torque that its
+current then carries, so that the simulated run is one that the model explains exactly. Its channels get the noise and
+rounding that the measured ones show, and pass through the same regression. What is found there is no effect: its size
+is the floor of each effect, what it leaves over that of each equation, how far it moves a parameter that one's error.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import lfilter
+
+from leactl.gap.diagnosis import CalibratedParameter
+from leactl.gap.evidence import PRIORS, UNTOLD, Evidence, Null
+from leactl.gap.noise import coloured, quantum_of
+from leactl.gap.parameters import UNITS, nominal_value, with_calibration
+from leactl.gap.record import WINDING, Clocked, Key, Record
+from leactl.gap.replay import replay_all
+from leactl.gap.replay.bearing import TRIED
+from leactl.gap.replay.drive import over_samples
+from leactl.gap.replay.job import Job
+from leactl.gap.replay.plants import plant_of
+from leactl.gap.replay.readings import angle, current
+from leactl.gap.ringing import ringing
+from leactl.gap.search import sizes_by_chance
+from leactl.gap.signals import moved_by_a_servo
+from leactl.gap.smoothing import BASE, smooth
+from leactl.model.nominal import Model
+
+Array = npt.NDArray[np.float64]
+NULLS = 3  # sound machines
+FARTHEST = 2.0  # standard deviations of what is usual, that a machine's parameter is drawn off its model
+SLOW_WIDTH = 8.0  # samples, smoothing of temperatures that drive a simulation
+
+
+def measure(records: Sequence[Record], model: Model, seed: int = 0) -> Null:
+    """Simulate the runs of a case as sound machines would make them, and look for effects there.
+
+    Parameters that these runs cannot tell are drawn anew for every machine and left at the model's value in the fit.
+    """
+    random = np.random.default_rng(seed)
+    shown = Shown()
+    for own in sound_runs(records, [model] * NULLS, random):
+        shown.look(Evidence(own, model))
+    moved, untold = shown.parameters(), shown.untold()
+    if untold:
+        machines = [drawn(model, untold, random) for _ in range(NULLS)]
+        shown = Shown()
+        for own in sound_runs(records, machines, random):
+            shown.look(Evidence(own, model, untold=untold))
+    return Null(
+        {key: float(np.mean(values)) for key, values in shown.unrest.items()},
+        {effect: float(np.sqrt(np.mean(np.square(sizes)))) for effect, sizes in shown.sizes.items()},
+        {channel: float(np.mean(heights)) for channel, heights in shown.lines.items()},
+        moved,
+        untold,
+    )
+
+
+@dataclass
+class Shown:
+    """What sound machines show, one value for each of them."""
+
+    unrest: dict[tuple[str, str], list[float]] = field(default_factory=dict)
+    sizes: dict[str, list[float]] = field(default_factory=dict)
+    lines: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
+    moved: dict[str, list[float]] = field(default_factory=dict)
+    priors: dict[str, float] = field(default_factory=dict)
+
+    def look(self, evidence: Evidence) -> None:
+        """Take in one machine; nothing of it is kept but these values, for its columns take much memory."""
+        if not evidence.stack.rows:
+            return
+        fit = evidence.settle([])
+        self.priors = evidence.priors
+        for key, value in evidence.unrest().items():
+            self.unrest.setdefault(key, []).append(value)
+        for effect, size in sizes_by_chance(evidence).items():
+            self.sizes.setdefault(effect, []).append(size)
+        for channel, line in ringing(evidence, fit, [True] * len(evidence.stack.rows)).items():
+            self.lines.setdefault(channel, []).append(line.height)
+        for place, value in zip(fit.columns, fit.values, strict=True):
+            name = evidence.stack.names[place]
+            if name[0] == "calibration":
+                self.moved.setdefault(name[1], []).append(float(value))
+
+    def parameters(self) -> dict[str, tuple[float, float]]:
+        """Mean and scatter of what fits make of the model's own parameters, as relative changes."""
+        return {name: (float(np.mean(values)), float(np.std(values))) for name, values in self.moved.items()}
+
+    def untold(self) -> tuple[str, ...]:
+        """Parameters that sound machines move by themselves."""
+        changes = self.parameters().items()
+        return tuple(name for name, by in changes if math.hypot(*by) > UNTOLD * self.priors.get(name, math.inf))
+
+
+def drawn(model: Model, names: Sequence[str], random: np.random.Generator) -> Model:
+    """A machine whose parameters of these names are off the model by what is usual."""
+    changed = []
+    for name in names:
+        nominal = nominal_value(model, name)
+        change = PRIORS[name] * float(np.clip(random.standard_normal(), -FARTHEST, FARTHEST))
+        if nominal is not None:
+            changed.append(CalibratedParameter(name, nominal, nominal * (1.0 + change), 0.0, UNITS.get(name, "")))
+    return with_calibration(model, changed)
+
+
+def sound_runs(records: Sequence[Record], machines: Sequence[Model], random: np.random.Generator) -> list[list[Record]]:
+    """The runs of a case as some sound machines would have made them; a run that cannot be simulated is left out."""
+    sets: list[list[Job]] = []
+    for machine in machines:
+        plant = plant_of(machine)
+        plant.give = float(random.choice(TRIED))  # no model file says it
+        sets.append([Job(driven(record), plant, tracked=True) for record in records])
+    replay_all([job for own in sets for job in own])
+    return [
+        [again for job, record in zip(own, records, strict=True) if (again := recorded(job, record, random))]
+        for own in sets
+    ]
+
+
+def driven(record: Record) -> Record:
+    """A run whose measured inputs are without noise: rotors would creep under noise, which then counts twice."""
+    fast, slow = record.fast, record.slow
+    if fast is not None:
+        fast = replace(fast, values=evened(fast.values, "q_axis_current", BASE))
+    if slow is not None:
+        fed = smooth(slow.fed, SLOW_WIDTH) if slow.fed is not None else None
+        slow = replace(slow, values=evened(slow.values, "_temperature", SLOW_WIDTH), fed=fed)
+    return replace(record, fast=fast, slow=slow)
+
+
+def evened(values: Mapping[Key, Array], ending: str, width: float) -> dict[Key, Array]:
+    """Channels, smoothed where their quantity ends so."""
+    return {key: smooth(column, width) if key[0].endswith(ending) else column for key, column in values.items()}
+
+
+def recorded(job: Job, record: Record, random: np.random.Generator) -> Record | None:
+    """A simulated run with the channels, noise and rounding of the measured one; None where nothing was simulated."""
+    if not job.fast and not job.slow:
+        return None
+    fast, slow = record.fast, record.slow
+    if fast is not None:
+        fast = replace(fast, values=read_again(fast, fast_channels(job), random))
+    if slow is not None:
+        fed = slow.fed
+        if fed is not None and WINDING in job.slow and job.record.slow is not None and job.record.slow.fed is not None:
+            simulated = job.record.slow.fed + job.slow[WINDING] - job.record.slow.values[WINDING]
+            fed = with_noise(simulated, fed, random)
+        slow = replace(slow, values=read_again(slow, job.slow, random), fed=fed)
+    return replace(record, fast=fast, slow=slow, notes=[])
+
+
+def fast_channels(job: Job) -> dict[Key, Array]:
+    """Channels of the fast clock that a simulated run makes anew, without noise."""
+    found, values = dict(job.fast), job.clock.values
+    if job.angle is not None:
+        found["angle", "test"] = angle(job)
+    if (flowing := current(job)) is not None:
+        found["q_axis_current", "test"] = flowing
+    if (load := values.get(("q_axis_current", "load"))) is not None:
+        found["q_axis_current", "load"] = load  # flows as it was measured
+    if job.pull is not None:
+        for key, more in asked_for(job, job.pull).items():
+            if key in values:
+                found[key] = values[key] + more
+    return found
+
+
+def asked_for(job: Job, pull: Array) -> dict[Key, Array]:
+    """What the references of a run ask for beyond the measured ones, so that its drive makes the torque that tracks."""
+    constant = job.plant.model.torque_constant or 1.0
+    total = (len(job.clock.time) - 1) * job.parts + 1
+    if job.current is None:
+        told = "torque_reference" if ("torque_reference", "test") in job.clock.values else "torque"
+        return {(told, "test"): over_samples(0.5 * (pull[1:total] + pull[: total - 1]), job.parts)}
+    more = unled(followed_to(pull[: total : job.parts] / constant, job), job)
+    return {("q_axis_current_reference", "test"): more}
+
+
+def followed_to(ends: Array, job: Job) -> Array:
+    """What a current loop must follow over each interval, so that it stands at a given current at its end."""
+    bandwidth = job.plant.model.bench.current_loop_bandwidth
+    decay = float(np.exp(-2.0 * np.pi * bandwidth * job.clock.interval)) if bandwidth else 0.0
+    return (ends - decay * np.concatenate([ends[:1], ends[:-1]])) / (1.0 - decay)
+
+
+def unled(followed: Array, job: Job) -> Array:
+    """The reference whose lead makes a loop follow a given one."""
+    bench, interval = job.plant.model.bench, job.clock.interval
+    if not bench.setpoint_lead or moved_by_a_servo(job.clock):
+        return followed
+    decay = float(np.exp(-interval / bench.setpoint_lead_time))
+    share = bench.setpoint_lead * (bench.setpoint_lead_time / interval) * (1.0 - decay)
+    kept, taken = decay + (1.0 - decay) * share / (1.0 + share), (1.0 - decay) / (1.0 + share)
+    caught = lfilter([0.0, taken], [1.0, -kept], followed - followed[0]) + followed[0]
+    return np.asarray((followed + share * caught) / (1.0 + share), np.float64)
+
+
+def read_again(clock: Clocked, simulated: Mapping[Key, Array], random: np.random.Generator) -> dict[Key, Array]:
+    """Channels of a clock: those that were simulated with the noise of the measured ones, the others as they are."""
+    references = {key for key in simulated if key[0].endswith("_reference")}
+    return {
+        key: values
+        if key not in simulated
+        else np.where(np.isfinite(simulated[key]), simulated[key], values)
+        if key in references
+        else as_measured(clock, key, simulated[key], random)
+        for key, values in clock.values.items()
+    }
+
+
+def as_measured(clock: Clocked, key: Key, simulated: Array, random: np.random.Generator) -> Array:
+    """A simulated channel of a clock with noise and rounding, at the channel's own stamps where it has such."""
+    values = clock.values[key]
+    if key not in clock.between:
+        return with_noise(simulated, values, random)
+    stamps, own = clock.between[key]
+    whole = np.where(np.isfinite(simulated), simulated, values)
+    return np.interp(clock.time, stamps, with_noise(np.interp(stamps, clock.time, whole), own, random))
+
+
+def with_noise(simulated: Array, measured: Array, random: np.random.Generator) -> Array:
+    """A simulated channel with noise of the measured one's size and colour, rounded as it is."""
+    whole = np.where(np.isfinite(simulated), simulated, measured)
+    quantum = quantum_of(measured) or quantum_of(np.diff(measured))  # what moves fast takes every level but once
+    noisy = whole + coloured(measured, quantum, random)
+    return np.asarray(np.round(noisy / quantum) * quantum if quantum > 0.0 else noisy, np.float64)

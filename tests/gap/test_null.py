@@ -1,0 +1,173 @@
+"""Sound machines in the place of a case: what they leave over, and in which units what they leave is counted."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from leactl.emulation.blind.make import make
+from leactl.gap.ceiling import at_ceiling
+from leactl.gap.diagnose import read_case
+from leactl.gap.evidence import PRIORS, Evidence, floors, table
+from leactl.gap.noise import SEGMENT, quantum_of
+from leactl.gap.null import FARTHEST, NULLS, drawn, measure, sound_runs
+from leactl.gap.parameters import nominal_value
+from leactl.gap.replay.cutting import TRACKED
+from leactl.gap.search import ENTRY
+from leactl.gap.signals import resolved, unseen
+from leactl.model.nominal import read_model
+from tests.gap.synthetic import clocked, model, record
+
+DOCS = Path(__file__).parents[2] / "docs"
+PAGES = ("gap.md", "decisions/0008-the-null-is-measured-on-the-case.md")
+LEFT = 5.0  # times what sound machines leave, within which a case without an effect stays
+COUNT = 2e-4  # rad, of an encoder
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    """A case without an effect whose model has the bench's own parameters."""
+    folder = tmp_path_factory.mktemp("sound")
+    make(1, folder / "cases", folder / "key", 31, ("none",), prefix="sound")
+    [case] = (path for path in (folder / "cases").iterdir() if path.is_dir())
+    key = json.loads((folder / "key" / "key.json").read_text(encoding="utf-8"))["cases"]
+    return read_case(sorted(case.glob("*-a.h5")), sorted(case.glob("*-b.h5")), case / "nominal.yaml"), key[case.name]
+
+
+@pytest.fixture(scope="module")
+def null(sound):
+    case, _ = sound
+    return measure(case.fitted, case.model)
+
+
+def test_a_case_without_an_effect_leaves_what_sound_machines_leave(sound, null):
+    case, _ = sound
+    evidence = Evidence(case.fitted, case.model, only=[])
+    evidence.settle([])
+    left = evidence.unrest()
+    assert set(left) == set(null.unrest)
+    for key, value in left.items():
+        assert value < LEFT * max(null.unrest[key], 1.0), key
+
+
+def test_sound_machines_move_no_parameter_that_these_runs_tell(null):
+    assert null.untold == ()
+    for name in ("torque_constant", "viscous_damping", "coulomb_friction", "rotor_inertia", "phase_resistance"):
+        mean, scatter = null.moved[name]
+        assert abs(mean) < 0.01, name
+        assert scatter < 0.01, name
+
+
+def test_a_simulated_run_has_the_channels_the_noise_and_the_rounding_of_the_measured_one(sound):
+    case, _ = sound
+    [again] = sound_runs(case.fitted, [case.model], np.random.default_rng(1))
+    assert [one.name for one in again] == [one.name for one in case.fitted]
+    moving = [pair for pair in zip(again, case.fitted, strict=True) if pair[1].fast is not None]
+    assert len(moving) == 4
+    for one, measured in moving:
+        assert one.fast.values.keys() == measured.fast.values.keys()
+        for key, values in measured.fast.values.items():
+            assert np.isfinite(one.fast.values[key]).all()
+            if key == ("angle", "test"):
+                counts = one.fast.values[key] / quantum_of(np.diff(values))
+                assert np.ptp(counts - np.round(counts)) < 1e-3
+            elif not key[0].endswith("_reference"):
+                rough, before = (np.median(np.abs(np.diff(v, 3))) for v in (one.fast.values[key], values))
+                assert 0.3 * before <= rough <= 3.0 * before + 1e-12, (one.name, key)
+
+
+def test_a_parameter_is_drawn_within_what_is_usual():
+    nominal, names = model(), ["rotor_inertia", "bench.shaft_stiffness", "thermal.housing_capacitance"]
+    random = np.random.default_rng(4)
+    for _ in range(20):
+        machine = drawn(nominal, names, random)
+        for name in names:
+            off = nominal_value(machine, name) / nominal_value(nominal, name) - 1.0
+            assert abs(off) <= FARTHEST * PRIORS[name] * (1.0 + 1e-9)
+        assert machine.torque_constant == nominal.torque_constant
+
+
+@settings(max_examples=20, deadline=None)
+@given(*(st.floats(0.01, 100.0) for _ in range(3)))
+def test_floors_of_similar_machines_are_similar(torque, current, time):
+    """Torque x a, current x b, time x s: each floor has the unit of its effect and nothing else."""
+    volt, power = torque / (current * time), torque / time
+    one = model()
+    thermal = {
+        name: value * (power * time if name.endswith("capacitance") else 1.0 / power)
+        for name, value in one.thermal.model_dump().items()
+    }
+    other = model(
+        phase_resistance=one.phase_resistance * volt / current,
+        torque_constant=one.torque_constant * torque / current,
+        back_emf_constant=one.back_emf_constant * torque / current,
+        rotor_inertia=one.rotor_inertia * torque * time**2,
+        viscous_damping=one.viscous_damping * torque * time,
+        coulomb_friction=one.coulomb_friction * torque,
+        thermal=thermal,
+    )
+    run, slower = record("free", reference=1.0, start_speed=5.0), record("free", reference=1.0, start_speed=5.0)
+    slower.fast.time, slower.fast.interval = slower.fast.time * time, slower.fast.interval * time
+    first, second = floors([run], one), floors([slower], other)
+    factors = {"cogging": torque, "transport_delay": time, "current_sensor_offset": current, "bus_sag": volt / current}
+    factors |= {"dead_time": volt, "quadratic_drag": torque * time**2, "torque_sensor_drift": torque / time}
+    factors |= {"third_thermal_node": power * time, "forced_convection": time, "torque_ripple": 1.0}
+    for effect, factor in factors.items():
+        assert second[effect] == pytest.approx(first[effect] * factor), effect
+
+
+def moving(jump):
+    time = 1e-3 * np.arange(4000)
+    angle = np.sin(2.0 * np.pi * time) + np.where(time > 2.0, jump * (time - 2.0), 0.0)
+    return np.round(angle / COUNT) * COUNT
+
+
+def test_a_motion_with_a_knee_between_two_samples_is_not_resolved_there():
+    smooth, knee = resolved(moving(0.0), COUNT), resolved(moving(10.0), COUNT)
+    assert smooth.all()
+    assert not knee[2000]
+    assert knee[:1980].all()
+    assert knee[2020:].all()
+
+
+def test_an_encoder_without_counts_is_taken_at_its_word():
+    assert resolved(moving(10.0), 0.0).all()
+
+
+def test_what_happens_around_a_switched_drive_is_unseen():
+    enabled = (np.arange(100) >= 40).astype(float)
+    clock = clocked(100, 1e-3, {("q_axis_current", "test"): 1.0, ("drive_enabled", "test"): enabled})
+    assert np.flatnonzero(unseen(clock, model().bench)).tolist() == [39, 40]
+
+
+@pytest.mark.parametrize(("interval", "hidden"), [(1e-3, True), (1e-4, False)])
+def test_a_servos_steps_are_unseen_where_its_current_settles_within_a_sample(interval, hidden):
+    target = np.repeat([0.0, 1.0], 50)
+    clock = clocked(100, interval, {("q_axis_current", "test"): 1.0, ("velocity_reference", "test"): target})
+    assert unseen(clock, model(bench={"current_loop_bandwidth": 600.0}).bench).any() == hidden
+
+
+@pytest.mark.parametrize(("reference", "there"), [(1.0, False), (100.0, True)])
+def test_a_voltage_that_is_not_logged_is_taken_from_what_the_reference_asks_for(reference, there):
+    channels = {("q_axis_current_reference", "test"): reference, ("velocity", "test"): 0.0}
+    assert at_ceiling(clocked(50, 1e-3, channels), model()).all() == there
+
+
+def test_without_a_bus_voltage_there_is_no_ceiling(tmp_path):
+    path = tmp_path / "m.yaml"
+    path.write_text("name: m\ntorque_constant: 0.5\n")
+    channels = {("q_axis_current_reference", "test"): 100.0, ("velocity", "test"): 0.0}
+    assert not at_ceiling(clocked(50, 1e-3, channels), read_model(path)[0]).any()
+
+
+def test_the_pages_have_the_numbers_of_the_code():
+    gap, decision = (re.sub(r"\s+", " ", (DOCS / page).read_text(encoding="utf-8")) for page in PAGES)
+    assert f"must stand {ENTRY} times above" in gap
+    assert {3: "Three"}[NULLS] + " sound machines are simulated" in gap
+    assert f"a time constant of {TRACKED:.0f} samples" in decision
+    assert f"over stretches of {SEGMENT} samples" in decision
+    assert f"{100.0 * table()['floors']['third_thermal_node']:.2g} % of the housing" in decision
