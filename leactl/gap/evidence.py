@@ -77,7 +77,8 @@ class Null:
     floors: Mapping[str, float]  # size of each effect, in units of its leading parameter
     lines: Mapping[tuple[str, str, str], float]  # height of the highest line in what each channel leaves over
     moved: Mapping[str, tuple[float, float]]  # of each parameter: mean and scatter of its relative change
-    untold: tuple[str, ...]  # parameters that they move by themselves: these runs cannot tell them
+    untold: tuple[str, ...]  # parameters that they move by themselves: these runs cannot tell them,
+    kept: tuple[str, ...]  # and those of them that no fit may move
 
 
 class Evidence:
@@ -88,14 +89,14 @@ class Evidence:
         records: Sequence[Record],
         model: Model,
         only: Sequence[Candidate] | None = None,
-        untold: Sequence[str] = (),
+        kept: Sequence[str] = (),
     ) -> None:
         self.model, self.records = model, list(records)
         self.sound: Mapping[tuple[str, str], float] = {}
         self.floors = floors(records, model)  # size of each effect below which it is model error
         self.moved: Mapping[str, tuple[float, float]] = {}
         self.lines: Mapping[tuple[str, str, str], float] = {}
-        self.untold = tuple(untold)  # parameters that stay as the model has them
+        self.kept, self.untold = tuple(kept), tuple[str, ...]()  # parameters that stay as the model has them
         self.candidates: list[Candidate] = list(only) if only is not None else every_form(model)
         self._terms = TermsOf()
         self._equations: list[tuple[str, str, Equation]] = [
@@ -113,7 +114,7 @@ class Evidence:
             self.candidates = [c for c in self.candidates if c[0] not in GAINS]
             if not names & READINGS:
                 self.priors["torque_constant"] = PINNED
-        self.priors.update(dict.fromkeys(self.untold, PINNED))
+        self.priors.update(dict.fromkeys(self.kept, PINNED))
         self.stack: Stack = stack([rows for _, rows in made], self.priors)
         self.weigh_as_usual()
         if only is None and made:
@@ -125,12 +126,12 @@ class Evidence:
             rows.noise, rows.dependence = rows.white, self.expected(rows)
 
     def compare_with(self, null: Null) -> None:
-        """Take what sound machines show in these runs; a parameter that these cannot tell is not fitted."""
+        """Take what sound machines show in these runs; a parameter that these cannot tell is not told."""
         self.sound, self.moved, self.lines = null.unrest, null.moved, null.lines
         for effect, size in null.floors.items():
             self.floors[effect] = max(self.floors.get(effect, 0.0), size)
-        self.untold = null.untold
-        self.priors.update(dict.fromkeys(self.untold, PINNED))
+        self.kept, self.untold = null.kept, null.untold
+        self.priors.update(dict.fromkeys(self.kept, PINNED))
         self.stack = stack([rows for _, rows in self._made], self.priors)
         self.weigh_as_usual()
 

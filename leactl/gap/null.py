@@ -33,6 +33,7 @@ from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
 NULLS = 3  # sound machines
+SCALE = "torque_constant"
 FARTHEST = 2.0  # standard deviations of what is usual, that a machine's parameter is drawn off its model
 SLOW_WIDTH = 8.0  # samples, smoothing of temperatures that drive a simulation
 
@@ -40,25 +41,31 @@ SLOW_WIDTH = 8.0  # samples, smoothing of temperatures that drive a simulation
 def measure(records: Sequence[Record], model: Model, seed: int = 0) -> Null:
     """Simulate the runs of a case as sound machines would make them, and look for effects there.
 
-    Parameters that these runs cannot tell are drawn anew for every machine and left at the model's value in the fit.
+    Torques that are balanced against each other alone shrink together with their scale. Where fits to sound runs do so,
+    the torque constant is drawn anew for every machine and kept at the model's value in the fit.
     """
     random = np.random.default_rng(seed)
-    shown = Shown()
-    for own in sound_runs(records, [model] * NULLS, random):
-        shown.look(Evidence(own, model))
-    moved, untold = shown.parameters(), shown.untold()
-    if untold:
-        machines = [drawn(model, untold, random) for _ in range(NULLS)]
-        shown = Shown()
-        for own in sound_runs(records, machines, random):
-            shown.look(Evidence(own, model, untold=untold))
+    shown = looked_at(records, model, (), random)
+    moved, kept = shown.parameters(), tuple(name for name in shown.untold() if name == SCALE)
+    if kept:
+        shown = looked_at(records, model, kept, random)
+        moved = shown.parameters() | {SCALE: moved[SCALE]}
     return Null(
         {key: float(np.mean(values)) for key, values in shown.unrest.items()},
         {effect: float(np.sqrt(np.mean(np.square(sizes)))) for effect, sizes in shown.sizes.items()},
         {channel: float(np.mean(heights)) for channel, heights in shown.lines.items()},
         moved,
-        untold,
+        kept + tuple(name for name in shown.untold() if name not in kept),
+        kept,
     )
+
+
+def looked_at(records: Sequence[Record], model: Model, kept: Sequence[str], random: np.random.Generator) -> "Shown":
+    """What sound machines show whose fits keep some parameters at the model's values."""
+    shown = Shown()
+    for own in sound_runs(records, [drawn(model, kept, random) for _ in range(NULLS)], random):
+        shown.look(Evidence(own, model, kept=kept))
+    return shown
 
 
 @dataclass

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import maximum_filter1d
 
 from leactl.gap.evidence import Evidence
 from leactl.gap.regression import Fit, Rows, residuals
@@ -22,6 +23,9 @@ LOWEST = 4  # bin; below it there is no neighbourhood on either side, and `unres
 STEADY = 0.05  # of a speed, by which it varies where it is not steady
 FEWEST = 8  # segments
 DEVIATIONS = 3.0  # that a mean spectrum of so many segments scatters by
+COMMANDED = 3  # samples to either side, in which a command makes a current
+LEAP, AROUND = 6.0, 7  # of a moving command's usual bend, that is a leap, and samples around it that are not heard
+STILL = 1e-6  # of a command's greatest bend, up to which it stands
 COLOURLESS = 10.0  # usual unrest, up to which a sound model leaves a rest even enough to hear a line in
 
 
@@ -43,7 +47,7 @@ def ringing(evidence: Evidence, fit: Fit, heard: Sequence[bool]) -> dict[tuple[s
     for index, rows in enumerate(evidence.stack.rows):
         if not heard[index] or evidence.expected(rows) > COLOURLESS or len(rows.index) < SEGMENT:
             continue
-        left = residuals(evidence.stack, fit, index) / rows.white
+        left = uncommanded(rows, residuals(evidence.stack, fit, index)) / rows.white
         step = int(np.min(np.diff(rows.index)))
         place = (rows.index - rows.index[0]) // step
         even = np.full(place[-1] + 1, np.nan)
@@ -72,6 +76,25 @@ def steady(rows: Rows, place: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
     mean = (sums[last] - sums[first]) / count
     spread = np.sqrt(np.maximum((squares[last] - squares[first]) / count - mean**2, 0.0))
     return np.asarray(spread < STEADY * np.abs(mean), np.bool_)
+
+
+def uncommanded(rows: Rows, left: Array) -> Array:
+    """What a current leaves over beyond what its command makes of it within a few samples; NaN where that leaps.
+
+    A loop, a stamp or a reference between two samples that is a little off leaves the command's own lines.
+    """
+    following = rows.signals.following
+    if rows.equation != "current" or following is None:
+        return left
+    bend = np.zeros(len(following))
+    bend[1:-1] = np.abs(np.diff(following, 2))
+    moving = bend[bend > STILL * np.max(bend, initial=0.0)]
+    leaps = maximum_filter1d(bend > LEAP * np.median(moving), 2 * AROUND + 1) if len(moving) else bend > 0.0
+    calm = ~leaps[rows.index]
+    lags = [following[np.clip(rows.index + lag, 0, len(following) - 1)] for lag in range(-COMMANDED, COMMANDED + 1)]
+    table = np.stack(lags, axis=1)
+    known = np.linalg.lstsq(table[calm], left[calm], rcond=None)[0]
+    return np.where(calm, left - table @ known, np.nan)
 
 
 def by_counts(rows: Rows) -> npt.NDArray[np.bool_]:
