@@ -19,7 +19,7 @@ from leactl.vocabulary.effect import effect_names
 
 SEED, FEW = 16, 3  # of what no effect explains: the resonator is among the first three
 EVERY = effect_names()
-OFTEN = (*EVERY[::12], "torque_ripple")  # what an ordinary run tries; all of them are a long one
+OFTEN = (*EVERY[::18], "torque_ripple")  # what an ordinary run tries; all of them are a long one
 PRACTICE = Path(__file__).parents[3] / "shared" / "gap-cases" / "practice"
 
 
@@ -31,7 +31,6 @@ def drawn(folder, kind, seed, count, effects=None):
 @pytest.fixture(scope="session")
 def benches(tmp_path_factory):
     folder = tmp_path_factory.mktemp("benches")
-    drawn(folder, "none", 11, 1)
     drawn(folder, "unknown", SEED, FEW)
     return folder
 
@@ -56,9 +55,8 @@ def cases(benches, kind):
     return sorted(path for path in (benches / kind).iterdir() if path.is_dir())
 
 
-def test_nothing_but_wrong_parameters_is_called_calibration(benches):
-    [folder] = cases(benches, "none")
-    found = answer(folder)
+def test_nothing_but_wrong_parameters_is_called_calibration(sound_bench):
+    found = answer(sound_bench)
     assert found.verdict == "calibration"
     assert not found.causes
     assert found.unexplained_probability < 0.2
@@ -140,6 +138,7 @@ def test_what_rings_on_the_bench_is_told_with_its_frequency(benches):
     assert 0.9 * held_still < highest.frequency < 1.5 * held_still
 
 
+@pytest.mark.long
 def test_the_answer_does_not_depend_on_file_names_or_order(with_effect, tmp_path):
     folder = with_effect["torque_ripple"]
     runs = sorted(folder.glob("*-a.h5"))
@@ -153,23 +152,23 @@ def test_the_answer_does_not_depend_on_file_names_or_order(with_effect, tmp_path
     ]
 
 
-def test_a_run_on_both_sides_is_refused(benches):
-    folder = cases(benches, "none")[0]
+def test_a_run_on_both_sides_is_refused(sound_bench):
+    folder = sound_bench
     run = next(iter(folder.glob("*-a.h5")))
     with pytest.raises(InputError, match="on one side only"):
         read_case([run], [run], model(folder))
 
 
-def test_kinds_that_occur_twice_are_held_out(benches):
-    folder = cases(benches, "none")[0]
+def test_kinds_that_occur_twice_are_held_out(sound_bench):
+    folder = sound_bench
     records = read_case(sorted(folder.glob("*.h5")), [], model(folder))
     fitted, held = split([*records.fitted, *records.held_out])
     assert {r.kind for r in fitted} == {r.kind for r in held}
     assert isinstance(records, Case)
 
 
-def test_free_runs_alone_say_what_they_cannot_show(benches):
-    folder = cases(benches, "none")[0]
+def test_free_runs_alone_say_what_they_cannot_show(sound_bench):
+    folder = sound_bench
     found = diagnose(read_case(sorted(folder.glob("free*.h5")), [], model(folder)))
     hidden = next(note for note in found.notes if note.startswith("invisible"))
     for effect in ("torque_sensor_gain", "backlash", "load_dependent_friction"):
@@ -220,8 +219,8 @@ def test_where_no_kind_of_run_occurs_twice_stretches_are_held_out():
     assert [record.name for record in split([run("a", drive_gain=1.0), run("b", drive_gain=1.0)])[1]] == ["b"]
 
 
-def test_a_bench_with_one_run_of_each_kind_is_diagnosed_all_the_same(benches):
-    folder = cases(benches, "none")[0]
+def test_a_bench_with_one_run_of_each_kind_is_diagnosed_all_the_same(sound_bench):
+    folder = sound_bench
     runs = sorted({path.name.rsplit("-", 1)[0]: path for path in folder.glob("*.h5")}.values())
     found = diagnose(read_case(runs, [], model(folder)))
     assert not [cause for cause in found.causes if cause.probability >= 0.5]

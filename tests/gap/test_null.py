@@ -1,6 +1,5 @@
 """Sound machines in the place of a case: what they leave over, and in which units what they leave is counted."""
 
-import json
 import re
 from pathlib import Path
 
@@ -9,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from leactl.emulation.blind.make import make
 from leactl.gap.ceiling import at_ceiling
 from leactl.gap.diagnose import read_case
 from leactl.gap.evidence import PRIORS, Evidence, floors, table
@@ -29,23 +27,18 @@ COUNT = 2e-4  # rad, of an encoder
 
 
 @pytest.fixture(scope="module")
-def sound(tmp_path_factory):
-    """A case without an effect whose model has the bench's own parameters."""
-    folder = tmp_path_factory.mktemp("sound")
-    make(1, folder / "cases", folder / "key", 31, ("none",), prefix="sound")
-    [case] = (path for path in (folder / "cases").iterdir() if path.is_dir())
-    key = json.loads((folder / "key" / "key.json").read_text(encoding="utf-8"))["cases"]
-    return read_case(sorted(case.glob("*-a.h5")), sorted(case.glob("*-b.h5")), case / "nominal.yaml"), key[case.name]
+def case(sound_bench):
+    return read_case(
+        sorted(sound_bench.glob("*-a.h5")), sorted(sound_bench.glob("*-b.h5")), sound_bench / "nominal.yaml"
+    )
 
 
 @pytest.fixture(scope="module")
-def null(sound):
-    case, _ = sound
+def null(case):
     return measure(case.fitted, case.model)
 
 
-def test_a_case_without_an_effect_leaves_what_sound_machines_leave(sound, null):
-    case, _ = sound
+def test_a_case_without_an_effect_leaves_what_sound_machines_leave(case, null):
     evidence = Evidence(case.fitted, case.model, only=[])
     evidence.settle([])
     left = evidence.unrest()
@@ -62,8 +55,7 @@ def test_sound_machines_move_no_parameter_that_these_runs_tell(null):
         assert scatter < 0.01, name
 
 
-def test_a_simulated_run_has_the_channels_the_noise_and_the_rounding_of_the_measured_one(sound):
-    case, _ = sound
+def test_a_simulated_run_has_the_channels_the_noise_and_the_rounding_of_the_measured_one(case):
     [again] = sound_runs(case.fitted, [case.model], np.random.default_rng(1))
     assert [one.name for one in again] == [one.name for one in case.fitted]
     moving = [pair for pair in zip(again, case.fitted, strict=True) if pair[1].fast is not None]

@@ -48,6 +48,7 @@ def test_the_model_of_the_emulated_bench_is_what_the_bench_is_made_of():
     assert nominal.torque_constant == load_motor("lea")[0].torque_constant
 
 
+@pytest.mark.long
 def test_a_bench_as_its_model_says_has_no_cause(diagnose):
     found = diagnose()
     assert found["verdict"] in ("none", "calibration")

@@ -11,16 +11,23 @@ from leactl.gap.signals import averaged, held
 from leactl.gap.smoothing import middle, slope, smooth
 
 Array = npt.NDArray[np.float64]
-SLOWEST = 0.15  # rad/s, below which a coarse encoder does not tell motion from rest
-SWING_N_M_S = 2.0  # rate of torque above which a locked rotor slides
+SLOW_SHARE = 0.005  # of a run's highest speed, below which it may stand as well
 SWING_REACH = 8.0  # samples
 STICKING_PRIOR = 0.5  # of nominal Coulomb friction
 
 
-def moving(velocity: Array, reach: float) -> Mask:
-    """Samples around which the shaft turns one way."""
-    still = (np.abs(velocity) < SLOWEST).astype(float)
-    return np.asarray(smooth(still, reach) < 1e-3)
+def moving(s: Signals, velocity: Array, reach: float) -> Mask:
+    """Samples around which the shaft turns one way, by half a count of the encoder a sample or more."""
+    speed = np.abs(velocity)
+    slowest = max(0.5 * s.count / s.interval, SLOW_SHARE * float(np.quantile(speed, 0.999)))
+    return np.asarray(smooth((speed < slowest).astype(float), reach) < 1e-3)
+
+
+def swings(s: Signals, change: Array) -> Mask:
+    """Samples around which a locked rotor slides: its torque changes by its friction within its own time constant."""
+    model = s.model
+    rate = (model.coulomb_friction or 0.0) * (model.viscous_damping or 0.0) / (model.rotor_inertia or np.inf)
+    return np.asarray(smooth(np.abs(change), SWING_REACH) > rate)
 
 
 def free(record: Record, s: Signals) -> Equation | None:
@@ -33,7 +40,9 @@ def free(record: Record, s: Signals) -> Equation | None:
     drive, calibration, places = parts
     left = drive - sum(c for name, c in calibration.items() if name != "torque_constant")
     calibration["torque_constant"] = -drive
-    mask = moving(s.velocity, 4.0) & s.resolved & record.fast.all_valid(("q_axis_current", "test"), ("angle", "test"))
+    mask = (
+        moving(s, s.velocity, 4.0) & s.resolved & record.fast.all_valid(("q_axis_current", "test"), ("angle", "test"))
+    )
     return Equation("free_torque", "velocity", "test", "N*m", left, s, mask, places, calibration)
 
 
@@ -51,7 +60,7 @@ def coupled(record: Record, s: Signals) -> Equation | None:
     places = {name: _negative(place) for name, place in against.items()}
     places["torque_reading"] = lambda c: c
     keys = ("torque", "test"), ("q_axis_current", "test"), ("angle", "test")
-    mask = moving(s.velocity, 4.0) & s.resolved & record.fast.all_valid(*keys)
+    mask = moving(s, s.velocity, 4.0) & s.resolved & record.fast.all_valid(*keys)
     return Equation("coupled_torque", "torque", "test", "N*m", left, s, mask, places, calibration)
 
 
@@ -81,7 +90,7 @@ def both(record: Record, s: Signals) -> Equation | None:
     calibration["load.viscous_damping"] = damping
     calibration["load.coulomb_friction"] = friction
     keys = ("q_axis_current", "test"), ("q_axis_current", "load"), ("velocity", "load"), ("angle", "test")
-    mask = moving(s.velocity, 4.0) & moving(measured, 4.0) & s.resolved & clock.all_valid(*keys)
+    mask = moving(s, s.velocity, 4.0) & moving(s, measured, 4.0) & s.resolved & clock.all_valid(*keys)
     return Equation(
         "both_torque",
         "velocity",
@@ -128,8 +137,7 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
         "drag": lambda c: -c,
         "current_reading": lambda c: -constant * c * np.clip(sliding, 0.0, 1.0),
     }
-    swings = smooth(np.abs(change), SWING_REACH) > SWING_N_M_S
-    mask = record.fast.all_valid(("torque", "test"), ("q_axis_current", "test")) & (swings == swinging)
+    mask = record.fast.all_valid(("torque", "test"), ("q_axis_current", "test")) & (swings(s, change) == swinging)
     return Equation(
         name,
         "torque",
