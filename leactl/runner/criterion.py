@@ -66,12 +66,13 @@ class Judge:
 
     def met(self, time: float) -> bool:
         """Whether the window that has ended by this time meets the criterion."""
-        if time < self._start + self._part_s * (1.0 - 1e-9):  # a sum of periods may lack a rounding error
-            return False
-        self._start += self._part_s
-        self._parts.append(self._part)
-        self._part = Moments()
-        if len(self._parts) < PARTS:
+        ended = False
+        while time >= self._start + self._part_s * (1.0 - 1e-9):  # a sum of periods may lack a rounding error
+            ended = True
+            self._start += self._part_s
+            self._parts.append(self._part)
+            self._part = Moments()
+        if not ended or len(self._parts) < PARTS:
             return False
         window = Moments()
         for part in self._parts:

@@ -74,3 +74,9 @@ def test_a_criterion_that_has_to_be_met_ends_the_run(spin):
     outcome, _bench = spin(adaptive(1000.0, "fail"))
     assert (outcome.status, outcome.error.exit_status) == ("failed", 5)
     assert "was expected" in outcome.reason
+
+
+def test_a_window_of_few_cycles_is_judged_as_it_ends():
+    times = np.arange(1, 20) * 0.01
+    time, _ = course(until("mean", low=1.0, window=0.03), times, np.full(19, 2.0))
+    assert time == pytest.approx(0.03)
