@@ -66,11 +66,15 @@ def check(
     notes = unused(yamlfile.parse(plan.text, protocol))
     if as_json:
         body = {**_head(plan), "peaks": _peaks(plan), "actions": len(plan.actions), "notes": notes}
+        body |= {"searches": _searches(plan)}
         typer.echo(json.dumps(body))
         return
     for note in notes:
         typer.echo(f"note: {note}", err=True)
-    typer.echo(f"{plan.name}: {len(plan.actions)} actions, {_duration(plan.duration_s)}, no faults")
+    for line in _searches(plan):
+        typer.echo(line)
+    most = "at most " if plan.adaptive else ""
+    typer.echo(f"{plan.name}: {len(plan.actions)} actions, {most}{_duration(plan.duration_s)}, no faults")
 
 
 @app.command(epilog=examples("protocol plan friction", "protocol plan mine.yaml --bench emulated --set hold_s=6"))
@@ -85,12 +89,15 @@ def plan(
     from leactl.protocol.protocolfile import load, read_overrides
 
     expanded = load(protocol, read_overrides(overrides), condition)
+    hottest: dict[str, float] = {}
+    passes = ""
     if bench:
         from leactl.bench.bench import Bench
         from leactl.bench.benchfile import host_silences
         from leactl.bench.wiring import MachineWiring
         from leactl.runner.checked_bench import load_checked
         from leactl.runner.fitting import check_fit
+        from leactl.runner.windings import Windings
         from leactl.safety.refusals import check_rate
 
         file, devices, _document = load_checked(bench)
@@ -98,9 +105,15 @@ def plan(
             file.emulated.expect(condition)
         check_fit(expanded, Bench(file, devices, MachineWiring()))
         check_rate(expanded.rate_Hz, host_silences(devices))
+        forecast = Windings(file, devices, "", cold=True).forecast(expanded)
+        hottest = {role: round(value, 2) for role, value in forecast.peaks.items()}
+        passes = (
+            "" if forecast.passing is None else f", up to step '{forecast.passing.step}', where the limit may be passed"
+        )
     if as_json:
         rows = [row._asdict() for row in expanded.timeline()]
-        typer.echo(json.dumps({**_head(expanded), "peaks": _peaks(expanded), "timeline": rows}))
+        heat = {"searches": _searches(expanded)} | ({"hottest_degC": hottest} if bench else {})
+        typer.echo(json.dumps({**_head(expanded), "peaks": _peaks(expanded), "timeline": rows, **heat}))
         return
     typer.echo(f"{expanded.name}: {expanded.title}".rstrip(": "))
     for name, value in expanded.parameters.items():
@@ -113,6 +126,10 @@ def plan(
     typer.echo(f"duration {most}{_duration(expanded.duration_s)} ({expanded.duration_s:.3f} s)")
     for peak in _peaks(expanded):
         typer.echo(f"peak {peak['role']} {peak['quantity']} {peak['value']:g} {peak['unit']}")
+    for line in _searches(expanded):
+        typer.echo(line)
+    for role, value in hottest.items():
+        typer.echo(f"winding {role} at most {value:g} degC from ambient{passes}; see: leactl thermal plan")
 
 
 def _checked(protocol: str) -> "Plan":
@@ -137,6 +154,12 @@ def _checked(protocol: str) -> "Plan":
 def _head(found: "Plan") -> dict[str, Any]:
     keys = ("name", "title", "setup", "analysis", "rate_Hz", "record_Hz", "condition", "duration_s")
     return {**{key: getattr(found, key) for key in keys}, "parameters": dict(found.parameters)}
+
+
+def _searches(found: "Plan") -> list[str]:
+    """One line for each search: its trials, its bounds, and how long it takes at the most."""
+    told = [f"bisect {search.name}: {search}, {seconds:g} s of trials at most" for search, seconds in found.searches()]
+    return [f"{line}{f', {told.count(line)} times' * (told.count(line) > 1)}" for line in dict.fromkeys(told)]
 
 
 def _peaks(found: "Plan") -> list[dict[str, Any]]:

@@ -62,6 +62,7 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
     """Show what a run holds: attributes, streams with units, steps, events and notes."""
     from leactl.report.listing import row
     from leactl.runfile.reader import Run
+    from leactl.runfile.searches import searches
 
     with Run.open(run) as found:
         about = {name: str(value) for name, value in found.attributes.items()} | {"mechanical": found.mechanical}
@@ -84,6 +85,7 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
             "instruments": instruments,
             "streams": streams,
             "steps": len(steps),
+            "searches": [vars(search) for search in searches(steps)],
             "events": [vars(event) for event in events],
             "notes": [vars(note) for note in notes],
         }
@@ -99,6 +101,8 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
         typer.echo(f"stream {name}: {stream['rows']} rows{attached_told(stream)}")
         for channel in found.streams[name]:
             typer.echo(f"  {channel.name:<12} {channel.role:<6} {channel.quantity:<26} {channel.unit}")
+    for search in searches(steps):
+        typer.echo(row("", str(search)))
     typer.echo(f"{len(steps)} steps, {len(events)} events")
     for event in events:
         typer.echo(row(f"  {event.time:10.3f} s  {event.level:<8} ", f"{event.source}: {event.message}"))

@@ -7,13 +7,25 @@ from typing import Any
 from leactl.driver.contract import Mode
 from leactl.errors import InputError
 from leactl.protocol import sweeps, trajectory, weights
-from leactl.protocol.plan import Prompt, Record, Samples, Supply, Tare, Until, WaitUntil
+from leactl.protocol.bisection import bisect
+from leactl.protocol.criteria import bounds, criterion
+from leactl.protocol.plan import (
+    EndWhen,
+    InRange,
+    Prompt,
+    Record,
+    Samples,
+    StepOutcome,
+    Supply,
+    Tare,
+    WaitUntil,
+    When,
+)
 from leactl.protocol.schema import divides
 from leactl.protocol.setpointkeys import Spelling
 from leactl.protocol.signals import Csv, Signal
-from leactl.protocol.steps import HoldStep, RampStep, SetStep, Step, UntilBlock, WaitStep
+from leactl.protocol.steps import HoldStep, RampStep, SetStep, Step, WaitStep, WhenStep
 from leactl.protocol.timeline import Timeline
-from leactl.quantities import UNITS
 
 HEATED = "heated"
 
@@ -34,12 +46,64 @@ def expand(timeline: Timeline, steps: tuple[Step, ...], pass_number: int = 1) ->
             for number in range(1, times + 1):
                 timeline.charge(step)
                 expand(timeline, step.inner, (pass_number - 1) * times + number)
+        elif step.kind == "when":
+            _when(timeline, step, pass_number)
         elif step.content is None:
             timeline.charge(step)
             timeline.whole = False
             timeline.modes_known = timeline.modes_known and step.kind != "mode"
         else:
             _WRITERS[step.kind](timeline, step, pass_number)
+
+
+def _when(timeline: Timeline, step: Step, pass_number: int) -> None:
+    """Write steps that may be left out, and refuse those that do not leave everything as it was before them."""
+    condition = None if step.content is None else _condition(timeline, step)
+    before = {role: (followed.mode, followed.setpoint) for role, followed in timeline.roles.items()}
+    began = len(timeline.actions)
+    if condition is not None:
+        timeline.add(step, When(condition))
+    expand(timeline, step.inner, pass_number)
+    if condition is not None:
+        timeline.add(step, EndWhen())
+    timeline.whole = timeline.whole and condition is not None
+    if any(isinstance(action, Record | Supply) for action in timeline.actions[began:]):
+        timeline.complain(step, "steps", "a record or supply step would outlast the condition; none was expected")
+    for role, (mode, setpoint) in before.items() if timeline.whole else ():
+        followed = timeline.roles[role]
+        if (followed.mode, followed.setpoint) != (mode, setpoint):
+            known = "off" if mode is Mode.OFF else f"{mode} at {'its angle' if setpoint is None else f'{setpoint:g}'}"
+            message = f"{role} is not left as it was; {known}, as before the condition, was expected at the end"
+            timeline.complain(step, "steps", message)
+
+
+def _condition(timeline: Timeline, step: Step) -> StepOutcome | InRange | None:
+    """What a `when` asks; None, with faults, where it cannot be."""
+    content: WhenStep = step.content
+    reading = ("quantity", "role", "below", "above", "unit")
+    given = [key for key in reading if getattr(content, key) is not None]
+    if content.step is None and content.outcome is None:
+        missing = [key for key in ("quantity", "role", "unit") if key not in given]
+        if missing:
+            timeline.complain(step, missing[0], "is required and missing; or step and outcome of an earlier step")
+            return None
+        return InRange(content.quantity or "", content.role or "", *bounds(timeline, step, content))
+    if given:
+        timeline.complain(step, given[0], "either step and outcome, or a reading with its bounds, was expected")
+        return None
+    if content.step is None or content.outcome is None:
+        timeline.complain(step, "step" if content.step is None else "outcome", "is required and missing")
+        return None
+    outcomes = timeline.outcomes
+    if content.step not in outcomes:
+        known = f"one of {', '.join(outcomes)}" if outcomes else "a bisect, or a hold with until, before it"
+        timeline.complain(step, "step", f"'{content.step}' has no outcome at this point; {known} was expected")
+        return None
+    if content.outcome not in outcomes[content.step]:
+        expected = " or ".join(outcomes[content.step])
+        timeline.complain(step, "outcome", f"{content.outcome}: {content.step} ends {expected}")
+        return None
+    return StepOutcome(content.step, content.outcome)
 
 
 def _mode(timeline: Timeline, step: Step, _pass_number: int) -> None:
@@ -82,7 +146,10 @@ def _hold(timeline: Timeline, step: Step, pass_number: int) -> None:
     content: HoldStep = step.content
     timeline.check_times(step, ("settle_s", "duration_s"), content.duration_s, content.settle_s)
     times = content.duration_s, content.settle_s
-    until = _until(timeline, step, content)
+    until = None
+    if content.until is not None:
+        required = content.until.otherwise == "fail"
+        until = criterion(timeline, step, ("until", "duration_s"), times, required=required)
     setpoints = [key for key in ("current_A", "velocity_rad_s", "angle_rad") if getattr(content, key) is not None]
     if not setpoints:
         timeline.segment(step, content.name, times[0], {}, {"repeat": pass_number}, times[1], until)
@@ -95,18 +162,6 @@ def _hold(timeline: Timeline, step: Step, pass_number: int) -> None:
         value = content.given(spelling, "setpoint") * content.sign
         told = _told(timeline, content.role, spelling, value, pass_number)
         timeline.hold(step, content.name, times, content.role, value, told, until)
-
-
-def _until(timeline: Timeline, step: Step, content: HoldStep) -> Until | None:
-    criterion = content.until
-    if criterion is None:
-        return None
-    low, high = _bounds(timeline, step, criterion, ("until",), "/s" if criterion.statistic == "slope" else "")
-    if content.settle_s + criterion.window_s > content.duration_s:
-        message = f"settle_s and a window of {criterion.window_s:g} s are longer than duration_s; less was expected"
-        timeline.complain(step, ("until", "window_s"), message)
-    required = criterion.otherwise == "fail"
-    return Until(criterion.quantity, criterion.role, criterion.statistic, criterion.window_s, low, high, required)
 
 
 def _told(timeline: Timeline, role: str, spelling: Spelling, value: float, pass_number: int) -> dict[str, float | str]:
@@ -176,31 +231,8 @@ def _samples(timeline: Timeline, step: Step, content: Any, spelling: Spelling) -
 
 def _wait_until(timeline: Timeline, step: Step, _pass_number: int) -> None:
     content: WaitStep = step.content
-    low, high = _bounds(timeline, step, content, (), "")
+    low, high = bounds(timeline, step, content)
     timeline.add(step, WaitUntil(content.quantity, content.role, low, high, content.timeout_s))
-
-
-def _bounds(
-    timeline: Timeline, step: Step, content: WaitStep | UntilBlock, under: tuple[str, ...], per: str
-) -> tuple[float, float]:
-    """Lowest and highest value that a channel is waited for, infinite where open; faults are noted."""
-    unit = UNITS.get(content.quantity)
-    if unit is None:
-        message = f"{content.quantity!r}: one of {', '.join(UNITS)} was expected"
-        timeline.complain(step, (*under, "quantity"), message)
-    elif content.unit != unit + per:
-        timeline.complain(step, (*under, "unit"), f"{content.unit!r}: {content.quantity} is in {unit + per}")
-    low = -math.inf if content.above is None else content.above
-    high = math.inf if content.below is None else content.below
-    if math.isinf(low) and math.isinf(high):
-        timeline.complain(step, (*under, "below"), "below, above or both were expected")
-    if low > high:
-        message = f"no value is below {high:g} and above {low:g}"
-        if under:
-            timeline.complain(step, (*under, "below"), message)
-        else:
-            timeline.complain_of_either(step, ("below", "above"), message)
-    return low, high
 
 
 def _record(timeline: Timeline, step: Step, _pass_number: int) -> None:
@@ -237,6 +269,7 @@ _WRITERS: dict[str, Callable[[Timeline, Step, int], None]] = {
     "set": _set,
     "ramp": _ramp,
     "hold": _hold,
+    "bisect": bisect,
     "sweep": sweeps.sweep,
     "grid": sweeps.grid,
     "signal": _signal,

@@ -25,6 +25,9 @@ SETPOINT_QUANTITY = {
 }
 
 
+LEAST_SAMPLES = 3  # of a criterion's window: any two give a slope, and their deviation says nothing
+
+
 class Profile(Protocol):
     """A setpoint over the time since its segment's start."""
 
@@ -129,6 +132,18 @@ class Samples:
 
 
 @dataclass(frozen=True)
+class Sought:
+    """One setpoint throughout, which a search chooses between two ends while the plan is executed."""
+
+    low: float
+    high: float
+
+    def at(self, time: float) -> float:
+        """The end that is further from zero."""
+        return max(self.low, self.high, key=abs)
+
+
+@dataclass(frozen=True)
 class Until:
     """Criterion that ends a segment early: low <= statistic of a channel over a window <= high, infinite where open."""
 
@@ -147,10 +162,47 @@ class Until:
 
 
 @dataclass(frozen=True)
+class Search:
+    """A bisection between two setpoints, until the interval in which a trial's outcome changes is narrow enough."""
+
+    name: str
+    role: str
+    quantity: str  # of the setpoint
+    first: float
+    second: float
+    resolution: float
+    required: bool  # whether the run fails where both ends have the same outcome
+
+    @property
+    def halvings(self) -> int:
+        """How often the interval is halved; a quotient that is a power of two may have a rounding error."""
+        return max(0, math.ceil(math.log2(abs(self.second - self.first) / self.resolution) - 1e-9))
+
+    @property
+    def trials(self) -> int:
+        """Both ends, and one for each halving."""
+        return 2 + self.halvings
+
+    def __str__(self) -> str:
+        unit = UNITS[self.quantity]
+        span = f"{self.role} {self.first:g} .. {self.second:g} {unit}"
+        return f"{self.trials} trials, {span} to {self.resolution:g} {unit}"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One trial of a search, counted from 1: its first two are at the ends."""
+
+    search: Search
+    number: int
+
+
+@dataclass(frozen=True)
 class Segment:
     """Setpoints over a duration, which is 0 for a jump; the first `settle_s` are left out by analyses.
 
     With `until`, the duration is the longest; the setpoints are constant then, so that any end leaves the same ones.
+    A trial has a criterion; a setpoint that its search is still to choose is `Sought`.
     """
 
     name: str
@@ -159,6 +211,7 @@ class Segment:
     setpoints: Mapping[str, Profile]  # role: profile
     parameters: Mapping[str, float | str]
     until: Until | None = None
+    trial: Trial | None = None
 
 
 @dataclass(frozen=True)
@@ -214,7 +267,51 @@ class Supply:
     outputs: Mapping[str, tuple[float, float] | None]
 
 
-Action = Segment | Engage | WaitUntil | Tare | Prompt | Record | Supply
+MET, NOT_MET = CRITERION_OUTCOMES = ("met", "not_met")
+BRACKETED, NOT_IDENTIFIABLE = SEARCH_OUTCOMES = ("bracketed", "not_identifiable")
+BISECTING = "bisecting"  # of a search between its trials
+
+
+@dataclass(frozen=True)
+class StepOutcome:
+    """Fulfilled where the latest step, or search, of a name ended so."""
+
+    step: str
+    outcome: str  # of a criterion or a search
+
+    def __str__(self) -> str:
+        return f"{self.step} is {self.outcome}"
+
+
+@dataclass(frozen=True)
+class InRange:
+    """Fulfilled where low <= newest value <= high, infinite where open; a missing value fulfils nothing."""
+
+    quantity: str
+    role: str
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.role} {self.quantity} in {self.low:g} .. {self.high:g} {UNITS[self.quantity]}"
+
+
+@dataclass(frozen=True)
+class When:
+    """What follows, up to its `EndWhen`, is executed where the condition is fulfilled, and left out elsewhere.
+
+    Modes, setpoints and outputs are the same at both ends, so that what comes after is the same either way.
+    """
+
+    condition: StepOutcome | InRange
+
+
+@dataclass(frozen=True)
+class EndWhen:
+    """End of the latest `When` that is still open."""
+
+
+Action = Segment | Engage | WaitUntil | Tare | Prompt | Record | Supply | When | EndWhen
 
 
 @dataclass(frozen=True)
@@ -246,6 +343,16 @@ class ChannelLimit:
         return f"{self.low:g} to {self.high:g} was required"
 
 
+@dataclass(frozen=True)
+class SearchLimit:
+    """Bounds, infinite where open, that the interval of every search of a name must keep whole."""
+
+    search: str
+    low: float
+    high: float
+    unit: str
+
+
 class Row(NamedTuple):
     """One line of the timeline."""
 
@@ -269,7 +376,7 @@ class Plan:
     parameters: Mapping[str, Any]  # as resolved: --set over condition over default
     condition: str
     actions: tuple[Action, ...]
-    acceptance: tuple[Acceptance | ChannelLimit, ...]
+    acceptance: tuple[Acceptance | ChannelLimit | SearchLimit, ...]
     text: str  # the protocol file, byte for byte
     separates: tuple[str, ...] = ()  # effects of the gap's vocabulary that its runs tell apart
     needs: tuple[str, ...] = ()  # quantities without which its runs would be of no use
@@ -282,8 +389,14 @@ class Plan:
 
     @property
     def adaptive(self) -> bool:
-        """Whether any segment may end before its duration."""
-        return any(isinstance(action, Segment) and action.until is not None for action in self.actions)
+        """Whether any segment may end before its duration, or be left out."""
+        return any(isinstance(action, When) or getattr(action, "until", None) is not None for action in self.actions)
+
+    def searches(self) -> list[tuple[Search, float]]:
+        """Every search in order, with how long it takes at the most, its rests left out."""
+        trials = [action for action in self.actions if isinstance(action, Segment) and action.trial is not None]
+        firsts = [action for action in trials if action.trial is not None and action.trial.number == 1]
+        return [(one.trial.search, one.trial.search.trials * one.duration_s) for one in firsts if one.trial is not None]
 
     def peaks(self) -> dict[tuple[str, str], float]:
         """Largest magnitude of each setpoint, by role and quantity; of supplies the current."""
@@ -309,6 +422,8 @@ class Plan:
                 shown = [f"{role} {_shown(profile, modes[role])}" for role, profile in action.setpoints.items()]
                 if action.until is not None:
                     shown.append(f"at most {action.duration_s:g} s, until {action.until}")
+                if action.trial is not None:
+                    shown.append(f"trial {action.trial.number} of {action.trial.search.trials}")
                 rows.append(Row(start, action.name, action.duration_s, action.settle_s, ", ".join(shown)))
                 start += action.duration_s
             else:
@@ -338,6 +453,8 @@ _NAMES: dict[type, str] = {
     Hang: "weigh",
     Record: "record",
     Supply: "supply",
+    When: "when",
+    EndWhen: "end when",
 }
 
 
@@ -365,5 +482,7 @@ def _told(action: Action) -> str:
             return text
         case Record(rate_hz):
             return f"{rate_hz:g} Hz" if rate_hz else "paused"
+        case When(condition):
+            return str(condition)
         case _:
             return ""

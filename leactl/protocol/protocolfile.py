@@ -31,8 +31,8 @@ from leactl.errors import InputError
 from leactl.protocol import schema, steps
 from leactl.protocol.expansion import expand
 from leactl.protocol.parameters import Substituted, resolve, substitute
-from leactl.protocol.plan import Acceptance, ChannelLimit, Plan, Segment
-from leactl.protocol.schema import Head, ResultLimit, divides
+from leactl.protocol.plan import Acceptance, ChannelLimit, Plan, SearchLimit, Segment
+from leactl.protocol.schema import BisectLimit, Head, ResultLimit, divides
 from leactl.protocol.timeline import Timeline
 
 NO_OVERRIDES: Mapping[str, str] = MappingProxyType({})
@@ -116,9 +116,12 @@ def expanded(document: yamlfile.Document, folder: Path, overrides: Mapping[str, 
         except InputError as error:
             timeline.faults.update(dict.fromkeys(error.faults))
         faults = list(timeline.faults)
-    names = list(dict.fromkeys(action.name for action in timeline.actions if isinstance(action, Segment)))
+    segments = [action for action in timeline.actions if isinstance(action, Segment)]
+    names = list(dict.fromkeys(segment.name for segment in segments))
+    trials = [segment.trial for segment in segments if segment.trial is not None]
+    searches = {trial.search.name: trial.search.quantity for trial in trials}
     for number, limit in enumerate(head.acceptance) if head is not None and timeline.whole else ():
-        for key, message in limit.misfits(names):
+        for key, message in limit.misfits(names, searches):
             faults.append(filled.fault(("acceptance", number, *([key] if key else [])), message))
     if faults or head is None or resolved is None:
         raise InputError(_in_order(document.name, faults))
@@ -156,11 +159,13 @@ def _head(document: Substituted, faults: list[str]) -> Head | None:
     return head
 
 
-def _bounds(limit: ResultLimit | schema.ChannelLimit) -> Acceptance | ChannelLimit:
+def _bounds(limit: ResultLimit | schema.ChannelLimit | BisectLimit) -> Acceptance | ChannelLimit | SearchLimit:
     low = -math.inf if limit.low is None else limit.low
     high = math.inf if limit.high is None else limit.high
     if isinstance(limit, ResultLimit):
         return Acceptance(limit.result, low, high, limit.unit)
+    if isinstance(limit, BisectLimit):
+        return SearchLimit(limit.bisect, low, high, limit.unit)
     return ChannelLimit(limit.channel, limit.role, limit.step, limit.statistic, low, high, limit.unit, limit.stop)
 
 

@@ -69,7 +69,7 @@ class ResultLimit(Block):
     high: Bound | None = None
     unit: Unit
 
-    def misfits(self, _steps: Collection[str]) -> Iterator[tuple[str, str]]:
+    def misfits(self, _steps: Collection[str], _searches: Mapping[str, str]) -> Iterator[tuple[str, str]]:
         """Keys that cannot be, and why; the analysis is asked for its results by whoever judges."""
         yield from _disordered(self)
 
@@ -86,13 +86,10 @@ class ChannelLimit(Block):
     unit: Unit
     stop: Annotated[bool, Field(strict=True)] = False
 
-    def misfits(self, steps: Collection[str]) -> Iterator[tuple[str, str]]:
+    def misfits(self, steps: Collection[str], _searches: Mapping[str, str]) -> Iterator[tuple[str, str]]:
         """Keys that cannot be, and why; `steps` are the names of those that there are."""
         yield from _disordered(self)
-        conversion = converter(self.unit, self.channel)
-        if conversion is None or conversion.target != UNITS[self.channel]:
-            known = ", ".join(CONVERSIONS[UNITS[self.channel]])
-            yield "unit", f"{self.unit!r}: {self.channel} is in {UNITS[self.channel]}; one of {known} was expected"
+        yield from _strange_unit(self.unit, self.channel, self.channel)
         if self.step and self.step not in steps:
             close = get_close_matches(self.step, steps, n=1)
             expected = close[0] if close else f"one of {', '.join(steps)}" if steps else "a step with a duration"
@@ -102,7 +99,32 @@ class ChannelLimit(Block):
             yield "stop", "max with high, or min with low, is what can be known before a step is over"
 
 
-def _disordered(limit: ResultLimit | ChannelLimit) -> Iterator[tuple[str, str]]:
+class BisectLimit(Block):
+    """Bounds that the interval a bisection ends with must keep whole; needs no analysis."""
+
+    bisect: Annotated[str, Field(max_length=40)]
+    low: Bound | None = None
+    high: Bound | None = None
+    unit: Unit
+
+    def misfits(self, _steps: Collection[str], searches: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+        """Keys that cannot be, and why; `searches` are the quantities that each bisection sets, by name."""
+        yield from _disordered(self)
+        if self.bisect in searches:
+            yield from _strange_unit(self.unit, searches[self.bisect], self.bisect)
+        else:
+            known = f"one of {', '.join(searches)}" if searches else "a bisect step"
+            yield "bisect", f"'{self.bisect}' is the name of no bisection; {known} was expected"
+
+
+def _strange_unit(unit: str, quantity: str, name: str) -> Iterator[tuple[str, str]]:
+    conversion = converter(unit, quantity)
+    if conversion is None or conversion.target != UNITS[quantity]:
+        known = ", ".join(CONVERSIONS[UNITS[quantity]])
+        yield "unit", f"{unit!r}: {name} is in {UNITS[quantity]}; one of {known} was expected"
+
+
+def _disordered(limit: ResultLimit | ChannelLimit | BisectLimit) -> Iterator[tuple[str, str]]:
     if limit.low is None and limit.high is None:
         yield "", "low, high or both were expected"
     elif limit.low is not None and limit.high is not None and limit.low > limit.high:
@@ -110,11 +132,15 @@ def _disordered(limit: ResultLimit | ChannelLimit) -> Iterator[tuple[str, str]]:
 
 
 def _form(given: Any) -> str:
-    return "[channel]" if isinstance(given, Mapping) and "channel" in given else "[result]"
+    keys = given if isinstance(given, Mapping) else ()
+    return "[channel]" if "channel" in keys else "[bisect]" if "bisect" in keys else "[result]"
 
 
 Limit = Annotated[
-    Annotated[ResultLimit, Tag("[result]")] | Annotated[ChannelLimit, Tag("[channel]")], Discriminator(_form)
+    Annotated[ResultLimit, Tag("[result]")]
+    | Annotated[ChannelLimit, Tag("[channel]")]
+    | Annotated[BisectLimit, Tag("[bisect]")],
+    Discriminator(_form),
 ]
 
 

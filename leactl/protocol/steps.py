@@ -6,6 +6,9 @@
     hold: {role: test, current_A: 5, duration_s: 5.5, settle_s: 0.5}       without a setpoint everything stays
     hold: {duration_s: 60, until: {quantity: velocity, role: test, statistic: slope, window_s: 2, above: -0.1,
            below: 0.1, unit: rad/s/s}}     60 s at the longest; `otherwise: fail` where it has to be met
+    bisect: {role: test, from_current_A: 0, to_current_A: 2, resolution_A: 0.1, hold_s: 1, rest_s: 1,
+             criterion: {quantity: velocity, role: test, window_s: 0.2, above: 1, unit: rad/s}}     see bisection.py
+    when: {step: bisect, outcome: bracketed, steps: [...]}      or quantity, role, above, below, unit of a reading
     sweep: {role: test, levels_A: [1, 2], hold_s: 5.5, visit: both, overshoot_A: 0.5, repeats: 6}
     grid: {axes: [{role: load, levels_rad_s: [1, 2]}, {role: test, levels_A: [1, 2]}], hold_s: 3.5}
     signal: {role: test, kind: sine, amplitude_A: 1, frequency_Hz: 2, duration_s: 10}      see signals.py
@@ -86,8 +89,8 @@ class RampStep(Driven):
     sign: Sign = 1
 
 
-class UntilBlock(Block):
-    """A criterion on a channel that ends a hold; the unit must be the vocabulary's, of a slope per second."""
+class CriterionBlock(Block):
+    """A criterion on a channel; the unit must be the vocabulary's, of a slope per second."""
 
     quantity: str
     role: Literal["test", "load", "bench"]
@@ -96,6 +99,11 @@ class UntilBlock(Block):
     below: Setpoint | None = None
     above: Setpoint | None = None
     unit: str
+
+
+class UntilBlock(CriterionBlock):
+    """A criterion on a channel that ends a hold; the unit must be the vocabulary's, of a slope per second."""
+
     otherwise: Literal["continue", "fail"] = "continue"
 
 
@@ -113,6 +121,27 @@ class HoldStep(Driven):
     settle_s: Rest = 0.0
     until: UntilBlock | None = None
     sign: Sign = 1
+
+
+class BisectStep(Block):
+    """Search for the current at which a trial's outcome changes.
+
+    A trial holds a current until the criterion is met, `hold_s` at the longest. The first two are at the ends; where
+    they differ the interval between is halved until it is no wider than the resolution. `rest_s` rests at zero behind
+    every trial, a cycle at the least.
+    """
+
+    guesses = {"from": "from_current_A", "to": "to_current_A", "resolution": "resolution_A", "until": "criterion"}
+    name: Name = "bisect"
+    role: Role
+    from_current_A: Setpoint
+    to_current_A: Setpoint
+    resolution_A: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1e6)]
+    hold_s: Duration
+    settle_s: Rest = 0.0
+    rest_s: Rest = 0.0
+    criterion: CriterionBlock
+    otherwise: Literal["continue", "fail"] = "continue"
 
 
 class SweepStep(Driven):
@@ -173,6 +202,22 @@ class GridStep(Block):
     settle_s: Rest = 0.0
     repeats: Count = 1
     rest_s: Rest = 0.0
+
+
+class WhenStep(Block):
+    """Do the steps where an earlier step ended so, or where a reading lies so; leave them out elsewhere.
+
+    The steps leave modes and setpoints as they were before them.
+    """
+
+    step: Name | None = None
+    outcome: Literal["met", "not_met", "bracketed", "not_identifiable"] | None = None
+    quantity: str | None = None
+    role: Literal["test", "load", "bench"] | None = None
+    below: Setpoint | None = None
+    above: Setpoint | None = None
+    unit: str | None = None
+    steps: Annotated[list[Any], Field(min_length=1)]
 
 
 class WaitStep(Block):
@@ -239,6 +284,8 @@ KINDS: dict[str, TypeAdapter[Any]] = {
     "set": TypeAdapter(SetStep),
     "ramp": TypeAdapter(RampStep),
     "hold": TypeAdapter(HoldStep),
+    "bisect": TypeAdapter(BisectStep),
+    "when": TypeAdapter(WhenStep),
     "sweep": TypeAdapter(SweepStep),
     "grid": TypeAdapter(GridStep),
     "wait_until": TypeAdapter(WaitStep),
@@ -258,7 +305,7 @@ class Step:
     location: Location
     kind: str  # of an unknown one, what was probably meant
     content: Any  # the kind's block; None where it is faulty
-    inner: tuple["Step", ...] = ()  # of a repeat
+    inner: tuple["Step", ...] = ()  # of a repeat or a condition
 
 
 def read(document: Substituted, raw: list[Any], place: Location, faults: list[str]) -> tuple[Step, ...]:
@@ -291,7 +338,7 @@ def _read_one(document: Substituted, raw: Any, place: Location, faults: list[str
         faults.extend(document.explain(error, inside))
         content = None
     inner: tuple[Step, ...] = ()
-    if kind == "repeat" and isinstance(given, Mapping) and isinstance(given.get("steps"), list):
+    if kind in ("repeat", "when") and isinstance(given, Mapping) and isinstance(given.get("steps"), list):
         inner = read(document, given["steps"], (*inside, "steps"), faults)
     return Step(inside, kind, content, inner)
 

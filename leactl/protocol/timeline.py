@@ -10,7 +10,19 @@ from pathlib import Path
 from leactl.driver.contract import Mode
 from leactl.errors import InputError
 from leactl.protocol.parameters import Substituted
-from leactl.protocol.plan import Action, Constant, Engage, Profile, Ramp, Samples, Segment, Until
+from leactl.protocol.plan import (
+    CRITERION_OUTCOMES,
+    SEARCH_OUTCOMES,
+    Action,
+    Constant,
+    Engage,
+    Profile,
+    Ramp,
+    Samples,
+    Segment,
+    Trial,
+    Until,
+)
 from leactl.protocol.schema import MAX_ACTIONS, MAX_DURATION_S, MAX_SAMPLES, Driven
 from leactl.protocol.setpointkeys import SPELLINGS, Spelling
 from leactl.protocol.signals import Signal
@@ -47,6 +59,7 @@ class Timeline:
     roles: dict[str, Followed] = field(default_factory=lambda: {"test": Followed(), "load": Followed()})
     faults: dict[str, None] = field(default_factory=dict)  # in order, each once
     signals: dict[tuple[Location, str, Signal], Samples] = field(default_factory=dict)
+    outcomes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # that steps so far may have, by name
     modes_known: bool = True  # False behind a faulty `mode` step
     whole: bool = True  # False behind any faulty step
     _steps: int = 0
@@ -158,10 +171,13 @@ class Timeline:
         parameters: Mapping[str, float | str],
         settle_s: float = 0.0,
         until: Until | None = None,
+        trial: Trial | None = None,
     ) -> None:
         """Keep a segment."""
         self.charge(step, duration_s=duration_s)
-        self.actions.append(Segment(name, duration_s, settle_s, dict(setpoints), dict(parameters), until))
+        if until is not None:
+            self.outcomes[name] = CRITERION_OUTCOMES if trial is None else SEARCH_OUTCOMES
+        self.actions.append(Segment(name, duration_s, settle_s, dict(setpoints), dict(parameters), until, trial))
 
     def hold(
         self,

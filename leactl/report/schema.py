@@ -57,7 +57,7 @@ def _protocol() -> JsonSchema:
         "additionalProperties": False,
         "properties": steps,
     }
-    for block in (blocks["RepeatStep"], whole):
+    for block in (blocks["RepeatStep"], blocks["WhenStep"], whole):
         block["properties"]["steps"] |= {"items": {"$ref": "#/$defs/Step"}}
     whole["properties"]["parameters"] = {"type": "object"}
     whole["properties"]["conditions"] = {"type": "object", "additionalProperties": {"type": "object"}}

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from leactl.errors import AcceptanceFailed, InputError
-from leactl.protocol.plan import ChannelLimit
+from leactl.protocol.plan import ChannelLimit, SearchLimit
 from leactl.quantities import UNITS, ChannelSpec
 from leactl.units import converter
 
@@ -113,9 +113,9 @@ class _Watched:
 
 @dataclass(frozen=True)
 class Verdict:
-    """How one channel kept its limit."""
+    """How one channel, or search, kept its limit."""
 
-    limit: ChannelLimit
+    limit: ChannelLimit | SearchLimit
     row: Mapping[str, Any]  # as --json tells it
     met: bool
     told: str

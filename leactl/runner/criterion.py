@@ -4,10 +4,9 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from leactl.protocol.plan import Until
+from leactl.protocol.plan import LEAST_SAMPLES, Until
 
 PARTS = 10  # of a window: its statistic is judged as each of them ends
-LEAST_SAMPLES = 3  # of a window: any two give a slope, and their deviation says nothing
 
 
 class Moments(NamedTuple):

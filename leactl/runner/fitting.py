@@ -3,7 +3,7 @@
 from leactl.bench.bench import Bench
 from leactl.bench.benchfile import BenchFile
 from leactl.errors import InputError
-from leactl.protocol.plan import ChannelLimit, Engage, Plan, Segment, Until, WaitUntil
+from leactl.protocol.plan import ChannelLimit, Engage, InRange, Plan, Segment, Until, WaitUntil, When
 from leactl.runner.channel_limits import ChannelLimits
 from leactl.safety.refusals import check_setpoints
 
@@ -60,10 +60,12 @@ def _check_needs(plan: Plan, bench: Bench) -> None:
 
 
 def _check_awaited(plan: Plan, bench: Bench) -> None:
-    """Refuse channels that a wait or a hold's criterion looks at and no device measures."""
+    """Refuse channels that a wait, a criterion or a condition looks at and no device measures."""
     measured = {(channel.quantity, channel.role) for channels in bench.streams().values() for channel in channels}
-    asked: list[WaitUntil | Until] = [action for action in plan.actions if isinstance(action, WaitUntil)]
+    asked: list[WaitUntil | Until | InRange] = [action for action in plan.actions if isinstance(action, WaitUntil)]
     asked += [action.until for action in plan.actions if isinstance(action, Segment) and action.until is not None]
+    conditions = [action.condition for action in plan.actions if isinstance(action, When)]
+    asked += [condition for condition in conditions if isinstance(condition, InRange)]
     awaited = dict.fromkeys((one.quantity, one.role) for one in asked)
     if missing := [f"{quantity} of {role}" for quantity, role in awaited if (quantity, role) not in measured]:
         raise InputError(

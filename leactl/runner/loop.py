@@ -5,15 +5,18 @@ and the heartbeat that keeps the drives alive is sent after a supervised cycle a
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 from leactl.bench.bench import Bench
 from leactl.driver.contract import AnalogInput, Block, Mode, Row
 from leactl.errors import DeviceError, InputError, Stopped
 from leactl.protocol.plan import (
     Action,
+    EndWhen,
     Engage,
     Hang,
+    InRange,
     Plan,
     Profile,
     Prompt,
@@ -23,10 +26,12 @@ from leactl.protocol.plan import (
     Tare,
     Until,
     WaitUntil,
+    When,
 )
 from leactl.runfile.writer import RunWriter
 from leactl.runner.channel_limits import ChannelLimits
 from leactl.runner.criterion import Judge
+from leactl.runner.outcomes import Outcomes
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import Flush
 from leactl.runner.signals import StopRequest, Wishes
@@ -37,6 +42,7 @@ ANSWER_SHARE = 0.6  # of a period that the drives' answers may take
 LEAST_ANSWER_S = 0.002
 SWITCHED_S = 10.0  # a supply has to be on or off after; its driver gives up before where it is told that it is not
 LONGEST_PAUSE_S = 3600.0  # after it nobody is beside the bench any more, and the run ends in order
+CUT_SHORT, NOT_JUDGED = "cut short", "not judged"  # how a criterion may end, beside that it is met or not
 NOTICES_EVERY = 16  # cycles: nothing is done about them, so they need not cost every cycle
 
 Operator = Callable[[str], Callable[[], bool]]
@@ -69,6 +75,7 @@ class Loop:
         self._pausing = False
         self._modes: dict[str, Mode] = {}
         self._limited = limits.any
+        self.outcomes = Outcomes()
         self._clock = bench.clock
         self._period = 1.0 / plan.rate_Hz
         self._answer_s = max(ANSWER_SHARE * self._period, LEAST_ANSWER_S)
@@ -100,7 +107,11 @@ class Loop:
         self._watchdog.begin(self._period)
         try:
             self._cycle()
-            for action in self._plan.actions:
+            actions = iter(self._plan.actions)
+            for action in actions:
+                if isinstance(action, When):
+                    self._decide(action, actions)
+                    continue
                 self._perform(action)
                 if self._wishes.paused() and self._rests:
                     self._pause()
@@ -131,6 +142,24 @@ class Loop:
             case Record():
                 self._every = round(self._plan.rate_Hz / action.rate_Hz) if action.rate_Hz else 0
                 self._phase = 0
+
+    def _decide(self, when: When, actions: Iterator[Action]) -> None:
+        """Leave out what follows a condition, up to its end, where it is not fulfilled."""
+        condition, known = when.condition, ""
+        if isinstance(condition, InRange):
+            value = self._reading(condition.quantity, condition.role)
+            fulfilled, known = condition.low <= value <= condition.high, f", it is {value:.4g}"
+            if math.isnan(value):
+                self._progress.warnings.append(f"when {condition}: there is no reading, its steps are left out")
+        else:
+            fulfilled = self.outcomes.fulfils(condition)
+        self._note("info", "runner", f"when {condition}{known}: {'done' if fulfilled else 'left out'}")
+        opened = 0 if fulfilled else 1
+        while opened:
+            action = next(actions)
+            opened += isinstance(action, When) - isinstance(action, EndWhen)
+            self._planned += action.duration_s if isinstance(action, Segment) else 0.0
+        self._progress.done_s = self._planned
 
     @property
     def _rests(self) -> bool:
@@ -236,13 +265,16 @@ class Loop:
 
     # -- actions -----------------------------------------------------------------------------------------------------
 
-    def _move(self, segment: Segment) -> None:
+    def _move(self, planned: Segment) -> None:
         """Follow setpoints; the step is noted with the time it really took, even where it is cut short."""
+        segment = self.outcomes.chosen(planned)
         began = self.time
         self._progress.step = segment.name
         setpoints = list(segment.setpoints.items())
-        until, ended = segment.until, ""
+        until, ended = segment.until, CUT_SHORT
         judge = None if until is None else Judge(until, began + segment.settle_s)
+        parameters: dict[str, Any] = dict(segment.parameters)
+        scaled = False
         if segment.duration_s > 0.0:
             self._limits.enter(segment.name, began + segment.settle_s)
         try:
@@ -253,32 +285,47 @@ class Loop:
             while True:
                 into = self.time - began
                 if into >= last:
+                    ended = "not met"
                     break
                 self._command(setpoints, into)
+                scaled = scaled or (segment.trial is not None and self._scaled(setpoints))
                 self._progress.done_s = self._planned + into
                 self._cycle()
                 if until is not None and judge is not None and self._meets(until, judge):
                     ended = "met"
                     break
             self._command(setpoints, segment.duration_s)
+            if segment.trial is not None and (scaled or (judge is not None and math.isnan(judge.latest))):
+                ended = NOT_JUDGED
+            elif until is not None:
+                parameters |= self.outcomes.take(segment, ended == "met")
         finally:
             for role, profile in setpoints:
                 held = self._modes.get(role) is Mode.ANGLE
                 self._at_rest[role] = held or profile.at(segment.duration_s) == 0.0
             if segment.duration_s > 0.0:
                 self._limits.leave(segment.name, self.time)
-                parameters = (
-                    segment.parameters if judge is None else {**segment.parameters, "until": ended or "not met"}
-                )
+                parameters |= {} if judge is None else {"until": ended}
                 self._writer.step(segment.name, began, self.time, segment.settle_s, parameters)
         self._planned += segment.duration_s
         if until is not None and judge is not None:
-            came = f"{ended or 'not met'} after {self.time - began:.4g} s"
+            at = "".join(f" at {profile.at(0.0):g}" for _role, profile in setpoints if segment.trial is not None)
+            came = f"{ended}{at} after {self.time - began:.4g} s"
             self._note("info", "runner", f"{segment.name}: {until}: {came}, last {judge.latest:.4g}")
-            if until.required and not ended:
+            if until.required and ended != "met":
                 raise DeviceError(
                     f"{segment.name}: {until} was expected; {judge.latest:.4g} after {segment.duration_s:g} s"
                 )
+            if ended == NOT_JUDGED:
+                why = (
+                    "the winding may not carry its current" if scaled else f"there are no readings of {until.quantity}"
+                )
+                raise DeviceError(f"{segment.name}: the trial{at} cannot be judged: {why}")
+        if segment.trial is not None and (answer := self.outcomes.answer(segment.trial.search)):
+            self._note("info", "runner", answer)
+
+    def _scaled(self, setpoints: list[tuple[str, Profile]]) -> bool:
+        return any(self._supervisor.scales(role) for role, _profile in setpoints)
 
     def _meets(self, until: Until, judge: Judge) -> bool:
         """Give the channel's newest sample, each once, and ask whether the criterion is met."""

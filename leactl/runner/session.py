@@ -22,7 +22,7 @@ from leactl.driver.contract import Confirmation, MotionDevice
 from leactl.driver.stopping import doubt
 from leactl.errors import AcceptanceFailed, DeviceError, InputError, SafetyTrip, Stopped
 from leactl.model.motor import load_motor
-from leactl.protocol.plan import Plan, Record, Supply
+from leactl.protocol.plan import Plan, Record, SearchLimit, Supply
 from leactl.runfile.writer import RunInfo, RunWriter, new_run_id
 from leactl.runner import exclusive, latch, state, underway
 from leactl.runner.channel_limits import ACCEPTANCE, Verdict
@@ -87,7 +87,7 @@ class Outcome:
     overruns: int
     notes: Sequence[str] = ()  # what went wrong beside the run and changes nothing of it
     zeros: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # of each tared channel, before and after
-    verdicts: Sequence[Verdict] = ()  # on the limits of channels
+    verdicts: Sequence[Verdict] = ()  # on the limits of channels and searches
 
 
 def execute(
@@ -251,7 +251,10 @@ def _run(
         writer.event(loop.time, level, name, f"safe state: {confirmation.detail}")
     for note in notes:
         writer.event(loop.time, "warning", "view", note)
-    verdicts = limits.verdicts() if error is None or isinstance(error, AcceptanceFailed) else []
+    verdicts: list[Verdict] = []
+    if error is None or isinstance(error, AcceptanceFailed):
+        sought = [limit for limit in plan.acceptance if isinstance(limit, SearchLimit)]
+        verdicts = [*limits.verdicts(), *loop.outcomes.verdicts(sought)]
     for verdict in verdicts:
         writer.event(loop.time, "info" if verdict.met else "warning", ACCEPTANCE, verdict.told)
     try:

@@ -208,6 +208,10 @@ class Supervisor:
         """True once the drive itself reports that it follows its setpoint."""
         return self._axes[role].axis.motion.engaged
 
+    def scales(self, role: str) -> bool:
+        """True while the winding may not carry all of the current that was asked for last."""
+        return self._axes[role].scaled
+
     def command(self, role: str, value: float) -> None:
         """Pass a setpoint on, in the unit of the engaged mode.
 

@@ -123,9 +123,12 @@ def faults(*steps, **head):
         ),
         # steps
         ("hodl: {duration_s: 1}", "9:11  steps[1].hodl: no such step; hold was expected"),
-        ("xyz: 1", "9:10  steps[1].xyz: no such step; one of grid, hold, mode"),
-        ("4", "9:5  steps[1]: a mapping of one key was expected, one of grid, hold, mode"),
-        ("{prompt: a, tare: {samples: 1}}", "9:5  steps[1]: a mapping of one key was expected, one of grid, hold"),
+        ("xyz: 1", "9:10  steps[1].xyz: no such step; one of bisect, grid, hold, mode"),
+        ("4", "9:5  steps[1]: a mapping of one key was expected, one of bisect, grid, hold, mode"),
+        (
+            "{prompt: a, tare: {samples: 1}}",
+            "9:5  steps[1]: a mapping of one key was expected, one of bisect, grid, hold",
+        ),
         ("repeat: {times: 2, steps: []}", "9:31  steps[1].repeat.steps: a list of 1 or more was expected"),
         ("repeat: {times: 2, steps: [{hold: {duration_s: -1}}]}", "9:52  steps[1].repeat.steps[0].hold.duration_s: -1"),
         (

@@ -1,5 +1,7 @@
 """Holds that end by a criterion: the statistic, and whole runs within the planned bounds."""
 
+import signal
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -80,3 +82,10 @@ def test_a_window_of_few_cycles_is_judged_as_it_ends():
     times = np.arange(1, 20) * 0.01
     time, _ = course(until("mean", low=1.0, window=0.03), times, np.full(19, 2.0))
     assert time == pytest.approx(0.03)
+
+
+def test_a_hold_that_is_cut_short_is_not_told_as_not_met(spin):
+    outcome, _bench = spin(adaptive(1000.0), at=[(0.5, lambda _bench: signal.raise_signal(signal.SIGINT))])
+    assert outcome.status == "stopped"
+    with Run.open(outcome.path) as run:
+        assert run.steps[-1].parameters["until"] == "cut short"

@@ -11,7 +11,19 @@ from hypothesis import strategies as st
 
 from leactl.driver.contract import Mode
 from leactl.errors import InputError
-from leactl.protocol.plan import Constant, Engage, Plan, Ramp, Samples, Segment, Until
+from leactl.protocol.plan import (
+    Constant,
+    EndWhen,
+    Engage,
+    Plan,
+    Ramp,
+    Samples,
+    Segment,
+    Sought,
+    StepOutcome,
+    Until,
+    When,
+)
 from leactl.runner.operators import granted
 from leactl.runner.request import prepare
 from leactl.runner.session import execute
@@ -377,3 +389,120 @@ def test_every_course_stays_below_the_forecast_of_the_plan(holds):
     if forecast.passing is None:
         assert course.passing is None
         assert course.peaks["test"] <= forecast.peaks["test"] + 0.1  # K, of steps that lie otherwise
+
+
+# -- searches and conditions -------------------------------------------------------------------------------------------
+
+MAYBE = When(StepOutcome("search", "bracketed"))
+
+
+def course_of(plan, currents, done):
+    """One course of a plan: trials at these currents, and the steps under each condition done or left out."""
+    chosen, decided, kept, out = iter(currents), iter(done), [], 0
+    for action in plan.actions:
+        if isinstance(action, When):
+            out += 1 if out else not next(decided)
+        elif isinstance(action, EndWhen):
+            out -= 1 if out else 0
+        elif not out:
+            sought = [profile for profile in getattr(action, "setpoints", {}).values() if isinstance(profile, Sought)]
+            changed = {"test": Constant(next(chosen))} if sought else None
+            kept.append(replace(action, setpoints=changed) if changed else action)
+    return replace(plan, actions=tuple(kept))
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.tuples(st.floats(-16.0, 16.0), st.floats(-16.0, 16.0)),
+    st.lists(st.floats(0.0, 1.0), min_size=4, max_size=4),
+    st.lists(st.booleans(), min_size=2, max_size=2),
+    st.sampled_from([Mode.ANGLE, Mode.VELOCITY, Mode.OFF]),
+)
+def test_every_course_of_a_search_stays_below_the_forecast_of_the_plan(ends, shares, done, mode):
+    low, high = sorted(ends)
+    trial = Segment("search", 3.0, 0.0, {"test": Sought(low, high)}, {})
+    trials = [trial, held(0.5, "rest", test=0.0)]
+    plan = made(
+        Engage({"test": Mode.CURRENT, "load": mode}),
+        *trials,
+        MAYBE,
+        *trials,
+        MAYBE,
+        *trials,
+        EndWhen(),
+        EndWhen(),
+        *trials,
+        held(2.0, "behind", test=4.0),
+        setup="locked" if mode is Mode.OFF else "coupled",
+    )
+    course = course_of(plan, [low + share * (high - low) for share in shares], done)
+    forecast, taken = foresight().forecast(plan), foresight().forecast(course)
+    if forecast.passing is None:
+        assert taken.passing is None
+        for role in BOTH:
+            assert taken.peaks[role] <= forecast.peaks[role] + 0.1  # K, of steps that lie otherwise
+
+
+@pytest.mark.parametrize("ends", [(0.0, 12.0), (-12.0, 1.0), (-12.0, 12.0)])
+def test_a_trial_heats_as_the_end_that_is_further_from_zero(ends):
+    at_an_end = foresight().forecast(made(CURRENT, held(5.0, test=12.0))).peaks["test"]
+    sought = Segment("search", 5.0, 0.0, {"test": Sought(*ends)}, {})
+    assert foresight().forecast(made(CURRENT, sought)).peaks["test"] == pytest.approx(at_an_end)
+
+
+@pytest.mark.parametrize("away", [-9.0, 9.0])
+def test_a_drive_that_holds_against_a_search_takes_what_either_end_asks(away):
+    """Which end is the worse one for the load depends on what friction carries already."""
+    modes = Engage({"test": Mode.CURRENT, "load": Mode.ANGLE})
+    before = [modes, held(0.0, test=away), held(2.0, test=away)]
+
+    def load(profile):
+        tried = Segment("search", 5.0, 0.0, {"test": profile}, {})
+        return foresight().forecast(made(*before, tried, held(5.0, test=0.0), setup="coupled")).peaks["load"]
+
+    ends = [load(Constant(-8.0)), load(Constant(7.0))]
+    assert load(Sought(-8.0, 7.0)) >= max(ends) - 1e-9
+
+
+def test_a_rest_that_may_be_left_out_is_no_rest_to_rely_on():
+    rest = held(120.0, "rest", test=0.0)
+    plan = made(CURRENT, *BURST, MAYBE, rest, EndWhen(), *BURST)
+    assert foresight().forecast(made(CURRENT, *BURST, rest, *BURST)).passing is None
+    assert foresight().forecast(plan).passing.step == "burst"
+
+
+def test_a_wait_stands_where_it_cannot_be_left_out():
+    plan = made(CURRENT, *BURST, MAYBE, held(1.0, "rest", test=0.0), EndWhen(), *BURST)
+    longer, forecast = foresight().with_waits(plan)
+    assert forecast.passing is None
+    for done in (True, False):
+        assert foresight().forecast(course_of(longer, (), [done])).passing is None
+
+
+def test_a_wait_for_a_hot_step_under_a_condition_stands_before_it():
+    plan = made(CURRENT, *BURST, MAYBE, *BURST, EndWhen())
+    longer, forecast = foresight().with_waits(plan)
+    assert forecast.passing is None
+    assert foresight().forecast(course_of(longer, (), [True])).passing is None
+
+
+def test_a_wait_is_not_put_under_a_condition_that_ends_before_the_hot_step():
+    let_go = [held(0.0, test=0.0), held(1.0, "rest", test=0.0), held(0.0, test=3.0)]
+    plan = made(CURRENT, *BURST, held(0.0, test=3.0), MAYBE, *let_go, EndWhen(), held(4.0, "burst", test=25.0))
+    longer, forecast = foresight().with_waits(plan)
+    assert forecast.passing is None
+    waits = [place for place, action in enumerate(longer.actions) if getattr(action, "name", "") == "cooldown"]
+    assert waits
+    assert max(waits) < longer.actions.index(MAYBE)
+
+
+def test_what_a_drive_holds_against_is_known_whether_steps_were_left_out_or_not():
+    modes = Engage({"test": Mode.CURRENT, "load": Mode.ANGLE})
+    strained = [modes, held(0.0, test=-9.6), held(1.0, test=-9.6), held(0.0, test=-9.0)]
+    let_go = [held(0.0, test=0.0), held(0.0, test=-9.0)]
+    eased = [held(0.0, test=0.0), held(0.1, test=0.0), held(0.0, test=-9.0), held(0.1, test=-9.0)]
+    for steps in (let_go, eased):
+        plan = made(*strained, MAYBE, *steps, EndWhen(), held(30.0, test=-9.0), setup="coupled")
+        forecast = foresight().forecast(plan).peaks["load"]
+        for done in (True, False):
+            assert forecast >= foresight().forecast(course_of(plan, (), [done])).peaks["load"] - 1e-9

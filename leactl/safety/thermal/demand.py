@@ -4,15 +4,16 @@ A drive that follows a speed or an angle takes what friction, inertia and the ot
 current is planned the speed may be anything up to the bench's limit, or none at all.
 """
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from leactl.driver.contract import Mode
 from leactl.model.motor import Motor
-from leactl.protocol.plan import Action, Constant, Engage, Plan, Profile, Samples, Segment, Supply, Tare
+from leactl.protocol.plan import Action, Constant, Engage, Plan, Profile, Samples, Segment, Sought, Supply, Tare
 from leactl.safety.limits import LEADS
 from leactl.safety.thermal.box import Array, Box
 from leactl.safety.thermal.guard import GuardSettings
@@ -34,8 +35,17 @@ class State:
 
     @property
     def constant(self) -> bool:
-        """Whether every setpoint stays as it is."""
-        return all(profile.low == profile.high for profile in self.setpoints.values())
+        """Whether every setpoint stays as it is, wherever that may be."""
+        return all(isinstance(profile, Sought) or profile.low == profile.high for profile in self.setpoints.values())
+
+    @property
+    def ends(self) -> "list[State]":
+        """The state with every setpoint that is still to be chosen at either of its ends; itself where none is."""
+        sought = {role: profile for role, profile in self.setpoints.items() if isinstance(profile, Sought)}
+        if not sought:
+            return [self]
+        chosen = itertools.product(*((Constant(one.low), Constant(one.high)) for one in sought.values()))
+        return [replace(self, setpoints={**self.setpoints, **dict(zip(sought, ends, strict=True))}) for ends in chosen]
 
     @property
     def listed(self) -> bool:
@@ -62,8 +72,10 @@ def states(plan: Plan) -> Iterator[State]:
             shortest = min(duration, action.settle_s + action.until.window_s)
         yield State(name, duration, dict(modes), dict(setpoints), {k: v for k, v in leads.items() if v}, shortest)
         if isinstance(action, Segment):
-            ended = {role: Constant(profile.at(action.duration_s)) for role, profile in action.setpoints.items()}
-            setpoints |= ended
+            setpoints |= {
+                role: profile if isinstance(profile, Sought) else Constant(profile.at(action.duration_s))
+                for role, profile in action.setpoints.items()
+            }
 
 
 def _name_and_duration(plan: Plan, action: Action) -> tuple[str, float]:
@@ -89,6 +101,19 @@ class Held:
         high = max(balance - least, min(self.high, balance + most))
         return Held(low, high, self.told)
 
+    def joined(self, other: "Held") -> "Held":
+        """Bounds that hold whichever of the two has come to be; none, where they hold the shaft elsewhere."""
+        if self.told != other.told:
+            return Held(-math.inf, math.inf, self.told)
+        return Held(min(self.low, other.low), max(self.high, other.high), self.told)
+
+
+def either(held: Mapping[int, Held], other: Mapping[int, Held]) -> dict[int, Held]:
+    """Bounds by place among the roles, whichever of two courses was taken."""
+    both = {place: held[place].joined(other[place]) for place in held.keys() & other.keys()}
+    alone = {**other, **held}
+    return {place: both.get(place, Held(-math.inf, math.inf, one.told)) for place, one in alone.items()}
+
 
 class Demand:
     """Currents and speeds of all actuators of a bench under its plans, from one moment to the next."""
@@ -110,6 +135,21 @@ class Demand:
         return self._followed(plan, state, at)[:3]
 
     def _followed(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array, dict[int, Held]]:
+        """Square currents, both speeds and strains; of each actuator the worst of the ends of what is not chosen yet.
+
+        No setpoint between the ends asks for more: a role's own current is largest at one of them, and the bounds of
+        what another drive holds against it rise with it.
+        """
+        courses = [self._followed_at(plan, end, at) for end in state.ends]
+        squares, turned, speeds, helds = courses[0]
+        for other in courses[1:]:
+            squares, speeds = np.maximum(squares, other[0]), np.maximum(speeds, other[2])
+            turned, helds = np.minimum(turned, other[1]), either(helds, other[3])
+        return squares, turned, speeds, helds
+
+    def _followed_at(
+        self, plan: Plan, state: State, at: Sequence[float]
+    ) -> tuple[Array, Array, Array, dict[int, Held]]:
         currents, most = np.zeros((len(self._roles), len(at))), self._settings.most_current
         speeds, planned = self._speeds(plan, state, at)
         accelerations = self._accelerations(plan, state, at)

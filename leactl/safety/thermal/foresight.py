@@ -13,10 +13,10 @@ import numpy as np
 
 from leactl.driver.contract import Mode
 from leactl.model.motor import Motor
-from leactl.protocol.plan import Plan, Segment
+from leactl.protocol.plan import EndWhen, Plan, Segment, When
 from leactl.safety.thermal.bound import LONGEST_STEP_S, ThermalBound, lateness
 from leactl.safety.thermal.box import Array, Box
-from leactl.safety.thermal.demand import Demand, Held, State, states
+from leactl.safety.thermal.demand import Demand, Held, State, either, states
 from leactl.safety.thermal.guard import LOOK_S, MARGIN_K, STEP_S, TURN_S, Budgets, GuardSettings
 from leactl.safety.thermal.turning import LED_ALIGNED
 
@@ -70,7 +70,7 @@ class Foresight:
         """Follow a plan from its start until its end, or until a winding may pass its limit."""
         self._bound.state = self._start
         peaks = dict(zip(self._roles, self._bound.hottest().tolist(), strict=True))
-        self._marks = [_Mark(self._start, {}, 0.0, peaks)]
+        self._marks = [_Mark(self._start, {}, 0.0, peaks, ())]
         return self._go_on(plan, 0)
 
     def with_waits(self, plan: Plan) -> tuple[Plan, Forecast]:
@@ -106,8 +106,16 @@ class Foresight:
         del self._marks[place + 1 :]
         mark, bound = self._marks[place], self._bound
         bound.state, self._demand.held, time, peaks = mark.state, mark.held, mark.time, dict(mark.peaks)
+        opened = mark.opened
         limit = self._settings.limit - MARGIN_K
         for index, state in islice(enumerate(states(plan)), place, until):
+            match plan.actions[index]:
+                case When():
+                    opened = (*opened, _Before(bound.state, self._demand.held))
+                case EndWhen():  # what lies between may have been left out
+                    before, opened = opened[-1], opened[:-1]
+                    bound.state = np.maximum(bound.state, before.state)
+                    self._demand.held = either(self._demand.held, before.held)
             ends_after, worst = time + state.shortest, bound.state
             for piece in self._pieces(plan, state):
                 before, former = bound.hottest().tolist(), bound.state
@@ -125,7 +133,7 @@ class Foresight:
                         return Forecast(peaks, Passing(index, state.name, time, role))
             if state.shortest < state.duration:  # what heats may have ended last, and what cools first
                 bound.state = worst
-            self._marks.append(_Mark(bound.state, self._demand.held, time, dict(peaks)))
+            self._marks.append(_Mark(bound.state, self._demand.held, time, dict(peaks), opened))
         return Forecast(peaks, None)
 
     def _pieces(self, plan: Plan, state: State) -> Iterator["_Piece"]:
@@ -208,6 +216,13 @@ class Foresight:
         return lateness(behind, np.asarray(own) if durations is None else durations, unseen, self._bound.decay_s)
 
 
+class _Before(NamedTuple):
+    """How everything stands before actions that may be left out."""
+
+    state: Array
+    held: Mapping[int, Held]
+
+
 class _Mark(NamedTuple):
     """How everything stands as an action begins."""
 
@@ -215,6 +230,7 @@ class _Mark(NamedTuple):
     held: Mapping[int, Held]
     time: float  # s
     peaks: Mapping[str, float]  # degC, until then
+    opened: tuple[_Before, ...]  # of each condition that the action is under
 
 
 class _Piece(NamedTuple):
@@ -233,9 +249,17 @@ def _aligned(turned: Array) -> Array:
 
 
 def _last_at_rest(plan: Plan, before: int) -> int:
-    """The last action, up to one, as which begins no current is asked for, from drive or supply, and no speed."""
-    place = 0
+    """The last action, up to one, as which begins no current is asked for, from drive or supply, and no speed.
+
+    It is under no condition that ends before that one, for a wait there might be left out.
+    """
+    place, opened = 0, []
     for index, state in enumerate(islice(states(plan), before), start=1):
+        action = plan.actions[index - 1]
+        if isinstance(action, When):
+            opened.append(place)
+        elif isinstance(action, EndWhen):
+            place = opened.pop()
         resting = not state.leads and all(
             state.modes.get(role, Mode.OFF) in (Mode.OFF, Mode.ANGLE) or profile.at(state.duration) == 0.0
             for role, profile in state.setpoints.items()

@@ -1,0 +1,85 @@
+"""Bisections: a number of trials that is known before the first one, each at a setpoint between two ends.
+
+The first two trials are at the ends. The others are between them, at setpoints that the run chooses, and are left out
+where both ends have the same outcome. Behind every trial the setpoint is zero.
+"""
+
+from leactl.driver.contract import Mode
+from leactl.protocol.criteria import criterion
+from leactl.protocol.plan import (
+    BISECTING,
+    SETPOINT_QUANTITY,
+    Constant,
+    EndWhen,
+    Search,
+    Sought,
+    StepOutcome,
+    Trial,
+    When,
+)
+from leactl.protocol.setpointkeys import CURRENT, SPELLINGS
+from leactl.protocol.steps import BisectStep, Step
+from leactl.protocol.timeline import Timeline
+
+MAX_HALVINGS = 32  # no setpoint of a drive has more bits
+
+
+def bisect(timeline: Timeline, step: Step, pass_number: int) -> None:
+    """Expand a bisection; `pass_number` counts the passes of the repeats around it."""
+    content: BisectStep = step.content
+    lasts = content.hold_s, content.settle_s
+    timeline.check_times(step, ("settle_s", "hold_s"), *lasts)
+    until = criterion(timeline, step, ("criterion", "hold_s"), lasts)
+    mode = timeline.roles[content.role].mode
+    search = Search(
+        content.name,
+        content.role,
+        SETPOINT_QUANTITY[Mode.CURRENT],
+        content.from_current_A,
+        content.to_current_A,
+        content.resolution_A,
+        content.otherwise == "fail",
+    )
+    if timeline.modes_known and SPELLINGS.get(mode) is not CURRENT:
+        message = f"{content.role} is {'off' if mode is Mode.OFF else f'in {mode} mode'} at this point"
+        timeline.complain(step, "role", f"{message}; current or torque_profile was expected")
+        return
+    if not _sound(timeline, step, search):
+        return
+    rest_s = max(content.rest_s, 1.0 / timeline.rate_hz)
+    timeline.foresee(step, 2 * search.trials, search.trials * (content.hold_s + rest_s))
+    where: dict[str, float | str] = {"role": content.role, "repeat": pass_number}
+    ends = search.first, search.second
+    between = Sought(min(ends), max(ends))
+    for number in range(1, search.trials + 1):
+        if number == len(ends) + 1:
+            timeline.add(step, When(StepOutcome(search.name, BISECTING)))
+        profile = between if number > len(ends) else Constant(ends[number - 1])
+        timeline.segment(
+            step,
+            content.name,
+            content.hold_s,
+            {content.role: profile},
+            {**where, "trial": number},
+            content.settle_s,
+            until,
+            Trial(search, number),
+        )
+        timeline.hold(step, "rest", (rest_s, 0.0), content.role, 0.0, where)
+    timeline.add(step, EndWhen())
+
+
+def _sound(timeline: Timeline, step: Step, search: Search) -> bool:
+    """Whether ends and resolution make a search; faults are noted."""
+    span = abs(search.second - search.first)
+    if not span > 0.0:
+        timeline.complain(step, "to_current_A", f"{search.second:g} A: another end than from_current_A was expected")
+    elif search.resolution >= span:
+        message = f"{search.resolution:g} A: less than the {span:g} A between the ends was expected"
+        timeline.complain(step, "resolution_A", message)
+    elif span / search.resolution > 2.0**MAX_HALVINGS or search.halvings > MAX_HALVINGS:
+        message = f"{search.resolution:g} A: at least {span / 2.0**MAX_HALVINGS:.3g} A was expected"
+        timeline.complain(step, "resolution_A", message)
+    else:
+        return True
+    return False

@@ -1,0 +1,58 @@
+"""Criteria on channels: what a wait, a hold, a trial or a condition asks of a reading, with its bounds checked."""
+
+import math
+
+from leactl.protocol.plan import LEAST_SAMPLES, Until
+from leactl.protocol.steps import CriterionBlock, Step, WaitStep, WhenStep
+from leactl.protocol.timeline import Timeline
+from leactl.quantities import UNITS
+
+
+def criterion(
+    timeline: Timeline, step: Step, keys: tuple[str, str], lasts: tuple[float, float], *, required: bool = False
+) -> Until:
+    """The criterion of a step; faults are noted.
+
+    Parameters
+    ----------
+    keys : of the criterion and of the duration.
+    lasts : duration and settle window [s].
+    """
+    block: CriterionBlock = getattr(step.content, keys[0])
+    low, high = bounds(timeline, step, block, (keys[0],), "/s" if block.statistic == "slope" else "")
+    where = keys[0], "window_s"
+    if lasts[1] + block.window_s > lasts[0]:
+        message = f"settle_s and a window of {block.window_s:g} s are longer than {keys[1]}; less was expected"
+        timeline.complain(step, where, message)
+    least = LEAST_SAMPLES / timeline.rate_hz
+    if block.window_s < least * (1 - 1e-9):
+        message = f"{block.window_s:g} s: at least {LEAST_SAMPLES} cycles ({least:g} s) were expected"
+        timeline.complain(step, where, message)
+    return Until(block.quantity, block.role, block.statistic, block.window_s, low, high, required)
+
+
+def bounds(
+    timeline: Timeline,
+    step: Step,
+    content: WaitStep | CriterionBlock | WhenStep,
+    under: tuple[str, ...] = (),
+    per: str = "",
+) -> tuple[float, float]:
+    """Lowest and highest value that a channel is waited for, infinite where open; faults are noted."""
+    unit = UNITS.get(content.quantity or "")
+    if unit is None:
+        message = f"{content.quantity!r}: one of {', '.join(UNITS)} was expected"
+        timeline.complain(step, (*under, "quantity"), message)
+    elif content.unit != unit + per:
+        timeline.complain(step, (*under, "unit"), f"{content.unit!r}: {content.quantity} is in {unit + per}")
+    low = -math.inf if content.above is None else content.above
+    high = math.inf if content.below is None else content.below
+    if math.isinf(low) and math.isinf(high):
+        timeline.complain(step, (*under, "below"), "below, above or both were expected")
+    if low > high:
+        message = f"no value is below {high:g} and above {low:g}"
+        if under:
+            timeline.complain(step, (*under, "below"), message)
+        else:
+            timeline.complain_of_either(step, ("below", "above"), message)
+    return low, high
