@@ -1,7 +1,7 @@
 """`leactl protocol` as a person's shell sees it."""
 
+import contextlib
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -220,13 +220,17 @@ def test_a_protocol_that_is_not_known(command):
     )
 
 
-def test_ctrl_c_while_a_file_is_read_ends_as_stopped_by_a_person(tmp_path):
-    pipe = tmp_path / "endless.yaml"
-    os.mkfifo(pipe)
-    command = [*COMMAND, "protocol", "check", str(pipe)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
-        ours = os.open(pipe, os.O_WRONLY)  # returns once the command has opened its end and reads
-        running.send_signal(signal.SIGINT)
-        out, error = running.communicate(timeout=60)
-    os.close(ours)
+def test_ctrl_c_while_a_file_is_read_ends_as_stopped_by_a_person():
+    more_than_a_pipe_holds = b"# a protocol that does not end\n" * 8000
+    command = [*COMMAND, "protocol", "check", "-"]
+    streams = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    with subprocess.Popen(command, **streams) as running:
+        running.stdin.write(more_than_a_pipe_holds)  # returns once the command reads
+        running.stdin.flush()
+        for _ in range(5):  # one that comes just before the read is waiting is seen with the next
+            running.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                running.wait(timeout=10)
+                break
+        out, error = running.stdout.read().decode(), running.stderr.read().decode()
     assert (running.returncode, out, error) == (4, "", "leactl: stopped\n")
