@@ -57,7 +57,7 @@ class ChannelSpec(NamedTuple):
     device: str
     long_name: str = ""
     location: str = ""
-    sampling: str = "instant"  # or "mean": over the interval that ends at the stamp
+    sampling: str = "instant"  # or "mean": over the interval that ends at the stamp; empty: known to within one sample
     units: str = ""  # empty: the vocabulary's own
     dtype: str = "f4"  # storage; angles take "f8", float32 loses counts after a few hundred turns
     skew_s: float = 0.0  # from the row's stamp to this channel's own sample, behind a multiplexer

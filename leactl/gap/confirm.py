@@ -16,7 +16,7 @@ def held_out_gains(evidence: Evidence, hypothesis: Sequence[Candidate], held_out
     """
     if not held_out or not hypothesis:
         return [np.nan] * len(hypothesis)
-    others = Evidence(held_out, evidence.model, only=list(hypothesis))
+    others = Evidence(held_out, evidence.model, only=list(hypothesis), pinned=evidence.pinned)
     if not others.stack.rows:
         return [np.nan] * len(hypothesis)
     evidence.settle(hypothesis)

@@ -24,6 +24,7 @@ from leactl.gap.servo import answer as servo_answer
 from leactl.gap.servo.ladder import climb
 from leactl.gap.servo.runs import side_by_side
 from leactl.gap.shrinkage import shrinkage
+from leactl.gap.stamps import stamp_notes, stamped
 from leactl.gap.where import profiles, where
 from leactl.gap.withdrawal import Applied, Fitted, Refit, apply
 from leactl.model.nominal import Model, read_model
@@ -133,6 +134,8 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     progress("simulating again")
     kinds = {(record.kind, record.mechanical) for record in case.held_out}
     replayed = [*case.held_out, *(r for r in case.fitted if (r.kind, r.mechanical) not in kinds)]
+    stamps = evidence.stamping(found.fit)
+    replayed = [stamped(record, stamps) for record in replayed]
     applied = apply(
         case.model,
         calibrated_alone,
@@ -163,6 +166,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
                 + told
                 + applied.notes
                 + notes
+                + stamp_notes(stamps)
                 + beyond_null(evidence, null)
                 + shrunk.notes
                 + questions(case.model, case.fitted, evidence)

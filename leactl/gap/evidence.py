@@ -32,6 +32,7 @@ from leactl.gap.regression import (
     stack,
 )
 from leactl.gap.scales import scales
+from leactl.gap.stamp_fit import overdue, pin, stamping
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 
@@ -90,6 +91,7 @@ class Evidence:
         model: Model,
         only: Sequence[Candidate] | None = None,
         kept: Sequence[str] = (),
+        pinned: Mapping[str, Array] | None = None,
     ) -> None:
         self.model, self.records = model, list(records)
         self.sound: Mapping[tuple[str, str], float] = {}
@@ -117,6 +119,10 @@ class Evidence:
         self.priors.update(dict.fromkeys(self.kept, PINNED))
         self.stack: Stack = stack([rows for _, rows in made], self.priors)
         self.weigh_as_usual()
+        self.pinned = pinned if pinned is not None else overdue(self.stack, self.settle([])) if made else {}
+        if self.pinned:
+            pin(self.stack.rows, self.pinned)
+            self.stack = stack(self.stack.rows, self.priors)
         if only is None and made:
             self.add(strongest(self.stack, self.settle([]), self.weights, ORDERS_TRIED))
 
@@ -181,6 +187,10 @@ class Evidence:
         for rows in self.stack.rows:
             found.setdefault((rows.equation, rows.kind), []).append((rows.noise / rows.white) ** 2 * rows.dependence)
         return {key: float(np.mean(values)) for key, values in found.items()}
+
+    def stamping(self, fit: Fit) -> dict[str, Array]:
+        """By equation whose channels' stamps are not told: weights of neighbouring samples that a fit gives them."""
+        return dict(self.pinned) | {equation: weights for equation, (weights, _) in stamping(self.stack, fit).items()}
 
     def settle(self, hypothesis: Sequence[Candidate], rounds: int = 2) -> Fit:
         """Fit a hypothesis and the noise it leaves, by turns."""

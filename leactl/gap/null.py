@@ -12,8 +12,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
+from leactl.effects.shapes import delayed
 from leactl.gap.diagnosis import CalibratedParameter
 from leactl.gap.evidence import PRIORS, UNTOLD, Evidence, Null
 from leactl.gap.noise import coloured, quantum_of
@@ -24,7 +26,7 @@ from leactl.gap.replay.bearing import TRIED
 from leactl.gap.replay.drive import over_samples
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.plants import plant_of
-from leactl.gap.replay.readings import angle, current
+from leactl.gap.replay.readings import angle, current, velocity
 from leactl.gap.ringing import ringing
 from leactl.gap.search import sizes_by_chance
 from leactl.gap.signals import moved_by_a_servo
@@ -35,6 +37,7 @@ Array = npt.NDArray[np.float64]
 NULLS = 3  # sound machines
 SCALE = "torque_constant"
 FARTHEST = 2.0  # standard deviations of what is usual, that a machine's parameter is drawn off its model
+FARTHEST_STAMP = 1.0  # samples, by which a stamp that no file explains may be off
 SLOW_WIDTH = 8.0  # samples, smoothing of temperatures that drive a simulation
 
 
@@ -124,10 +127,31 @@ def sound_runs(records: Sequence[Record], machines: Sequence[Model], random: np.
         plant.give = float(random.choice(TRIED))  # no model file says it
         sets.append([Job(driven(record), plant, tracked=True) for record in records])
     replay_all([job for own in sets for job in own])
+    for own in sets:
+        logged(own, random)
     return [
         [again for job, record in zip(own, records, strict=True) if (again := recorded(job, record, random))]
         for own in sets
     ]
+
+
+def logged(jobs: Sequence[Job], random: np.random.Generator) -> None:
+    """Let one log stamp the runs of a machine in its own way, as far as its files do not say how they are stamped."""
+    current_late, reference_late, velocity_late = random.uniform(-FARTHEST_STAMP, FARTHEST_STAMP, 3)
+    straight = bool(random.integers(2))  # whether a reference goes on a straight line to its next value
+    for job in jobs:
+        unstamped = job.record.fast.unstamped if job.record.fast is not None else set()
+        if job.current is not None and job.current_mean is not None and ("q_axis_current", "test") in unstamped:
+            late = float(current_late + reference_late) * job.parts
+            job.current, job.current_mean = (
+                delayed(
+                    uniform_filter1d(values, job.parts, origin=(job.parts - 1) // 2) if straight else values, late, 1.0
+                )
+                for values in (job.current, job.current_mean)
+            )
+        if job.velocity is not None and ("velocity", "test") in job.fast and ("velocity", "test") in unstamped:
+            job.velocity = delayed(job.velocity, float(velocity_late) * job.parts, 1.0)
+            job.fast["velocity", "test"] = velocity(job)
 
 
 def driven(record: Record) -> Record:

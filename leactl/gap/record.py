@@ -39,6 +39,10 @@ class Clocked:
     values: dict[Key, Array] = field(default_factory=dict)
     valid: dict[Key, Mask] = field(default_factory=dict)
     means: set[Key] = field(default_factory=set)  # channels that are means over the interval that ends at the stamp
+    unstamped: set[Key] = field(default_factory=set)  # channels of which the file does not say what a stamp means
+    stamping: dict[str, Array] = field(
+        default_factory=dict
+    )  # by equation: how its channels' stamps stand to each other
     units: dict[Key, str] = field(default_factory=dict)
     counts: dict[Key, float] = field(default_factory=dict)  # smallest step of an angle, next to none if interpolated
     between: dict[Key, tuple[Array, Array]] = field(default_factory=dict)  # stamps and values of one taken in between
@@ -216,6 +220,8 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked 
             clocked.counts[key] = smallest_step(group[0].values)
         if group[0].sampling == "mean":
             clocked.means.add(key)
+        elif not group[0].sampling:
+            clocked.unstamped.add(key)
     return clocked
 
 

@@ -77,7 +77,7 @@ def finding(
     effect = library()[candidate[0]]
     if effect.one_sided and values[0] <= 0.0 and not free:
         return None
-    if effect.shaped and not free and not SHAPE[0] < values[0] < SHAPE[1]:
+    if effect.shaped and not (covariance[0, 0] < SHAPE[1] ** 2 and (free or SHAPE[0] < values[0] < SHAPE[1])):
         return None
     if effect.shaped and whole:
         gain = float((2.0 * values[0] - 1.0) / covariance[0, 0])  # of the shape as it is, not of a share of it
@@ -357,7 +357,8 @@ def describe(evidence: Evidence, hypothesis: list[Candidate]) -> Found:
         others = hypothesis[:index] + hypothesis[index + 1 :]
         moved.append(misfit_moved(normal, fit, normal.fit(others)))
         found = finding(evidence, normal, evidence.stack.columns_of(others), hypothesis[index], whole=True)
-        assert found is not None
+        if found is None:  # brought to its whole form it has no place beside the others
+            return describe(evidence, others)
         members.append(found)
         ranked = best_of_each(evidence, normal, others, whole=True)
         rivals.append([found, *(r for r in ranked if r.effect != found.effect and is_possible(evidence, r))])

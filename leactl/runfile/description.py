@@ -74,7 +74,7 @@ def faults_of_channel(place: str, spec: ChannelSpec) -> list[str]:
         faults.append(f"{place}: unit {spec.unit!r} is none of {', '.join(accepted_units(spec.quantity))}")
     if spec.role not in ROLES:
         faults.append(f"{place}: role {spec.role!r} is none of {', '.join(ROLES)}")
-    if spec.sampling not in ("instant", "mean"):
+    if spec.sampling not in ("", "instant", "mean"):
         faults.append(f"{place}: sampling {spec.sampling!r} is neither instant nor mean")
     if np.dtype(spec.dtype).kind != "f":
         faults.append(f"{place}: dtype {spec.dtype!r} cannot hold NaN for a missed sample; use f4 or f8")

@@ -116,7 +116,7 @@ class ChannelMapping(Block):
     location: str = ""
     device: str = ""
     long_name: str = ""
-    sampling: Literal["instant", "mean"] = "instant"
+    sampling: Literal["instant", "mean"] | None = None  # None: a stamp is known to within one sample
     scale_std: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.0  # relative, of the instrument's calibration
 
     @field_validator("quantity")

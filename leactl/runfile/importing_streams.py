@@ -147,7 +147,7 @@ def build_channel(
         device=mapped.device or source.path.name,
         long_name=mapped.long_name,
         location=mapped.location,
-        sampling=mapped.sampling,
+        sampling=mapped.sampling or "",
         units=units if units in LINEAR else "",
         dtype="f8",
         scale_std=mapped.scale_std,

@@ -171,10 +171,14 @@ def channel_attributes(spec: ChannelSpec) -> dict[str, str | float]:
         "role": spec.role,
         "device": spec.device,
         "long_name": spec.long_name or f"{spec.role} {spec.quantity.replace('_', ' ')}",
-        "sampling": spec.sampling,
     }
-    told: dict[str, str | float] = {"location": spec.location, "skew": spec.skew_s, "scale_std": spec.scale_std}
-    return found | {key: value for key, value in told.items() if value}
+    optional: dict[str, str | float] = {
+        "sampling": spec.sampling,
+        "location": spec.location,
+        "skew": spec.skew_s,
+        "scale_std": spec.scale_std,
+    }
+    return found | {key: value for key, value in optional.items() if value}
 
 
 def datasets(node: Any, place: str = "") -> Iterator[tuple[str, Any]]:

@@ -36,7 +36,7 @@ class Channel:
     device: str
     long_name: str
     location: str
-    sampling: str  # "instant", or "mean" over the interval that ends at the stamp
+    sampling: str  # "instant", or "mean" over the interval that ends at the stamp; empty where the file does not say
     stream: str
     scale_std: float = 0.0  # relative standard uncertainty of the calibration, shared by the device's channels
 
@@ -290,10 +290,9 @@ def channel_specs(group: Any) -> list[ChannelSpec]:
         if name != "time":
             attributes = layout.attributes(group[name])
             found = {key: str(value) for key, value in attributes.items()}
-            keys = ("quantity", "role", "device", "long_name", "location", "units")
+            keys = ("quantity", "role", "device", "long_name", "location", "sampling", "units")
             fields = {key: found.get(key, "") for key in keys}
-            sampling = found.get("sampling") or "instant"
             skew, scale_std = (float(attributes.get(key, 0.0)) for key in ("skew", "scale_std"))
             dtype = group[name].dtype.str[1:]
-            specs.append(ChannelSpec(name, **fields, sampling=sampling, dtype=dtype, skew_s=skew, scale_std=scale_std))
+            specs.append(ChannelSpec(name, **fields, dtype=dtype, skew_s=skew, scale_std=scale_std))
     return specs

@@ -17,6 +17,7 @@ from leactl.gap.parameters import nominal_value
 from leactl.gap.replay.cutting import TRACKED
 from leactl.gap.search import ENTRY
 from leactl.gap.signals import resolved, unseen
+from leactl.gap.stamp_fit import LATEST
 from leactl.model.nominal import read_model
 from tests.gap.synthetic import clocked, model, record
 
@@ -159,6 +160,7 @@ def test_without_a_bus_voltage_there_is_no_ceiling(tmp_path):
 def test_the_pages_have_the_numbers_of_the_code():
     gap, decision = (re.sub(r"\s+", " ", (DOCS / page).read_text(encoding="utf-8")) for page in PAGES)
     assert f"must stand {ENTRY} times above" in gap
+    assert f"Nothing up to {LATEST:.0f} samples is called a delay" in gap
     assert {3: "Three"}[NULLS] + " sound machines are simulated" in gap
     assert f"a time constant of {TRACKED:.0f} samples" in decision
     assert f"over stretches of {SEGMENT} samples" in decision

@@ -5,14 +5,16 @@ import math
 import numpy as np
 
 from leactl.effects.contract import Signals
-from leactl.gap.ceiling import CEILING, at_ceiling
+from leactl.gap.ceiling import at_ceiling
 from leactl.gap.equations.contract import STAMPED, Equation
 from leactl.gap.noise import noise_of, quantum_of
 from leactl.gap.record import Record
 from leactl.gap.signals import moved_by_a_servo
 from leactl.gap.smoothing import slope, smooth
+from leactl.gap.stamps import TAPS, stamp_columns
 
 SWIFT = 5.0  # standard deviations of a current's noise, by which a servo may move it between two samples
+BEGINS = 8.0  # time constants of a current loop, after which it has forgotten what was asked before the run
 RECOVERS = 8.0  # samples around the voltage ceiling in which a current loop is still on its way back
 
 
@@ -35,9 +37,8 @@ def voltage(record: Record, s: Signals) -> Equation | None:
         calibration["phase_inductance"] = over_inductance
     if model.resistance_coefficient:
         calibration["resistance_coefficient"] = warm * s.current
-    mask = record.fast.all_valid(("q_axis_voltage", "test"), ("q_axis_current", "test"), ("angle", "test"))
-    if model.bench.bus_voltage:
-        mask &= np.abs(s.voltage) < CEILING * model.bench.bus_voltage / np.sqrt(2.0)
+    keys = ("q_axis_voltage", "test"), ("q_axis_current", "test"), ("angle", "test")
+    mask = record.fast.all_valid(*keys) & ~at_ceiling(record.fast, model)
     return Equation(
         "voltage",
         "q_axis_voltage",
@@ -53,6 +54,7 @@ def voltage(record: Record, s: Signals) -> Equation | None:
             "angle_reading": lambda c: -constant * slope(c, s.interval),
         },
         calibration,
+        shared=stamp_columns("voltage", record.fast, keys, over_resistance + over_inductance + emf),
         width=2.0,
         step=6,
     )
@@ -100,6 +102,8 @@ def current(record: Record, s: Signals) -> Equation | None:
     measured = clock.values["q_axis_current", "test"]
     mask = clock.all_valid(("q_axis_current", "test"), ("q_axis_current_reference", "test"))
     mask &= smooth(at_ceiling(clock, s.model).astype(float), RECOVERS) < 1e-3
+    settles = 1.0 / (2.0 * math.pi * (s.model.bench.current_loop_bandwidth or math.inf))
+    mask &= s.time > BEGINS * settles + TAPS[-1] * s.interval
     change = slope(s.following, s.interval)
     nuisance = {"current_stamp_s": (-change, STAMPED * s.interval)}
     if moved_by_a_servo(clock):
@@ -118,6 +122,9 @@ def current(record: Record, s: Signals) -> Equation | None:
         {"current_following": lambda c: c},
         {},
         nuisance,
+        stamp_columns(
+            "current", clock, [(f"q_axis_current{suffix}", "test") for suffix in ("", "_reference")], s.following
+        ),
         width=0.0,
         step=2,
     )

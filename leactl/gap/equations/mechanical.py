@@ -4,11 +4,12 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.contract import Signals
-from leactl.gap.equations.contract import Equation, Mask, Place
+from leactl.gap.equations.contract import STAMPED, Equation, Mask, Place
 from leactl.gap.equations.motion import LOAD_LAG_S
 from leactl.gap.record import Clocked, Record
 from leactl.gap.signals import averaged, held
 from leactl.gap.smoothing import middle, slope, smooth
+from leactl.gap.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
 SLOW_SHARE = 0.005  # of a run's highest speed, below which it may stand as well
@@ -40,10 +41,11 @@ def free(record: Record, s: Signals) -> Equation | None:
     drive, calibration, places = parts
     left = drive - sum(c for name, c in calibration.items() if name != "torque_constant")
     calibration["torque_constant"] = -drive
-    mask = (
-        moving(s, s.velocity, 4.0) & s.resolved & record.fast.all_valid(("q_axis_current", "test"), ("angle", "test"))
-    )
-    return Equation("free_torque", "velocity", "test", "N*m", left, s, mask, places, calibration)
+    keys = ("q_axis_current", "test"), ("angle", "test")
+    mask = moving(s, s.velocity, 4.0) & s.resolved & record.fast.all_valid(*keys)
+    shared = stamp_columns("free_torque", record.fast, keys, -drive)
+    stamp = {"torque_stamp_s": (slope(drive, s.interval), STAMPED * s.interval)}
+    return Equation("free_torque", "velocity", "test", "N*m", left, s, mask, places, calibration, stamp, shared)
 
 
 def coupled(record: Record, s: Signals) -> Equation | None:
@@ -61,7 +63,9 @@ def coupled(record: Record, s: Signals) -> Equation | None:
     places["torque_reading"] = lambda c: c
     keys = ("torque", "test"), ("q_axis_current", "test"), ("angle", "test")
     mask = moving(s, s.velocity, 4.0) & s.resolved & record.fast.all_valid(*keys)
-    return Equation("coupled_torque", "torque", "test", "N*m", left, s, mask, places, calibration)
+    shared = stamp_columns("coupled_torque", record.fast, keys, drive)
+    shared |= stamp_columns("torque_channel", record.fast, keys, reading)
+    return Equation("coupled_torque", "torque", "test", "N*m", left, s, mask, places, calibration, shared=shared)
 
 
 def both(record: Record, s: Signals) -> Equation | None:
@@ -102,6 +106,7 @@ def both(record: Record, s: Signals) -> Equation | None:
         places,
         calibration,
         {"load_velocity_lag_s": (slope(inertia + damping, s.interval), LOAD_LAG_S)},
+        stamp_columns("both_torque", clock, keys, -drive) | stamp_columns("load_torque", clock, keys, -load_drive),
     )
 
 
@@ -137,7 +142,8 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
         "drag": lambda c: -c,
         "current_reading": lambda c: -constant * c * np.clip(sliding, 0.0, 1.0),
     }
-    mask = record.fast.all_valid(("torque", "test"), ("q_axis_current", "test")) & (swings(s, change) == swinging)
+    keys = ("torque", "test"), ("q_axis_current", "test")
+    mask = record.fast.all_valid(*keys) & (swings(s, change) == swinging)
     return Equation(
         name,
         "torque",
@@ -149,6 +155,7 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
         places,
         {"torque_constant": more},
         nuisance,
+        stamp_columns(name, record.fast, keys, s.torque),
         width=2.0,
         step=6,
     )

@@ -9,6 +9,7 @@ from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import STAMPED, Equation
 from leactl.gap.record import Record
 from leactl.gap.smoothing import BASE, middle, slope, smooth
+from leactl.gap.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
 VELOCITY_WIDTH = 4.0
@@ -23,6 +24,7 @@ def velocity(record: Record, s: Signals) -> Equation | None:
     measured = clock.get("velocity")
     if measured is None:
         return None
+    keys = ("velocity", "test"), ("angle", "test")
     return Equation(
         "velocity",
         "velocity",
@@ -30,10 +32,11 @@ def velocity(record: Record, s: Signals) -> Equation | None:
         "rad/s",
         restored(middle(measured), filter_constant(s), s.interval) - s.velocity,
         s,
-        clock.all_valid(("velocity", "test"), ("angle", "test")) & s.unleapt & s.resolved,
+        clock.all_valid(*keys) & s.unleapt & s.resolved,
         {"velocity_reading": lambda c: c},
         {},
         {"velocity_stamp_s": (-slope(s.velocity, s.interval), STAMPED * s.interval)},
+        stamp_columns("velocity", clock, keys, s.velocity),
         rounding=rounded_speed(s),
         width=VELOCITY_WIDTH,
         step=8,
@@ -60,6 +63,7 @@ def shaft(record: Record, s: Signals) -> Equation | None:
     if load is None or own is None:
         return None
     twisting = slope(s.torque, s.interval) / stiffness
+    keys = ("velocity", "load"), ("angle", "test")
     return Equation(
         "shaft",
         "velocity",
@@ -67,14 +71,15 @@ def shaft(record: Record, s: Signals) -> Equation | None:
         "rad/s",
         restored(own, filter_constant(s), s.interval) - smooth(load) - twisting,
         s,
-        clock.all_valid(("velocity", "load"), ("angle", "test")) & s.resolved,
+        clock.all_valid(*keys) & s.resolved,
         {
             "twist": lambda c: slope(c, s.interval),
             "angle_reading": lambda c: slope(smooth(c), s.interval),
             "velocity_reading": lambda c: c,
         },
         {"bench.shaft_stiffness": -twisting},
-        nuisance={"load_velocity_lag_s": (slope(smooth(load), s.interval), LOAD_LAG_S)},
+        {"load_velocity_lag_s": (slope(smooth(load), s.interval), LOAD_LAG_S)},
+        stamp_columns("shaft", clock, keys, -smooth(load)),
         width=2.0,
         step=4,
     )

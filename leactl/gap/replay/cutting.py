@@ -13,7 +13,9 @@ from leactl.gap.replay.job import Job
 from leactl.gap.replay.lanes import Lanes, Servo, Tracking
 from leactl.gap.replay.starting import reach
 from leactl.gap.smoothing import smooth
+from leactl.gap.stamps import restamped
 
+BALANCE = {"free": "free_torque", "coupled": "coupled_torque"}  # equation that tells how the current's stamps stand
 RESTART_S = 1.0
 TRACKED = 20.0  # samples, time constant by which a tracked rotor is kept near its motion
 FORGOTTEN = 12.0  # of these time constants in a stretch at least: what it began with is gone at its end
@@ -128,9 +130,10 @@ def drive_torque(job: Job, magnets: Array) -> Array:
         assert logged is not None
         logged = logged - (constant or 1.0) * job.plant.current_offset  # a drive's force that is told shares its zero
         return np.append(logged[:1], np.repeat(logged[1:], job.parts))
-    torque = constant * spread(magnets, job.parts) * job.current
+    flowing = restamped(job.current, job.clock.stamping.get(BALANCE.get(job.record.mechanical, "")), job.parts)
+    torque = constant * spread(magnets, job.parts) * flowing
     for saturates in job.plant.torque_share:
-        torque = torque * saturates(job.current)
+        torque = torque * saturates(flowing)
     return torque
 
 

@@ -8,6 +8,7 @@ from leactl.gap.ceiling import at_ceiling
 from leactl.gap.noise import noise_of, quantum_of
 from leactl.gap.replay.job import Job
 from leactl.gap.signals import led, moved_by_a_servo
+from leactl.gap.stamps import restamped
 
 Array = npt.NDArray[np.float64]
 LONGEST_DELAY_S = 0.012  # by which a drive may follow late
@@ -29,6 +30,8 @@ def follow(job: Job) -> None:
         reading, mean = answered(over, over[0], bandwidth, job.step)
         for becomes in plant.loop_answer:
             reading, mean = becomes(reading, job.step), becomes(mean, job.step)
+        late = clock.stamping.get("current")
+        reading, mean = restamped(reading, late, job.parts), restamped(mean, late, job.parts)
         reading, mean = held_back(job, reading, mean)
     else:
         found = measured(job, "test")
@@ -75,6 +78,8 @@ def asked(job: Job) -> Array:
             begins = reference[:-1] + gain * moved[:, 0]
             way = (np.arange(parts) + 0.5) / parts
             ways.append((begins[:, None] + (reference[1:] - begins)[:, None] * way).reshape(-1))
+    if ("q_axis_current", "test") in clock.unstamped:
+        return held  # what a straight line adds is among what its stamps may be
     if len(ways) == 1 or clock.get("q_axis_current") is None:
         return ways[-1]
     return min(ways, key=lambda over: misfit(job, over))

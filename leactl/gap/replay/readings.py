@@ -11,7 +11,9 @@ from leactl.gap.replay.drive import over_samples
 from leactl.gap.replay.heat import resistance_share
 from leactl.gap.replay.job import Job
 from leactl.gap.smoothing import smooth
+from leactl.gap.stamps import restamped
 
+STAMPED_BY = {"velocity": "velocity", "torque": "torque_channel", "q_axis_voltage": "voltage"}  # equations
 REMEMBERED_S = 0.2  # of the motion before a start that filters may remember
 
 
@@ -34,7 +36,7 @@ def read(job: Job) -> None:
     found["q_axis_voltage"] = volts
     for name, values in found.items():
         if values is not None and (clock.get(name) is not None or name == "velocity"):
-            job.fast[name, "test"] = values
+            job.fast[name, "test"] = restamped(values, clock.stamping.get(STAMPED_BY.get(name, "")))
     if volts is not None and clock.get("bus_voltage", "bench") is not None and job.plant.model.bench.bus_voltage:
         job.fast["bus_voltage", "bench"] = bus(job, volts)
     turned = job.record.mechanical == "coupled"  # by the load, which in any other set-up is none of the model's

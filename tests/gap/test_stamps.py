@@ -1,0 +1,83 @@
+"""A log that does not say what its stamps mean is no effect; one that does is taken at its word."""
+
+import numpy as np
+import pytest
+
+from leactl.gap.diagnose import diagnose
+from leactl.gap.evidence import Evidence
+from leactl.gap.search import finding
+from leactl.gap.stamps import TAPS, lateness, neighbour, restamped
+from tests.gap.joints import Log, case, drawn_joint, drawn_log
+
+TOO_FAST = ("command_slew_limit", (1e6,))  # A/s, that no joint's command reaches
+
+
+def named(found):
+    return [cause.effect for cause in found.causes if cause.probability >= 0.5]
+
+
+def sound(seed, told):
+    random = np.random.default_rng(seed)
+    joint = drawn_joint(random)
+    return diagnose(case(joint, Log() if told else drawn_log(random), random))
+
+
+@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_sound_joint_is_called_so_whatever_its_log_leaves_unsaid(seed, told):
+    found = sound(seed, told)
+    assert found.verdict in ("none", "calibration")
+    assert named(found) == []
+    assert any("do not say what their stamps mean" in note for note in found.notes) != told
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("told", [True, False])
+def test_of_many_sound_joints_next_to_all_are_called_so(told):
+    found = [sound(seed, told) for seed in range(100, 140)]
+    wrong = [one for one in found if one.verdict not in ("none", "calibration") or named(one)]
+    assert len(wrong) <= (0.02 if told else 0.05) * len(found), [(one.verdict, named(one)) for one in wrong]
+
+
+def test_a_delay_is_named_that_no_stamps_explain():
+    random = np.random.default_rng(5)
+    joint = drawn_joint(random)
+    found = diagnose(case(joint, drawn_log(random), random, delay=8))
+    assert named(found) == ["transport_delay"]
+
+
+def test_a_delay_of_two_samples_is_named_only_where_stamps_are_told():
+    for told in (True, False):
+        random = np.random.default_rng(6)
+        joint = drawn_joint(random)
+        found = diagnose(case(joint, Log(sampling=told), random, delay=2))
+        assert named(found) == (["transport_delay"] if told else [])
+
+
+def test_an_effect_is_named_in_a_log_without_stamps():
+    random = np.random.default_rng(7)
+    joint = drawn_joint(random)
+    top = joint.constant * joint.top / joint.damping
+    strength = 0.15 * joint.constant * joint.top / top**2
+    found = diagnose(case(joint, drawn_log(random), random, drag=lambda speed: strength * speed * abs(speed)))
+    assert named(found) == ["quadratic_drag"]
+
+
+def test_a_shape_that_no_run_shows_has_no_size():
+    random = np.random.default_rng(8)
+    joint = drawn_joint(random)
+    evidence = Evidence(case(joint, Log(), random).fitted, joint.model(random), only=[TOO_FAST])
+    assert len(evidence.columns(TOO_FAST)) == 1
+    assert finding(evidence, evidence.normal(), evidence.stack.columns_of([]), TOO_FAST, free=True) is None
+
+
+def test_neighbours_make_a_signal_late_by_what_they_are_said_to():
+    time = np.linspace(0.0, 1.0, 400)
+    slow = np.sin(2.0 * np.pi * time)
+    weights = np.zeros(len(TAPS))
+    weights[TAPS == -1], weights[TAPS == 2] = 0.5, -0.1
+    late = lateness(weights)
+    assert late == pytest.approx(0.7)
+    shifted = np.interp(np.arange(400) - late, np.arange(400), slow)
+    np.testing.assert_allclose(restamped(slow, weights)[5:-5], shifted[5:-5], atol=3e-4)
+    np.testing.assert_array_equal(neighbour(slow, 3)[:-3], slow[3:])
