@@ -37,21 +37,17 @@ def bristle(angle: Array, displacement: float) -> Array:
     steps = np.diff(angle, prepend=angle[0])
     decay = np.exp(-np.abs(steps) / displacement)
     gain = np.sign(steps) * (1.0 - decay)
-    out = np.empty(len(angle))
     state = 0.0
-    for index, (d, g) in enumerate(zip(decay.tolist(), gain.tolist(), strict=True)):
-        state = state * d + g
-        out[index] = state
-    return out
+    return np.array([state := state * d + g for d, g in zip(decay.tolist(), gain.tolist(), strict=True)], np.float64)
 
 
 def rate_limited(values: Array, step: float) -> Array:
     """What follows values by no more than a step at a time."""
     if float(np.max(np.abs(np.diff(values)), initial=0.0)) <= step:
         return values
-    out = np.empty(len(values))
-    kept = float(values[0])
-    for index, value in enumerate(values.tolist()):
-        kept += min(max(value - kept, -step), step)
-        out[index] = kept
-    return out
+    kept, out = float(values[0]), []
+    for value in values.tolist():
+        change = value - kept
+        kept += step if change > step else -step if change < -step else change
+        out.append(kept)
+    return np.array(out, np.float64)
