@@ -5,7 +5,6 @@ from contextlib import ExitStack
 
 import pytest
 
-from leactl.emulation.blind.make import make
 from leactl.errors import InputError
 from leactl.gap.thermal_fit import FITTED, thermal_fit
 from leactl.model.motor import load_motor
@@ -22,12 +21,9 @@ def fit(paths):
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("thermal")
-    make(1, folder / "cases", folder / "key", seed=21, kinds=("none",), prefix="bench")
-    key = json.loads((folder / "key" / "key.json").read_text(encoding="utf-8"))
-    [(name, entry)] = key["cases"].items()
-    return sorted((folder / "cases" / name).glob("*.h5")), entry["true_base"]
+def bench(sound_cases, sound_bench):
+    key = json.loads((sound_cases.key / "key.json").read_text(encoding="utf-8"))
+    return sorted(sound_bench.glob("*.h5")), key["cases"][sound_bench.name]["true_base"]
 
 
 def test_the_network_comes_out_within_four_standard_errors(bench):
