@@ -11,7 +11,7 @@ from leactl.errors import InputError
 from leactl.gap.confirm import held_out_gains
 from leactl.gap.diagnosis import CalibratedParameter, Cause, Diagnosis, EffectParameter, Verdict
 from leactl.gap.evidence import Evidence
-from leactl.gap.judge import Judged, judge, left_by_form, unexplained, unrest
+from leactl.gap.judge import Judged, Unexplained, judge, left_by_form, unexplained, unrest
 from leactl.gap.notes import beyond_null, gathered, questions, unlike
 from leactl.gap.null import measure
 from leactl.gap.parameters import calibrated, effect_parameters, with_calibration
@@ -32,6 +32,7 @@ from leactl.model.nominal import Model, read_model
 NAMED = 0.01  # probability above which an effect stands among the causes
 EFFECT = 0.5  # probability above which the verdict is an effect
 UNKNOWN = 0.5  # probability that something unexplained acts, above which the verdict is that where no effect is named
+OUTWEIGHED = 0.1  # of what a set explains, that it may leave beyond noise where something unexplained acts
 CALIBRATED = 25.0  # weighted squares a parameter must gain for the verdict to be calibration
 RIG = ("drive_gain", "load_mass", "load_length", "load_arm_mass")  # by which runs of a protocol differ in kind
 Progress = Callable[[str], None]
@@ -130,6 +131,9 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         calibrated_alone = calibrated_alone if ladder.standing else parameters
         refit = partial(fitted_by_ladder, parameters)
         told = servo_answer.rig_note(ladder.augmented, [record for record in case.fitted if record not in free])
+    elif outweighed(found, surprise):
+        told = tuple(f"not named: {item.finding.effect}; far more is left than it explains" for item in judged)
+        causes = tuple(replace(c, probability=c.probability * (1.0 - surprise.probability)) for c in causes)
     named = [cause for cause in causes if cause.probability >= EFFECT and cause.effect in members]
     progress("simulating again")
     kinds = {(record.kind, record.mechanical) for record in case.held_out}
@@ -179,6 +183,11 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
             "profiles": profiles(replayed, shrunk.channels, located),
         },
     )
+
+
+def outweighed(found: Found, surprise: Unexplained) -> bool:
+    """Whether something unexplained leaves so much that what a set of effects explains may be a part of that."""
+    return surprise.probability >= UNKNOWN and sum(found.left) > OUTWEIGHED * sum(found.taken)
 
 
 def fitted_again(evidence: Evidence, found: Found, causes: Sequence[Cause]) -> Fitted:

@@ -27,6 +27,7 @@ BURSTS = (
     0.3  # of a run's time without samples, from which on its stamps come in bursts: a hold, then a step to the next
 )
 UNBRIDGED = 0.05
+LONG, SMOOTHED = 8, 12  # samples: of a gap that no straight line bridges, and to either side that smoothing carries it
 STRETCHES, EVERY = 16, 8  # of a run, and which of them are taken out of it
 
 
@@ -214,7 +215,7 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked 
             clocked.values[key] = ACTIVE_SHARE * clocked.fed + (1.0 - ACTIVE_SHARE) * np.mean(rest, axis=0)
         else:
             clocked.values[key] = np.mean(values, axis=0)
-        clocked.valid[key] = np.all(valid, axis=0)
+        clocked.valid[key] = without_edges(np.all(valid, axis=0))
         clocked.units[key] = group[0].units
         if key[0] == "angle":
             clocked.counts[key] = smallest_step(group[0].values)
@@ -223,6 +224,16 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked 
         elif not group[0].sampling:
             clocked.unstamped.add(key)
     return clocked
+
+
+def without_edges(valid: Mask) -> Mask:
+    """Valid samples without those that lie beside a long gap: what bridges it is smoothed into them."""
+    gaps = np.flatnonzero(np.diff(np.concatenate([[1], valid.astype(np.intp), [1]])))
+    found = valid.copy()
+    for begin, end in gaps.reshape(-1, 2):
+        if end - begin >= LONG:
+            found[max(begin - SMOOTHED, 0) : end + SMOOTHED] = False
+    return found
 
 
 def region_of(channel: Channel) -> str:

@@ -150,7 +150,8 @@ def _closes(channels: Sequence[tuple[Array, Array]], random: np.random.Generator
 def _log_gaps(sums: Array) -> Array:
     """Logarithms of the gaps of three models, in floors, of sums of squares whose last column is the floor's."""
     tiny = np.finfo(np.float64).tiny
-    return np.asarray(0.5 * np.log(np.maximum(sums[..., :3], tiny) / np.maximum(sums[..., 3:], tiny)), np.float64)
+    logs = np.log(np.maximum(sums, tiny))
+    return np.asarray(0.5 * (logs[..., :3] - logs[..., 3:]), np.float64)
 
 
 def _shrunk(group: list[Compared], random: np.random.Generator) -> Shrinkage:

@@ -57,7 +57,7 @@ def where(records: Sequence[Record], channels: Sequence[Compared]) -> tuple[Wher
             region, share = smallest_region([(by_name[one.run], one) for one in group])
         units = UNITS.get(quantity, "")
         found.append(Where(quantity, role, mechanical, units, nominal, calibrated, floor, region, share))
-    return tuple(sorted(found, key=lambda item: -((item.calibrated_rms / max(item.floor_rms, 1e-300)) ** 2)))
+    return tuple(sorted(found, key=lambda item: -item.calibrated_rms / max(item.floor_rms, 1e-300)))
 
 
 def profiles(records: Sequence[Record], channels: Sequence[Compared], entries: Sequence[Where]) -> tuple[Profile, ...]:

@@ -1,0 +1,40 @@
+"""What is left beside an effect decides whether it may be named; what bridges a gap in a record is no measurement."""
+
+import numpy as np
+import pytest
+
+from leactl.gap.diagnose import diagnose
+from leactl.gap.record import LONG, SMOOTHED, without_edges
+from leactl.model.nominal import Model
+from tests.gap.joints import Log, case, drawn_joint
+
+
+def test_a_small_effect_beside_a_large_rest_is_not_named():
+    """A model without Coulomb friction and without the drive's velocity filter: the filter's lag is a trifle."""
+    random = np.random.default_rng(3)
+    given = case(drawn_joint(random), Log(), random)
+    poor = given.model.model_dump(exclude_none=True)
+    del poor["coulomb_friction"], poor["bench"]["velocity_filter_bandwidth"]
+    given.model = Model(**poor)
+    found = diagnose(given)
+    assert found.verdict == "unknown"
+    assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == []
+    assert any("far more is left than it explains" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "angle", "q_axis_current", "q_axis_current_reference"])
+def test_a_dead_channel_is_an_answer_and_no_crash(quantity):
+    random = np.random.default_rng(4)
+    given = case(drawn_joint(random), Log(), random)
+    for record in [*given.fitted, *given.held_out]:
+        record.fast.values[quantity, "test"][:] = 0.0
+    assert [cause.effect for cause in diagnose(given).causes if cause.probability >= 0.5] == []
+
+
+def test_samples_beside_a_long_gap_are_left_out_and_those_beside_a_short_one_stay():
+    valid = np.ones(200, bool)
+    valid[50 : 50 + LONG] = valid[120 : 119 + LONG] = False
+    kept = without_edges(valid)
+    assert not kept[50 - SMOOTHED : 50 + LONG + SMOOTHED].any()
+    assert kept[50 - SMOOTHED - 1] and kept[50 + LONG + SMOOTHED]
+    assert kept[119] and kept[119 + LONG]
