@@ -44,18 +44,19 @@ class Window:
             if not self.since <= now:
                 self.since = now
             if now - self.since >= self.for_s:
-                bound = self.low if value < self.low else self.high
+                passed, bound = ("fell below", self.low) if value < self.low else ("passed", self.high)
                 lasting = f" for {now - self.since:.3g} s" if self.for_s else ""
                 watch.trip(
-                    f"{watch.label} of {value:.4g} {watch.unit} passed the {self.word} of {bound:g} {watch.unit}"
+                    f"{watch.label} of {value:.4g} {watch.unit} {passed} the {self.word} of {bound:g} {watch.unit}"
                     f"{lasting}{watch.hint(value)}"
                 )
         else:
             self.since = math.nan
         if not self.warn_low <= value <= self.warn_high:
             if not self.told:
-                bound = self.warn_low if value < self.warn_low else self.warn_high
-                watch.warn(f"{watch.label} of {value:.4g} {watch.unit} passed {bound:g} {watch.unit}, where it warns")
+                low = value < self.warn_low
+                passed, bound = ("fell below", self.warn_low) if low else ("passed", self.warn_high)
+                watch.warn(f"{watch.label} of {value:.4g} {watch.unit} {passed} {bound:g} {watch.unit}, where it warns")
             self.told, self.told_at = True, now
         elif self.told and now - self.told_at > REARM_S:
             self.told = False

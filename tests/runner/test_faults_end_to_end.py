@@ -56,7 +56,7 @@ CAUGHT = [
     ),
     (
         "{fault: saturated_sensor, device: drive_test, quantity: q_axis_current, end: low}",
-        End("tripped", "test q_axis_current of -448.9 A passed the limit of -30 A", 0.02),
+        End("tripped", "test q_axis_current of -448.9 A fell below the limit of -30 A", 0.02),
     ),
     (
         "{fault: noisy_sensor, device: torque_sensor, quantity: torque, spread: 6, unit: N*m}",
@@ -89,7 +89,7 @@ CAUGHT = [
     ),
     (
         "{fault: under_voltage, bus_voltage_V: 12}",
-        End("tripped", "test bus_voltage of 12 V passed the limit of 20 V", 1.01),
+        End("tripped", "test bus_voltage of 12 V fell below the limit of 20 V", 1.01),
     ),
     ("{fault: clock_jump, jump_s: 1}", End("failed", "drive_test: no heartbeat of node 1 for 1.0", 1.01)),
     ("{fault: clock_jump, jump_s: -1}", End("tripped", "the bench's clock went back by 0.99 s", 0.02)),

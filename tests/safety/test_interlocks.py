@@ -45,7 +45,7 @@ def test_a_value_beyond_its_trip_at_once_where_no_time_is_given(make):
     rig = make("velocity: {trip_rad_s: 10}")
     rig.run(0.01)
     rig.shaft.velocity = -10.5
-    words = "test velocity of -10.5 rad/s passed the interlock of -10 rad/s"
+    words = "test velocity of -10.5 rad/s fell below the interlock of -10 rad/s"
     assert trips_after(rig, words, 0.1) < rig.period
 
 
@@ -73,7 +73,7 @@ def test_current_angle_and_torque_have_interlocks_of_their_own(make):
     assert trips_after(rig, "test q_axis_current of 5.", 0.1) < 3 * rig.period
     rig = make("angle: {trip_low_rad: -2, trip_high_rad: 3}")
     rig.shaft.angle = -2.5
-    assert trips_after(rig, "test angle of -2.5 rad passed the interlock of -2 rad", 0.1) < rig.period
+    assert trips_after(rig, "test angle of -2.5 rad fell below the interlock of -2 rad", 0.1) < rig.period
     rig = make("torque: {trip_Nm: 6}")
     rig.converter.apply(1.3)
     assert trips_after(rig, "test torque of 6.5 N.m passed the interlock of 6 N.m", 0.1) < 5 * rig.period
@@ -91,7 +91,7 @@ def test_a_supply_out_of_its_band_trips(make):
     rig = make("supply: {expected_V: 29.6, band_V: 3}", bus_voltage_period_s=0.05)
     rig.run(0.2)
     rig.shaft.bus_voltage = 26.0  # well inside the limits of 20 to 60 V
-    assert trips_after(rig, "test bus_voltage of 26 V passed the interlock of 26.6 V", 1) < 0.06
+    assert trips_after(rig, "test bus_voltage of 26 V fell below the interlock of 26.6 V", 1) < 0.06
 
 
 def test_a_warning_is_told_once_a_crossing(make):
@@ -105,7 +105,7 @@ def test_a_warning_is_told_once_a_crossing(make):
     rig.run(1.2)
     rig.shaft.velocity = -6.0
     rig.run(0.1)
-    assert rig.supervisor.take_warnings() == ["test velocity of -6 rad/s passed -5 rad/s, where it warns"]
+    assert rig.supervisor.take_warnings() == ["test velocity of -6 rad/s fell below -5 rad/s, where it warns"]
 
 
 # -- rate of change ----------------------------------------------------------------------------------------------------
@@ -148,7 +148,7 @@ def test_a_temperature_warns_and_trips_after_its_time(make):
     ("volts", "words"),
     [
         (2.98, r"of 298 degC passed the limit of 200 degC \(kelvin\? 24.9 degC would be\)"),
-        (-0.45, "of -45 degC passed the limit of -40 degC"),
+        (-0.45, "of -45 degC fell below the limit of -40 degC"),
     ],
 )
 def test_a_temperature_in_kelvin_or_colder_than_any_bench_trips(make, volts, words):

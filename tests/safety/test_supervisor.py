@@ -79,7 +79,7 @@ def test_a_setpoint_outside_never_reaches_the_drive_and_latches(bench, value):
 def test_a_measured_velocity_past_its_limit_trips_in_the_same_cycle(bench):
     bench.engage()
     bench.shaft.velocity = -40.5
-    with pytest.raises(SafetyTrip, match=r"test velocity of -40.5 rad/s passed the limit of -40 rad/s"):
+    with pytest.raises(SafetyTrip, match=r"test velocity of -40.5 rad/s fell below the limit of -40 rad/s"):
         bench.supervised_cycle()
 
 
@@ -209,7 +209,7 @@ def test_a_bench_may_limit_the_angle_itself():
         check_setpoints(bench.supervisor._limits, {("load", "angle_reference"): 3.0})
     bench = SupervisedBench(LIMITS.model_copy(update={"angle_rad": 1.0}))
     bench.shaft.angle = -1.1
-    with pytest.raises(SafetyTrip, match=r"test angle of -1.1 rad passed the limit of -1 rad"):
+    with pytest.raises(SafetyTrip, match=r"test angle of -1.1 rad fell below the limit of -1 rad"):
         bench.supervised_cycle()
 
 
