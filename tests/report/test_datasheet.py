@@ -107,6 +107,14 @@ def test_rows_are_the_answers_of_the_analyses_beside_the_paper(campaign, sheet):
     assert ["winding capacitance", "", "", "not measured", "", "J/K", "22.9", ""] in rows
 
 
+def test_what_was_measured_stands_before_what_was_not(campaign, sheet):
+    values = [row[3] for row in table(tree(sheet, campaign / "out.html")) if len(row) > 3][1:]
+    lacking = [value == "not measured" for value in values]
+    assert True in lacking
+    assert lacking == sorted(lacking)
+    assert [*sheet.sections[0].rows][:2] == ["friction", "torque-constant"]
+
+
 def test_several_actuators_have_a_row_each_and_one_together(campaign, sheet):
     rows = [row for row in table(tree(sheet, campaign / "out.html")) if row[0] == "torque constant" and len(row) > 2]
     assert [row[2] for row in rows] == ["a1", "a2", "2 actuators"]

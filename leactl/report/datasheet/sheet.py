@@ -8,7 +8,7 @@ from typing import Any
 from leactl.analysis.experiments import names
 from leactl.errors import InputError
 from leactl.report.datasheet.instruments import instruments_of, warnings_of
-from leactl.report.datasheet.rows import Row, rows, unlisted
+from leactl.report.datasheet.rows import NOT_MEASURED, Row, rows, unlisted
 from leactl.report.datasheet.runset import RunSet
 from leactl.report.terminal import printed
 
@@ -142,8 +142,20 @@ def without_common_condition(sets: Sequence[RunSet], section: Section) -> list[s
 
 
 def section_of(sets: Sequence[RunSet], motors: tuple[str, ...]) -> Section:
-    """Rows of every experiment that was measured or that the paper has; those of the paper come first."""
-    by_experiment = {
-        name: rows(sets, motors, name) for name in sorted(names(), key=lambda one: (not printed(one), one))
-    }
-    return Section(motors, {name: own for name, own in by_experiment.items() if own}, unlisted(sets, motors))
+    """Rows of every experiment that was measured or that the paper has.
+
+    What is known comes first, then what runs did not tell, then what was not measured; of each the paper's first.
+    """
+    in_order = sorted(names(), key=lambda one: (not printed(one), one))
+    by_experiment = {name: sorted(rows(sets, motors, name), key=_unknown) for name in in_order}
+    measured = {name: own for name, own in by_experiment.items() if own}
+    return Section(
+        motors, dict(sorted(measured.items(), key=lambda item: min(map(_unknown, item[1])))), unlisted(sets, motors)
+    )
+
+
+def _unknown(row: Row) -> int:
+    """0 for a row with a figure, 1 for one of whose runs nothing came, 2 for one that was not measured."""
+    if any(cell.estimate is not None for cell in row.cells):
+        return 0
+    return 2 if all(cell.lacks == NOT_MEASURED for cell in row.cells) else 1
