@@ -1,7 +1,6 @@
 """`leactl campaign`: many runs in order, gone on with after any interruption."""
 
 import json
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -132,9 +131,9 @@ def run(
     as_json: bool = AS_JSON,
 ) -> None:
     """Begin a campaign or go on with it."""
-    from leactl.errors import AcceptanceFailed, InputError
+    from leactl.errors import AcceptanceFailed
     from leactl.report.campaign import plan_text
-    from leactl.report.outputs import refusal
+    from leactl.report.outputs import check_folder
     from leactl.runner.campaign.conduct import Manner, conduct
     from leactl.runner.campaign.entries import previews
     from leactl.runner.campaign.folder import to_go_on
@@ -142,9 +141,7 @@ def run(
 
     campaign, folder, entries = _read(name, variant, seed, out, operator, realtime, served, bus)
     if dry_run:
-        there = next(one for one in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(one))
-        if why := refusal(there) if there.is_dir() else "not a folder":
-            raise InputError(f"{folder}: cannot be made or written to: {there}: {why}; choose another --out")
+        check_folder(folder)
         _journal, now = to_go_on(campaign, entries, folder, accept_changes, redo_lost)
         expected = previews(entries)
         rows = [

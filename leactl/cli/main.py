@@ -46,6 +46,7 @@ app.command(
     epilog=examples(
         "run friction --bench emulated --out runs",
         "run torque-constant --bench mine.yaml --set hold_s=6 --actuator LEA-2",
+        "run friction --bench mine.yaml --dry-run",
         ends=(*ON_A_BENCH, AcceptanceFailed),
     ),
 )(run.run)

@@ -1,7 +1,7 @@
 """`leactl protocol`: protocol files."""
 
 import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -31,6 +31,7 @@ def list_protocols(as_json: bool = AS_JSON) -> None:
     """List the protocols that ship with leactl."""
     from leactl.protocol.protocolfile import load, names
     from leactl.report.listing import row
+    from leactl.report.plan import duration
 
     plans = [load(name) for name in names()]
     if as_json:
@@ -39,16 +40,17 @@ def list_protocols(as_json: bool = AS_JSON) -> None:
         return
     width = max(len(plan.name) for plan in plans)
     for plan in plans:
-        typer.echo(row(f"{plan.name:<{width}}  {plan.setup:<8} {_duration(plan.duration_s):>10}  ", plan.title))
+        typer.echo(row(f"{plan.name:<{width}}  {plan.setup:<8} {duration(plan.duration_s):>10}  ", plan.title))
 
 
 @app.command(epilog=examples("protocol show friction > mine.yaml"))
 def show(name: str = SHIPPED, as_json: bool = AS_JSON) -> None:
     """Show a protocol's file as it is written, to copy and change."""
     from leactl.protocol.protocolfile import load
+    from leactl.report.plan import head
 
     plan = load(name)
-    typer.echo(json.dumps({**_head(plan), "text": plan.text}) if as_json else plan.text, nl=as_json)
+    typer.echo(json.dumps({**head(plan), "text": plan.text}) if as_json else plan.text, nl=as_json)
 
 
 @app.command(epilog=examples("protocol check mine.yaml", "protocol check - < mine.yaml"))
@@ -61,20 +63,21 @@ def check(
     """Check a protocol: every fault with file, line and column."""
     from leactl import yamlfile
     from leactl.protocol.parameters import unused
+    from leactl.report.plan import duration, head, peaks, searches
 
     plan = _checked(protocol)
     notes = unused(yamlfile.parse(plan.text, protocol))
     if as_json:
-        body = {**_head(plan), "peaks": _peaks(plan), "actions": len(plan.actions), "notes": notes}
-        body |= {"searches": _searches(plan)}
+        body = {**head(plan), "peaks": peaks(plan), "actions": len(plan.actions), "notes": notes}
+        body |= {"searches": searches(plan)}
         typer.echo(json.dumps(body))
         return
     for note in notes:
         typer.echo(f"note: {note}", err=True)
-    for line in _searches(plan):
+    for line in searches(plan):
         typer.echo(line)
     most = "at most " if plan.adaptive else ""
-    typer.echo(f"{plan.name}: {len(plan.actions)} actions, {most}{_duration(plan.duration_s)}, no faults")
+    typer.echo(f"{plan.name}: {len(plan.actions)} actions, {most}{duration(plan.duration_s)}, no faults")
 
 
 @app.command(epilog=examples("protocol plan friction", "protocol plan mine.yaml --bench emulated --set hold_s=6"))
@@ -87,10 +90,11 @@ def plan(
 ) -> None:
     """Print the expanded timeline with duration and peak values; nothing moves."""
     from leactl.protocol.protocolfile import load, read_overrides
+    from leactl.report.plan import head, peaks, plan_lines, searches
 
     expanded = load(protocol, read_overrides(overrides), condition)
     hottest: dict[str, float] = {}
-    passes = ""
+    passes, limits = "", None
     if bench:
         from leactl.bench.bench import Bench
         from leactl.bench.benchfile import host_silences
@@ -105,6 +109,7 @@ def plan(
             file.emulated.expect(condition)
         check_fit(expanded, Bench(file, devices, MachineWiring()))
         check_rate(expanded.rate_Hz, host_silences(devices))
+        limits = file.limits
         forecast = Windings(file, devices, "", cold=True).forecast(expanded)
         hottest = {role: round(value, 2) for role, value in forecast.peaks.items()}
         passes = (
@@ -112,22 +117,10 @@ def plan(
         )
     if as_json:
         rows = [row._asdict() for row in expanded.timeline()]
-        heat = {"searches": _searches(expanded)} | ({"hottest_degC": hottest} if bench else {})
-        typer.echo(json.dumps({**_head(expanded), "peaks": _peaks(expanded), "timeline": rows, **heat}))
+        heat = {"searches": searches(expanded)} | ({"hottest_degC": hottest} if bench else {})
+        typer.echo(json.dumps({**head(expanded), "peaks": peaks(expanded, limits), "timeline": rows, **heat}))
         return
-    typer.echo(f"{expanded.name}: {expanded.title}".rstrip(": "))
-    for name, value in expanded.parameters.items():
-        typer.echo(f"  {name} = {value}")
-    typer.echo(f"{'start/s':>10} {'last/s':>9} {'settle/s':>9}  {'step':<10}  setpoints")
-    for row in expanded.timeline():
-        times = f"{row.start_s:10.3f} {row.duration_s:9.3f} {row.settle_s:9.3f}"
-        typer.echo(f"{times}  {row.name:<10}  {row.setpoints}".rstrip())
-    most = "at most " if expanded.adaptive else ""
-    typer.echo(f"duration {most}{_duration(expanded.duration_s)} ({expanded.duration_s:.3f} s)")
-    for peak in _peaks(expanded):
-        typer.echo(f"peak {peak['role']} {peak['quantity']} {peak['value']:g} {peak['unit']}")
-    for line in _searches(expanded):
-        typer.echo(line)
+    typer.echo("\n".join(plan_lines(expanded, limits)))
     for role, value in hottest.items():
         typer.echo(f"winding {role} at most {value:g} degC from ambient{passes}; see: leactl thermal plan")
 
@@ -149,29 +142,3 @@ def _checked(protocol: str) -> "Plan":
         plan = load(protocol)
         check_analysis(plan, str(locate(protocol)))
     return plan
-
-
-def _head(found: "Plan") -> dict[str, Any]:
-    keys = ("name", "title", "setup", "analysis", "rate_Hz", "record_Hz", "condition", "duration_s")
-    return {**{key: getattr(found, key) for key in keys}, "parameters": dict(found.parameters)}
-
-
-def _searches(found: "Plan") -> list[str]:
-    """One line for each search: its trials, its bounds, and how long it takes at the most."""
-    told = [f"bisect {search.name}: {search}, {seconds:g} s of trials at most" for search, seconds in found.searches()]
-    return [f"{line}{f', {told.count(line)} times' * (told.count(line) > 1)}" for line in dict.fromkeys(told)]
-
-
-def _peaks(found: "Plan") -> list[dict[str, Any]]:
-    from leactl.quantities import UNITS
-
-    return [
-        {"role": role, "quantity": quantity, "value": value, "unit": UNITS[quantity]}
-        for (role, quantity), value in found.peaks().items()
-    ]
-
-
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}"

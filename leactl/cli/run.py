@@ -33,6 +33,7 @@ def run(
     ),
     cold: bool = typer.Option(False, "--cold", help="Nothing has heated the actuators since they were at ambient."),
     insert_cooldown: bool = typer.Option(False, "--insert-cooldown", help="Wait where a winding would grow too hot."),
+    dry_run: bool = typer.Option(False, "--dry-run", help="Check everything, print the plan, and move nothing."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
     """Run a protocol on a bench: every setpoint supervised, every sample in one run file."""
@@ -41,6 +42,19 @@ def run(
 
     request = prepare(protocol, bench, settings, actuator, condition, operator, out, realtime, served, bus)
     request = replace(request, cold=cold, insert_cooldown=insert_cooldown)
+    if dry_run:
+        from leactl.report.outputs import check_folder
+        from leactl.report.plan import rehearsal_body, rehearsal_text
+        from leactl.runner.session import rehearse
+
+        check_operator(request)
+        check_folder(out)
+        rehearsal = rehearse(request)
+        body = rehearsal_body(request, rehearsal)
+        for text in rehearsal.warnings:
+            print(f"leactl: warning: {text}", file=sys.stderr)
+        typer.echo(json.dumps(body) if as_json else rehearsal_text(request, rehearsal, body))
+        return
     with to_the_end():
         outcome = perform(request)
     answer = told(outcome) | {"acceptance": [dict(verdict.row) for verdict in outcome.verdicts]}
@@ -64,8 +78,6 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
     from rich.console import Console
 
     from leactl.bench.provenance import overdue
-    from leactl.errors import InputError
-    from leactl.protocol.plan import Prompt
     from leactl.report.live import live_view
     from leactl.runner.operators import granted, keyboard
     from leactl.runner.progress import Progress
@@ -73,9 +85,7 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
 
     console = Console(file=sys.__stderr__)
     emulated = request.bench.emulated is not None
-    prompts = any(isinstance(action, Prompt) for action in request.plan.actions)
-    if prompts and not emulated and not sys.stdin.isatty():
-        raise InputError(f"protocol '{request.plan.name}' asks the operator, and stdin is no terminal")
+    check_operator(request)
     for name, text in overdue(request.devices).items():
         print(f"leactl: warning: {name}: {text}", file=sys.stderr)
     with keyboard(shown=console.is_terminal) as keys:
@@ -86,6 +96,21 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
             return live_view(progress, console)
 
         return execute(request, granted if emulated else keys.ask, watch, [keys.pressed], [keys.pause_pressed])
+
+
+def check_operator(request: "Request") -> None:
+    """Refuse a plan that asks the operator where nobody can answer.
+
+    Raises
+    ------
+    InputError : stdin is no terminal.
+    """
+    from leactl.errors import InputError
+    from leactl.protocol.plan import Prompt
+
+    prompts = any(isinstance(action, Prompt) for action in request.plan.actions)
+    if prompts and request.bench.emulated is None and not sys.stdin.isatty():
+        raise InputError(f"protocol '{request.plan.name}' asks the operator, and stdin is no terminal")
 
 
 def told(outcome: "Outcome") -> dict[str, Any]:

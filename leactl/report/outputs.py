@@ -1,5 +1,6 @@
 """Files that an answer goes to: found fault with all at once, before minutes are spent on what could not be written."""
 
+import os
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,6 +29,18 @@ def check(files: Sequence[Path], inputs: Sequence[Path], also: Sequence[str] = (
     faults += also
     if faults:
         raise InputError(faults)
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse a folder that cannot be made or takes no file.
+
+    Raises
+    ------
+    InputError : with the part of its path that is why.
+    """
+    there = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(path))
+    if why := refusal(there) if there.is_dir() else "not a folder":
+        raise InputError(f"{folder}: cannot be made or written to: {there}: {why}; choose another --out")
 
 
 def refusal(folder: Path) -> str:

@@ -39,6 +39,7 @@ from leactl.safety.cross_checks import TorqueModel
 from leactl.safety.current_tracking import VoltageNeed
 from leactl.safety.disk import check_room, free_bytes, planned_bytes
 from leactl.safety.supervisor import Axis, Supervisor
+from leactl.safety.thermal.foresight import Forecast
 
 SENSED_SETUPS = ("coupled", "locked")  # where the torque sensor sees what the test actuator gives
 Watch = Callable[[Progress], AbstractContextManager[object]]
@@ -115,9 +116,7 @@ def execute(
     run_id = request.run_id or new_run_id(request.plan.name, datetime.now(UTC))
     devices = placed(request.devices, request.directory, run_id if request.in_process else "")
     request = replace(request, run_id=run_id, devices=devices)
-    alone: AbstractContextManager[list[int]]
-    alone = nullcontext([]) if request.in_process else exclusive.held(request.bench, request.devices)
-    with alone as locks, listening() as stop:
+    with _alone(request) as locks, listening() as stop:
         place = state.place_of(request.bench, request.in_process)
         request.latch.refuse()
         about = request.bench.name, request.bench_document.name, request.plan.name
@@ -153,6 +152,8 @@ class Preview:
 def preview(request: Request) -> Preview:
     """Refuse what `execute` would refuse before it opens a device, from windings at ambient; nothing is touched.
 
+    Another run may hold the bench: this one comes later.
+
     Raises
     ------
     InputError, SafetyTrip, DeviceError : as `execute`.
@@ -162,6 +163,40 @@ def preview(request: Request) -> Preview:
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, cold=True)
     ready, bench, _supervisor = _ready(request, windings)
     return Preview(ready.plan.duration_s, _planned_bytes(request.plan, bench))
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """What a run would do that began now."""
+
+    plan: Plan  # with the waits for cooling that it is to insert
+    planned_bytes: float
+    windings: Windings
+    forecast: Forecast
+    warnings: Sequence[str]
+
+
+def rehearse(request: Request) -> Rehearsal:
+    """Refuse what `execute` would refuse now, before it opens a device; its locks are held for a moment only.
+
+    Raises
+    ------
+    InputError, SafetyTrip, DeviceError : as `execute`.
+    """
+    _check(request)
+    with _alone(request):
+        request.latch.refuse()
+    windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
+    ready, bench, _supervisor = _ready(request, windings)
+    warnings = [f"{name}: {text}" for name, text in overdue(request.devices).items()]
+    if fault := state.place_of(request.bench, request.in_process).fault:
+        warnings.append(f"{fault}; see: leactl doctor")
+    return Rehearsal(ready.plan, _planned_bytes(request.plan, bench), windings, windings.forecast(ready.plan), warnings)
+
+
+def _alone(request: Request) -> AbstractContextManager[list[int]]:
+    """The locks of the bench and its buses; a bench of this process needs none."""
+    return nullcontext([]) if request.in_process else exclusive.held(request.bench, request.devices)
 
 
 def _ready(request: Request, windings: Windings) -> tuple[Request, Bench, Supervisor]:

@@ -78,6 +78,52 @@ def test_unusable_input_is_status_2_in_one_line(here, arguments, words):
     assert not (here / "runs").exists()
 
 
+def test_a_dry_run_checks_plans_and_touches_nothing(here):
+    done = leactl("run", "spin.yaml", "--set", "hold_s=0.5", "--dry-run", "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    body = json.loads(done.stdout)
+    assert body["parameters"]["hold_s"] == 0.5
+    assert body["peaks"][0]["limits"] == [-30, 30]
+    assert body["windings"]["test"]["hottest_degC"] < body["windings"]["test"]["limit_degC"]
+    text = leactl("run", "spin.yaml", "--dry-run").stdout
+    assert "bench 'emulated' is not tripped, and no other run holds it\nwould write " in text
+    assert sorted(path.name for path in here.iterdir()) == ["spin.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status"),
+    [
+        (["--bench", "no-such"], 2),
+        (["--set", "current_A=31"], 2),
+        (["--set", "hold_s=3600", "--set", "current_A=29"], 2),  # too hot
+        (["--bench", "testbed", "--set", "seed=1"], 2),
+        (["--out", "spin.yaml/runs"], 2),
+    ],
+)
+def test_a_dry_run_ends_as_the_run_would_at_the_door(here, arguments, status):
+    dry, real = (leactl("run", "spin.yaml", *arguments, *also) for also in (["--dry-run"], []))
+    assert (dry.returncode, dry.stdout, real.returncode) == (status, "", status)
+    assert len(dry.stderr.splitlines()) == 1
+
+
+def test_a_dry_run_asks_for_the_terminal_that_a_prompt_needs(here, testbed):
+    (here / "asks.yaml").write_text(SPIN.replace("steps:\n", "steps:\n  - prompt: mount the mass\n"))
+    for also in (["--dry-run"], []):
+        done = leactl("run", "asks.yaml", "--bench", testbed, "--cold", *also)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert "asks the operator" in done.stderr
+
+
+def test_a_dry_run_meets_latch_and_lock(here, holder, testbed):
+    held = leactl("run", "spin.yaml", "--bench", testbed, "--cold", "--dry-run")
+    assert (held.returncode, held.stdout) == (5, "")
+    assert f"is driven by another run, process {holder.pid}" in held.stderr
+    assert leactl("run", "spin.yaml", "--set", "current_A=2.5", "--set", "hold_s=2").returncode == 3
+    latched = leactl("run", "spin.yaml", "--dry-run")
+    assert (latched.returncode, latched.stdout) == (3, "")
+    assert "leactl bench reset emulated" in latched.stderr
+
+
 def test_an_absent_bus_is_status_5_in_one_line(here, testbed):
     done = leactl("run", "spin.yaml", "--bench", testbed, "--cold")
     assert (done.returncode, done.stdout) == (5, "")

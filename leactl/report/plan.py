@@ -1,0 +1,100 @@
+"""A protocol's plan as text and for scripts: timeline, peaks and searches, and what a run of it would do now."""
+
+import math
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+from leactl.protocol.plan import Plan
+from leactl.quantities import UNITS
+from leactl.runfile.description import new_run_id
+from leactl.runner.session import Rehearsal, Request
+from leactl.safety.limits import Limits
+
+
+def plan_lines(plan: Plan, limits: Limits | None = None) -> list[str]:
+    """The expanded timeline with duration and peak values, beside the limits of a bench where there are any."""
+    lines = [f"{plan.name}: {plan.title}".rstrip(": ")]
+    lines += [f"  {name} = {value}" for name, value in plan.parameters.items()]
+    lines.append(f"{'start/s':>10} {'last/s':>9} {'settle/s':>9}  {'step':<10}  setpoints")
+    for row in plan.timeline():
+        times = f"{row.start_s:10.3f} {row.duration_s:9.3f} {row.settle_s:9.3f}"
+        lines.append(f"{times}  {row.name:<10}  {row.setpoints}".rstrip())
+    most = "at most " if plan.adaptive else ""
+    lines.append(f"duration {most}{duration(plan.duration_s)} ({plan.duration_s:.3f} s)")
+    for peak in peaks(plan, limits):
+        low, high = peak.get("limits") or (-math.inf, math.inf)
+        within = f", limits {low:g} to {high:g} {peak['unit']}" if math.isfinite(high - low) else ""
+        lines.append(f"peak {peak['role']} {peak['quantity']} {peak['value']:g} {peak['unit']}{within}")
+    return [*lines, *searches(plan)]
+
+
+def head(plan: Plan) -> dict[str, Any]:
+    """What a protocol is."""
+    keys = ("name", "title", "setup", "analysis", "rate_Hz", "record_Hz", "condition", "duration_s")
+    return {**{key: getattr(plan, key) for key in keys}, "parameters": dict(plan.parameters)}
+
+
+def searches(plan: Plan) -> list[str]:
+    """One line for each search: its trials, its bounds, and how long it takes at the most."""
+    told = [f"bisect {search.name}: {search}, {seconds:g} s of trials at most" for search, seconds in plan.searches()]
+    return [f"{line}{f', {told.count(line)} times' * (told.count(line) > 1)}" for line in dict.fromkeys(told)]
+
+
+def peaks(plan: Plan, limits: Limits | None = None) -> list[dict[str, Any]]:
+    """The largest setpoint of each quantity and role, and where the limits of a bench have it."""
+    return [
+        {"role": role, "quantity": quantity, "value": value, "unit": UNITS[quantity]}
+        | ({} if limits is None else {"limits": limits.of(quantity)})
+        for (role, quantity), value in plan.peaks().items()
+    ]
+
+
+def duration(seconds: float) -> str:
+    """Hours, minutes and seconds."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}"
+
+
+def rehearsal_body(request: Request, rehearsal: Rehearsal) -> dict[str, Any]:
+    """What a run would do now, for a script."""
+    plan, windings = rehearsal.plan, rehearsal.windings
+    return {
+        **head(plan),
+        "bench": request.bench.name,
+        "actuator": request.actuator,
+        "run": str(request.directory / f"{new_run_id(plan.name, datetime.now(UTC))}.h5"),
+        "planned_bytes": round(rehearsal.planned_bytes),
+        "peaks": peaks(plan, request.bench.limits),
+        "windings": {
+            role: {
+                "begins_degC": round(float(windings.recalled[role].nodes[0]), 2),
+                "known": windings.recalled[role].known,
+                "hottest_degC": round(hottest, 2),
+                "limit_degC": windings.settings.limit,
+            }
+            for role, hottest in rehearsal.forecast.peaks.items()
+        },
+        "tripped": False,
+        "held": False,
+        "searches": searches(plan),
+        "timeline": [row._asdict() for row in plan.timeline()],
+        "warnings": list(rehearsal.warnings),
+    }
+
+
+def rehearsal_text(request: Request, rehearsal: Rehearsal, body: Mapping[str, Any]) -> str:
+    """What a run would do now.
+
+    Parameters
+    ----------
+    body : as `--json` prints it.
+    """
+    lines = plan_lines(rehearsal.plan, request.bench.limits)
+    for role, winding in body["windings"].items():
+        hottest, limit = winding["hottest_degC"], winding["limit_degC"]
+        lines.append(f"winding {role} at most {hottest:g} degC, limit {limit:g} degC; {winding['known']}")
+    lines.append(f"bench '{body['bench']}' is not tripped, and no other run holds it")
+    lines.append(f"would write {body['planned_bytes'] / 1e6:.1f} MB at most, as {body['run']}")
+    return "\n".join(lines)
