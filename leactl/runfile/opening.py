@@ -13,6 +13,7 @@ import h5py
 from leactl.errors import InputError
 from leactl.regular import open_regular
 from leactl.runfile import layout
+from leactl.runfile.heaps import endless_heaps
 from leactl.runfile.tree import faults_of_attributes, faults_of_tree
 from leactl.yamlfile import shown
 
@@ -32,6 +33,7 @@ def open_run_file(path: Path) -> tuple[Any, bool]:
     try:
         with open_regular(path) as raw:
             head = raw.read(FLAGS_AT + 1)
+            endless = endless_heaps(raw) if head.startswith(SIGNATURE) and len(head) > FLAGS_AT else []
     except IsADirectoryError:
         raise InputError(f"{path}: a folder; run files were expected, such as {path / '*.h5'}") from None
     except OSError as fault:
@@ -39,8 +41,12 @@ def open_run_file(path: Path) -> tuple[Any, bool]:
     flags = head[FLAGS_AT] if head.startswith(SIGNATURE) and len(head) > FLAGS_AT and head[8] >= 3 else 0
     if flags & OPEN_FOR_WRITE and not flags & SWMR_WRITE:
         raise InputError(f"{path}: the recording never started (its writer ended while preparing the file); delete it")
+    if endless:
+        raise InputError(f"{path}: damaged: the texts that begin at byte {endless[0]} are not whole")
     live = bool(flags & SWMR_WRITE)
     try:
+        if live:
+            refuse_spoiled_head(path)
         file = h5py.File(path, "r", swmr=live)
     except DAMAGE as fault:
         raise InputError(f"{path}: {why(fault)}") from fault
@@ -52,6 +58,15 @@ def open_run_file(path: Path) -> tuple[Any, bool]:
         file.close()
         raise InputError([f"{path}: {fault}" for fault in faults])
     return file, live
+
+
+def refuse_spoiled_head(path: Path) -> None:
+    """Raise OSError where the superblock is spoiled: in SWMR mode HDF5 would wait for a writer to mend it, for ever."""
+    try:
+        h5py.File(path, "r").close()
+    except OSError as fault:
+        if "checksum" in str(fault):  # else that it is open for writing, as is known
+            raise
 
 
 @contextmanager

@@ -10,7 +10,9 @@ import pytest
 from leactl.errors import InputError
 from leactl.runfile import tree
 from leactl.runfile.catalog import list_runs
+from leactl.runfile.heaps import HEAD
 from leactl.runfile.integrity import altered, recover, verify
+from leactl.runfile.opening import FLAGS_AT, OPEN_FOR_WRITE, SWMR_WRITE
 from leactl.runfile.reader import Run
 from leactl.runfile.writer import RunWriter
 from tests.cli.terminal import leactl
@@ -159,3 +161,37 @@ def test_a_channel_that_packs_well_is_no_bomb(tmp_path: Path):
     with RunWriter(tmp_path, info(), STREAMS) as writer:
         writer.append("loop", np.arange(rows) * 1e-3, np.zeros((rows, 3)))
     assert verify(writer.path) == []
+
+
+def test_blank_texts_do_not_keep_anybody_busy(complete: Path):
+    raw = bytearray(complete.read_bytes())
+    at = raw.index(HEAD)
+    complete.write_bytes(raw[: at + 64] + bytes(512) + raw[at + 576 :])
+    ended = leactl("runs", "verify", complete)
+    assert ended.returncode == 2
+    assert f"{complete}: damaged: the texts that begin at byte {at} are not whole" in ended.stderr
+
+
+def test_a_spoiled_head_that_tells_of_a_writer_is_refused(complete: Path):
+    raw = bytearray(complete.read_bytes())
+    raw[FLAGS_AT] = OPEN_FOR_WRITE | SWMR_WRITE  # the head's checksum is that of a closed file
+    complete.write_bytes(raw)
+    ended = leactl("runs", "show", complete)
+    assert ended.returncode == 2
+    assert "checksum" in ended.stderr
+
+
+def test_thousands_of_attributes_are_weighed_at_once(complete: Path):
+    def change(file):
+        for number in range(12_000):  # begun anew for each of them, HDF5 takes a minute and more
+            file["streams"].attrs[f"more_{number}"] = number
+
+    changed(complete, change)
+    ended = leactl("runs", "show", complete)
+    assert ended.returncode == 0, ended.stderr
+
+
+def test_an_attribute_without_a_value_is_none_of_damage(complete: Path):
+    changed(complete, lambda file: file.attrs.create("remark", h5py.Empty("f8")))
+    with Run.open(complete) as run:
+        assert run.attributes["remark"] == ""
