@@ -18,8 +18,8 @@ from leactl.runfile import layout
 SEAL: Final = "seal"  # attribute of the root and of each addition, and the group with the list
 ADDITIONS: Final = "additions"
 COLUMNS: Final[dict[str, int | None]] = {"path": 0, "sha256": 0}
-FEW: Final = 5  # places with a line each
 OWN: Final = ("sha256", SEAL, ADDITIONS)  # attributes that are digests themselves
+FEW: Final = 5  # places with a line each
 
 
 def entries(node: Any, path: str = "/") -> Iterator[tuple[str, str]]:
@@ -40,7 +40,8 @@ def entries(node: Any, path: str = "/") -> Iterator[tuple[str, str]]:
 
 def object_digest(node: Any) -> str:
     """Digest of what a group or dataset is: its kind, shape, attributes, and the stored checksum of its values."""
-    attributes = {name: value for name, value in layout.attributes(node).items() if name not in OWN}
+    digests = {SEAL, ADDITIONS if node.name == "/" else "sha256" if isinstance(node, h5py.Dataset) else SEAL}
+    attributes = {name: value for name, value in layout.attributes(node).items() if name not in digests}
     if isinstance(node, h5py.Dataset):
         kind = "text" if layout.is_text(node) else node.dtype.newbyteorder("<").str
         return digest_of(["dataset", kind, list(node.shape), layout.plain(node.attrs.get("sha256", "")), attributes])
@@ -105,6 +106,8 @@ def broken(file: Any) -> list[str]:
         return [f"/{SEAL}: the list of what the file held at its close is missing or damaged"]
     if not sealed or layout.plain(file.attrs[SEAL]) != digest_of_table(rows):
         return [f"/{SEAL}: the list of what the file held at its close does not match the root's seal"]
+    if more := more_than_the_list(file[SEAL]):
+        return [f"/{SEAL}: holds more than the list of what the file held at its close: {more}"]
     then, now = {row["path"]: row["sha256"] for row in rows}, dict(entries(file))
     findings = [
         *told(without_members(then.keys() - now.keys()), "is missing; it was there when the run was closed"),
@@ -122,6 +125,13 @@ def broken(file: Any) -> list[str]:
     if noted != (digest_of_additions(file) if later or noted else ""):
         findings.append("/: what was added after the run was closed is not all there, or more was added")
     return findings
+
+
+def more_than_the_list(group: Any) -> str:
+    """What else the group of the list holds, which the list does not cover itself; empty where that is nothing."""
+    members = [name for name in group if name not in COLUMNS]
+    columns = {name for column in COLUMNS for name in layout.attributes(group[column])}
+    return ", ".join(map(repr, [*members, *layout.attributes(group), *(columns - {"sha256"})]))
 
 
 def told(paths: Iterable[str], reason: str) -> list[str]:

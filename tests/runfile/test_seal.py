@@ -58,6 +58,11 @@ TAMPERED = {
     "/extra": lambda file: file.create_group("extra"),
     "/seal: ": remove("seal"),
     "/seal:  ": lambda file: file.attrs.__delitem__("seal"),
+    "/seal: holds more": lambda file: file["seal"].create_group("steps"),
+    "/seal: holds more ": set_attribute("seal", "by", "me"),
+    "/seal: holds more  ": set_attribute("seal/path", "by", "me"),
+    "/streams: attributes": set_attribute("streams", "sha256", "0"),
+    "/streams: attributes ": set_attribute("streams", "additions", "0"),
 }
 
 
