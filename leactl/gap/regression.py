@@ -229,7 +229,8 @@ class Normal:
         scaled[np.diag_indices(len(keep))] += 1e-10
         inverse = np.linalg.inv(scaled)
         values = inverse @ (right / scale) / scale
-        covariance = inverse / np.outer(scale, scale)
+        with np.errstate(over="ignore"):  # a parameter without a prior that no run shows: any value is possible
+            covariance = inverse / np.outer(scale, scale)
         return Fit(keep, values, covariance, self.total - float(values @ right), {})
 
     def residual(self, fit: Fit, index: int) -> float:

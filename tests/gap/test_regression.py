@@ -54,6 +54,16 @@ def test_misfit_is_the_weighted_squares_left_and_the_priors_paid(stacked):
     assert normal.residual(fit, 0) == pytest.approx(np.sqrt(np.mean(residuals(stacked, fit, 0) ** 2)), rel=1e-6)
 
 
+def test_what_no_row_shows_and_no_prior_bounds_may_be_anything():
+    unseen = rows(1)
+    unseen.columns["calibration", "a"] = np.zeros(200)
+    silent = stack([unseen], {"b": 0.5})
+    fit = Normal(silent, [400.0]).fit()
+    variance = dict(zip((silent.names[place] for place in fit.columns), np.diag(fit.covariance), strict=True))
+    assert variance["calibration", "a"] == np.inf
+    assert variance["calibration", "b"] < 0.1
+
+
 @given(st.floats(0.0, 0.9), st.integers(0, 2**20))
 def test_rows_that_lean_on_their_neighbours_count_for_less(lean, seed):
     random = np.random.default_rng(seed)
