@@ -39,6 +39,7 @@ CAMERA = "Emissivity: 0.95\nTime (s),R1 Avg (°C),R2 Avg (°C)\n" + "".join(
     f"{k / 30:.3f},{25 + 0.01 * k:.2f},{24 + 0.005 * k:.2f}\n" for k in range(300)
 )
 NOMINAL = """
+name: mine
 torque_constant: 0.49
 rotor_inertia: 0.0024
 coulomb_friction: 0.208
