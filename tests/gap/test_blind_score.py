@@ -21,14 +21,14 @@ from leactl.gap.blind.marks import Departure, Mark, mark
 from leactl.gap.blind.score import Share, calibration, score
 from leactl.gap.blind.truth import Truth
 
-EFFECTS = ("quadratic_drag",)
+EFFECTS = ("quadratic_drag", "current_sensor_offset")
 
 
 @pytest.fixture(scope="session")
 def cases(tmp_path_factory):
-    """A whole case with one effect that nobody misses."""
+    """Two whole cases with one effect each, nobody misses either."""
     folder = tmp_path_factory.mktemp("blind")
-    make(1, folder / "cases", folder / "key", seed=5, kinds=("single",), effects=EFFECTS, strengths=("strong",))
+    make(2, folder / "cases", folder / "key", seed=5, kinds=("single",), effects=EFFECTS, strengths=("strong",))
     return folder
 
 
@@ -39,14 +39,14 @@ def scored(cases):
     return CliRunner().invoke(app, [*arguments, "--out", str(cases / "report.md"), "--json"])
 
 
-def test_the_case_is_named_and_its_gap_is_closed(scored):
+def test_both_cases_are_named_and_their_gap_is_closed(scored):
     assert scored.exit_code == 0, scored.output
     found = json.loads(scored.stdout)
     assert found["format"] == "leactl-gap-score"
     shares = {line["question"]: (line["count"], line["total"]) for line in found["shares"]}
-    assert shares["one effect, plain or strong: first cause right"] == (1, 1)
-    assert shares["one effect, any: in the reported set"] == (1, 1)
-    assert shares["share closed within 0.08 of an oracle that is told the effect"] == (1, 1)
+    assert shares["one effect, plain or strong: first cause right"] == (2, 2)
+    assert shares["one effect, any: in the reported set"] == (2, 2)
+    assert shares["share closed within 0.08 of an oracle that is told the effect"] == (2, 2)
     assert shares["two effects: both named"] == (0, 0)
     assert found["mean_set_size"] == 1.0
     assert not any("first cause" in miss["question"] for miss in found["misses"])
@@ -60,7 +60,7 @@ def test_report_holds_the_command_and_every_question(cases, scored):
 
 
 def test_progress_tells_the_time_left(scored):
-    assert "1 of 1 diagnosed, about 0.0 min left" in scored.stderr
+    assert "2 of 2 diagnosed, about 0.0 min left" in scored.stderr
 
 
 def test_what_is_answered_is_not_done_again(cases, scored, monkeypatch):
