@@ -23,7 +23,9 @@ def list_runs(
     status: str = typer.Option("", help="Only complete, stopped, tripped, failed, recording or recovered ones."),
     since: str = typer.Option("", metavar="DATE", help="Only from this day (UTC) or moment on."),
     until: str = typer.Option("", metavar="DATE", help="Only up to this day, which counts, or moment."),
-    where: list[str] = typer.Option([], metavar="NAME=VALUE", help="Only where a parameter had this value."),
+    where: list[str] = typer.Option(
+        [], metavar="NAME=VALUE", help="Only where a parameter, or seed or bench, had this value."
+    ),
     sort: str = typer.Option("file", metavar="KEY", help="file, created, duration, status, protocol or a parameter."),
     reverse: bool = typer.Option(False, "--reverse", help="The last one first."),
     as_json: bool = AS_JSON,

@@ -35,6 +35,7 @@ def run_list(shown: Sequence[Summary], every: Sequence[Summary], named: Collecti
             protocol,
             run.actuator,
             run.condition,
+            *([f"seed={run.seed}"] if "seed" in named and run.seed is not None else []),
             *(f"{name}={_text(run.parameters[name])}" for name in sorted(wanted)),
         ]
         head = f"{run.path.name:<{width}}  {run.status:<9} {_time(run.duration):>8}"

@@ -28,6 +28,7 @@ class Summary:
     operator: str = ""
     status: str = ""
     created: str = ""
+    seed: int | None = None  # of an emulated bench, where the file has it
     parameters: Mapping[str, Any] = field(default_factory=dict)  # of the protocol, with the values that were used
     duration: float = 0.0  # s, up to the last stamp of any stream
     fault: str = ""
@@ -64,7 +65,8 @@ def summary(path: Path) -> Summary:
             root = layout.attributes(file)
             keys = ("run_id", "protocol", "actuator", "condition", "bench", "operator", "status", "created")
             known = {key: str(root.get(key, "")) for key in keys}
-            return Summary(path, size, **known, parameters=layout.parameters(file), duration=duration(file))
+            seed = value if isinstance(value := root.get("seed"), int) else None
+            return Summary(path, size, **known, seed=seed, parameters=layout.parameters(file), duration=duration(file))
     except InputError as fault:
         more = f" (and {len(fault.faults) - 1} more)" if len(fault.faults) > 1 else ""
         return Summary(path, size, fault=fault.faults[0] + more)

@@ -27,6 +27,7 @@ class RunInfo:
     mechanical: str
     software: str
     created: str  # ISO 8601, UTC
+    seed: int | None = None  # of an emulated bench
     sources: Mapping[str, str] = field(default_factory=dict)  # "protocol", "bench", "model": YAML as used
     setup: Mapping[str, float | str] = field(default_factory=dict)  # drive_gain, load_mass, ...: over the model file's
     parameters: Mapping[str, Any] = field(default_factory=dict)  # of the protocol, with the values that were used

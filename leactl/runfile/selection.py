@@ -11,6 +11,7 @@ from leactl.runfile import layout
 from leactl.runfile.catalog import Summary
 
 KEYS = ("file", "created", "duration", "status", "protocol", "actuator", "condition", "bench", "operator")
+ATTRIBUTES = (*KEYS, "run_id", "seed")  # of a run, where no parameter has the name
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class Selection:
     status: str = ""
     since: datetime | None = None
     until: datetime | None = None  # not included
-    where: Mapping[str, Sequence[Any]] = field(default_factory=dict)  # parameters, and the values that will do
+    where: Mapping[str, Sequence[Any]] = field(default_factory=dict)  # of parameters and attributes, what will do
 
     @property
     def empty(self) -> bool:
@@ -35,7 +36,7 @@ class Selection:
         texts = all(
             getattr(self, name) in ("", getattr(run, name)) for name in ("protocol", "actuator", "condition", "status")
         )
-        values = all(run.parameters.get(name) in wanted for name, wanted in self.where.items())
+        values = all(_value(run, name) in wanted for name, wanted in self.where.items())
         return not run.fault and texts and values and self._in_time(run.created)
 
     def _in_time(self, created: str) -> bool:
@@ -69,13 +70,13 @@ def selection_of(
     if status and status not in layout.STATUSES:
         faults.append(f"--status {status}: one of {', '.join(layout.STATUSES)} was expected")
     asked: dict[str, Sequence[Any]] = {}
-    known = sorted({name for run in runs for name in run.parameters})
+    known = [*sorted({name for run in runs for name in run.parameters} - {*ATTRIBUTES}), *ATTRIBUTES]
     for word in where:
         name, equals, text = word.partition("=")
         if not (name and equals):
             faults.append(f"--where {word}: NAME=VALUE was expected")
         elif name not in known:
-            faults.append(f"--where {word}: no run has a parameter '{name}'; known: {', '.join(known) or 'none'}")
+            faults.append(f"--where {word}: no run has a parameter '{name}'; known: {', '.join(known)}")
         else:
             asked[name] = _values(word, text, faults)
     first, last = _moment("--since", since, 0, faults), _moment("--until", until, 1, faults)
@@ -109,6 +110,11 @@ def differing(runs: Iterable[Summary]) -> set[tuple[str, str]]:
             if value not in values[:2]:  # two tell that it differs
                 values.append(value)
     return {key for key, values in seen.items() if len(values) > 1}
+
+
+def _value(run: Summary, name: str) -> Any:
+    """A parameter of a run, else its attribute of this name."""
+    return run.parameters.get(name, getattr(run, name) if name in ATTRIBUTES else None)
 
 
 def _rank(value: Any) -> tuple[int, float, str]:

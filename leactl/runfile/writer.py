@@ -199,6 +199,8 @@ def create(partial: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelS
         raise
     for name in layout.ROOT_ATTRIBUTES:
         file.attrs[name] = layout.storable(value) if isinstance(value := root_value(name, info), str) else value
+    if info.seed is not None:
+        file.attrs["seed"] = info.seed
     setup = file.create_group("setup")
     setup.attrs["mechanical"] = info.mechanical
     for name, value in info.setup.items():

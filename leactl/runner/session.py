@@ -412,6 +412,7 @@ def _info(request: Request, opened: Bench) -> RunInfo:
         mechanical=plan.setup,
         software=f"leactl {__version__}",
         created=now.isoformat(timespec="milliseconds"),
+        seed=_seed(request),
         parameters=plan.parameters,
         instruments={name: known.facts for name, known in opened.provenance.items()},
         sources={"protocol": plan.text, "bench": request.bench_document.text, "model": motor.text},
@@ -432,11 +433,17 @@ def _introduce(request: Request, windings: Windings, writer: RunWriter, bench: B
             writer.event(0.0, "warning", "protocol", text)
     for name, text in overdue(request.devices).items():
         writer.event(0.0, "warning", name, text)
-    if request.in_process and request.bench.emulated is not None:
-        seed = request.bench.emulated.seed if request.seed is None else request.seed
+    if (seed := _seed(request)) is not None:
         writer.event(0.0, "info", "emulation", f"seed = {seed}")
     for role, found in windings.recalled.items():
         writer.event(0.0, "info", "windings", f"{role} winding: {found.known}, at most {found.nodes[0]:.1f} degC")
+
+
+def _seed(request: Request) -> int | None:
+    """What the noise of a bench that is emulated here is drawn from."""
+    if not request.in_process or request.bench.emulated is None:
+        return None
+    return request.bench.emulated.seed if request.seed is None else request.seed
 
 
 def _unconfirmed(error: BaseException | None, safe: Mapping[str, Confirmation]) -> BaseException | None:
