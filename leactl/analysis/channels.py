@@ -7,7 +7,7 @@ gain and phase are those of Blackman and Tukey (blackman_tukey.py), known where 
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from leactl.analysis.channel_response import EXCITATIONS, gain_and_phase
 from leactl.analysis.estimate import NAN, Estimate, Grid, Plot, Result, Series, listed, tally
 from leactl.analysis.levels import FEWEST_SAMPLES, settled_mean, span, standard_error
+from leactl.analysis.quality.gate import AT_REST
 from leactl.analysis.regression import CONFIDENCE, Array, t_quantile
 from leactl.errors import InputError, MissingChannel
 from leactl.runfile.reader import Channel, Run, Step
@@ -22,6 +23,7 @@ from leactl.runfile.reader import Channel, Run, Step
 RESULTS: dict[str, str] = {}  # named by the steps and channels of a run
 
 BINS = 40  # of a histogram
+NOISY = ("torque", "q_axis_current", "velocity")  # whose readings differ by noise even where nothing moves
 MOST_PLOTTED = 3  # channels that are plotted where none is chosen
 SETPOINTS = ("current_A", "velocity_rad_s", "angle_rad")  # parameters of a hold that moves to a setpoint of its own
 UNMOVED = ({"repeat"}, {"repeat", "until"})  # and what alone is told of a hold that keeps the one before
@@ -89,6 +91,7 @@ def of_run(run: Run, channel: Sequence[str] | None, notes: list[str]) -> Result:
     for names, labels in too_few.items():
         reason = f"fewer than {FEWEST_SAMPLES} samples over its settled part"
         notes += tally({reason: list(names)}, f"{run.path}: {listed(labels)}")
+    notes += [note for name, one in measured.items() for note in unmoved(run, name, one)]
     plots: list[Plot] = []
     grids: list[Grid] = []
     for label, step in excited(run):
@@ -98,6 +101,18 @@ def of_run(run: Run, channel: Sequence[str] | None, notes: list[str]) -> Result:
         plots += [plot for name, one in measured.items() for plot in pictures(name, one, holds)]
     grids += [histogram(name, one) for name, one in measured.items() if np.isfinite(one.values).any()]
     return Result("channels", (str(run.path),), tuple(results), (), tuple(plots), (), tuple(grids))
+
+
+def unmoved(run: Run, name: str, channel: Channel) -> Iterator[str]:
+    """A note on a sensor with noise that gives one and the same reading throughout: its deviation of 0 is none.
+
+    A drive that is off and a shaft that stands read 0.
+    """
+    seen = channel.values[np.isfinite(channel.values)]
+    if channel.quantity not in NOISY or len(seen) < FEWEST_SAMPLES or np.any(seen != seen[0]):
+        return
+    if seen[0] or channel.quantity not in AT_REST:
+        yield f"{run.path}: {name} reads exactly {seen[0]:.6g} {channel.units} throughout: is its sensor connected?"
 
 
 def comparable(runs: Sequence[Run], answers: Sequence[Result], notes: list[str]) -> list[int]:

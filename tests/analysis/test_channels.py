@@ -32,6 +32,13 @@ def test_a_protocol_that_names_no_analysis_is_analysed_by_its_channels(bench):
     assert result.find("hold_1_velocity_drift").value == 0.0
 
 
+def test_a_sensor_without_its_noise_is_told(bench):
+    (note,) = [note for note in analyze_runs([holds(bench)]).notes if "throughout" in note]
+    assert "velocity reads exactly 3 rad/s throughout" in note
+    notes = analyze_runs([holds(bench, deviation=0.0, level=0.0, name="dead")]).notes
+    assert any("torque reads exactly 0 N*m throughout" in note for note in notes)
+
+
 def test_the_intervals_hold_the_truth_as_often_as_they_say(bench):
     missed = np.zeros(3)
     for seed in range(40):
