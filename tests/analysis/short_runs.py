@@ -2,6 +2,7 @@
 
 from tests.cli.terminal import leactl
 
+MAP = ("rest_s=60", "speeds_rad_s=[2.62, 10.47, 7.85, 5.24]", "currents_A=[-12.0, -1.2, -9.6, -4.8]")
 SETTINGS = {
     "friction": ("hold_s=2", "settle_s=1", "trials=2"),
     "no-load-loss": ("hold_s=1", "settle_s=0.5", "trials=1"),
@@ -18,7 +19,9 @@ SETTINGS = {
     "torque-speed-envelope": ("trials=1",),
     "winding-rise": ("heating_s=1200",),
     "thermal": ("heating_s=1500", "cooling_s=1500"),
-    "efficiency": ("rest_s=60", "speeds_rad_s=[2.62, 10.47, 7.85, 5.24]", "currents_A=[-12.0, -1.2, -9.6, -4.8]"),
+    "efficiency": MAP,
+    "efficiency-driven": MAP,
+    "breakaway": (),
 }
 HEATED = ("winding-rise", "thermal")
 
