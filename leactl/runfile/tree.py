@@ -6,9 +6,11 @@ groups that hold themselves. Each is refused from what the object headers say, n
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import h5py
+import numpy as np
 
 from leactl.errors import InputError
 from leactl.runfile import layout
@@ -21,6 +23,7 @@ MOST_ATTRIBUTES_OF_FILE: Final = 1 << 24  # bytes
 MOST_UNWRITTEN: Final = 1 << 26  # bytes of values that were announced and not written, as a kill leaves them
 ATTRIBUTE_HEADER: Final = 64  # bytes, about, of an attribute beside its value
 DEFLATE_AT_MOST: Final = 1032  # values packed into one byte by deflate (zlib's technical details): more is no data
+TEXT_IN_HEAP: Final = np.dtype([("length", "<u4"), ("heap", "<u8"), ("number", "<u4")])  # as a dataset holds a text
 LARGEST_CHUNK: Final = 1 << 26  # bytes, which HDF5 takes at once to read a single value
 
 GROUPS: Final = ("setup", "streams", "notes", *layout.SOURCES, *layout.TABLES)
@@ -94,7 +97,20 @@ def faults_of_node(node: Node) -> list[str]:
         faults.append(f"{place}: chunks of {size} bytes; at most {LARGEST_CHUNK} were expected")
     elif item.dtype.kind == "O" and not layout.is_text(item):
         faults.append(f"{place}: values that are neither numbers nor text")
+    elif (size := longest_text(item)) > (most := Path(item.file.filename).stat().st_size):
+        faults.append(f"{place}: damaged: announces a text of {size} bytes in a file of {most}")
     return faults
+
+
+def longest_text(dataset: Any) -> int:
+    """Bytes of the longest text that a dataset announces, for which HDF5 takes memory before it looks for the text."""
+    kind, offset = h5py.check_string_dtype(dataset.dtype), dataset.id.get_offset()
+    if kind is None or kind.length is not None or offset is None:  # in chunks, which gzip checks
+        return 0
+    with Path(dataset.file.filename).open("rb") as raw:
+        raw.seek(offset)
+        texts = np.frombuffer(raw.read(dataset.size * TEXT_IN_HEAP.itemsize), TEXT_IN_HEAP)
+    return int(texts["length"].max(initial=0))
 
 
 def filters(dataset: Any) -> set[int]:

@@ -195,3 +195,15 @@ def test_an_attribute_without_a_value_is_none_of_damage(complete: Path):
     changed(complete, lambda file: file.attrs.create("remark", h5py.Empty("f8")))
     with Run.open(complete) as run:
         assert run.attributes["remark"] == ""
+
+
+def test_a_text_that_is_longer_than_its_file_is_not_waited_for(complete: Path):
+    with h5py.File(complete) as file:
+        at = file["steps/name"].id.get_offset()
+    raw = bytearray(complete.read_bytes())
+    raw[at : at + 4] = b"\xff\xff\xff\x7f"
+    complete.write_bytes(raw)
+    findings = verify(complete)
+    assert findings == [
+        f"{complete}: /steps/name: damaged: announces a text of {2**31 - 1} bytes in a file of {len(raw)}"
+    ]
