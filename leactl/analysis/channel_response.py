@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from leactl.analysis.blackman_tukey import FINER, BlackmanTukey, Response
+from leactl.analysis.blackman_tukey import FINER, BlackmanTukey, Mask, Response
 from leactl.analysis.estimate import Estimate, Grid, Plot, Series, listed
 from leactl.analysis.levels import span
 from leactl.analysis.noise_records import EVEN
 from leactl.analysis.noise_response import COHERENT, SHOWN
-from leactl.analysis.regression import t_quantile
+from leactl.analysis.regression import Array, t_quantile
 from leactl.runfile.reader import Channel, Run, Step
 
 EXCITATIONS = ("chirp", "multisine", "noise")
@@ -82,10 +82,22 @@ def response_of(setpoint: Channel, channel: Channel, step: Step) -> Response | s
     power = spectra.input[: len(response.frequency)]
     around = maximum_filter1d(power, 4 * FINER + 1)  # Hann's main lobe reaches two resolved frequencies to either side
     known = (power > REACHED * power.max()) & (power > SKIRT * around) & (response.coherence >= COHERENT)
+    known &= excited(given, interval, response.frequency, method.resolved)
     known &= (response.frequency >= method.resolved) & (response.frequency < method.highest)
     if not known.any():
         return f"no frequency with a coherence of {COHERENT:g} or more"
     return Response(*(column[known] for column in response))
+
+
+def excited(given: Array, interval: float, frequency: Array, resolved: float) -> Mask:
+    """Which frequencies the setpoint itself reaches: a lag window's side lobes spread 3 % of a line far beyond it."""
+    from scipy.ndimage import maximum_filter1d
+    from scipy.signal.windows import blackmanharris  # side lobes below -90 dB
+
+    power = np.abs(np.fft.rfft((given - given.mean()) * blackmanharris(len(given)))) ** 2
+    bins = np.fft.rfftfreq(len(given), interval)
+    half = round(0.5 * resolved / bins[1])
+    return np.asarray(np.interp(frequency, bins, maximum_filter1d(power, 2 * half + 1)) > REACHED * power.max())
 
 
 def rows(title: str, response: Response, units: str) -> list[Estimate]:

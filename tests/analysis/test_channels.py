@@ -164,6 +164,22 @@ def test_gain_and_phase_of_an_excitation(bench, kind):
     assert {"frequency [Hz]"} <= set(next(grid for grid in result.grids if "response" in grid.name).axes)
 
 
+@pytest.mark.parametrize("scale", [1.0, 40.0])
+def test_a_multisine_says_nothing_between_and_beyond_its_lines(bench, scale):
+    time = np.arange(4000) / (RATE * scale)
+    lines = scale * np.linspace(5.0, 40.0, 15)
+    phases = np.random.default_rng(3).uniform(0.0, 2.0 * np.pi, (15, 1))
+    given = np.sin(2.0 * np.pi * lines[:, None] * time + phases).sum(axis=0)
+    steps = [("multisine", 0.0, float(time[-1] + time[1]), 0.0, {"role": "test"})]
+    columns = {"velocity_reference": given, "velocity": 0.5 * given + np.random.default_rng(4).normal(0, 0.01, 4000)}
+    result = analyze_runs([bench.write("bespoke", time, columns, steps, protocol="name: bespoke\n")])
+    grid = next(grid for grid in result.grids if "response" in grid.name)
+    known = np.array(grid.axes["frequency [Hz]"])
+    away = np.abs(known[:, None] - lines).min(axis=1)
+    assert set(np.abs(known[:, None] - lines).argmin(axis=1)) == set(range(15))
+    assert away.max() < 0.8 * scale  # the width of a line in a fortieth of the record
+
+
 def test_the_datasheet_has_the_channels_of_such_a_run(bench, tmp_path):
     path = holds(bench)
     done = leactl("report", str(path), "--html", str(tmp_path / "sheet.html"))
