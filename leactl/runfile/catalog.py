@@ -76,7 +76,7 @@ def duration(file: Any) -> float:
     """The last stamp of any stream."""
     groups = [group for group in file.get("streams", {}).values() if isinstance(group, h5py.Group)]
     times = [group["time"] for group in groups if "time" in group]
-    last = [time[-1:] for time in times if is_dataset_of(time, text=False) and time.ndim == 1]
+    last = [time[-1:] for time in times if is_dataset_of(time.id, text=False) and time.ndim == 1]
     stamps = np.concatenate([*last, np.zeros(1)])
     return float(stamps[np.isfinite(stamps)].max())
 

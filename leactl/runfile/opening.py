@@ -14,7 +14,7 @@ from leactl.errors import InputError
 from leactl.regular import open_regular
 from leactl.runfile import layout
 from leactl.runfile.heaps import endless_heaps
-from leactl.runfile.tree import faults_of_attributes, faults_of_tree
+from leactl.runfile.tree import attribute_bytes, faults_of_attributes, faults_of_tree
 from leactl.yamlfile import shown
 
 TOO_NEW = (
@@ -100,7 +100,7 @@ def why(fault: Exception) -> str:
 def faults_of_root(file: Any) -> list[str]:
     """Whether the file is a run of a version that this program reads."""
     try:
-        if faults := faults_of_attributes(file, "/"):
+        if faults := faults_of_attributes(attribute_bytes(file.id), "/"):
             return faults
         root = layout.attributes(file)
     except DAMAGE as fault:

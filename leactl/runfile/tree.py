@@ -5,9 +5,10 @@ groups that hold themselves. Each is refused from what the object headers say, n
 """
 
 import math
-from collections.abc import Iterator
+import os
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Self
 
 import h5py
 import numpy as np
@@ -34,28 +35,52 @@ class Node(NamedTuple):
     """An object of the tree and its path."""
 
     path: str
-    item: Any
+    item: Any  # its identifier of the low-level API, at a third of the cost of a `Group` or `Dataset`
+
+
+class Storage(NamedTuple):
+    """How the values of a dataset are stored, from its creation properties."""
+
+    elsewhere: bool  # in another file
+    filters: frozenset[int]
+    chunk_values: int  # 0 where it is not chunked
+
+    @classmethod
+    def of(cls, dataset: Any) -> Self:
+        """Ask once: every question to a dataset for its properties copies them all."""
+        plist = dataset.get_create_plist()
+        form = plist.get_layout()
+        return cls(
+            elsewhere=form == h5py.h5d.VIRTUAL or plist.get_external_count() > 0,
+            filters=frozenset(plist.get_filter(index)[0] for index in range(plist.get_nfilters())),
+            chunk_values=math.prod(plist.get_chunk()) if form == h5py.h5d.CHUNKED else 0,
+        )
 
 
 def faults_of_tree(file: Any) -> list[str]:
     """Everything that makes a file unfit to be read, one line each."""
+    items: dict[str, Any] = {}
     try:
-        return faults_of_nodes(file) or faults_of_kinds(file)
+        return faults_of_nodes(file, items) or faults_of_kinds(items)
     except InputError as fault:
         return fault.faults
 
 
-def faults_of_nodes(file: Any) -> list[str]:
-    """What no object of a run has, each with its path."""
+def faults_of_nodes(file: Any, items: dict[str, Any]) -> list[str]:
+    """What no object of a run has, each with its path; adds every object to `items` by its path."""
     faults: list[str] = []
     attributes, unwritten, largest = 0, 0, ("", 0)
-    for nodes, node in enumerate(walk(file, faults), start=1):
-        attributes += attribute_bytes(node.item)
-        faults += faults_of_node(node)
-        if isinstance(node.item, h5py.Dataset):
-            unwritten += (size := unwritten_bytes(node.item))
-            largest = max(largest, (node.path, size), key=lambda one: one[1])
-        if nodes > MOST_OBJECTS:
+    for path, item in walk(file.id, faults):
+        items[path] = item
+        size = attribute_bytes(item)
+        attributes += size
+        faults += faults_of_attributes(size, path)
+        if isinstance(item, h5py.h5d.DatasetID):
+            storage = Storage.of(item)
+            faults += faults_of_dataset(item, storage, path)
+            unwritten += (size := unwritten_bytes(item, storage))
+            largest = max(largest, (path, size), key=lambda one: one[1])
+        if len(items) > MOST_OBJECTS:
             raise InputError(f"more than {MOST_OBJECTS} groups and datasets; fewer were expected of a run")
     if attributes > MOST_ATTRIBUTES_OF_FILE and not faults:
         faults.append(f"{attributes} bytes of attributes; at most {MOST_ATTRIBUTES_OF_FILE} were expected")
@@ -69,59 +94,66 @@ def faults_of_nodes(file: Any) -> list[str]:
 
 def walk(group: Any, faults: list[str], path: str = "", depth: int = 0) -> Iterator[Node]:
     """Every group and dataset below a group; links that lead elsewhere become faults and are not followed."""
-    for name in group:
-        place = f"{path}/{name}"
+    for name, kind in links(group):
+        place = f"{path}/{name.decode('utf-8', 'surrogateescape')}"
         if depth == DEEPEST:  # as where a group holds itself: what else is in it does not count
             raise InputError(f"{place}: lies in more than {DEEPEST} groups; fewer were expected of a run")
-        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+        if kind != h5py.h5l.TYPE_HARD:
             faults.append(f"{place}: a link instead of data; a run file holds everything itself")
             continue
-        node = Node(place, group[name])
+        node = Node(place, h5py.h5o.open(group, name))
         yield node
-        if isinstance(node.item, h5py.Group):
+        if isinstance(node.item, h5py.h5g.GroupID):
             yield from walk(node.item, faults, place, depth + 1)
 
 
-def faults_of_node(node: Node) -> list[str]:
-    """Attributes that are too many; of a dataset, values that lie elsewhere or cannot be had."""
-    place, item = node
-    faults = faults_of_attributes(item, place)
-    if not isinstance(item, h5py.Dataset):
-        return faults
-    if item.is_virtual or item.external:
+def links(group: Any) -> list[tuple[bytes, int]]:
+    """Name and type of each link of a group, up to one more than a whole file may have objects."""
+    named: list[tuple[bytes, int]] = []
+
+    def take(name: bytes, link: Any) -> bool | None:
+        named.append((name, link.type))
+        return len(named) > MOST_OBJECTS or None  # anything but None ends the iteration
+
+    group.links.iterate(take, info=True)
+    return named
+
+
+def faults_of_dataset(dataset: Any, storage: Storage, place: str) -> list[str]:
+    """Values that lie elsewhere or cannot be had."""
+    faults = []
+    if storage.elsewhere:
         faults.append(f"{place}: its values lie in another file; a run file holds everything itself")
-    faults += [f"{place}: filter {code} is neither gzip nor shuffle" for code in filters(item) - KNOWN_FILTERS]
-    if item.shape is None:
+    faults += [f"{place}: filter {code} is neither gzip nor shuffle" for code in storage.filters - KNOWN_FILTERS]
+    if dataset.shape is None:
         faults.append(f"{place}: a dataset without values")
-    elif item.chunks and (size := math.prod(item.chunks) * item.dtype.itemsize) > LARGEST_CHUNK:
+    elif (size := storage.chunk_values * dataset.dtype.itemsize) > LARGEST_CHUNK:
         faults.append(f"{place}: chunks of {size} bytes; at most {LARGEST_CHUNK} were expected")
-    elif item.dtype.kind == "O" and not layout.is_text(item):
+    elif dataset.dtype.kind == "O" and not layout.is_text(dataset):
         faults.append(f"{place}: values that are neither numbers nor text")
-    elif (size := longest_text(item)) > (most := Path(item.file.filename).stat().st_size):
+    elif (size := longest_text(dataset)) and size > (most := file_of(dataset).stat().st_size):
         faults.append(f"{place}: damaged: announces a text of {size} bytes in a file of {most}")
     return faults
 
 
 def longest_text(dataset: Any) -> int:
     """Bytes of the longest text that a dataset announces, for which HDF5 takes memory before it looks for the text."""
-    kind, offset = h5py.check_string_dtype(dataset.dtype), dataset.id.get_offset()
-    if kind is None or kind.length is not None or offset is None:  # in chunks, which gzip checks
+    kind = h5py.check_string_dtype(dataset.dtype)
+    if kind is None or kind.length is not None or (offset := dataset.get_offset()) is None:  # in chunks: gzip checks
         return 0
-    with Path(dataset.file.filename).open("rb") as raw:
+    with file_of(dataset).open("rb") as raw:
         raw.seek(offset)
-        texts = np.frombuffer(raw.read(dataset.size * TEXT_IN_HEAP.itemsize), TEXT_IN_HEAP)
+        texts = np.frombuffer(raw.read(math.prod(dataset.shape) * TEXT_IN_HEAP.itemsize), TEXT_IN_HEAP)
     return int(texts["length"].max(initial=0))
 
 
-def filters(dataset: Any) -> set[int]:
-    """Codes of the filters that a dataset passes through."""
-    plist = dataset.id.get_create_plist()
-    return {plist.get_filter(index)[0] for index in range(plist.get_nfilters())}
+def file_of(item: Any) -> Path:
+    """The file that an object is in."""
+    return Path(os.fsdecode(h5py.h5f.get_name(item)))
 
 
-def faults_of_attributes(item: Any, place: str) -> list[str]:
+def faults_of_attributes(size: int, place: str) -> list[str]:
     """Whether the attributes of one object are more than anybody writes."""
-    size = attribute_bytes(item)
     if size <= MOST_ATTRIBUTES:
         return []
     return [f"{place}: {size} bytes of attributes; at most {MOST_ATTRIBUTES} were expected"]
@@ -129,56 +161,48 @@ def faults_of_attributes(item: Any, place: str) -> list[str]:
 
 def attribute_bytes(item: Any) -> int:
     """What the attributes of an object take in the file, as their headers say."""
-    count = int(h5py.h5a.get_num_attrs(item.id))
-    least = count * ATTRIBUTE_HEADER
-    if least > MOST_ATTRIBUTES:
+    least = int(h5py.h5a.get_num_attrs(item)) * ATTRIBUTE_HEADER
+    if not 0 < least <= MOST_ATTRIBUTES:
         return least
-    names: list[bytes] = []  # with which HDF5 goes straight to each; by numbers it begins anew every time
-    h5py.h5a.iterate(item.id, names.append)
-    return least + sum(stored_bytes(h5py.h5a.open(item.id, name)) for name in names)
+    sizes: list[int] = []
+    # in one pass: to open each by its number, HDF5 begins anew every time
+    h5py.h5a.iterate(item, lambda _name, attribute: sizes.append(attribute.data_size), info=True)
+    return least + sum(sizes)
 
 
-def stored_bytes(attribute: Any) -> int:
-    """What the value of an attribute takes in the file."""
-    try:
-        return int(attribute.get_storage_size())
-    except RuntimeError:  # the 0 of an attribute without a value is a fault to h5py
-        return 0
-
-
-def unwritten_bytes(dataset: Any) -> int:
+def unwritten_bytes(dataset: Any, storage: Storage) -> int:
     """Bytes of values beyond what the dataset's space in the file can hold."""
     if dataset.shape is None:
         return 0
     size = int(math.prod(dataset.shape) * dataset.dtype.itemsize)
     if size <= MOST_UNWRITTEN // MOST_OBJECTS:  # the sum of so little stays below, and its space need not be asked for
         return 0
-    packed = DEFLATE_AT_MOST if dataset.compression else 1
-    return max(0, size - packed * int(dataset.id.get_storage_size()))
+    packed = DEFLATE_AT_MOST if h5py.h5z.FILTER_DEFLATE in storage.filters else 1
+    return max(0, size - packed * int(dataset.get_storage_size()))
 
 
-def faults_of_kinds(file: Any) -> list[str]:
+def faults_of_kinds(items: Mapping[str, Any]) -> list[str]:
     """Groups of the layout that are none, and columns of tables and texts that are of another kind."""
     faults = [
         f"/{name}: a dataset where a group was expected"
         for name in GROUPS
-        if name in file and not isinstance(file[name], h5py.Group)
+        if f"/{name}" in items and not isinstance(items[f"/{name}"], h5py.h5g.GroupID)
     ]
     if faults:
         return faults
     for name in layout.SOURCES:
-        item = file.get(f"{name}/source")
-        if item is not None and not (is_dataset_of(item, text=True) and item.size == 1):
+        item = items.get(f"/{name}/source")
+        if item is not None and not (is_dataset_of(item, text=True) and math.prod(item.shape) == 1):
             faults.append(f"/{name}/source: one text was expected")
     for table, columns in TABLES.items():
         for column, width in columns.items():
-            item = file[table].get(column) if table in file else None
+            item = items.get(f"/{table}/{column}")
             text = width is not None
-            if item is not None and not (is_dataset_of(item, text) and item.ndim == 1):
+            if item is not None and not (is_dataset_of(item, text) and item.rank == 1):
                 faults.append(f"/{table}/{column}: one dimension of {'texts' if text else 'numbers'} was expected")
     return faults
 
 
 def is_dataset_of(item: Any, text: bool) -> bool:
-    """Whether an object is a dataset of texts, or else of numbers."""
-    return isinstance(item, h5py.Dataset) and (layout.is_text(item) if text else item.dtype.kind in "fiu")
+    """Whether an identifier is that of a dataset of texts, or else of numbers."""
+    return isinstance(item, h5py.h5d.DatasetID) and (layout.is_text(item) if text else item.dtype.kind in "fiu")
