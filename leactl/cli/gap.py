@@ -109,14 +109,16 @@ def show_effects(
     name: str | None = typer.Argument(None, help="One effect; without it all are listed.", autocompletion=effects),
     as_json: bool = AS_JSON,
 ) -> None:
-    """Explain what a model may lack: equation, where it shows, what it is confused with, what shows it."""
+    """Explain what a model may lack: equation, where it shows, what it is confused with, what shows it; and faults."""
     from leactl.gap.explained import explained
     from leactl.report.effects import all_effects, one_effect
     from leactl.vocabulary.effect import effect_names
+    from leactl.vocabulary.setup_fault import setup_faults
 
     if as_json:
-        found = [explained(one) for one in ([name] if name else effect_names())]
-        typer.echo(json.dumps(found[0] if name else {"effects": found}))
+        groups = {"effects": effect_names(), "setup_faults": tuple(setup_faults())}
+        every = {group: [explained(one) for one in names] for group, names in groups.items()}
+        typer.echo(json.dumps(explained(name) if name else every))
         return
     typer.echo(one_effect(name) if name else all_effects())
 

@@ -23,11 +23,13 @@ from leactl.gap.separating import separating_experiment
 from leactl.gap.servo import answer as servo_answer
 from leactl.gap.servo.ladder import climb
 from leactl.gap.servo.runs import side_by_side
+from leactl.gap.setup import mended
 from leactl.gap.shrinkage import shrinkage
 from leactl.gap.stamps import stamp_notes, stamped
 from leactl.gap.where import profiles, where
 from leactl.gap.withdrawal import Applied, Fitted, Refit, apply
 from leactl.model.nominal import Model, read_model
+from leactl.vocabulary.effect import effect_definition
 
 NAMED = 0.01  # probability above which an effect stands among the causes
 EFFECT = 0.5  # probability above which the verdict is an effect
@@ -90,7 +92,32 @@ def split(records: list[Record]) -> tuple[list[Record], list[Record]]:
 
 
 def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
-    """Answer where, why and how far: causes from the fitted runs alone, how far the gap shrinks from the held-out ones.
+    """Answer where, why and how far: faults of the set-up first, then what is left once they are mended.
+
+    Causes come from the fitted runs alone, how far the gap shrinks from the held-out ones. Faults of the set-up are
+    looked for in all runs, for each run may have its own.
+
+    Raises
+    ------
+    InputError : the runs hold nothing that any equation of the model can be checked with.
+    """
+    progress("looking for faults of the set-up")
+    faults, records = mended([*case.fitted, *case.held_out], case.model)
+    if not faults:
+        return diagnose_effects(case, progress)
+    again = Case(case.model, records[: len(case.fitted)], records[len(case.fitted) :])
+    try:
+        found = diagnose_effects(again, progress)
+    except InputError as error:  # without the channel at fault nothing can be checked: the fault is the answer
+        same = {"calibrated": case.model, "augmented": case.model, "traces": (), "profiles": ()}
+        found = Diagnosis("none", 0.0, notes=tuple(error.faults), extra=same)
+    causes = tuple(fault.as_cause() for fault in faults) + found.causes
+    notes = tuple(fault.note() for fault in faults)
+    return replace(found, verdict="effect", causes=causes, notes=(*notes, *found.notes))
+
+
+def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
+    """Answer for runs whose channels are what their descriptions say.
 
     Raises
     ------
@@ -223,7 +250,13 @@ def causes_of(evidence: Evidence, found: Found, judged: Sequence[Judged]) -> tup
         plan = separating_experiment(item.finding.effect, item.peers)
         share = item.finding.gain / total
         causes[item.finding.effect] = Cause(
-            item.finding.effect, item.probability, share, parameters, tuple(sorted(item.peers)), plan
+            item.finding.effect,
+            item.probability,
+            share,
+            parameters,
+            tuple(sorted(item.peers)),
+            plan,
+            effect_definition(item.finding.effect).family,
         )
     for item in judged:
         for rival, probability in item.rivals:
@@ -233,7 +266,8 @@ def causes_of(evidence: Evidence, found: Found, judged: Sequence[Judged]) -> tup
             parameters = alone(evidence, others, rival.candidate)
             together = item.probability if rival.effect in item.peers else probability
             peers = tuple(sorted({item.finding.effect, *item.peers} - {rival.effect})) if together > probability else ()
-            causes[rival.effect] = Cause(rival.effect, together, 0.0, parameters, peers)
+            family = effect_definition(rival.effect).family
+            causes[rival.effect] = Cause(rival.effect, together, 0.0, parameters, peers, family=family)
     members = {item.finding.effect for item in judged}
     # what is sure beyond a hundredth ranks by how much of the gap it takes
     told = [cause for cause in causes.values() if cause.probability >= NAMED]

@@ -64,6 +64,8 @@ class Cause:
     parameters: tuple[EffectParameter, ...]
     indistinguishable_from: tuple[str, ...] = ()
     separating_experiment: str | None = None
+    family: str = ""  # machine, sensor, drive, thermal or setup
+    change: str | None = None  # of a fault of the set-up: the line that undoes it
 
 
 @dataclass(frozen=True)

@@ -6,18 +6,22 @@ from typing import Any
 
 from leactl.effects import library
 from leactl.vocabulary.effect import effect_definition
+from leactl.vocabulary.setup_fault import setup_faults
 
 
 def explained(name: str) -> dict[str, Any]:
-    """Everything that is known of one effect.
+    """Everything that is known of one effect, or of one fault of a set-up.
 
     Raises
     ------
     InputError : no such effect; the known ones are named.
     """
+    if name in setup_faults():
+        return {"effect": name, "family": "setup", **setup_faults()[name].model_dump(exclude={"fault"})}
     definition = effect_definition(name)
     return {
         "effect": name,
+        "family": definition.family,
         "meaning": definition.meaning,
         "equation": equation(name),
         "shows_in": definition.shows_in,

@@ -20,7 +20,6 @@ Array = npt.NDArray[np.float64]
 Column = tuple[str, ...]  # ("calibration", name), ("nuisance", run, name), ("effect", effect, form, coefficient)
 Candidate = tuple[str, Form]  # effect and form
 FEWEST_ROWS = 20
-LEAST_SQUARE = 1e-280  # of a column that is all zero: its covariance stays finite
 LEAST_TOLD = 0.02  # of what all say of a coefficient, below which a run's own say in it does not count
 
 
@@ -224,7 +223,7 @@ class Normal:
     def solve(self, keep: npt.NDArray[np.intp]) -> Fit:
         """Solve for given columns."""
         gram, right = self.gram[np.ix_(keep, keep)], self.right[keep]
-        scale = np.sqrt(np.maximum(np.diag(gram), LEAST_SQUARE))
+        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
         scaled = gram / np.outer(scale, scale)
         scaled[np.diag_indices(len(keep))] += 1e-10
         inverse = np.linalg.inv(scaled)

@@ -3,12 +3,16 @@
 from leactl.gap.explained import explained
 from leactl.report.listing import row
 from leactl.vocabulary.effect import effect_definition, effect_names
+from leactl.vocabulary.setup_fault import setup_faults
 
 
 def all_effects() -> str:
-    """Every effect in a row."""
-    width = max(map(len, effect_names()))
-    return "\n".join(row(f"{name:<{width}}  ", effect_definition(name).meaning) for name in effect_names())
+    """Every effect in a row, then every fault of a set-up."""
+    meanings = {name: effect_definition(name).meaning for name in effect_names()}
+    faults = {name: fault.meaning for name, fault in setup_faults().items()}
+    width = max(map(len, (*meanings, *faults)))
+    rows = [[row(f"{name:<{width}}  ", text) for name, text in group.items()] for group in (meanings, faults)]
+    return "\n".join([*rows[0], "", "faults of the set-up, looked for first", *rows[1]])
 
 
 def one_effect(name: str) -> str:
@@ -20,8 +24,8 @@ def one_effect(name: str) -> str:
     """
     about = explained(name)
     keys = ("equation", "shows_in", "confused_with", "shown_by")
-    rows = [(key.replace("_", " "), about[key]) for key in keys]
-    for item in about["parameters"]:
+    rows = [(key.replace("_", " "), about[key]) for key in keys if key in about]
+    for item in about.get("parameters", ()):
         rest = f", by default {item['default']:g}" if item.get("default") is not None else ""
         units = "" if item["units"] == "1" else f" {item['units']}"
         rows.append((item["name"], f"{item['meaning']} [{item['low']:g} to {item['high']:g}{units}{rest}]"))

@@ -77,6 +77,8 @@ def cause_lines(cause: Cause, width: int) -> list[str]:
     said += [f"          {p.name:{long}}  {parameter_text(p)}" for p in cause.parameters]
     if cause.indistinguishable_from:
         said.append(filled(f"cannot be told from {listed(cause.indistinguishable_from)}", width, 10))
+    if cause.change:
+        said.append(filled(f"to mend: {cause.change}", width, 10))
     if cause.separating_experiment:
         said.append(filled(f"to separate: leactl run {cause.separating_experiment}", width, 10))
     return said

@@ -114,6 +114,8 @@ def cause(item: Cause, closes_no_gap: bool) -> Html:
         said.append(tag("p", f"Its share of what all causes explain: {percent(item.share)}."))
     if item.indistinguishable_from:
         said.append(tag("p", f"Cannot be told from {listed(item.indistinguishable_from)} with these runs."))
+    if item.change:
+        said.append(tag("p", f"To mend it: {item.change}."))
     if item.separating_experiment:
         said.append(tag("p", "To separate: ", tag("code", f"leactl run {item.separating_experiment}")))
     return tag("li", *said)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from leactl.gap.diagnosis import CalibratedParameter, Cause, Diagnosis, EffectParameter, Region, Shrinkage, Where
 from leactl.report.terminal import number
 from leactl.vocabulary.effect import effect_definition, effect_names
+from leactl.vocabulary.setup_fault import setup_faults
 
 CLOSES_NOTHING = "No gap of held-out runs shrinks with these effects by more than chance."
 PRESENT = 0.5  # probability from which on a cause is said to act
@@ -43,8 +44,10 @@ def listed(items: Sequence[str]) -> str:
 
 
 def meaning(effect: str) -> str:
-    """What an effect of the library is, in one sentence."""
-    return effect_definition(effect).meaning if effect in effect_names() else ""
+    """What an effect of the library, or a fault of a set-up, is, in one sentence."""
+    if effect in effect_names():
+        return effect_definition(effect).meaning
+    return setup_faults()[effect].meaning if effect in setup_faults() else ""
 
 
 def label(item: Channel, among: Sequence[Channel]) -> str:

@@ -3,6 +3,7 @@
 import math
 from functools import cache
 from importlib import resources
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
@@ -40,6 +41,7 @@ class EffectDefinition(BaseModel):
 
     model_config = STRICT
     effect: str
+    family: Literal["machine", "sensor", "drive", "thermal"]
     meaning: str
     parameters: dict[str, ParameterDefinition]
     shows_in: str

@@ -21,7 +21,8 @@ PLACE = {"quantity": str, "role": str, "mechanical": str, "units": str}
 WHERE = PLACE | {key: NUMBER for key in ("nominal_rms", "calibrated_rms", "floor_rms", "share")}
 SHRINKAGE = PLACE | {key: NUMBER for key in ("nominal_rms", "calibrated_rms", "augmented_rms", "floor_rms")}
 CALIBRATION = {"parameter": str, "nominal": NUMBER, "fitted": NUMBER, "std": NUMBER, "units": str}
-CAUSE = {"effect": str, "probability": NUMBER, "share": NUMBER, "indistinguishable_from": list, "parameters": list}
+CAUSE = {"effect": str, "family": str, "probability": NUMBER, "share": NUMBER}
+CAUSE |= {"indistinguishable_from": list, "parameters": list}
 PARAMETER = {"name": str, "value": NUMBER, "std": NUMBER, "units": str}
 REGION = {"variable": str, "low": NUMBER, "high": NUMBER, "units": str}
 DOCUMENT = {
@@ -77,7 +78,7 @@ def test_the_document_has_the_keys_of_the_format_and_no_other(diagnosed):
     for item in said["calibration"]:
         fits(item, CALIBRATION)
     for item in said["causes"]:
-        fits(item, CAUSE, ("separating_experiment",))
+        fits(item, CAUSE, ("separating_experiment", "change"))
         assert item["separating_experiment"] is None or isinstance(item["separating_experiment"], str)
         for parameter in item["parameters"]:
             fits(parameter, PARAMETER)

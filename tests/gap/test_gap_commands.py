@@ -196,6 +196,14 @@ def test_all_effects_are_listed_and_explained():
     assert all(name in listed for name in library())
 
 
+def test_faults_of_a_set_up_are_listed_and_explained():
+    everything = json.loads(leactl("gap", "effects", "--json").stdout)["setup_faults"]
+    listed = leactl("gap", "effects").stdout
+    assert {"channel_sign", "channel_scale", "frozen_channel"} <= {one["effect"] for one in everything}
+    assert all(one["family"] == "setup" and one["meaning"] in " ".join(listed.split()) for one in everything)
+    assert "ammeter" in leactl("gap", "effects", "channel_scale").stdout
+
+
 def test_an_unknown_effect_is_one_clear_line():
     answer = leactl("gap", "effects", "gremlins")
     assert answer.returncode == 2

@@ -62,6 +62,7 @@ def causes(
             parameters(item.effect, item.parameters),
             item.peers,
             separating_experiment(item.effect, item.peers),
+            effect_definition(item.effect).family,
         )
         for item in ladder.standing
     ]

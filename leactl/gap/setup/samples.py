@@ -1,0 +1,192 @@
+"""Faults that a channel's own samples show: wrapped, frozen, repeated, clipped."""
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.gap.diagnosis import EffectParameter
+from leactl.gap.noise import noise_of
+from leactl.gap.record import Clocked, Key, Record
+from leactl.gap.setup.contract import SetUpFault, left_out, with_values
+from leactl.model.nominal import Model
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+MEASURED = ("q_axis_current", "velocity", "torque", "q_axis_voltage")  # that noise keeps from standing still
+SEEN = 0.99  # probability of what samples show by themselves
+ALIKE = 0.1  # of a period, by which leaps of a wrapped channel differ
+LEAPS = 0.6  # of a channel's whole range, from which a step from one sample to the next is a leap
+FROZEN = 0.3  # of a record, from which a channel that stands still is no rest
+MOVES = 0.2  # of its usual deviation, that a companion has to have meanwhile
+LONGEST_REST = 100  # samples
+FINE = 200  # levels, from which two equal samples in a row are no rounding
+REPEATED = 0.3  # of a channel's samples
+TOPPED, IN_A_ROW = 0.01, 4  # of a channel's samples at its end, and how many of them stand together
+COMPANIONS = {
+    "velocity": "angle",
+    "angle": "velocity",
+    "q_axis_current": "q_axis_current_reference",
+    "q_axis_current_reference": "q_axis_current",
+    "torque": "q_axis_current",
+}
+"""Channels, and what does not move without them."""
+
+
+def channels_of(records: Sequence[Record], quantities: Collection[str]) -> Iterator[tuple[Key, dict[Path, Clocked]]]:
+    """Every channel of these quantities with the clocks of the runs that have it."""
+    clocks = {record.path: record.fast for record in records if record.fast is not None}
+    for key in sorted({key for clock in clocks.values() for key in clock.values if key[0] in quantities}):
+        yield key, {path: clock for path, clock in clocks.items() if key in clock.values}
+
+
+def share_of(masks: Iterable[Mask]) -> str:
+    """The share of some masks' samples, in percent."""
+    return f"{100.0 * float(np.mean(np.concatenate(list(masks)))):.0f} %"
+
+
+def wrapped(records: Sequence[Record], _: Model) -> SetUpFault | None:
+    """An angle that leaps by a whole range where it should go on."""
+    for key, clocks in channels_of(records, ("angle",)):
+        period = max(period_of(clock.values[key][clock.all_valid(key)]) for clock in clocks.values())
+        if period > 0.0:
+            evidence = f"leaps by {period:.6g} rad from one sample to the next"
+            parameters = (EffectParameter("period", period, 0.0, "rad"),)
+            mend = partial(unwrapped, key=key, period=period)
+            return SetUpFault("wrapped_channel", key, SEEN, evidence, "unwrap it on import", mend, parameters)
+    return None
+
+
+def unwrapped(record: Record, key: Key, period: float) -> Record:
+    """A record whose angle goes on where it leapt by a period."""
+    if record.fast is None or key not in record.fast.values:
+        return record
+    return with_values(record, key, np.unwrap(record.fast.values[key], period=period))
+
+
+def period_of(values: Array) -> float:
+    """The period by which values leap, zero where they do not."""
+    steps, whole = np.diff(values), float(np.ptp(values))
+    leaps = np.abs(steps[np.abs(steps) > LEAPS * whole])
+    if len(leaps) < 2:
+        return 0.0
+    period = float(np.median(leaps)) + float(np.median(np.abs(steps)))
+    near = 2.0 * np.pi if abs(period / (2.0 * np.pi) - 1.0) < ALIKE else period
+    return near if float(np.ptp(leaps)) < ALIKE * near else 0.0
+
+
+def frozen(records: Sequence[Record], _: Model) -> SetUpFault | None:
+    """A channel that stands still for long while what must move with it does."""
+    mechanical = {record.path: record.mechanical for record in records}
+    for key, clocks in channels_of(records, COMPANIONS):
+        if all(may_rest(key, mechanical[path]) for path in clocks):
+            continue
+        rests = {path: rest_of(clock, key) for path, clock in clocks.items() if not may_rest(key, mechanical[path])}
+        still = {path: rest for path, rest in rests.items() if rest.any()}
+        if still:
+            evidence = f"stands still over {share_of(rests.values())} of its samples while {COMPANIONS[key[0]]} moves"
+            change = "look at its wire and its column; these samples are left out"
+            return SetUpFault("frozen_channel", key, SEEN, evidence, change, partial(left_out, key=key, masks=still))
+    return None
+
+
+def may_rest(key: Key, mechanical: str) -> bool:
+    """Whether a channel may stand still in a set-up while its companion moves."""
+    if mechanical in ("locked", "heated"):
+        return key[0] in ("angle", "velocity")
+    return mechanical == "free" and key[0] == "torque"
+
+
+def rest_of(clock: Clocked, key: Key) -> Mask:
+    """Samples over which a channel stands still too long, its companion moving; all of them in most of a record."""
+    values, found = where_measured(clock, key), np.zeros(len(clock.time), np.bool_)
+    companion = clock.get(COMPANIONS[key[0]], key[1])
+    begin, end = longest_run(np.diff(values) == 0.0)
+    if companion is None or end - begin < max(LONGEST_REST, FROZEN * len(values)):
+        return found
+    # a speed moves with the change of an angle, and an angle with the size of a speed
+    moving = np.abs(companion) if key[0] == "angle" else np.diff(companion, prepend=companion[0])
+    if key[0] not in ("angle", "velocity"):
+        moving = companion - companion.mean()
+    usual, meanwhile = (float(np.sqrt(np.mean(part**2))) for part in (moving, moving[begin : end + 1]))
+    if usual == 0.0 or meanwhile < MOVES * usual or noise_of(companion) > 0.5 * float(np.std(companion)):
+        return found
+    found[begin : end + 1] = True
+    return np.ones_like(found) if found.mean() > 1.0 - FROZEN else found
+
+
+def where_measured(clock: Clocked, key: Key) -> Array:
+    """A channel with NaN where it was not measured."""
+    return np.where(clock.all_valid(key), clock.values[key], np.nan)
+
+
+def longest_run(mask: Mask) -> tuple[int, int]:
+    """Begin and end of the longest run of a mask; an empty one where there is none."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))).reshape(-1, 2)
+    if len(edges) == 0:
+        return 0, 0
+    begin, end = edges[int(np.argmax(edges[:, 1] - edges[:, 0]))]
+    return int(begin), int(end)
+
+
+def repeated(records: Sequence[Record], _: Model) -> SetUpFault | None:
+    """A measured channel of which many samples are the one before them once more."""
+    for key, clocks in channels_of(records, MEASURED):
+        shares = [float(again(clock, key).mean()) for clock in clocks.values()]
+        if float(np.median(shares)) > REPEATED:
+            evidence = f"repeats {100.0 * float(np.median(shares)):.0f} % of its samples"
+            change = "it is sampled slower than it is logged: log it at its own rate, in a stream of its own"
+            return SetUpFault("repeated_samples", key, SEEN, evidence, change, partial(taken_between, key=key))
+    return None
+
+
+def taken_between(record: Record, key: Key) -> Record:
+    """A record whose channel goes on a straight line from one fresh sample to the next."""
+    clock = record.fast
+    if clock is None or key not in clock.values:
+        return record
+    fresh = ~again(clock, key)
+    return with_values(record, key, np.interp(clock.time, clock.time[fresh], clock.values[key][fresh]))
+
+
+def again(clock: Clocked, key: Key) -> Mask:
+    """Samples that are the one before them once more; none in a channel of few levels, or at rest."""
+    values = clock.values[key]
+    found = np.concatenate([[False], np.diff(values) == 0.0])
+    begin, end = longest_run(found)
+    if len(np.unique(values)) < min(FINE, len(values) // 4) or end - begin >= LONGEST_REST:
+        return np.zeros(len(values), np.bool_)
+    return found
+
+
+def clipped(records: Sequence[Record], _: Model) -> SetUpFault | None:
+    """A measured channel that stands at an end of its range, sample after sample, where noise should move it."""
+    for key, clocks in channels_of(records, MEASURED):
+        topped = {path: top for path, clock in clocks.items() if (top := at_ends(clock, key)).any()}
+        if topped:
+            level = max(float(np.max(np.abs(clocks[path].values[key]))) for path in topped)
+            evidence = f"stands at {level:.6g} over {share_of(topped.values())} of the samples of {len(topped)} runs"
+            parameters = (EffectParameter("level", level, 0.0, next(iter(clocks.values())).units.get(key, "")),)
+            mend = partial(left_out, key=key, masks=topped)
+            change = "widen its range; these samples are left out"
+            return SetUpFault("clipped_channel", key, SEEN, evidence, change, mend, parameters)
+    return None
+
+
+def at_ends(clock: Clocked, key: Key) -> Mask:
+    """Samples at which a channel of many levels stands at its largest or smallest value, several in a row."""
+    values = where_measured(clock, key)
+    found = np.zeros(len(values), np.bool_)
+    if len(np.unique(values[np.isfinite(values)])) < min(FINE, len(values) // 4):
+        return found
+    still = np.concatenate([[False], np.diff(values) == 0.0])
+    ends = [values == np.nanmax(values), values == np.nanmin(values)]
+    if float(np.mean(still[~(ends[0] | ends[1])])) >= TOPPED:
+        return found  # samples in a row are alike elsewhere as well
+    for there in ends:
+        begin, stop = longest_run(there)
+        if stop - begin >= IN_A_ROW and float(there.mean()) >= TOPPED:
+            found |= there
+    return found

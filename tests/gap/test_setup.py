@@ -1,0 +1,128 @@
+"""Faults of a set-up are named before any effect, with what undoes them; sound channels are left alone."""
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from leactl.gap.diagnose import diagnose
+from leactl.gap.setup import mended, samples, scaling
+from leactl.gap.setup.samples import period_of
+from leactl.gap.setup.scaling import convention
+from tests.gap.joints import Log, case, drawn_joint
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+SPOILT = {  # channels, what is done to them, the fault, and what its evidence tells
+    "turned velocity": (["velocity"], lambda v, _: -v, ("channel_sign", "velocity")),
+    "turned torque direction": (
+        ["q_axis_current", "q_axis_current_reference"],
+        lambda v, _: -v,
+        ("channel_sign", "angle"),
+    ),
+    "turned encoder": (["angle"], lambda v, _: -v, ("channel_sign", "angle")),
+    "turned current": (["q_axis_current"], lambda v, _: -v, ("channel_sign", "q_axis_current")),
+    "rpm": (["velocity"], lambda v, _: v * 30.0 / np.pi, ("channel_scale", "velocity")),
+    "milliamperes": (["q_axis_current"], lambda v, _: v * 1000.0, ("channel_scale", "q_axis_current")),
+    "amplitude for power": (["q_axis_current"], lambda v, _: v * 2.0 / 3.0, ("channel_scale", "q_axis_current")),
+    "dead velocity": (["velocity"], lambda v, _: 0.0 * v, ("frozen_channel", "velocity")),
+    "dead encoder": (["angle"], lambda v, _: 0.0 * v, ("frozen_channel", "angle")),
+    "current frozen halfway": (["q_axis_current"], lambda v, _: half(v), ("frozen_channel", "q_axis_current")),
+    "wrapped": (["angle"], lambda v, _: (v + np.pi) % (2 * np.pi) - np.pi, ("wrapped_channel", "angle")),
+    "clipped": (
+        ["q_axis_current"],
+        lambda v, top: np.clip(v, -0.7 * top, 0.7 * top),
+        ("clipped_channel", "q_axis_current"),
+    ),
+    "half rate": (["velocity"], lambda v, _: np.repeat(v[::2], 2)[: len(v)], ("repeated_samples", "velocity")),
+}
+
+
+def half(values):
+    middle = len(values) // 2
+    return np.concatenate([values[:middle], np.full(len(values) - middle, values[middle])])
+
+
+def spoilt(given, joint, quantities, spoil):
+    """A case whose channels were spoilt in the record."""
+
+    def one(record):
+        values = dict(record.fast.values)
+        for quantity in quantities:
+            values[quantity, "test"] = spoil(values[quantity, "test"], joint.top)
+        return replace(record, fast=replace(record.fast, values=values))
+
+    return replace(given, fitted=[one(r) for r in given.fitted], held_out=[one(r) for r in given.held_out])
+
+
+def joint_case(seed):
+    random = np.random.default_rng(seed)
+    joint = drawn_joint(random)
+    return joint, case(joint, Log(), random)
+
+
+@pytest.fixture(scope="module")
+def cases():
+    return [joint_case(seed) for seed in (11, 12, 13)]
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_a_fault_is_named_by_itself_and_mended(cases, name):
+    quantities, spoil, expected = SPOILT[name]
+    for joint, given in cases:
+        faults, records = mended([*(bad := spoilt(given, joint, quantities, spoil)).fitted, *bad.held_out], given.model)
+        assert [(fault.name, fault.key[0]) for fault in faults] == [expected]
+        assert faults[0].explained > 0.9
+        assert mended(records, given.model)[0] == []
+
+
+def test_a_sound_joint_has_no_fault(cases):
+    for _, given in cases:
+        assert mended([*given.fitted, *given.held_out], given.model)[0] == []
+
+
+def test_a_fault_is_the_first_cause_with_its_change_and_what_is_left_is_sound(cases):
+    joint, given = cases[0]
+    found = diagnose(spoilt(given, joint, ["velocity"], lambda v, _: v * 30.0 / np.pi))
+    assert found.verdict == "effect"
+    assert [(c.effect, c.family) for c in found.causes if c.probability >= 0.5] == [("channel_scale", "setup")]
+    assert "0.1047" in found.causes[0].change
+    assert "60/(2 pi)" in found.notes[0]
+    assert found.causes[0].parameters[0].value == pytest.approx(30.0 / np.pi, rel=0.01)
+
+
+def test_a_fault_that_leaves_nothing_to_check_is_the_answer_itself(cases):
+    joint, given = cases[0]
+    dead = spoilt(given, joint, ["angle"], lambda v, _: 0.0 * v)
+    for record in [*dead.fitted, *dead.held_out]:
+        for quantity in ("q_axis_current", "q_axis_current_reference"):
+            del record.fast.values[quantity, "test"]
+    found = diagnose(dead)
+    assert {c.effect for c in found.causes} == {"frozen_channel"}
+    assert any("a diagnosis needs the angle" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("factor", "name"), [(2 / 3, "2/3"), (-1.0e3, "-1000"), (1.73, "sqrt(3)"), (1.1, ""), (7.0, "")]
+)
+def test_a_factor_is_told_as_the_convention_it_equals(factor, name):
+    assert convention(factor) == name
+
+
+def test_a_period_is_told_from_leaps_and_never_from_a_motion():
+    time = np.linspace(0.0, 20.0, 4000)
+    assert period_of(np.mod(3.0 * time, 2 * np.pi)) == 2 * np.pi
+    assert period_of(np.mod(100.0 * np.sin(time), 360.0)) == pytest.approx(360.0, rel=0.01)
+    assert period_of(np.sign(np.sin(time))) == 0.0 or period_of(100.0 * np.sin(time)) == 0.0
+
+
+def test_the_page_has_the_numbers_of_the_code():
+    page = re.sub(r"\s+", " ", (DOCS / "gap.md").read_text(encoding="utf-8"))
+    assert f"stands still over {100 * samples.FROZEN:.0f} % of a run" in page
+    assert f"| {100 * samples.REPEATED:.0f} % of a measured channel" in page
+    assert f"| {100 * samples.TOPPED:.0f} % of a measured channel stands at its end" in page
+    assert f"beyond {100 * math.expm1(scaling.MEASURED):.0f} % (velocity" in page
+    assert f"or {100 * math.expm1(scaling.MODELLED):.0f} % (torque" in page
+    assert f"explains {100 * scaling.EXPLAINS:.0f} % of" in page
