@@ -140,7 +140,9 @@ def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tup
     def at(coefficients: Array) -> dict[str, float]:
         return effect.parameters(form, dict(zip(names, coefficients.tolist(), strict=True)), model)
 
-    here = at(values)
+    here, units = at(values), effect_definition(name).parameters
+    if not np.isfinite(spread).all():  # no run shows one of its coefficients
+        return tuple(EffectParameter(key, value, math.inf, units[key].units) for key, value in here.items())
     steps = np.sqrt(np.maximum(np.diag(spread), 0.0))
     slopes = {key: np.zeros(len(values)) for key in here}
     for k, step in enumerate(steps):
@@ -148,7 +150,6 @@ def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tup
             there = at(values + step * np.eye(len(values))[k])
             for key in here:
                 slopes[key][k] = (there[key] - here[key]) / step
-    units = effect_definition(name).parameters
     return tuple(
         EffectParameter(key, value, math.sqrt(max(float(slopes[key] @ spread @ slopes[key]), 0.0)), units[key].units)
         for key, value in here.items()

@@ -20,6 +20,7 @@ Array = npt.NDArray[np.float64]
 Column = tuple[str, ...]  # ("calibration", name), ("nuisance", run, name), ("effect", effect, form, coefficient)
 Candidate = tuple[str, Form]  # effect and form
 FEWEST_ROWS = 20
+LEAST_POWER = 1e-280  # of a column, so that one that is all zero leaves numbers that are finite
 LEAST_TOLD = 0.02  # of what all say of a coefficient, below which a run's own say in it does not count
 
 
@@ -282,11 +283,11 @@ def gain_of(normal: Normal, base: npt.NDArray[np.intp], added: npt.NDArray[np.in
     a = normal.gram[np.ix_(base, base)]
     b = normal.gram[np.ix_(base, added)]
     c = normal.gram[np.ix_(added, added)]
-    solved = np.linalg.solve(a + 1e-12 * np.diag(np.diag(a)), np.column_stack([b, normal.right[base]]))
-    schur = c - b.T @ solved[:, :-1]
+    known, scale = (np.sqrt(np.maximum(np.diag(gram), LEAST_POWER)) for gram in (a, c))
+    ridged = a / np.outer(known, known) + 1e-12 * np.eye(len(base))
+    solved = np.linalg.solve(ridged, np.column_stack([b, normal.right[base]]) / known[:, None]) / known[:, None]
     right = normal.right[added] - b.T @ solved[:, -1]
-    diagonal = np.diag(c)
-    schur = schur + np.diag(1e-9 * diagonal + 1e-300)
-    covariance = np.linalg.inv(schur)
+    schur = (c - b.T @ solved[:, :-1]) / np.outer(scale, scale) + 1e-9 * np.eye(len(added))
+    covariance = np.linalg.inv(schur) / np.outer(scale, scale)
     values = covariance @ right
     return float(right @ values), values, np.asarray(covariance, np.float64)

@@ -122,5 +122,6 @@ def highest_bin(power: Array) -> tuple[int, float]:
     over = np.zeros(len(power))
     for at in range(LOWEST, len(power) - 2):
         below, above = power[max(1, at - NEIGHBOURS) : at - 1], power[at + 2 : at + NEIGHBOURS + 1]
-        over[at] = power[at] / max(np.median(below), np.median(above))
+        around = max(float(np.median(below)), float(np.median(above)))
+        over[at] = power[at] / around if around > 0.0 else 0.0  # nothing is known of the noise beside it
     return int(np.argmax(over)), float(np.max(over))

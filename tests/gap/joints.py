@@ -95,11 +95,11 @@ def case(joint, log, random, delay=0, drag=lambda velocity: 0.0):
     return Case(joint.model(random), records[:3], records[3:])
 
 
-def channels(joint, log, kind, random, delay, drag):
+def channels(joint, log, kind, random, delay, drag, seconds=SECONDS):
     """A run of the joint as channels of a file."""
-    count = round(SECONDS * joint.rate)
+    count = round(seconds * joint.rate)
     time = np.arange(count) / joint.rate
-    asked = reference(kind, joint.top, time, random)
+    asked = reference(kind, joint.top, time, seconds, random)
     acting = np.concatenate([np.full(delay, asked[0]), asked[: count - delay]])
     current, velocity, reading, angle = simulated(joint, log, acting, drag)
     ends = PARTS * np.arange(1, count + 1) - 1
@@ -130,15 +130,15 @@ def channels(joint, log, kind, random, delay, drag):
     ]
 
 
-def reference(kind, top, time, random):
+def reference(kind, top, time, seconds, random):
     """Current reference [A] that turns the joint both ways."""
     if kind == "multisine":
         waves = [np.sin(2 * np.pi * (f * time + random.random())) for f in (0.3, 0.7, 1.3, 2.1, 3.7, 6.1)]
         return top * sum(waves) / 3.0
     if kind == "ramp":
-        return top * np.sin(2 * np.pi * time / SECONDS)
+        return top * np.sin(2 * np.pi * time / seconds)
     steps = top * random.uniform(0.3, 1.0, 8) * np.array([1, -1, 1, 1, -1, -1, 1, -1])
-    return steps[np.minimum((time / SECONDS * 8).astype(int), 7)]
+    return steps[np.minimum((time / seconds * 8).astype(int), 7)]
 
 
 def simulated(joint, log, asked, drag):

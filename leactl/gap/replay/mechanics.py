@@ -76,6 +76,8 @@ def kind_of(job: Job) -> str | None:
             return None
     elif job.record.mechanical != "free":
         return None
+    if job.tracked and job.clock.get("angle") is None and job.clock.get("velocity") is None:
+        return None  # there is no motion that it could be kept near
     return "tracked" if job.tracked else "turning"
 
 

@@ -65,7 +65,7 @@ class Pair:
         """Reading over what it should be; NaN where the one does not follow the other."""
         reads, expected = self.reads - self.reads.mean(), self.expected - self.expected.mean()
         power, both = float(expected @ expected), float(reads @ expected)
-        if len(reads) < FEWEST or power == 0.0 or both**2 < FITS * power * float(reads @ reads):
+        if len(reads) < FEWEST or both**2 <= FITS * power * float(reads @ reads):  # zero where one of them stands still
             return math.nan
         return both / power
 

@@ -1,0 +1,43 @@
+"""Whatever a rig logs, a diagnosis answers or refuses in words, in bounded time; it never fails by itself."""
+
+import os
+import time
+
+import pytest
+
+from leactl.errors import InputError
+from leactl.gap.diagnose import diagnose
+from tests.gap.rigs import drawn_rig
+
+VERDICTS = ("none", "calibration", "effect", "unknown")
+DRAWN = int(os.environ.get("RIGS", "2000"))
+LONGEST_S = 60.0  # of processor time, for one of at most 48,000 samples
+
+
+def answered(seed):
+    """The verdict on a drawn rig, or the faults it is refused with."""
+    try:
+        found = diagnose(drawn_rig(seed))
+    except InputError as error:
+        assert error.faults
+        assert all("\n" not in fault for fault in error.faults)
+        return "refused"
+    assert found.verdict in VERDICTS
+    found.as_json()
+    return found.verdict
+
+
+@pytest.mark.parametrize("seed", [1001, 1006, 1038, 1039])
+def test_a_drawn_rig_is_answered_or_refused(seed):
+    assert answered(seed) in (*VERDICTS, "refused")
+
+
+@pytest.mark.long
+def test_of_thousands_of_drawn_rigs_none_fails():
+    told, longest = [], 0.0
+    for seed in range(1000, 1000 + DRAWN):
+        begin = time.process_time()
+        told.append(answered(seed))
+        longest = max(longest, time.process_time() - begin)
+    assert longest < LONGEST_S
+    print(f"{longest:.0f} s", {verdict: told.count(verdict) for verdict in sorted(set(told))})
