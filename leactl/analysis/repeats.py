@@ -24,7 +24,7 @@ def without_repeats(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, i
     """The channel with readings that came again as missed, and how many those are in the holds' settled parts."""
     parts = [span(channel, hold.start, hold.stop) for hold in holds]
     seen = [channel.values[part][np.isfinite(channel.values[part])] for part in parts]
-    shares = [float(np.mean(np.diff(values) == 0.0)) for values in seen if len(values) > 1]
+    shares = [float(np.mean(values[1:] == values[:-1])) for values in seen if len(values) > 1]
     share = float(np.median(shares)) if shares else 1.0
     if share > NOISY and noise_shows(channel.values, staying=False):  # it may hang in most of the record
         share = float(np.mean(rows(channel.values)[1] > 1))
@@ -46,5 +46,5 @@ def repeats(values: npt.NDArray[np.float64], longest: int) -> npt.NDArray[np.boo
 
 def rows(values: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.int64]]:
     """Which readings differ from the one before, and the lengths of the rows of equal ones."""
-    new = np.concatenate([[True], np.diff(values) != 0.0])
+    new = np.concatenate([[True], values[1:] != values[:-1]])
     return new, np.diff(np.append(np.flatnonzero(new), len(values)))

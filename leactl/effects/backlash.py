@@ -16,7 +16,8 @@ class Backlash(Effect):
     continuous = False
     one_sided = True
     explains = 0.45  # how fast the play is crossed depends on both rotors
-    forms = ((0.05,), (0.3,))
+    forms = ((0.25,), (1.5,))
+    form_scales = ("friction",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """A twist that changes side with the torque."""

@@ -15,7 +15,8 @@ class CommandSlewLimit(Effect):
     one_sided = True
     explains = 0.75  # where in the loop the limit sits is not known
     shaped = True
-    forms = ((100.0,), (300.0,), (800.0,), (2000.0,), (5000.0,))
+    forms = ((0.0015,), (0.004,), (0.012,), (0.03,), (0.07,))
+    form_scales = ("highest rate",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """What the limit takes from the model's current."""

@@ -7,6 +7,7 @@ each of its coefficients, and turns fitted coefficients into the parameters of i
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from typing import ClassVar
 
 import numpy as np
@@ -36,6 +37,21 @@ PLACES = (
     "housing_heat",  # W
     "camera_rise",  # relative change of the rise that the camera reads
 )
+
+
+SCALES = (
+    "1",
+    "highest speed",  # rad/s, that the runs reach
+    "highest current",  # A, that the runs reach
+    "longest run",  # s, of those that turn
+    "loop",  # s, time constant of the model's current loop
+    "velocity filter",  # s, time constant
+    "torque filter",  # s, time constant
+    "highest rate",  # A/s, of the highest current through the loop
+    "friction",  # N*m, Coulomb friction
+    "housing",  # s, time constant with which it cools
+)
+"""A machine's own scales, in which forms of effects are told, so that similar machines have similar forms."""
 
 
 @dataclass
@@ -79,13 +95,21 @@ class Effect:
     """One effect; a file of this room holds one subclass, found by listing the room."""
 
     name: ClassVar[str]
-    forms: ClassVar[Sequence[Form]] = ((),)  # values of its non-linear parameters that are tried
+    forms: ClassVar[Sequence[Form]] = ((),)  # values of its non-linear parameters that are tried, in
+    form_scales: ClassVar[tuple[str, ...]] = ()  # the machine's scales; pure numbers where left out
     one_sided: ClassVar[bool] = False  # whether its coefficient makes sense above zero only
     continuous: ClassVar[bool] = True  # whether values between those of its forms make sense
     shaped: ClassVar[bool] = False  # whether its coefficient is the share of a shape that is whole at one
     explains: ClassVar[float] = 0.82  # share of what it does to the channels it touches that its columns must explain
     periodic: ClassVar[str] = ""  # the place whose column repeats over the angle, where orders are searched for
     orders: ClassVar[tuple[int, int]] = (0, 0)  # the orders that are searched
+
+    def forms_at(self, scales: Mapping[str, float]) -> list[Form]:
+        """Forms in SI units at a machine's scales (see `SCALES`); none where one of these is not known."""
+        counted = [scales.get(name) for name in self.form_scales]
+        if None in counted:
+            return []
+        return [tuple(part * (scale or 1.0) for part, scale in zip_longest(form, counted)) for form in self.forms]
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """Columns for each place and coefficient; empty where the run cannot show the effect."""

@@ -14,7 +14,8 @@ class DeadTime(Effect):
 
     name = "dead_time"
     one_sided = True
-    forms = ((0.07,), (0.2,), (0.5,), (1.2,))
+    forms = ((0.003,), (0.008,), (0.02,), (0.05,))
+    form_scales = ("highest current",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """A voltage that saturates with current."""

@@ -15,7 +15,8 @@ class FrictionRunIn(Effect):
 
     name = "friction_run_in"
     one_sided = True
-    forms = ((3.0,), (8.0,), (20.0,), (40.0,))
+    forms = ((0.05,), (0.15,), (0.4,), (0.8,))
+    form_scales = ("longest run",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """Nominal friction, fading over the run."""

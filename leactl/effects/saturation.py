@@ -1,4 +1,4 @@
-"""Saturation: a torque constant K (1 - s (|i| / 25 A)^p)."""
+"""Saturation: a torque constant K (1 - s (|i| / I)^p)."""
 
 from collections.abc import Mapping
 
@@ -15,19 +15,20 @@ class Saturation(Effect):
     name = "saturation"
     continuous = False
     one_sided = True
-    forms = ((1.0,), (2.0,), (4.0,))
+    forms = ((1.0, 1.0), (2.0, 1.0), (4.0, 1.0))
+    form_scales = ("1", "highest current")
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """Relative loss, growing with current."""
         if signals.current is None:
             return {}
-        return {"torque_factor": {"loss": -((np.abs(signals.current) / 25.0) ** form[0])}}
+        return {"torque_factor": {"loss": -((np.abs(signals.current) / form[1]) ** form[0])}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Loss at 25 A, and how it grows."""
-        return {"loss": found["loss"], "exponent": form[0]}
+        """Loss, how it grows, and the current at which it is told."""
+        return {"loss": found["loss"], "exponent": form[0], "current": form[1]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A torque constant that falls with a power of the current, the square by default."""
-        loss, exponent = parameters["loss"], parameters.get("exponent", 2.0)
-        plant.torque_share.append(lambda current: 1.0 - loss * (np.abs(current) / 25.0) ** exponent)
+        loss, exponent, full = parameters["loss"], parameters.get("exponent", 2.0), parameters.get("current", 25.0)
+        plant.torque_share.append(lambda current: 1.0 - loss * (np.abs(current) / full) ** exponent)

@@ -14,7 +14,8 @@ class Stribeck(Effect):
 
     name = "stribeck"
     one_sided = True
-    forms = tuple((speed, shape) for shape in (1.0, 2.0) for speed in (0.1, 0.25, 0.6, 1.2, 2.5))
+    forms = tuple((speed, shape) for shape in (1.0, 2.0) for speed in (0.0035, 0.009, 0.02, 0.045, 0.1))
+    form_scales = ("highest speed",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """A drag that fades with speed; a locked rotor turns by less than its encoder tells a speed of."""

@@ -15,7 +15,8 @@ class ThirdThermalNode(Effect):
 
     name = "third_thermal_node"
     one_sided = True
-    forms = ((300.0,), (1000.0,), (3000.0,), (10000.0,))
+    forms = ((0.4,), (1.25,), (4.0,), (12.0,))
+    form_scales = ("housing",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """The heat into a body that follows the housing with R C."""

@@ -14,7 +14,8 @@ class TimeSkew(Effect):
     name = "time_skew"
     one_sided = True
     shaped = True
-    forms = ((0.0005,), (0.0015,), (0.004,), (0.01,), (0.02,), (0.03,))
+    forms = ((0.8,), (2.5,), (7.0,), (16.0,), (33.0,), (50.0,))
+    form_scales = ("torque filter",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """The model's torque, delayed, against itself."""

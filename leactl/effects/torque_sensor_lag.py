@@ -14,7 +14,8 @@ class TorqueSensorLag(Effect):
     name = "torque_sensor_lag"
     one_sided = True
     shaped = True
-    forms = ((0.0005,), (0.0015,), (0.004,), (0.008,), (0.016,))
+    forms = ((0.8,), (2.5,), (7.0,), (13.0,), (27.0,))
+    form_scales = ("torque filter",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """The model's torque, lagged, against itself."""

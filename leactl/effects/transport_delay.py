@@ -14,7 +14,8 @@ class TransportDelay(Effect):
     name = "transport_delay"
     one_sided = True
     shaped = True
-    forms = ((0.0005,), (0.0015,), (0.004,), (0.009,))
+    forms = ((1.5,), (4.0,), (11.0,), (25.0,))
+    form_scales = ("loop",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """The model's current, delayed, against itself."""

@@ -14,7 +14,8 @@ class VelocityFilterLag(Effect):
     name = "velocity_filter_lag"
     one_sided = True
     shaped = True
-    forms = ((0.0007,), (0.002,), (0.006,), (0.02,), (0.05,))
+    forms = ((1.0,), (3.0,), (10.0,), (30.0,), (80.0,))
+    form_scales = ("velocity filter",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """The model's velocity, lagged, against itself."""

@@ -15,6 +15,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from leactl import yamlfile
 from leactl.effects import library
+from leactl.effects.contract import Form
 from leactl.gap.equations import Equation, equations
 from leactl.gap.orders import strongest
 from leactl.gap.record import Record
@@ -31,7 +32,7 @@ from leactl.gap.regression import (
     residuals,
     stack,
 )
-from leactl.gap.scales import scales
+from leactl.gap.scales import form_scales, scales
 from leactl.gap.stamp_fit import overdue, pin, stamping
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
@@ -99,7 +100,8 @@ class Evidence:
         self.moved: Mapping[str, tuple[float, float]] = {}
         self.lines: Mapping[tuple[str, str, str], float] = {}
         self.kept, self.untold = tuple(kept), tuple[str, ...]()  # parameters that stay as the model has them
-        self.candidates: list[Candidate] = list(only) if only is not None else every_form(model)
+        self.forms = forms_here(records, model)
+        self.candidates: list[Candidate] = list(only) if only is not None else every_form(self.forms)
         self._terms = TermsOf()
         self._equations: list[tuple[str, str, Equation]] = [
             (record.name, record.kind, equation) for record in records for equation in equations(record, model)
@@ -256,14 +258,15 @@ def unscaled(names: set[str]) -> bool:
     return "voltage" not in names and "axis_torque" not in names and any(name.endswith("_torque") for name in names)
 
 
-def every_form(model: Model) -> list[Candidate]:
+def forms_here(records: Sequence[Record], model: Model) -> dict[str, list[Form]]:
+    """Forms of every effect that a model of this kind can lack, at the scales of the machine and these runs."""
+    own = form_scales(records, model)
+    return {effect.name: effect.forms_at(own) for effect in library().values() if effect.applies(model)}
+
+
+def every_form(forms: Mapping[str, Sequence[Form]]) -> list[Candidate]:
     """Every form of every effect that does not wait for an order to be found."""
-    return [
-        (effect.name, form)
-        for effect in library().values()
-        if not effect.periodic and effect.applies(model)
-        for form in effect.forms
-    ]
+    return [(name, form) for name, several in forms.items() if not library()[name].periodic for form in several]
 
 
 @cache

@@ -268,7 +268,7 @@ def disagreement(normal: Normal, fit: Fit, index: int) -> float:
     for gram, local, weight in zip(normal.stack.grams, normal.stack.local, normal.weights, strict=True):
         along = direction[local]
         scores.append(weight * float(along @ (gram[1:, 0] - gram[1:, 1:] @ full[local])))
-        informations.append(weight * float(along @ gram[1:, 1:] @ along))
+        informations.append(max(weight * float(along @ gram[1:, 1:] @ along), 0.0))  # of nothing, rounding may be below
     information = np.asarray(informations)
     told = information > LEAST_TOLD * information.sum()
     freedom = int(told.sum()) - 1

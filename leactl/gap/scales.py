@@ -1,11 +1,15 @@
 """A machine's own units: what its model file and its runs say of its torque, current, time, speed and heat."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from leactl.gap.record import Record
+from leactl.gap.record import Array, Clocked, Record
 from leactl.model.nominal import Model
+
+TOP = 0.999  # quantile of a run's speeds that counts as its highest
+TURNING = 0.1  # of the highest speed, from which on a run counts as turning
 
 
 def scales(records: Sequence[Record], model: Model) -> dict[str, float]:
@@ -44,4 +48,49 @@ def scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     return found
 
 
-TOP = 0.999  # quantile of a run's speeds that counts as its highest
+def form_scales(records: Sequence[Record], model: Model) -> dict[str, float]:
+    """The scales in which forms of effects are told (`leactl.effects.contract.SCALES`), in SI units.
+
+    What these runs and this model do not tell is left out; a loop or filter without a bandwidth is taken to be as slow
+    as the finest interval between samples.
+    """
+    clocks = [record.fast for record in records if record.fast is not None]
+    found = {"1": 1.0}
+    if model.coulomb_friction:
+        found["friction"] = model.coulomb_friction
+    if model.thermal is not None:
+        found["housing"] = model.thermal.housing_capacitance * model.thermal.housing_ambient_resistance
+    if not clocks:
+        return found
+    bench = model.bench
+    found["loop"] = time_constant(bench.current_loop_bandwidth, min(clock.interval for clock in clocks))
+    found["velocity filter"] = time_constant(bench.velocity_filter_bandwidth, found["loop"])
+    found["torque filter"] = time_constant(bench.torque_filter_bandwidth, found["loop"])
+    turning = [(float(clock.time[-1] - clock.time[0]), speed) for clock in clocks for speed in speeds(clock)]
+    if turning and (top := max(float(np.quantile(speed, TOP)) for _, speed in turning)) > 0.0:
+        found["highest speed"] = top
+        found["longest run"] = max(lasting for lasting, speed in turning if np.quantile(speed, TOP) > TURNING * top)
+    currents = [highest(clock, name) for clock in clocks for name in ("q_axis_current", "q_axis_current_reference")]
+    if (top := max(currents)) > 0.0:
+        found["highest current"] = top
+        found["highest rate"] = top / found["loop"]
+    return found
+
+
+def time_constant(bandwidth: float | None, otherwise: float) -> float:
+    """Of a first-order lag of a bandwidth [Hz]."""
+    return otherwise if bandwidth is None else 1.0 / (2.0 * math.pi * bandwidth)
+
+
+def speeds(clock: Clocked) -> Iterator[Array]:
+    """Absolute speeds of a run that has them or an angle."""
+    if (velocity := clock.get("velocity")) is not None:
+        yield np.abs(velocity)
+    elif (angle := clock.get("angle")) is not None:
+        yield np.abs(np.diff(angle)) / clock.interval
+
+
+def highest(clock: Clocked, quantity: str) -> float:
+    """Largest absolute value of a channel but for its outliers; zero where it is not there."""
+    values = clock.get(quantity)
+    return 0.0 if values is None else float(np.quantile(np.abs(values), TOP))

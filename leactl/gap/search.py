@@ -301,7 +301,7 @@ def refine(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
         effect = library()[name]
         if not form or effect.periodic or not effect.continuous:
             continue
-        grid = sorted({other[0] for other in effect.forms if other[1:] == form[1:]})
+        grid = sorted({other[0] for other in evidence.forms.get(name, []) if other[1:] == form[1:]})
         if len(grid) < 2:
             continue
         others = hypothesis[:index] + hypothesis[index + 1 :]

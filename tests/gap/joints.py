@@ -3,6 +3,7 @@
 Nothing of leactl simulates here: a current loop, a rotor with friction and a velocity filter, stepped by Euler.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,6 +57,19 @@ class Joint:
         )
 
 
+@dataclass(frozen=True)
+class Effect:
+    """What the joint does and its model lacks; nothing where nothing else is said."""
+
+    delay: int = 0  # samples, by which the reference acts late
+    slew: float = np.inf  # A/s, that the drive follows its reference with
+    loss: float = 0.0  # of the torque constant at the highest current, growing with its square
+    drag: Callable[[float], float] = lambda speed: 0.0  # N*m, against the motion
+
+
+SOUND = Effect()
+
+
 def drawn_joint(random):
     """A machine with a time constant of 0.1 to 1 s, whose friction takes a tenth of its current."""
     rate, constant, top = random.choice([400.0, 1000.0]), 10.0 ** random.uniform(-1.5, 0.5), random.uniform(1.0, 5.0)
@@ -84,24 +98,24 @@ def drawn_log(random):
     )
 
 
-def case(joint, log, random, delay=0, drag=lambda velocity: 0.0):
-    """Six runs, one of each kind held out; `delay` counts samples, `drag` [N*m] is a torque against the motion."""
+def case(joint, log, random, effect=SOUND):
+    """Six runs, one of each kind held out."""
     kinds = ("multisine", "levels", "ramp")
     runs = [(kind, again) for again in "ab" for kind in kinds]
     records = [
-        build(Path(f"{kind}-{again}.h5"), kind, "free", channels(joint, log, kind, random, delay, drag), {})
+        build(Path(f"{kind}-{again}.h5"), kind, "free", channels(joint, log, kind, random, effect), {})
         for kind, again in runs
     ]
     return Case(joint.model(random), records[:3], records[3:])
 
 
-def channels(joint, log, kind, random, delay, drag, seconds=SECONDS):
+def channels(joint, log, kind, random, effect=SOUND, seconds=SECONDS):
     """A run of the joint as channels of a file."""
     count = round(seconds * joint.rate)
     time = np.arange(count) / joint.rate
     asked = reference(kind, joint.top, time, seconds, random)
-    acting = np.concatenate([np.full(delay, asked[0]), asked[: count - delay]])
-    current, velocity, reading, angle = simulated(joint, log, acting, drag)
+    acting = np.concatenate([np.full(effect.delay, asked[0]), asked[: count - effect.delay]])
+    current, velocity, reading, angle = simulated(joint, log, acting, effect)
     ends = PARTS * np.arange(1, count + 1) - 1
     flowing = np.concatenate([[0.0], np.cumsum(current)])
     late = np.maximum(ends + 1 - round(PARTS * log.current_late), PARTS)
@@ -141,19 +155,22 @@ def reference(kind, top, time, seconds, random):
     return steps[np.minimum((time / seconds * 8).astype(int), 7)]
 
 
-def simulated(joint, log, asked, drag):
+def simulated(joint, log, asked, effect):
     """Current [A], speed and what the drive's filter makes of it [rad/s], angle [rad], at every step."""
     step = 1.0 / joint.rate / PARTS
     follows, filters = -np.expm1(-2.0 * np.pi * np.array([joint.loop, joint.filter]) * step)
     by_samples = -np.expm1(-2.0 * np.pi * joint.filter / joint.rate)
     held, most = joint.friction * step / joint.inertia, len(asked) * PARTS
     out = np.empty((4, most))
-    flowing = speed = reading = angle = before = 0.0
+    flowing = speed = reading = angle = before = limited = 0.0
+    fastest = effect.slew * step
     for index, value in enumerate(asked.tolist()):
         for part in range(PARTS):
             wanted = value if log.held else before + (value - before) * (part + 1) / PARTS
-            flowing += follows * (wanted - flowing)
-            ahead = speed + (joint.constant * flowing - joint.damping * speed - drag(speed)) * step / joint.inertia
+            limited += min(max(wanted - limited, -fastest), fastest)
+            flowing += follows * (limited - flowing)
+            torque = joint.constant * flowing * (1.0 - effect.loss * (flowing / joint.top) ** 2)
+            ahead = speed + (torque - joint.damping * speed - effect.drag(speed)) * step / joint.inertia
             speed = ahead - min(max(ahead, -held), held)
             angle += speed * step
             reading += 0.0 if log.filtered_by_samples else filters * (speed - reading)

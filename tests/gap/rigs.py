@@ -37,7 +37,7 @@ def drawn_rig(seed):
     damage, mechanical = random.choice(DAMAGES), random.choice(["free", "free", "free", "locked", "coupled"])
     records = []
     for index, kind in enumerate(random.choice(KINDS, int(random.choice([1, 2, 3, 6])))):
-        whole = joints.channels(joint, log, str(kind), random, 0, lambda _: 0.0, seconds)
+        whole = joints.channels(joint, log, str(kind), random, seconds=seconds)
         kept = [channel for channel in whole if channel.quantity not in lacking]
         kept += more_channels(kept, joint, mechanical, random)
         spoilt = [damaged(channel, damage, joint, random) for channel in kept]

@@ -124,7 +124,7 @@ def test_xl330_friction_grows_with_load(tmp_path, folder):
     assert sorted({record.setup["drive_gain"] for record in records}) == pytest.approx(
         [1.8204, 3.6408, 7.2816, 14.5632]
     )
-    model, pair = nominal("bam_xl330"), [("load_dependent_friction", (0.0,)), ("saturation", (1.0,))]
+    model, pair = nominal("bam_xl330"), [("load_dependent_friction", (0.0,)), ("saturation", (1.0, 2.0))]
     rows = rows_of(records, model, pair)
     assert {r.equation for r in rows} == {"axis_torque"}
     assert "share one scale" in records[0].notes[-1]

@@ -25,7 +25,7 @@ SEPARATING = [name for name in protocolfile.names() if protocolfile.load(name).s
 def seen_in(name, noise=None):
     plan, nominal = protocolfile.load(name), model()
     record = planned_record(plan, nominal, usual_noise() | (noise or {}))
-    evidence = Evidence([record], nominal, only=planned_candidates(nominal))
+    evidence = Evidence([record], nominal, only=planned_candidates([record], nominal))
     return {sight.effect: sight for sight in sights(evidence, [record.name])}
 
 

@@ -78,6 +78,17 @@ def test_white_noise_is_blind_to_what_is_slow():
     assert white_noise(slow + 0.1 * random.normal(size=5000)) == pytest.approx(0.1, rel=0.1)
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_runs_that_tell_nothing_of_a_parameter_do_not_disagree_about_it(seed):
+    """Of two columns alike only the sum is told, and rounding may make less than nothing of the rest."""
+    twins = [rows(seed, "r"), rows(seed + 100, "s")]
+    for one in twins:
+        one.columns["calibration", "b"] = one.columns["calibration", "a"].copy()
+    normal = Normal(stack(twins, {"a": 0.5, "b": 0.5}), [1e20, 1e20])
+    fit = normal.fit()
+    assert np.isfinite(disagreement(normal, fit, 0))
+
+
 def test_runs_that_contradict_each_other_widen_the_standard_error_and_others_do_not():
     agreeing = stack([rows(seed, str(seed)) for seed in range(6)], {})
     contrary = [rows(seed, str(seed)) for seed in range(6)]

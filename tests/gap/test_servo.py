@@ -160,7 +160,7 @@ def test_friction_that_grows_with_load_and_falls_with_speed_is_found_together(tm
 
 @pytest.mark.long
 def test_torque_that_falls_short_is_told_from_friction(tmp_path):
-    found = standing(*bench(tmp_path, lost=0.3), proposed=[("saturation", (2.0,))])
+    found = standing(*bench(tmp_path, lost=0.3), proposed=[("saturation", (2.0, 1.0))])
     assert list(found) == ["saturation"]
 
 

@@ -7,7 +7,7 @@ from leactl.gap.diagnose import diagnose
 from leactl.gap.evidence import Evidence
 from leactl.gap.search import finding
 from leactl.gap.stamps import TAPS, lateness, neighbour, restamped
-from tests.gap.joints import Log, case, drawn_joint, drawn_log
+from tests.gap.joints import Effect, Log, case, drawn_joint, drawn_log
 
 TOO_FAST = ("command_slew_limit", (1e6,))  # A/s, that no joint's command reaches
 
@@ -42,7 +42,7 @@ def test_of_many_sound_joints_next_to_all_are_called_so(told):
 def test_a_delay_is_named_that_no_stamps_explain():
     random = np.random.default_rng(5)
     joint = drawn_joint(random)
-    found = diagnose(case(joint, drawn_log(random), random, delay=8))
+    found = diagnose(case(joint, drawn_log(random), random, Effect(delay=8)))
     assert named(found) == ["transport_delay"]
 
 
@@ -50,7 +50,7 @@ def test_a_delay_of_two_samples_is_named_only_where_stamps_are_told():
     for told in (True, False):
         random = np.random.default_rng(6)
         joint = drawn_joint(random)
-        found = diagnose(case(joint, Log(sampling=told), random, delay=2))
+        found = diagnose(case(joint, Log(sampling=told), random, Effect(delay=2)))
         assert named(found) == (["transport_delay"] if told else [])
 
 
@@ -59,7 +59,11 @@ def test_an_effect_is_named_in_a_log_without_stamps():
     joint = drawn_joint(random)
     top = joint.constant * joint.top / joint.damping
     strength = 0.15 * joint.constant * joint.top / top**2
-    found = diagnose(case(joint, drawn_log(random), random, drag=lambda speed: strength * speed * abs(speed)))
+
+    def drag(speed):
+        return strength * speed * abs(speed)
+
+    found = diagnose(case(joint, drawn_log(random), random, Effect(drag=drag)))
     assert named(found) == ["quadratic_drag"]
 
 

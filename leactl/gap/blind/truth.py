@@ -15,7 +15,7 @@ import numpy as np
 from leactl.effects import library
 from leactl.gap.blind.answers import MODEL, runs_of, write
 from leactl.gap.diagnose import Case, read_case
-from leactl.gap.evidence import ORDERS_TRIED, Evidence
+from leactl.gap.evidence import ORDERS_TRIED, Evidence, forms_here
 from leactl.gap.orders import strongest
 from leactl.gap.parameters import calibrated, effect_parameters, with_calibration, with_effects
 from leactl.gap.regression import Candidate
@@ -100,7 +100,8 @@ def true_model(nominal: Model, base: Mapping[str, float]) -> Model:
 
 def oracle(case: Case, effects: Sequence[str]) -> tuple[Model, Model]:
     """The calibrated and the augmented model of a diagnosis that is told which effects act, all else as usual."""
-    told = [(name, form) for name in effects for form in library()[name].forms if not library()[name].periodic]
+    here = forms_here(case.fitted, case.model)
+    told = [(name, form) for name in effects for form in here.get(name, []) if not library()[name].periodic]
     evidence = Evidence(case.fitted, case.model, only=told)
     hypothesis = true_set(evidence, effects)
     tuned = with_calibration(case.model, calibrated(evidence, evidence.settle([])))

@@ -86,7 +86,8 @@ def advise(model_file: Path, runs: Sequence[Path], protocols: Sequence[str], noi
             notes += error.faults
     if not given and not extra:
         raise InputError(["there is nothing to plan with", *notes])
-    evidence = Evidence([*given, *(record for _, record in extra)], model, only=planned_candidates(model))
+    planned = [*given, *(record for _, record in extra)]
+    evidence = Evidence(planned, model, only=planned_candidates(planned, model))
     base = [record.name for record in given]
     now = sights(evidence, base)
     experiments = [experiment(plan, now, sights(evidence, [*base, record.name])) for plan, record in extra]

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects import library
-from leactl.gap.evidence import Evidence, every_form
+from leactl.gap.evidence import Evidence, every_form, forms_here
+from leactl.gap.record import Record
 from leactl.gap.regression import Candidate, Normal
 from leactl.gap.search import ENTRY, SHAPE, WAVE
 from leactl.model.nominal import Model
@@ -41,9 +42,9 @@ class Sight:
         return self.smallest is not None and self.smallest <= self.faint
 
 
-def planned_candidates(model: Model) -> list[Candidate]:
-    """Every form of every effect; periodic ones at a few orders over their range."""
-    found = every_form(model)
+def planned_candidates(records: Sequence[Record], model: Model) -> list[Candidate]:
+    """Every form of every effect at the scales of some runs; periodic ones at a few orders over their range."""
+    found = every_form(forms_here(records, model))
     for effect in library().values():
         if effect.periodic and effect.applies(model):
             low, high = effect.orders

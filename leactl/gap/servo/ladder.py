@@ -150,7 +150,7 @@ def starts_of(runs: ServoRuns, model: Model, proposed: Sequence[Candidate]) -> d
     shape = forms.get("stribeck", (1.0, 1.0))[1]
     found: dict[str, list[Parameters]] = {
         "load_dependent_friction": [{"coefficient": 0.1}],
-        "saturation": [{"loss": LOST * (25.0 / max(largest, 1e-3)) ** exponent, "exponent": exponent}],
+        "saturation": [{"loss": LOST, "exponent": exponent, "current": max(largest, 1e-3)}],
         "stribeck": [{"breakaway_ratio": 0.1, "stribeck_velocity": share * fast, "shape": shape} for share in FADES],
     }
     for name, form in proposed:

@@ -40,6 +40,7 @@ SCALES: dict[str, float] = {
 """What a fit may move, with a size that its finite differences and its damping go by."""
 SHAPES = {
     "saturation.exponent": 2.0,
+    "saturation.current": 25.0,
     "stribeck.shape": 1.0,
     "position_dependent_friction.order": 1.0,
 }
@@ -52,7 +53,6 @@ SIGNED = (
 )
 """What may be negative."""
 SLOWEST = 1e-6  # rad/s or A, over which friction or a voltage may fade
-SATURATION_A = 25.0  # current that the loss of the effect is given at
 
 
 def table(points: Sequence[Mapping[str, float]]) -> dict[str, Array]:
@@ -75,7 +75,7 @@ def replay(runs: ServoRuns, sets: Mapping[str, Array]) -> Array:
     parts = parts_of(runs, sets)
     step = runs.interval / parts
     per_speed = (spread("rotor_inertia") + runs.inertia) / step
-    lose = _loss(spread("saturation.loss"), spread("saturation.exponent"))
+    lose = _loss(*(spread(f"saturation.{name}") for name in ("loss", "exponent", "current")))
     rub = spread("load_dependent_friction.coefficient")
     fade = _fading(*(spread(f"stribeck.{name}") for name in ("breakaway_ratio", "stribeck_velocity", "shape")))
     wave = _wave(*(spread(f"position_dependent_friction.{name}") for name in ("cos", "sin", "order")))
@@ -157,7 +157,7 @@ def late(runs: ServoRuns, delays: Array) -> Array:
     return np.stack([[np.interp(at - delay, at, one) for one in runs.reference] for delay in delays])
 
 
-def _loss(loss: Array, exponent: Array) -> Callable[[Array, Array], None] | None:
+def _loss(loss: Array, exponent: Array, full: Array) -> Callable[[Array, Array], None] | None:
     """Takes from currents what saturation takes; None where nothing is lost."""
     if not np.any(loss):
         return None
@@ -165,7 +165,7 @@ def _loss(loss: Array, exponent: Array) -> Callable[[Array, Array], None] | None
 
     def lose(current: Array, other: Array) -> None:
         np.abs(current, out=other)
-        other /= SATURATION_A
+        other /= full
         if bent:
             np.power(other, exponent, out=other)
         other *= loss

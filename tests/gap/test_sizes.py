@@ -1,0 +1,73 @@
+"""Effects whose forms have a unit are named on a machine of any size: their forms are told in its own scales."""
+
+import math
+
+import numpy as np
+import pytest
+
+from leactl.effects import library
+from leactl.effects.contract import SCALES
+from leactl.gap.diagnose import diagnose
+from leactl.gap.scales import form_scales
+from leactl.model.nominal import Model
+from tests.gap.joints import Effect, Log, case, drawn_joint
+
+
+def lame(name, joint):
+    """An effect at a size that its own machine gives it."""
+    top = 0.4 * joint.constant * joint.top / joint.damping  # rad/s, about what the levels reach
+
+    def rubs(speed):
+        fading = math.exp(-abs(speed) / (0.03 * top))
+        return 0.8 * joint.friction * fading * math.tanh(speed / (1e-3 * top))
+
+    return {
+        "command_slew_limit": Effect(slew=4.0 * joint.top * math.pi),
+        "saturation": Effect(loss=0.1),
+        "stribeck": Effect(drag=rubs),
+    }[name]
+
+
+@pytest.mark.parametrize("seed", [22, 23])
+@pytest.mark.parametrize("name", ["command_slew_limit", "saturation", "stribeck"])
+def test_an_effect_is_named_on_a_joint_of_any_size(name, seed):
+    random = np.random.default_rng(seed)
+    joint = drawn_joint(random)
+    found = diagnose(case(joint, Log(), random, lame(name, joint)))
+    assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == [name]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "least"), [("command_slew_limit", 38), ("saturation", 38), ("stribeck", 28)])
+def test_of_many_joints_with_an_effect_most_are_told_so_and_none_another(name, least):
+    told = []
+    for seed in range(300, 340):
+        random = np.random.default_rng(seed)
+        joint = drawn_joint(random)
+        found = diagnose(case(joint, Log(), random, lame(name, joint)))
+        told.append([cause.effect for cause in found.causes if cause.probability >= 0.5])
+    print(name, told.count([name]))
+    assert told.count([name]) >= least  # friction that fades within a hundredth of the speed hides in a quarter of them
+    assert [one for one in told if one not in ([], [name])] == []
+
+
+def test_forms_are_told_in_scales_that_there_are():
+    assert {scale for effect in library().values() for scale in effect.form_scales} <= set(SCALES)
+
+
+def test_an_effect_has_no_form_where_the_runs_do_not_tell_its_scale():
+    assert library()["stribeck"].forms_at({}) == []
+    assert library()["stribeck"].forms_at({"highest speed": 10.0})[0] == pytest.approx((0.035, 1.0))
+    assert len(library()["asymmetric_friction"].forms_at({})) == 1
+
+
+def test_a_loop_without_a_bandwidth_counts_as_slow_as_a_sample():
+    random = np.random.default_rng(3)
+    joint = drawn_joint(random)
+    records = case(joint, Log(), random).fitted
+    here, unknown = form_scales(records, joint.model(random)), form_scales(records, Model(name="bare"))
+    assert here["loop"] == pytest.approx(1.0 / (2.0 * math.pi * joint.loop))
+    assert unknown["loop"] == pytest.approx(1.0 / joint.rate, rel=1e-6)
+    assert unknown["highest rate"] == pytest.approx(unknown["highest current"] * joint.rate, rel=1e-6)
+    assert "friction" not in unknown
+    assert "housing" not in here
