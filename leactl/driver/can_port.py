@@ -90,7 +90,8 @@ class CanPort:
         ------
         DeviceError : the bus is closed, full or gone.
         """
-        if self.bus is None:
+        bus = self.bus
+        if bus is None:
             raise DeviceError(f"bus '{self.name}': not open")
         message = self._sent.get(identifier)
         if message is None or message.data != data:  # a repeated frame needs no message of its own, a changed one does:
@@ -98,7 +99,7 @@ class CanPort:
             message = self._message(arbitration_id=identifier, data=data, is_extended_id=False)
             self._sent[identifier] = message
         try:
-            self.bus.send(message)
+            bus.send(message)
         except (OSError, ValueError, _can_error()) as error:
             raise DeviceError(f"bus '{self.name}': cannot send 0x{identifier:03X}: {error}") from None
 
@@ -116,14 +117,16 @@ class CanPort:
             raise DeviceError(f"bus '{self.name}': not open")
         while False in came:
             left = deadline - now()
-            if left < -LATE_S:
-                return False
+            if left < 0.0:
+                if left < -LATE_S:
+                    return False
+                left = 0.0
             try:
-                message = bus.recv(left if left > 0.0 else 0.0)
+                message = bus.recv(left)
             except (OSError, ValueError, _can_error()) as error:
                 raise DeviceError(f"bus '{self.name}': cannot receive: {error}") from None
             if message is None:
-                if left <= 0.0:
+                if left == 0.0:
                     return False
             elif not (message.is_error_frame or message.is_extended_id or message.is_remote_frame):
                 listener = listeners.get(message.arbitration_id)

@@ -6,7 +6,7 @@ its setpoint; engaging a role brings its setpoint to zero, except in angle mode,
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -98,6 +98,11 @@ class Samples:
 
     period: float
     values: "NDArray[np.float64]"
+    # the same values; its elements are Python floats, at a third of the time that an array's take
+    numbers: "memoryview[float]" = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "numbers", memoryview(self.values))  # type: ignore[arg-type]
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Samples) and self.period == other.period and self._listed == other._listed
@@ -106,15 +111,10 @@ class Samples:
 
     def at(self, time: float) -> float:
         """The latest sample; a loop that is early by a millionth of a period still takes the sample it is due."""
-        index, numbers = int(time / self.period + 1e-6), self._numbers
+        index, numbers = int(time / self.period + 1e-6), self.numbers
         if index <= 0:
             return numbers[0]
         return numbers[index] if index < len(numbers) else numbers[-1]
-
-    @cached_property
-    def _numbers(self) -> "memoryview[float]":
-        # its elements are Python floats, at a third of the time that an array's take
-        return memoryview(self.values)  # type: ignore[arg-type]
 
     @cached_property
     def low(self) -> float:

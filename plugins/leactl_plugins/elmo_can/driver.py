@@ -25,13 +25,21 @@ NETWORK_STATES = {0x00: "boot-up", 0x04: "stopped", 0x7F: "pre-operational"}
 INTERNAL_LIMIT = 0x0800  # statusword bit 11
 QUIET_S = 1.0  # at most one notice in this time: a drive at its limit may go in and out of it every cycle
 MODES = {Mode.OFF: 0, Mode.TORQUE_PROFILE: 4, Mode.ANGLE: 8, Mode.VELOCITY: 9, Mode.CURRENT: 10}
-CURRENT_MODES = (Mode.CURRENT, Mode.TORQUE_PROFILE)
+CURRENT, VELOCITY, ANGLE = range(3)  # where the reference of what a mode sets stands among `values`
+REFERENCES = {
+    Mode.CURRENT: CURRENT,
+    Mode.TORQUE_PROFILE: CURRENT,
+    Mode.VELOCITY: VELOCITY,
+    Mode.ANGLE: ANGLE,
+    Mode.OFF: ANGLE,  # where NaN is written, for nothing is set
+}
 # by names of this module in what runs every cycle: an enum's attribute takes ten times as long (Python 3.11)
-OFF, ANGLE, VELOCITY, ENABLED = Mode.OFF, Mode.ANGLE, Mode.VELOCITY, State.ENABLED
+OFF, ENABLED = Mode.OFF, State.ENABLED
+DISABLE_VOLTAGE, ENABLE_OPERATION = cia402.DISABLE_VOLTAGE, cia402.ENABLE_OPERATION
 ENABLE_TIME_S = 2.0
 DISABLE_VOLTAGE_BY_SDO = bytes.fromhex("2b40600000000000")
 READ_BUS_VOLTAGE = bytes.fromhex("4079600000000000")
-NAN = math.nan
+NAN, NEVER = math.nan, -math.inf
 
 _torque_demand = struct.Struct("<Hhb")
 _motion_demand = struct.Struct("<ii")
@@ -42,6 +50,16 @@ _motion = struct.Struct("<ii")
 def _of_32_bits(counts: int) -> int:
     """A count as the drive's 32 bits hold it, which go round."""
     return (counts + 0x80000000 & 0xFFFFFFFF) - 0x80000000
+
+
+class _SignsOfLife:
+    """When the drive was heard, and what it was sent at a pace slower than the cycle's."""
+
+    def __init__(self) -> None:
+        self.heard_until = NEVER  # its last heartbeat counts
+        self.fed = NEVER  # the host's heartbeat was sent
+        self.asked = NEVER  # for the bus voltage
+        self.due = NEVER  # when `feed` next has something to send
 
 
 class _Standing:
@@ -60,7 +78,7 @@ class _Standing:
 class ElmoCan(Driver):
     """One Elmo Gold drive; its PDO exchange is one SYNC a cycle.
 
-    It has 30 attributes: with more than 30, Python 3.11 reads each of them half as fast again.
+    It has 29 attributes: with more, Python 3.11 to 3.13 keep them in a dictionary, and every access costs more.
     """
 
     Settings = ElmoSettings
@@ -75,19 +93,14 @@ class ElmoCan(Driver):
         self._opened = False
         self._angle_per_count = settings.sign * 2 * math.pi / settings.counts_per_turn
         self._current_per_mille = NAN
-        self._longest_silence = 3e-3 * settings.producer_heartbeat_ms + 1e-3 * settings.consumer_heartbeat_ms
-        self._feed_period = settings.consumer_heartbeat_ms / 3000
-        self._turn_to(Mode.OFF)
-        self._enable_by = math.inf
         self.state = State.NOT_READY
         self.statusword = 0
         self._shown_mode = 0
+        self._turn_to(Mode.OFF)
+        self._enable_by = math.inf
         self._fresh = [False, False, True]  # status, motion, voltage where it comes
         self._emergency = ""
-        self._heard = -math.inf
-        self._fed = -math.inf
-        self._asked = -math.inf
-        self._due = -math.inf  # when `feed` next has something to send
+        self._life = _SignsOfLife()
         self._located = False  # the shaft's angle is known: no operation before that
         self._counts = 0  # of the encoder, going on where the drive's 32 bits go round
         self._standing = _Standing()
@@ -113,7 +126,7 @@ class ElmoCan(Driver):
                 continue
             state = cia402.state_of(word)
             if state not in (State.ENABLED, State.QUICK_STOP, State.FAULT_REACTION):
-                self.state, self.statusword = state, word
+                self._show(word, self._shown_mode)
                 return Confirmation(True, f"{state}, statusword 0x{word:04X}")
             trouble = f"still {state}, statusword 0x{word:04X}"
         return Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble}")
@@ -166,13 +179,15 @@ class ElmoCan(Driver):
             self._emergency = ""
         self._standing.identity = setup.identity()
         self._current_per_mille, self._standing.most_per_mille = setup.read_scales()
+        self._turn_to(Mode.OFF)
         setup.arm_dead_man()
-        self._fed = self._due = -math.inf  # what was sent before counts no more: writing 0x1016 ends the monitoring
+        # what was sent before counts no more: writing 0x1016 ends the monitoring
+        self._life.fed = self._life.due = NEVER
         self._nmt(NMT_PRE_OPERATIONAL)
         setup.map_pdos()
         setup.start_heartbeat()
         self._nmt(NMT_START)
-        self._heard = self._clock.now()
+        self._hear()
         self._standing.started = True
 
     def identity(self) -> Identity:
@@ -226,11 +241,6 @@ class ElmoCan(Driver):
         channel = ChannelSpec("vbus", "bus_voltage", self.role, self.name, "DC link voltage")
         return (StreamSpec(f"{self.name}_supply", (channel,)),)
 
-    @property
-    def engaged(self) -> bool:
-        """True once the drive reports operation enabled in the mode that was asked for."""
-        return self._mode is not OFF and self.state is ENABLED and self._shown_mode == self._mode_number
-
     def engage(self, mode: Mode) -> None:
         """Begin to enter operation in this mode with zero demand; angle holds where the shaft is."""
         if mode not in MODES or mode is Mode.OFF:
@@ -250,15 +260,16 @@ class ElmoCan(Driver):
         ------
         InputError : not finite, outside what the drive's object holds, or a current above what the drive lets flow.
         """
-        mode, scale, limit, origin = self._mode, self._angle_per_count, 0x7FFFFFFF, 0
-        if mode in CURRENT_MODES:
+        scale, limit, origin = self._angle_per_count, 0x7FFFFFFF, 0
+        by_current = self._reference == CURRENT
+        if by_current:
             scale, limit = self._current_per_mille, self._standing.most_per_mille
-        elif mode is ANGLE:
+        elif self._mode is Mode.ANGLE:
             origin = self._counts  # half a round of the counter is the furthest that its 32 bits can tell
         demand = value / scale
-        if not abs(demand - origin) <= limit:
+        if not -limit <= demand - origin <= limit:
             reach = limit * abs(scale)
-            if mode in CURRENT_MODES and limit < 0x7FFF:
+            if by_current and limit < 0x7FFF:
                 raise InputError(
                     f"{self.name}: a demand of {value:g} A is above the {reach:g} A that the drive lets flow"
                     f" (0x6072, 0x6073: {limit} per mille of its rated current)"
@@ -268,23 +279,23 @@ class ElmoCan(Driver):
 
     def begin_cycle(self) -> None:
         """Send this cycle's demand; it acts at the SYNC that follows."""
-        word = cia402.DISABLE_VOLTAGE
-        if self._mode is not OFF and self._located:
-            word = cia402.ENABLE_OPERATION if self.state is ENABLED else self._towards_enabled()
-            if self._mode is ANGLE and self.state is not ENABLED:
+        fresh = self._fresh
+        fresh[0] = fresh[1] = False
+        if len(self.values) > 7:
+            fresh[2] = False
+        if self._mode is OFF or not self._located:
+            self._send_demand(DISABLE_VOLTAGE)
+        elif self.state is ENABLED:
+            self._send_demand(ENABLE_OPERATION)
+        else:
+            if self._reference == ANGLE:
                 self._value = self._counts  # hold where the shaft is at the moment operation begins
-        values = self.values
-        values[3] = values[4] = values[5] = values[6] = NAN
-        self._fresh[0] = self._fresh[1] = False
-        if len(values) > 7:
-            values[7] = NAN
-            self._fresh[2] = False
-        self._send_demand(word)
+            self._send_demand(self._towards_enabled())
 
     def _towards_enabled(self) -> int:
         """The next controlword on the way into operation; monitoring begins with a heartbeat and ends with a lapse."""
         consumer_time = self.settings.host_silence_s
-        if self._clock.now() - self._fed > consumer_time:
+        if self._clock.now() - self._life.fed > consumer_time:
             raise DeviceError(
                 f"{self.name}: is not enabled: no heartbeat was sent in {consumer_time:g} s, its dead-man is not armed"
             )
@@ -298,37 +309,44 @@ class ElmoCan(Driver):
         DeviceFault : the drive is in fault, sent an emergency message, or left operation by itself.
         NoAnswer : the drive's own heartbeat stayed away, or it did not enter operation in time.
         """
-        fresh, values = self._fresh, self.values
-        self._port.pump_until(fresh, deadline)
-        mode, engaged = self._mode, self.engaged
+        came = self._port.pump_until(self._fresh, deadline)
+        values, engaged = self.values, self.engaged
         values[0], values[1], values[2] = self._followed  # until the SYNC at which the drive sampled
         followed = self._followed = self._follows
-        if mode in CURRENT_MODES:
-            followed[0] = self._value * self._current_per_mille
-        elif mode is VELOCITY:
-            followed[1] = self._value * self._angle_per_count
-        elif mode is ANGLE:
-            followed[2] = self._value * self._angle_per_count
-        if fresh[0]:
-            values[6] = 1.0 if engaged else 0.0
-        silence = self._clock.now() - self._heard
-        if engaged and silence <= self._longest_silence and not self._emergency:
-            self._enable_by = -math.inf  # from here on, leaving operation is the drive's own doing
+        followed[self._reference] = self._value * self._scale
+        values[6] = 1.0 if engaged else 0.0
+        if not came:
+            self._forget_what_stayed_away()
+        now = self._clock.now()
+        if engaged and now <= self._life.heard_until and not self._emergency:
+            self._enable_by = NEVER  # from here on, leaving operation is the drive's own doing
         else:
-            self._judge(silence)
+            self._judge(now)
+
+    def _forget_what_stayed_away(self) -> None:
+        values = self.values
+        status, motion, voltage = self._fresh
+        if not status:
+            values[3] = values[6] = NAN
+        if not motion:
+            values[4] = values[5] = NAN
+        if not voltage:
+            values[7] = NAN
 
     def feed(self) -> None:
         """Send the host's heartbeat once a third of the consumer time has passed; ask for the bus voltage."""
-        now = self._clock.now()
-        if now < self._due:
+        now, life = self._clock.now(), self._life
+        if now < life.due:
             return
-        if now - self._fed >= self._feed_period:
-            self._port.send(0x700 + self.settings.host_node, bytes((OPERATIONAL,)))
-            self._fed = now
-        if now - self._asked >= self.settings.bus_voltage_period_s:
-            self._asked = now
+        settings = self.settings
+        period = settings.consumer_heartbeat_ms / 3000
+        if now - life.fed >= period:
+            self._port.send(0x700 + settings.host_node, bytes((OPERATIONAL,)))
+            life.fed = now
+        if now - life.asked >= settings.bus_voltage_period_s:
+            life.asked = now
             self._port.send(0x600 + self._node, READ_BUS_VOLTAGE)
-        self._due = min(self._fed + self._feed_period, self._asked + self.settings.bus_voltage_period_s)
+        life.due = min(life.fed + period, life.asked + settings.bus_voltage_period_s)
 
     def notices(self) -> list[str]:
         """One line each time the drive began to limit its demand by itself, which it tells by statusword bit 11."""
@@ -382,27 +400,37 @@ class ElmoCan(Driver):
 
     def _turn_to(self, mode: Mode) -> None:
         self._mode, self._mode_number, self._value = mode, MODES[mode], 0
-        self._follows = [NAN, NAN, NAN]  # current, velocity and angle that this mode's demands stand for
+        self._reference: int = REFERENCES[mode]
+        scale = self._current_per_mille if self._reference == CURRENT else self._angle_per_count
+        self._scale = NAN if mode is Mode.OFF else scale  # of what a demand stands for
+        # current, velocity and angle that this mode's demands stand for
+        self._follows: list[float] = [NAN, NAN, NAN]
+        self._show(self.statusword, self._shown_mode)
+
+    def _show(self, statusword: int, mode_number: int) -> None:
+        """Take what the drive shows of itself; it is engaged where it has operation enabled in the mode asked for."""
+        self.statusword, self.state, self._shown_mode = statusword, cia402.state_of(statusword), mode_number
+        self.engaged = self._mode is not OFF and self.state is ENABLED and mode_number == self._mode_number
 
     # -- frames ------------------------------------------------------------------------------------------------------
 
     def _send_demand(self, word: int) -> None:
-        mode, value = self._mode, self._value
-        torque = value if mode in CURRENT_MODES else 0
+        reference, value = self._reference, self._value
+        torque = value if reference == CURRENT else 0
         self._port.send(0x200 + self._node, _torque_demand.pack(word, torque, self._mode_number))
-        if mode is ANGLE:
-            self._port.send(0x300 + self._node, _motion_demand.pack(_of_32_bits(value), 0))
-        elif mode is VELOCITY:
-            self._port.send(0x300 + self._node, _motion_demand.pack(_of_32_bits(self._counts), value))
+        if reference == CURRENT or self._mode is OFF:
+            return
+        angle, velocity = (value, 0) if reference == ANGLE else (self._counts, value)
+        self._port.send(0x300 + self._node, _motion_demand.pack(_of_32_bits(angle), velocity))
 
     def _on_status(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == 7:
-            word, self._shown_mode, _torque, current = _status.unpack(data)
+            word, mode_number, _torque, current = _status.unpack(data)
             self.values[3] = current * self._current_per_mille
-            if word != self.statusword:
+            if word != self.statusword or mode_number != self._shown_mode:
                 if word & ~self.statusword & INTERNAL_LIMIT:
                     self._note_limiting(word)
-                self.statusword, self.state = word, cia402.state_of(word)
+                self._show(word, mode_number)
             self._fresh[0] = True
 
     def _on_motion(self, data: bytearray, _timestamp: float) -> None:
@@ -434,10 +462,17 @@ class ElmoCan(Driver):
         state, standing = (data[0] & 0x7F if data else -1), self._standing
         if state == OPERATIONAL:
             standing.operational = standing.started
-            self._heard = self._clock.now()
+            self._hear()
         elif standing.started and (standing.operational or state == BOOTED) and not self._emergency:
             shown = NETWORK_STATES.get(state, f"heartbeat {bytes(data).hex() or 'empty'}")
             self._emergency = f"node {self._node} rebooted or left the operational state ({shown})"
+
+    def _hear(self) -> None:
+        self._life.heard_until = self._clock.now() + self._longest_silence
+
+    @property
+    def _longest_silence(self) -> float:
+        return 3e-3 * self.settings.producer_heartbeat_ms + 1e-3 * self.settings.consumer_heartbeat_ms
 
     def _note_limiting(self, word: int) -> None:
         now, standing = self._clock.now(), self._standing
@@ -449,21 +484,22 @@ class ElmoCan(Driver):
         if len(data) == 8 and emergency.code_of(data) != emergency.CODE_RESET:
             self._emergency = emergency.describe(data)
 
-    def _judge(self, silence: float) -> None:
+    def _judge(self, now: float) -> None:
         """Say what keeps the drive out of operation, where it should be in it."""
         if self._emergency:
             raise DeviceFault(f"{self.name}: {self._emergency}")
-        if silence > self._longest_silence:
+        if now > self._life.heard_until:
+            silence = now - self._life.heard_until + self._longest_silence
             raise NoAnswer(f"{self.name}: no heartbeat of node {self._node} for {silence:.3f} s")
         if self.state in FAULTS:
             raise DeviceFault(f"{self.name}: {self.state}, statusword 0x{self.statusword:04X}")
         if self._mode is OFF:
             return
-        if self._enable_by == -math.inf:
+        if self._enable_by == NEVER:
             raise DeviceFault(
                 f"{self.name}: left operation by itself, {self.state}, statusword 0x{self.statusword:04X}"
             )
-        if self._clock.now() > self._enable_by:
+        if now > self._enable_by:
             raise NoAnswer(
                 f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {self.state}, 0x{self.statusword:04X}"
             )
