@@ -30,6 +30,7 @@ from leactl.protocol.plan import (
 )
 from leactl.runfile.writer import RunWriter
 from leactl.runner.channel_limits import ChannelLimits
+from leactl.runner.commanded import Commanded
 from leactl.runner.criterion import Judge
 from leactl.runner.outcomes import Outcomes
 from leactl.runner.progress import Progress
@@ -70,11 +71,7 @@ class Loop:
         self._flush, self._stop, self._progress, self._operator = flush, stop, progress, operator
         self._watchdog, self._sign = watchdog, watchdog.sign
         self._limits, self._wishes = limits, wishes
-        self._at_rest: dict[str, bool] = {}  # by role in operation: whether its setpoint lets it rest
-        self._supplying: set[str] = set()
-        self._pausing = False
-        self._modes: dict[str, Mode] = {}
-        self._limited = limits.any
+        self._commanded, self._pausing = Commanded(), False
         self.outcomes = Outcomes()
         self._clock = bench.clock
         self._period = 1.0 / plan.rate_Hz
@@ -84,7 +81,7 @@ class Loop:
         progress.own = self._newest
         self._row: list[float] = []
         self._judged: Sequence[float] = ()  # the row that a criterion was given last
-        self._every, self._phase = round(plan.rate_Hz / plan.record_Hz), 0
+        self._record_at(plan.record_Hz)
         self._planned = 0.0
         self.overruns = 0
         self.cycles = 0
@@ -113,7 +110,7 @@ class Loop:
                     self._decide(action, actions)
                     continue
                 self._perform(action)
-                if self._wishes.paused() and self._rests:
+                if self._wishes.paused() and self._commanded.rests:
                     self._pause()
             self._cycle()
         except BaseException as error:
@@ -140,8 +137,12 @@ class Loop:
             case Prompt():
                 self._prompt(action.text)
             case Record():
-                self._every = round(self._plan.rate_Hz / action.rate_Hz) if action.rate_Hz else 0
-                self._phase = 0
+                self._record_at(action.rate_Hz)
+
+    def _record_at(self, rate: float) -> None:
+        """Record rows at this rate [Hz] from the next cycle on; 0 records none."""
+        self._every = round(self._plan.rate_Hz / rate) if rate else 0
+        self._until_row = 0 if rate else -1
 
     def _decide(self, when: When, actions: Iterator[Action]) -> None:
         """Leave out what follows a condition, up to its end, where it is not fulfilled."""
@@ -160,11 +161,6 @@ class Loop:
             opened += isinstance(action, When) - isinstance(action, EndWhen)
             self._planned += action.duration_s if isinstance(action, Segment) else 0.0
         self._progress.done_s = self._planned
-
-    @property
-    def _rests(self) -> bool:
-        """Whether nothing is commanded now but angles that are held: a pause leaves out nothing of the plan."""
-        return all(self._at_rest.values()) and not self._supplying
 
     def _pause(self) -> None:
         """Go on with supervised cycles, and nothing commanded, until people want the run to go on.
@@ -191,12 +187,14 @@ class Loop:
     def _cycle(self) -> None:
         """Exchange, record, judge, feed, and wait for the next cycle's start."""
         self._stop.check()
-        bench, supervisor, writer, start = self._bench, self._supervisor, self._writer, self._start
+        bench, supervisor, writer, clock, start = self._bench, self._supervisor, self._writer, self._clock, self._start
         began = self._next
         row = self._row = bench.exchange(began + self._answer_s)
-        if self._every and self._phase % self._every == 0 and row:
-            writer.append_row("loop", began - start, row)
-        self._phase += 1
+        if self._until_row == 0:
+            self._until_row = self._every
+            if row:
+                writer.append_row("loop", began - start, row)
+        self._until_row -= 1  # never comes to 0 where nothing is recorded
         readings = bench.take()
         for reading in readings:
             if isinstance(reading, Block):
@@ -206,9 +204,9 @@ class Loop:
                 writer.append_row(reading.stream, reading.time - start, reading.values)
                 self._newest[reading.stream] = reading.values
             supervisor.receive(reading)
-        supervisor.check(self._clock.now())
+        supervisor.check(clock.now())
         bench.feed()
-        if self._limited:
+        if self._limits.any:
             self._judge(began, row, readings)
         self._flush.after_cycle()
         self.cycles += 1
@@ -218,18 +216,18 @@ class Loop:
             self._pass_on_notices()
             self._see_watchdog()
         self._progress.values = row
-        self._pace(began)
-
-    def _pace(self, began: float) -> None:
-        due, now = began + self._period, self._clock.now()
-        if now > due + self._period:  # a cycle is lost: go on from here, never two cycles in a row to catch up
-            self.overruns += 1
-            if self.overruns in (1, 10, 100, 1000):
-                late = now - due
-                self._note("warning", "runner", f"cycle late by {late * 1e3:.1f} ms; {self.overruns} so far")
+        period, now = self._period, clock.now()
+        due = began + period
+        if now > due + period:  # a cycle is lost: go on from here, never two cycles in a row to catch up
+            self._note_overrun(now - due)
             due = now
-        self._clock.sleep_until(due)
+        clock.sleep_until(due)
         self._next = due
+
+    def _note_overrun(self, late: float) -> None:
+        self.overruns += 1
+        if self.overruns in (1, 10, 100, 1000):
+            self._note("warning", "runner", f"cycle late by {late * 1e3:.1f} ms; {self.overruns} so far")
 
     def _pass_on_notices(self) -> None:
         for source, text in self._bench.notices():
@@ -301,8 +299,7 @@ class Loop:
                 parameters |= self.outcomes.take(segment, ended == "met")
         finally:
             for role, profile in setpoints:
-                held = self._modes.get(role) is Mode.ANGLE
-                self._at_rest[role] = held or profile.at(segment.duration_s) == 0.0
+                self._commanded.move(role, profile.at(segment.duration_s))
             if segment.duration_s > 0.0:
                 self._limits.leave(segment.name, self.time)
                 parameters |= {} if judge is None else {"until": ended}
@@ -348,7 +345,7 @@ class Loop:
                 self._supervisor.release(role)
             else:
                 self._supervisor.engage(role, mode)
-            self._modes[role], self._at_rest[role] = mode, True
+            self._commanded.engage(role, mode)
         self._progress.step = "modes " + ", ".join(f"{role} {mode}" for role, mode in modes.items())
         self._note("info", "runner", self._progress.step)
         engaged = [role for role, mode in modes.items() if mode is not Mode.OFF]
@@ -366,9 +363,9 @@ class Loop:
         for role, output in outputs.items():
             if output is None:
                 supplies.switch_off(role)
-                self._supplying.discard(role)
+                self._commanded.supply(role, False)
             else:
-                self._supplying.add(role)
+                self._commanded.supply(role, True)
                 supplies.put_out(role, *output)
         end = self.time + SWITCHED_S
         self._cycle()
