@@ -11,6 +11,7 @@ from leactl.safety.watching import Panel, Watch
 TEMPERATURE_STUCK_S = 600.0  # a temperature without a word on it: at a thousandth of a kelvin none stands still so long
 TURNING_RAD_S = 0.1  # far above the noise of a velocity: below, nothing is said of an angle or a velocity that stands
 APART_CYCLES = 3  # that a torque and a current which stand side by side may have been measured apart
+NAN = math.nan  # by a name of this module in what runs every cycle
 OTHERS_EVERY = 16  # cycles in which others are looked at: that they move at all shows soon enough
 
 
@@ -145,10 +146,10 @@ class TorqueEstimates:
         ------
         SafetyTrip : by way of the watch's `trip`.
         """
-        values = self._drive.values
+        values, least = self._drive.values, self._least
         apart = self._sensor.values[self._torque] - self._torque_constant * values[self._current]
-        if -self._least <= apart <= self._least:
-            self._since = math.nan
+        if -least <= apart <= least:
+            self._since = NAN
         else:
             self._look_closer(apart, values[self._current], values[self._speed], now)
 

@@ -36,7 +36,8 @@ SETPOINT_QUANTITY = {
     Mode.ANGLE: "angle_reference",
 }
 DEFAULTS = Interlocks()
-NOTHING_PASSES = (math.nan, math.nan)
+NAN = math.nan  # by a name of this module in what runs every cycle
+NOTHING_PASSES = (NAN, NAN)
 
 
 class Axis(NamedTuple):
@@ -126,12 +127,12 @@ class Supervisor:
         self._due = self._ages_due = -math.inf
         # by names of their own: `check` runs in every cycle
         self._judged = [
-            (guard.roles.index(role), guarded, guarded.axis.motion, guarded.current, guarded.panel.look)
-            for role, guarded in self._axes.items()
+            (guard.roles.index(role), each, each.tracking, each.axis.motion, each.current, each.panel.look)
+            for role, each in self._axes.items()
         ]
         guard.watch(self._motion_of)
         guard.begin(now)
-        self._heated, self._heating = now, (guard, guard.squares, guard.flowing, math.inf)
+        self._heating = guard.squares, guard.flowing, math.inf
         self.windings = guard.estimate, guard.hottest  # degC by role, kept up to date
         self.time_left = guard.time_left
 
@@ -166,7 +167,7 @@ class Supervisor:
         now, self._period = self._clock.now(), period
         guard = self._thermal
         guard.begin(now)
-        self._heated, self._heating = now, (guard, guard.squares, guard.flowing, STALL_CYCLES * period)
+        self._heating = guard.squares, guard.flowing, STALL_CYCLES * period
         for guarded in self._axes.values():
             guarded.panel.begin(now, self._limits.cyclic_age(period))
         for panel in self._own.values():
@@ -285,49 +286,49 @@ class Supervisor:
         if self.tripped:
             raise SafetyTrip(self.tripped)
         pace = self._pace
+        elapsed = now - pace.last
         if pace.last <= now <= pace.latest:
             pace.last = now
             pace.latest += pace.period
         else:
             pace.look(now)
-        elapsed = now - self._heated
-        self._heated = now
-        guard, squares, flowing, stall = self._heating
-        for place, guarded, motion, where, look in self._judged:
+        squares, flowing, stall = self._heating
+        on_time = elapsed < stall
+        for place, guarded, tracking, motion, where, look in self._judged:
             values = motion.values
             look(values, now)
             if guarded.path is not None:
                 guarded.path.exchanged(guarded.measured_angle, motion.engaged, now)
             current = values[where]
-            tracking = guarded.tracking
             if tracking.low <= current <= tracking.high:
-                tracking.since = math.nan
+                tracking.since = NAN
             else:
-                speed = math.nan if guarded.velocity is None else values[guarded.velocity]
+                speed = NAN if guarded.velocity is None else values[guarded.velocity]
                 tracking.look(current, speed, now)
             square, asked = current * current, guarded.asked
             if not square >= guarded.held:  # a reading that is no number is the worst that may flow
                 square = guarded.held if square == square else self._worst
             # a stall of the loop is longer than a cycle: what flowed before it may have gone on
-            squares[place] += (square if elapsed < stall or square > flowing[place] else flowing[place]) * elapsed
+            squares[place] += (square if on_time or square > flowing[place] else flowing[place]) * elapsed
             guarded.held = asked
             flowing[place] = square if square > asked else asked
-        if now >= guard.due or elapsed < 0.0:
-            too_hot = guard.check(now)
-            if too_hot:
-                self.trip(too_hot)
         if now >= self._due:
             self._look_at_all(now)
         if self._torques is not None:
             self._torques.look(now)
 
     def _look_at_all(self, now: float) -> None:
-        """What need not be looked at in every cycle: ages of the devices' own streams, and what stands still."""
+        """What need not be looked at in every cycle: windings, ages of the devices' own streams, what stands still."""
+        guard = self._thermal
+        if now >= guard.due:
+            too_hot = guard.check(now)
+            if too_hot:
+                self.trip(too_hot)
         if now >= self._ages_due:
             self._ages_due = min((panel.check_age(now) for panel in self._lasting), default=math.inf)
         if now >= self._stuck.due:
             self._stuck.look(now)
-        self._due = min(self._ages_due, self._stuck.due)
+        self._due = min(guard.due, self._ages_due, self._stuck.due)
 
     def receive(self, row: Row | Block) -> None:
         """Judge a sample of a device's own stream, or many.
@@ -344,8 +345,9 @@ class Supervisor:
             return
         if row.fault:
             self.trip(row.fault)
-        self._own[row.stream].look(row.values, row.time)
-        if row.stream in self._heating_streams:
+        stream = row.stream
+        self._own[stream].look(row.values, row.time)
+        if stream in self._heating_streams:
             self._measured.look(row)
             self.supplies.look(row)
 

@@ -136,11 +136,8 @@ class Panel:
         ]
         self.values: Sequence[float] = ()  # the latest
         self._windows = [(watch.index, *watch.quiet) for watch in self.watches]
-        self._rated = [watch for watch in self.watches if watch.rate < math.inf]
-        # of each channel whose rate is watched: its place, its rate, and its value at the last look
-        self._rates: list[tuple[int, float, list[float]]] = [
-            (watch.index, watch.rate, [math.nan]) for watch in self._rated
-        ]
+        self._rates = [(watch.index, watch.rate) for watch in self.watches if watch.rate < math.inf]
+        self._last = [math.nan] * len(channels)  # of each channel with a rate, its value at the last look
         self._quiet = False
         self.looked = -math.inf
 
@@ -158,25 +155,30 @@ class Panel:
         SafetyTrip : by way of `trip`.
         """
         self.values = values
-        if self._quiet:
-            for index, low, high in self._windows:
-                if not low <= values[index] <= high:
-                    break
-            else:
-                time = now - self.looked
-                for index, rate, last in self._rates:
-                    if not abs(values[index] - last[0]) <= rate * time:
-                        break
-                    last[0] = values[index]
-                else:
-                    self.looked = now
+        if not self._quiet:
+            self._look_closely(values, now)
+            return
+        for index, low, high in self._windows:
+            if not low <= values[index] <= high:
+                self._look_closely(values, now)
+                return
+        if self._rates:
+            last, time = self._last, now - self.looked
+            for index, rate in self._rates:
+                if not abs(values[index] - last[index]) <= rate * time:
+                    self._look_closely(values, now)
                     return
+                last[index] = values[index]
+        self.looked = now
+
+    def _look_closely(self, values: Sequence[float], now: float) -> None:
+        if self._quiet:
             self._remember()
         quiet = True
         for watch in self.watches:
             quiet = watch.look(values[watch.index], now) and quiet
-        for index, _rate, last in self._rates:
-            last[0] = values[index]
+        for index, _rate in self._rates:
+            self._last[index] = values[index]
         self._quiet, self.looked = quiet, now
 
     def look_through(self, block: Block) -> None:
@@ -200,9 +202,7 @@ class Panel:
         """Up to the last look all was quiet, and nothing was kept of each channel."""
         for watch in self.watches:
             watch.seen = watch.last_at = self.looked
-            watch.last = math.nan
-        for watch, (_index, _rate, last) in zip(self._rated, self._rates, strict=True):
-            watch.last = last[0]
+            watch.last = self._last[watch.index]
 
     def check_age(self, now: float) -> float:
         """Trip where a channel is too old or stamped ahead of now; the time when the next one may be.

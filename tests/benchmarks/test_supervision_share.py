@@ -13,7 +13,6 @@ from tests.benchmarks.rounds import compare
 from tests.safety.guards import guard_of
 
 LIMIT = 0.10  # of the cycle's CPU time
-TORQUE_EVERY_MS = 2  # an ADS1115 converts in 1.2 ms, and is read by the cycle after
 INTERLOCKS = """
 q_axis_current: {warn_A: 26, trip_A: 28, for_s: 0.5, stuck_s: 1}
 velocity: {warn_rad_s: 36, trip_rad_s: 38, for_s: 0.1, rate_rad_s_per_s: 10000}
@@ -32,10 +31,19 @@ class Sensor:
         self.name, self.streams = "torque_sensor", streams
 
 
+def readings_of(second):
+    """Torques read in one second, each with the ends of the two cycles of 1 ms that share it.
+
+    An ADS1115 converts in 1.2 ms, and is read by the cycle after.
+    """
+    starts = [second + k / 1000 for k in range(0, 1000, 2)]
+    rows = [Row("torque_sensor", start + 4e-4, (0.002 * (k & 3),)) for k, start in enumerate(starts)]
+    return [(row, start + 0.001, start + 0.002) for row, start in zip(rows, starts, strict=True)]
+
+
 def test_the_supervisor_takes_a_tenth_of_a_cycle_at_the_most(tmp_path, figure):
-    request, loops = cycle.request_in(tmp_path), []
+    request, loops, seconds = cycle.request_in(tmp_path), [], [readings_of(k) for k in range(cycle.CYCLES // 1000)]
     machine = EmulatedBench(request.bench, request.devices, "free", "", seed=1)
-    rows = []
     torque = StreamSpec("torque_sensor", (ChannelSpec("torque", "torque", "test", "torque_sensor"),))
 
     def prepare_next():
@@ -46,7 +54,6 @@ def test_the_supervisor_takes_a_tenth_of_a_cycle_at_the_most(tmp_path, figure):
         devices, clock = [Sensor([torque])], EmulatedClock()
         judge = Supervisor(request.bench.limits, axes, devices, clock, guard_of(axes), interlocks, model)
         judge.begin(0.001)
-        rows[:] = [Row("torque_sensor", k / 1000 + 4e-4, (0.001 * (k & 7),)) for k in range(cycle.CYCLES)]
         loops.append((loop, bench, writer, judge))
 
     def cycles():
@@ -55,20 +62,18 @@ def test_the_supervisor_takes_a_tenth_of_a_cycle_at_the_most(tmp_path, figure):
     def judged():
         """The same number of checks, on the values that the last exchange left, and rows at their own pace."""
         _loop, bench, _writer, judge = loops[-1]
-        now = 0.0
         supplies = [spec.name for drive in bench.drives.values() for spec in drive.streams]
         for drive in bench.drives.values():
             drive.values[3:7] = 0.01, 0.02, 0.3, 1.0
         first, second = (drive.values for drive in bench.drives.values())
-        for number, row in enumerate(rows):
-            now += 0.001
-            if number % 1000 == 0:
-                for name in supplies:
-                    judge.receive(Row(name, now, (29.6,)))
-            if number % TORQUE_EVERY_MS == 0:
+        for readings in seconds:
+            for name in supplies:
+                judge.receive(Row(name, readings[0][0].time, (29.6,)))
+            for row, now, later in readings:
                 judge.receive(row)
-            first[3] = second[3] = row.values[0]  # noise, by which a channel shows that it is not stuck
-            judge.check(now)
+                first[3] = second[3] = row.values[0]  # noise, by which a channel shows that it is not stuck
+                judge.check(now)
+                judge.check(later)
         assert not judge.warnings
 
     def finish():
