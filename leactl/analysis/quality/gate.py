@@ -49,6 +49,7 @@ PLAIN = 0.2  # of the farthest way in a part: below, the zero of a tachometer ma
 FEWEST_APART = 3  # parts in which they are apart
 PARTS = 64  # of a record, in each of which path and integral are compared
 CLEAR = 10.0  # counts of the encoder: below, the shaft may stand
+SURE = 5.0  # standard deviations of what a velocity's noise adds up to in a part: a chance of 1e-6 a part
 
 
 def doubts_of(run: Run) -> list[str]:
@@ -246,7 +247,11 @@ def contradicting_motion(run: Run, role: str) -> Iterator[str]:
     cuts = np.linspace(0, len(time) - 1, PARTS + 1).astype(int)
     path, integral = np.diff(turned[cuts]), np.diff(gone[cuts])
     # what the speed does between two readings, its noise included, may be missed by the integral
-    missed = np.diff(np.concatenate([[0.0], np.cumsum(np.abs(np.diff(speed)) * pace)])[cuts])
+    wander = np.diff(speed) * pace
+    missed = np.diff(np.concatenate([[0.0], np.cumsum(np.abs(wander))])[cuts])
+    # and what noise adds up to: in a part of few readings their differences alone may be small by chance
+    scatter = np.diff(np.concatenate([[0.0], np.cumsum(0.5 * wander**2)])[cuts])
+    missed += SURE * np.sqrt(np.maximum(scatter, np.median(scatter)))
     steps = np.abs(np.diff(turned))
     resolution = float(np.min(steps[steps > 0.0], initial=np.inf))
     clear = missed + CLEAR * (resolution if np.isfinite(resolution) else 0.0)

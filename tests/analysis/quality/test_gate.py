@@ -100,6 +100,25 @@ def test_a_shaft_at_rest_contradicts_nothing(tmp_path):
         assert doubts(path) == []
 
 
+@pytest.mark.parametrize("readings", [129, 150, 260, 500])
+@pytest.mark.parametrize("size", [1.0, 1e-3])
+def test_a_short_rest_contradicts_nothing_whatever_its_noise(tmp_path, readings, size):
+    bench = Bench(tmp_path)
+    time = np.arange(readings) / 50.0
+    for _ in range(12):
+        columns = {"velocity": bench.rng.normal(0.0, 0.002 * size, readings), "angle": np.full(readings, 0.25)}
+        path = bench.write("friction", time, columns, [("rest", 0.0, time[-1], 0.0, {})])
+        assert not [note for note in doubts(path) if "contradict" in note]
+
+
+def test_a_short_turn_whose_angle_hangs_is_named(tmp_path):
+    bench = Bench(tmp_path)
+    time = np.arange(150) / 50.0
+    columns = {"velocity": bench.rng.normal(0.1, 0.002, len(time)), "angle": np.full(len(time), 0.25)}
+    path = bench.write("friction", time, columns, [("hold", 0.0, time[-1], 0.0, {})])
+    assert [note for note in doubts(path) if "contradict" in note]
+
+
 @pytest.mark.parametrize("heat_s", [120.0, 240.0, 480.0])
 def test_regions_that_warm_one_after_the_other_are_not_turned(tmp_path, heat_s):
     path = HeatedBench(tmp_path).run(rate_Hz=2.0, heat_s=heat_s, cool_s=heat_s)
