@@ -11,7 +11,6 @@ import numpy as np
 from leactl.errors import InputError
 from leactl.runfile import layout
 from leactl.runfile.opening import open_run_file, reading
-from leactl.runfile.tree import is_dataset_of
 
 
 @dataclass(frozen=True)
@@ -60,9 +59,9 @@ def summary(path: Path) -> Summary:
     """Summary of one file."""
     size = path.stat().st_size if path.exists() else 0  # of a link that leads nowhere
     try:
-        file, _ = open_run_file(path)
+        root: dict[str, Any] = {}
+        file, _ = open_run_file(path, root)
         with file, reading(path):
-            root = layout.attributes(file)
             keys = ("run_id", "protocol", "actuator", "condition", "bench", "operator", "status", "created")
             known = {key: str(root.get(key, "")) for key in keys}
             seed = value if isinstance(value := root.get("seed"), int) else None
@@ -76,7 +75,9 @@ def duration(file: Any) -> float:
     """The last stamp of any stream."""
     groups = [group for group in file.get("streams", {}).values() if isinstance(group, h5py.Group)]
     times = [group["time"] for group in groups if "time" in group]
-    last = [time[-1:] for time in times if is_dataset_of(time.id, text=False) and time.ndim == 1]
+    last = [
+        time[-1:] for time in times if isinstance(time, h5py.Dataset) and time.dtype.kind in "fiu" and time.ndim == 1
+    ]
     stamps = np.concatenate([*last, np.zeros(1)])
     return float(stamps[np.isfinite(stamps)].max())
 

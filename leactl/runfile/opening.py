@@ -28,8 +28,11 @@ SIGNATURE = b"\x89HDF\r\n\x1a\n"
 FLAGS_AT, OPEN_FOR_WRITE, SWMR_WRITE = 11, 0x01, 0x04
 
 
-def open_run_file(path: Path) -> tuple[Any, bool]:
-    """Open a run file for reading; says whether a writer has it open or was killed while it had."""
+def open_run_file(path: Path, root: dict[str, Any] | None = None) -> tuple[Any, bool]:
+    """Open a run file for reading; says whether a writer has it open or was killed while it had.
+
+    Its attributes are read here in any case: they are added to `root`, where that is given.
+    """
     try:
         with open_regular(path) as raw:
             head = raw.read(FLAGS_AT + 1)
@@ -51,7 +54,7 @@ def open_run_file(path: Path) -> tuple[Any, bool]:
     except DAMAGE as fault:
         raise InputError(f"{path}: {why(fault)}") from fault
     try:
-        faults = faults_of_root(file) or faults_of_tree(file)
+        faults = faults_of_root(file, {} if root is None else root) or faults_of_tree(file)
     except DAMAGE as fault:
         faults = [damage(fault)]
     if faults:
@@ -97,12 +100,12 @@ def why(fault: Exception) -> str:
     return f"HDF5 cannot open it: {' '.join(text.split())}"
 
 
-def faults_of_root(file: Any) -> list[str]:
-    """Whether the file is a run of a version that this program reads."""
+def faults_of_root(file: Any, root: dict[str, Any]) -> list[str]:
+    """Whether the file is a run of a version that this program reads; adds its attributes to `root`."""
     try:
         if faults := faults_of_attributes(attribute_bytes(file.id), "/"):
             return faults
-        root = layout.attributes(file)
+        root |= layout.attributes(file)
     except DAMAGE as fault:
         return [f"its attributes cannot be read: {damage(fault)}"]
     if root.get("format") != layout.FORMAT:

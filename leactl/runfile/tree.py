@@ -8,7 +8,7 @@ import math
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, BinaryIO, Final, NamedTuple, Self
 
 import h5py
 import numpy as np
@@ -39,35 +39,54 @@ class Node(NamedTuple):
 
 
 class Storage(NamedTuple):
-    """How the values of a dataset are stored, from its creation properties."""
+    """What the values of a dataset are and how they are stored, from its header."""
 
+    dtype: "np.dtype[Any]"
+    shape: tuple[int, ...] | None  # None where it has no values
     elsewhere: bool  # in another file
     filters: frozenset[int]
     chunk_values: int  # 0 where it is not chunked
 
     @classmethod
     def of(cls, dataset: Any) -> Self:
-        """Ask once: every question to a dataset for its properties copies them all."""
+        """Ask once: every question to a dataset for its shape or its properties copies them all."""
         plist = dataset.get_create_plist()
         form = plist.get_layout()
         return cls(
+            dtype=dataset.dtype,
+            shape=dataset.shape,
             elsewhere=form == h5py.h5d.VIRTUAL or plist.get_external_count() > 0,
             filters=frozenset(plist.get_filter(index)[0] for index in range(plist.get_nfilters())),
             chunk_values=math.prod(plist.get_chunk()) if form == h5py.h5d.CHUNKED else 0,
         )
+
+    @property
+    def announced(self) -> int:
+        """How many values it has, written or not."""
+        return 0 if self.shape is None else math.prod(self.shape)
+
+    @property
+    def rank(self) -> int:
+        """Its dimensions; 0 of a single value, or none."""
+        return len(self.shape or ())
+
+    def holds(self, text: bool) -> bool:
+        """Whether its values are texts, or else numbers."""
+        return h5py.check_string_dtype(self.dtype) is not None if text else self.dtype.kind in "fiu"
 
 
 def faults_of_tree(file: Any) -> list[str]:
     """Everything that makes a file unfit to be read, one line each."""
     items: dict[str, Any] = {}
     try:
-        return faults_of_nodes(file, items) or faults_of_kinds(items)
+        with file_of(file.id).open("rb") as raw:
+            return faults_of_nodes(file, raw, items) or faults_of_kinds(items)
     except InputError as fault:
         return fault.faults
 
 
-def faults_of_nodes(file: Any, items: dict[str, Any]) -> list[str]:
-    """What no object of a run has, each with its path; adds every object to `items` by its path."""
+def faults_of_nodes(file: Any, raw: BinaryIO, items: dict[str, Any]) -> list[str]:
+    """What no object of a run has, each with its path; adds every object to `items`, of a dataset its storage."""
     faults: list[str] = []
     attributes, unwritten, largest = 0, 0, ("", 0)
     for path, item in walk(file.id, faults):
@@ -76,8 +95,8 @@ def faults_of_nodes(file: Any, items: dict[str, Any]) -> list[str]:
         attributes += size
         faults += faults_of_attributes(size, path)
         if isinstance(item, h5py.h5d.DatasetID):
-            storage = Storage.of(item)
-            faults += faults_of_dataset(item, storage, path)
+            items[path] = storage = Storage.of(item)
+            faults += faults_of_dataset(item, storage, path, raw)
             unwritten += (size := unwritten_bytes(item, storage))
             largest = max(largest, (path, size), key=lambda one: one[1])
         if len(items) > MOST_OBJECTS:
@@ -119,31 +138,30 @@ def links(group: Any) -> list[tuple[bytes, int]]:
     return named
 
 
-def faults_of_dataset(dataset: Any, storage: Storage, place: str) -> list[str]:
+def faults_of_dataset(dataset: Any, storage: Storage, place: str, raw: BinaryIO) -> list[str]:
     """Values that lie elsewhere or cannot be had."""
     faults = []
     if storage.elsewhere:
         faults.append(f"{place}: its values lie in another file; a run file holds everything itself")
     faults += [f"{place}: filter {code} is neither gzip nor shuffle" for code in storage.filters - KNOWN_FILTERS]
-    if dataset.shape is None:
+    if storage.shape is None:
         faults.append(f"{place}: a dataset without values")
-    elif (size := storage.chunk_values * dataset.dtype.itemsize) > LARGEST_CHUNK:
+    elif (size := storage.chunk_values * storage.dtype.itemsize) > LARGEST_CHUNK:
         faults.append(f"{place}: chunks of {size} bytes; at most {LARGEST_CHUNK} were expected")
-    elif dataset.dtype.kind == "O" and not layout.is_text(dataset):
+    elif storage.dtype.kind == "O" and not storage.holds(text=True):
         faults.append(f"{place}: values that are neither numbers nor text")
-    elif (size := longest_text(dataset)) and size > (most := file_of(dataset).stat().st_size):
+    elif (size := longest_text(dataset, storage, raw)) and size > (most := os.fstat(raw.fileno()).st_size):
         faults.append(f"{place}: damaged: announces a text of {size} bytes in a file of {most}")
     return faults
 
 
-def longest_text(dataset: Any) -> int:
+def longest_text(dataset: Any, storage: Storage, raw: BinaryIO) -> int:
     """Bytes of the longest text that a dataset announces, for which HDF5 takes memory before it looks for the text."""
-    kind = h5py.check_string_dtype(dataset.dtype)
+    kind = h5py.check_string_dtype(storage.dtype)
     if kind is None or kind.length is not None or (offset := dataset.get_offset()) is None:  # in chunks: gzip checks
         return 0
-    with file_of(dataset).open("rb") as raw:
-        raw.seek(offset)
-        texts = np.frombuffer(raw.read(math.prod(dataset.shape) * TEXT_IN_HEAP.itemsize), TEXT_IN_HEAP)
+    raw.seek(offset)
+    texts = np.frombuffer(raw.read(storage.announced * TEXT_IN_HEAP.itemsize), TEXT_IN_HEAP)
     return int(texts["length"].max(initial=0))
 
 
@@ -172,9 +190,7 @@ def attribute_bytes(item: Any) -> int:
 
 def unwritten_bytes(dataset: Any, storage: Storage) -> int:
     """Bytes of values beyond what the dataset's space in the file can hold."""
-    if dataset.shape is None:
-        return 0
-    size = int(math.prod(dataset.shape) * dataset.dtype.itemsize)
+    size = storage.announced * storage.dtype.itemsize
     if size <= MOST_UNWRITTEN // MOST_OBJECTS:  # the sum of so little stays below, and its space need not be asked for
         return 0
     packed = DEFLATE_AT_MOST if h5py.h5z.FILTER_DEFLATE in storage.filters else 1
@@ -192,17 +208,12 @@ def faults_of_kinds(items: Mapping[str, Any]) -> list[str]:
         return faults
     for name in layout.SOURCES:
         item = items.get(f"/{name}/source")
-        if item is not None and not (is_dataset_of(item, text=True) and math.prod(item.shape) == 1):
+        if item is not None and not (isinstance(item, Storage) and item.holds(text=True) and item.announced == 1):
             faults.append(f"/{name}/source: one text was expected")
     for table, columns in TABLES.items():
         for column, width in columns.items():
             item = items.get(f"/{table}/{column}")
             text = width is not None
-            if item is not None and not (is_dataset_of(item, text) and item.rank == 1):
+            if item is not None and not (isinstance(item, Storage) and item.holds(text) and item.rank == 1):
                 faults.append(f"/{table}/{column}: one dimension of {'texts' if text else 'numbers'} was expected")
     return faults
-
-
-def is_dataset_of(item: Any, text: bool) -> bool:
-    """Whether an identifier is that of a dataset of texts, or else of numbers."""
-    return isinstance(item, h5py.h5d.DatasetID) and (layout.is_text(item) if text else item.dtype.kind in "fiu")
