@@ -135,8 +135,8 @@ class Panel:
             if not channel.quantity.endswith("_reference")  # no number in any other mode than its own
         ]
         self.values: Sequence[float] = ()  # the latest
-        self._windows = [(watch.index, *watch.quiet) for watch in self.watches]
-        self._rates = [(watch.index, watch.rate) for watch in self.watches if watch.rate < math.inf]
+        self._windows = [(watch.index, *watch.quiet) for watch in self.watches if watch.rate == math.inf]
+        self._rated = [(watch.index, *watch.quiet, watch.rate) for watch in self.watches if watch.rate < math.inf]
         self._last = [math.nan] * len(channels)  # of each channel with a rate, its value at the last look
         self._quiet = False
         self.looked = -math.inf
@@ -162,13 +162,14 @@ class Panel:
             if not low <= values[index] <= high:
                 self._look_closely(values, now)
                 return
-        if self._rates:
+        if self._rated:
             last, time = self._last, now - self.looked
-            for index, rate in self._rates:
-                if not abs(values[index] - last[index]) <= rate * time:
+            for index, low, high, rate in self._rated:
+                value = values[index]
+                if not (low <= value <= high and abs(value - last[index]) <= rate * time):
                     self._look_closely(values, now)
                     return
-                last[index] = values[index]
+                last[index] = value
         self.looked = now
 
     def _look_closely(self, values: Sequence[float], now: float) -> None:
@@ -177,7 +178,7 @@ class Panel:
         quiet = True
         for watch in self.watches:
             quiet = watch.look(values[watch.index], now) and quiet
-        for index, _rate in self._rates:
+        for index, *_ in self._rated:
             self._last[index] = values[index]
         self._quiet, self.looked = quiet, now
 
@@ -190,7 +191,7 @@ class Panel:
         ------
         SafetyTrip : by way of `trip`.
         """
-        if self._quiet and not self._rates:
+        if self._quiet and not self._rated:
             lowest, highest = block.values.min(axis=0).tolist(), block.values.max(axis=0).tolist()
             if all(low <= lowest[index] and highest[index] <= high for index, low, high in self._windows):
                 self.values, self.looked = block.last.values, block.last.time
