@@ -35,9 +35,9 @@ class Shaft:
 class FailingDrive(ElmoEmulator):
     """A drive alone on its wire, on a shaft; `fault` is its own already."""
 
-    def __init__(self, wire: CanWire, node: int = 1) -> None:
+    def __init__(self, wire: CanWire, node: int = 1, voltage: tuple[int, int, str, float] | None = None) -> None:
         self.shaft = Shaft()
-        super().__init__(node, self.shaft, rated_current_ma=RATED_MA, counts_per_turn=COUNTS)
+        super().__init__(node, self.shaft, rated_current_ma=RATED_MA, counts_per_turn=COUNTS, voltage_object=voltage)
         self._wire = wire
         self._deaf: set[int] = set()
         wire.devices.clear()

@@ -15,6 +15,8 @@ from leactl.driver.far_end import Frame
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 
 from .elmo_bench import ElmoBench, q_axis
+from .failing import FailingDrive
+from .transports import CanInProcess
 
 
 @pytest.fixture
@@ -214,6 +216,18 @@ def test_a_frozen_drive_gives_nan_then_no_answer(make_bench):
     with pytest.raises(NoAnswer, match="no heartbeat of node 1"):
         for _ in range(5000):
             bench.cycle(answer_s=0.02)
+
+
+def test_a_voltage_that_stays_away_is_nan_beside_what_came():
+    wire = CanInProcess()
+    wire.drive = lambda node: FailingDrive(wire.wire, node, voltage=(0x2F00, 0, "i16", 0.001))
+    bench = ElmoBench(wire=wire, q_axis_voltage={"index": 0x2F00, "type": "i16", "scale_V": 0.001})
+    bench.drive.open()
+    assert bench.cycle()[7] == pytest.approx(3.25)
+    bench.port.listen(0x381, None)
+    values = bench.cycle()
+    assert [math.isnan(value) for value in values[3:]] == [False] * 4 + [True]
+    bench.close()
 
 
 def test_a_fault_at_start_is_named_and_reset_only_on_request(make_bench):

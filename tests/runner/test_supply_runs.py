@@ -15,6 +15,7 @@ from leactl.runfile.reader import Run
 from leactl.runner.windings import Windings
 from tests.cli.terminal import leactl
 from tests.latches import trip_of
+from tests.runner.test_pause import GO_ON, PAUSE
 
 HEAT = """
 name: heat
@@ -139,6 +140,13 @@ def test_a_supply_that_is_stuck_on_fails_the_run_at_the_step_that_ends_the_heat(
     assert not outcome.safe["supply"].safe
     assert "the output is still on, 1." in outcome.safe["supply"].detail  # turned down, for it obeys in that
     assert bench.rig.line_current < 4.0
+
+
+def test_a_pause_waits_until_the_supply_is_off(heat):
+    outcome, _bench = heat(at=[(5.0, PAUSE), (40.0, GO_ON)])
+    assert outcome.status == "complete"
+    with Run.open(outcome.path) as run:
+        assert [step.name for step in run.steps] == ["rest", "heating", "pause", "cooling"]
 
 
 def test_a_supply_out_of_regulation_trips(heat):

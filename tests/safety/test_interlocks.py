@@ -122,6 +122,15 @@ def test_a_leap_from_one_reading_to_the_next_trips(make, quiet):
     assert trips_after(rig, words, 0.1) < rig.period
 
 
+def test_a_channel_whose_rate_is_watched_keeps_its_limit(make):
+    rig = make("velocity: {rate_rad_s_per_s: 1000}")
+    for number in range(45):
+        rig.shaft.velocity = 0.9 * number
+        rig.supervised_cycle()
+    rig.shaft.velocity = 40.5
+    assert trips_after(rig, "test velocity of 40.5 rad/s passed the limit of 40 rad/s", 0.1) < rig.period
+
+
 def test_readings_that_stayed_away_give_a_change_the_time_it_had(make):
     rig = make("velocity: {rate_rad_s_per_s: 1000}", consumer_heartbeat_ms=1000)
     rig.run(0.01)
