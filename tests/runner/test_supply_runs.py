@@ -146,7 +146,11 @@ def test_a_pause_waits_until_the_supply_is_off(heat):
     outcome, _bench = heat(at=[(5.0, PAUSE), (40.0, GO_ON)])
     assert outcome.status == "complete"
     with Run.open(outcome.path) as run:
-        assert [step.name for step in run.steps] == ["rest", "heating", "pause", "cooling"]
+        pause = next(step for step in run.steps if step.name == "pause")
+        current = run.channel("line_current", role="test")
+    inside = (current.time > pause.start + 0.5) & (current.time < pause.stop)
+    assert np.sum(inside) > 28 * 10
+    assert not current.values[inside].any()
 
 
 def test_a_supply_out_of_regulation_trips(heat):
