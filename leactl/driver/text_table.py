@@ -17,7 +17,8 @@ from leactl.driver.text_form import TextForm
 from leactl.errors import InputError
 from leactl.regular import open_regular
 
-MOST_BYTES = 1 << 25  # of one file: 1.6 million rows of a camera, which take 1 GB of memory
+MOST_CHARACTERS = 1 << 25  # of one file: 1.6 million rows of a camera, which take 1 GB of memory
+MOST_BYTES = 2 * MOST_CHARACTERS  # of the same in UTF-16
 MOST_PREAMBLE = 1000  # lines
 MOST_FAULTS = 5
 DELIMITERS = (",", ";", "\t", "|")
@@ -119,6 +120,8 @@ def text_of(path: Path, encoding: str | None) -> tuple[str, str]:
         text = raw.decode(chosen)
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: {other_readings(raw, chosen, error.start, told=bool(found or encoding))}") from None
+    if len(text) > MOST_CHARACTERS:
+        raise InputError(f"{path}: {len(text)} characters; at most {MOST_CHARACTERS} are read; export it in parts")
     text = text.removeprefix("\ufeff")
     if not text.strip():
         raise InputError(f"{path}: holds nothing but the mark of {chosen}")
