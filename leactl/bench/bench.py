@@ -137,7 +137,8 @@ class Bench:
         """
         rows: list[Row | Block] = []
         for driver in self._asynchronous:
-            rows += driver.take()
+            if taken := driver.take():
+                rows += taken
         return rows
 
     def notices(self) -> list[tuple[str, str]]:

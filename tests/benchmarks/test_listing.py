@@ -12,7 +12,7 @@ from tests.benchmarks.rounds import compare
 from tests.benchmarks.test_recording import CHANNELS
 from tests.runfile.specimen import info
 
-LIMIT = 5.0  # the whole tree of 36 objects is checked before anything of it is read; the line shows six of them
+LIMIT = 5.0  # the whole tree of some 40 objects is checked before anything of it is read; the line shows six of them
 RUNS = 300
 OWN = {
     "supply": [ChannelSpec("vbus", "bus_voltage", "test", "drive_test")],
