@@ -76,8 +76,10 @@ def parquet_writers(run: Run) -> dict[str, Writer]:
     try:
         import pyarrow as arrow
         from pyarrow import parquet
-    except ImportError as fault:
+    except ModuleNotFoundError as fault:
         raise InputError("Parquet needs pyarrow: pip install 'leactl[parquet]'") from fault
+    except ImportError as fault:  # installed, and for another NumPy
+        raise InputError(f"Parquet needs pyarrow, which cannot be loaded: {str(fault).splitlines()[0]}") from fault
 
     def write(stream: str, target: Path) -> None:
         fields = [arrow.field("time", arrow.float64(), metadata={"units": "s"})]

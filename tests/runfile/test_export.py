@@ -53,6 +53,18 @@ def test_parquet_without_pyarrow_says_what_to_install(complete: Path, tmp_path: 
         export(complete, "parquet", tmp_path)
 
 
+def test_parquet_with_a_pyarrow_that_does_not_load_says_why(
+    complete: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    package = tmp_path / "site"
+    package.mkdir()
+    (package / "pyarrow.py").write_text('raise ImportError("pyarrow requires NumPy 2.0 or newer, found 1.26.0")')
+    monkeypatch.syspath_prepend(package)
+    monkeypatch.delitem(sys.modules, "pyarrow")
+    with pytest.raises(InputError, match="cannot be loaded: pyarrow requires NumPy"):
+        export(complete, "parquet", tmp_path / "out")
+
+
 @pytest.mark.parametrize("fmt", ["csv", "mat", "parquet"])
 def test_an_existing_export_is_kept(complete: Path, tmp_path: Path, fmt: str):
     out = tmp_path / "out"
