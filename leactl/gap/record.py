@@ -58,6 +58,16 @@ class Clocked:
         key = quantity, role
         return self.between[key][1] if key in self.between else self.values[key]
 
+    def unasked(self, quantity: str) -> Mask:
+        """Samples in a gap of a reference that no straight line bridges: its drive was in another mode, or off."""
+        key = quantity, "test"
+        if key not in self.between:
+            return np.zeros(len(self.time), bool)
+        stamps, near = self.between[key][0], 0.5 * self.interval
+        at = np.searchsorted(stamps, self.time - near)
+        before, after = np.concatenate([[-np.inf], stamps])[at], np.concatenate([stamps, [np.inf]])[at]
+        return np.asarray((after > self.time + near) & (after - before > LONG * self.interval))
+
     def all_valid(self, *keys: Key) -> Mask:
         """Samples at which all these channels were measured."""
         mask = np.ones(len(self.time), bool)

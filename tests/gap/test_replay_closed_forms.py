@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from leactl.gap.record import Record
+from leactl.gap.record import LONG, Record
 from leactl.gap.replay import replay
 from tests.gap.synthetic import (
     BENCH,
@@ -202,3 +202,24 @@ def test_where_the_bus_leaves_no_voltage_the_measured_current_drives_the_replay(
     there = {("bus_voltage", "bench"): bus, ("q_axis_voltage", "test"): 12.0, ("q_axis_current", "test"): 5.0}
     job = replay(record("locked", reference=8.0, fast=there), model())
     assert job.fast["q_axis_current", "test"][500] == pytest.approx(driven)
+
+
+@pytest.mark.parametrize(("gap", "driven"), [(500, 5.0), (7, 8.0)])
+def test_where_a_run_has_no_reference_its_measured_current_drives_the_replay(gap, driven):
+    """A velocity mode, then a current of 8 A; a few samples that are missing are bridged."""
+    run = record("free", reference=8.0, fast={("q_axis_current", "test"): 5.0})
+    key, clock = ("q_axis_current_reference", "test"), run.fast
+    clock.valid[key][100 : 100 + gap] = False
+    good = clock.valid[key]
+    clock.between[key] = clock.time[good], clock.values[key][good]
+    job = replay(run, model())
+    speed = (CONSTANT * driven - FRICTION) / DAMPING
+    before = job.fast["velocity", "test"][99 + gap]
+    told = np.isnan(job.fast["q_axis_current", "test"][100 : 100 + gap])
+    if gap > LONG:
+        assert before == pytest.approx(speed, rel=0.05)
+        assert told.all()
+    else:
+        assert not told.any()
+    assert np.isfinite(job.fast["q_axis_current", "test"][150 + gap :]).all()
+    assert job.fast["q_axis_current", "test"][-1] == pytest.approx(8.0)

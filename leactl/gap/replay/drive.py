@@ -32,7 +32,7 @@ def follow(job: Job) -> None:
             reading, mean = becomes(reading, job.step), becomes(mean, job.step)
         late = clock.stamping.get("current")
         reading, mean = restamped(reading, late, job.parts), restamped(mean, late, job.parts)
-        reading, mean = held_back(job, reading, mean)
+        reading, mean = where_measured(job, reading, mean)
     else:
         found = measured(job, "test")
         if found is None:
@@ -44,17 +44,19 @@ def follow(job: Job) -> None:
     job.current_mean = on[1:] * (mean - plant.current_offset) / plant.current_gain
 
 
-def held_back(job: Job, reading: Array, mean: Array) -> tuple[Array, Array]:
-    """The measured current where the drive's voltage stands at its ceiling: no loop follows a reference there."""
-    found, beyond = measured(job, "test"), at_ceiling(job.clock, job.plant.model)
-    if found is None or not beyond.any():
+def where_measured(job: Job, reading: Array, mean: Array) -> tuple[Array, Array]:
+    """The measured current where the drive follows no current reference, or its voltage is too low to follow one."""
+    unasked = job.clock.unasked("q_axis_current_reference")
+    found, beyond = measured(job, "test"), at_ceiling(job.clock, job.plant.model) & ~unasked
+    if found is None or not (beyond | unasked).any():
         return reading, mean
-    near = np.convolve(beyond, np.ones(2 * RECOVERS + 1), "same") > 0
+    if beyond.any():
+        job.notes.append(
+            f"{job.record.path.name}: {int(beyond.sum())} samples at the voltage ceiling; the measured current drives"
+            " the replay there"
+        )
+    near = unasked | (np.convolve(beyond, np.ones(2 * RECOVERS + 1), "same") > 0)
     steps = np.repeat(near[1:], job.parts)
-    job.notes.append(
-        f"{job.record.path.name}: {int(beyond.sum())} samples at the voltage ceiling; the measured current drives"
-        " the replay there"
-    )
     instants = np.concatenate([steps[:1], steps])
     return np.where(instants, found[0], reading), np.where(steps, found[1], mean)
 

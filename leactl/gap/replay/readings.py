@@ -27,7 +27,10 @@ def read(job: Job) -> None:
     if clock.get("q_axis_current_reference") is not None or job.clock.get("angle_reference") is not None:
         # without the loop's bandwidth a model says nothing of how a current follows its reference
         followed = job.plant.model.bench.current_loop_bandwidth is not None or job.plant.model.drive is not None
-        found["q_axis_current"] = current(job) if followed else None
+        flowing = current(job) if followed else None
+        if flowing is not None:  # where nothing was asked for, the measured current is an input
+            flowing = np.where(clock.unasked("q_axis_current_reference"), np.nan, flowing)
+        found["q_axis_current"] = flowing
     if job.velocity is not None:
         found["velocity"] = velocity(job) if clock.get("velocity") is not None else derived_speed(job)
         found["torque"] = torque(job) if job.record.mechanical in ("locked", "coupled") else None
