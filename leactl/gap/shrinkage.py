@@ -54,6 +54,7 @@ class Growth:
     by_calibration: tuple[float, float]  # from the nominal model to the calibrated one
     by_effects: tuple[float, float]  # to the augmented model, from the better of the two others
     closed: bool | None  # whether effects shrink some channel's gap beyond chance; None where no channel has the blocks
+    closed_alike: bool | None  # whether they do so over all its blocks together and block by block as well
 
     @property
     def calibration_worse(self) -> bool:
@@ -129,11 +130,19 @@ def _growth(groups: Sequence[list[Compared]], random: np.random.Generator) -> Gr
     first, second = (
         (float(whole[b] - whole[a]), float(np.quantile(again[:, b] - again[:, a], CHANCE))) for a, b in pairs
     )
-    return Growth(first, second, _closes(channels, random))
+    return Growth(first, second, *closes(channels, random))
 
 
-def _closes(channels: Sequence[tuple[Array, Array]], random: np.random.Generator) -> bool | None:
-    """Whether effects shrink the gap of some channel, block by block, against the better of the models without them."""
+def closes(
+    channels: Sequence[tuple[Array, Array]], random: np.random.Generator
+) -> tuple[bool, bool] | tuple[None, None]:
+    """Whether effects shrink the gap of some channel against the better of the models without them.
+
+    Judged twice: over all blocks together, where the largest gaps count most, and block by block, where each counts
+    by its ratio. By either, and by both; None where no channel has the blocks.
+
+    channels : samples (blocks,) and sums of squares (blocks, 4: three models and the floor) of each.
+    """
     long = [(counts, sums) for counts, sums in channels if len(counts) >= FEWEST_BLOCKS]
     shrinking = []
     for counts, sums in long:
@@ -141,10 +150,15 @@ def _closes(channels: Sequence[tuple[Array, Array]], random: np.random.Generator
         before = int(np.argmin(observed[:2]))
         if observed[before] > max(observed[2], NEAR):
             picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
-            shrinking.append((counts * (gaps[:, before] - gaps[:, 2]))[picked].sum(axis=1))
-    # of many channels one shrinks by chance: each is asked for as much less of it
-    closed = any(float(np.quantile(by, CHANCE / len(shrinking))) > 0.0 for by in shrinking)
-    return closed if long else None
+            together = _log_gaps(sums[picked].sum(axis=1))
+            by_block = (counts * (gaps[:, before] - gaps[:, 2]))[picked].sum(axis=1)
+            shrinking.append((together[:, before] - together[:, 2], by_block))
+    if not long:
+        return None, None
+    # of many that are judged one shrinks by chance: each is asked for as much less of it
+    chance = CHANCE / max(2 * len(shrinking), 1)
+    passed = [[float(np.quantile(by, chance)) > 0.0 for by in both] for both in shrinking]
+    return any(map(any, passed)), any(map(all, passed))
 
 
 def _log_gaps(sums: Array) -> Array:

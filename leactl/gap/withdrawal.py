@@ -61,7 +61,7 @@ def apply(
         entries = [(cause.effect, {item.name: item.value for item in cause.parameters}) for cause in trial.causes]
         further = with_effects(with_calibration(model, trial.calibration), entries)
         beside = simulate(augmented, further)
-        if reason := refusal(beside, at_bounds(trial.calibration) if bounded_fit else []):
+        if reason := refusal(beside, at_bounds(trial.calibration) if bounded_fit else [], bool(fitted.causes)):
             refusals.append(reason)
             continue
         shrunk = beside if shrunk is None else simulate(calibrated, further)
@@ -82,14 +82,16 @@ def apply(
     return Applied(model, model, Fitted((), ()), simulate(model, model), True, tuple(notes))
 
 
-def refusal(shrunk: Shrunk, bounded: Sequence[str]) -> str:
-    """Why held-out runs do not bear further effects out; empty where they do."""
+def refusal(shrunk: Shrunk, bounded: Sequence[str], beside_others: bool) -> str:
+    """Why held-out runs do not bear effects out; empty where they do. Beside others an effect has to show in more."""
     if bounded:
         return f"calibration beside it ends at a bound ({', '.join(bounded)})"
     if shrunk.growth.effects_worse:
         return "with it the gap of held-out runs grows"
     if shrunk.growth.closed is False:
         return "with it no gap of held-out runs shrinks beyond chance"
+    if beside_others and shrunk.growth.closed_alike is False:
+        return "beside the others it shrinks the gap of few stretches of held-out runs, or of many by next to nothing"
     # runs too short to tell chance have to show at least that it shrinks
     undecided = shrunk.growth.closed is None and shrunk.growth.by_effects[0] >= 0.0
     return "with it no gap of held-out runs shrinks" if undecided else ""

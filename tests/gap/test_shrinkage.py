@@ -9,7 +9,7 @@ import pytest
 from leactl.gap.record import read_record
 from leactl.gap.replay import Job, plant_of, replay, replay_all
 from leactl.gap.replay.bearing import TRIED, give_of
-from leactl.gap.shrinkage import shrinkage
+from leactl.gap.shrinkage import closes, shrinkage
 from leactl.model.nominal import Model, read_model
 from tests.gap.synthetic import INTERVAL_S, model, record
 
@@ -78,6 +78,21 @@ def test_a_model_that_adds_nothing_closes_nothing():
 def test_an_effect_closes_a_gap_that_neither_model_without_it_closes(nominal, calibrated, augmented, closes):
     truth = model(("saturation", {"loss": 0.2}))
     assert shrinkage([staircase(truth, seconds=12.0)], nominal, calibrated, augmented).growth.closed is closes
+
+
+@pytest.mark.parametrize(
+    ("gaps", "expected"),
+    [
+        ([3.0] * 8 + [20.0] * 4, (True, True)),  # it shrinks everywhere
+        ([6.0] * 8 + [20.0] * 4, (True, False)),  # the largest gaps shrink, the others grow by more than that, in ratio
+        ([3.0] * 8 + [37.0, 42.0, 37.0, 42.0], (True, False)),  # most gaps shrink, of the largest as many as grow
+        ([5.0] * 8 + [41.0] * 4, (False, False)),
+    ],
+)
+def test_a_gap_closes_over_all_stretches_together_or_stretch_by_stretch(gaps, expected):
+    before = [4.0] * 8 + [40.0] * 4
+    floors = np.transpose([before, before, gaps, np.ones(12)])
+    assert closes([(np.full(12, 100.0), 100.0 * floors**2)], np.random.default_rng(2)) == expected
 
 
 def test_a_few_seconds_are_too_little_to_tell_whether_a_gap_closes():

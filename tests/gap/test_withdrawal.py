@@ -38,8 +38,8 @@ def model(tmp_path_factory):
 RIPPLE = replace(SATURATION, effect="cogging", parameters=(EffectParameter("amplitude", 0.02, 0.001, "N*m"),))
 
 
-def growth(by_calibration=0.0, by_effects=0.0, closed=False):
-    return Growth((by_calibration,) * 2, (by_effects,) * 2, closed)
+def growth(by_calibration=0.0, by_effects=0.0, closed=False, alike=None):
+    return Growth((by_calibration,) * 2, (by_effects,) * 2, closed, closed if alike is None else alike)
 
 
 def simulated(by_calibration, by_effects):
@@ -121,6 +121,15 @@ def test_a_parameter_at_its_bound_is_told_and_not_applied(model):
     assert applied.augmented == model
     assert applied.fitted == Fitted((), ())
     assert "calibration is not applied: rotor_inertia ended at a bound" in applied.notes[-1]
+
+
+def test_an_effect_beside_another_has_to_show_in_more_than_the_largest_gaps(model):
+    def simulate(calibrated, augmented):
+        return Shrunk((), (), (), (), growth(0.0, -1.0, True, alike=False))
+
+    applied = apply(model, [SOUND], [[SATURATION], [RIPPLE]], beside(SOUND), simulate)
+    assert [entry.effect for entry in applied.augmented.effects] == ["saturation"]
+    assert applied.notes[0].startswith("not named though it fits: cogging; beside the others")
 
 
 @pytest.mark.parametrize(
