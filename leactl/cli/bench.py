@@ -50,6 +50,7 @@ def model(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
 def check(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
     """Check a bench file, its motors and every driver's settings as a run does, without touching a device."""
     from leactl.bench.provenance import overdue
+    from leactl.report.listing import row
     from leactl.runner.checked_bench import load_checked
 
     found, devices, _document = load_checked(bench)
@@ -62,7 +63,7 @@ def check(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
         return
     for name, text in late.items():
         typer.echo(f"leactl: warning: {name}: {text}", err=True)
-    typer.echo(f"{found.name}: {found.title}".rstrip(": "))
+    typer.echo(row("", f"{found.name}: {found.title}".rstrip(": ")))
     for device in devices:
         typer.echo(f"  {device.name:<16} {device.entry.driver:<10} {device.entry.bus or '-':<6} {device.entry.role}")
         for key, fact in device.entry.facts.items():
@@ -71,7 +72,8 @@ def check(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
         typer.echo(f"  limit {name:<26} {value:g}")
     for name, entries in interlocks.items():
         for entry in entries if isinstance(entries, list | tuple) else [entries]:
-            typer.echo(f"  interlock {name:<22} " + ", ".join(f"{key} {value}" for key, value in entry.items()))
+            settings = ", ".join(f"{key} {value}" for key, value in entry.items())
+            typer.echo(row(f"  interlock {name:<22} ", settings))
 
 
 @app.command(epilog=examples("bench reset mine.yaml"))

@@ -11,6 +11,7 @@ def doctor(as_json: bool = typer.Option(False, "--json", help="Print JSON on std
 
     from leactl.bench.machine import examine
     from leactl.report import pdf
+    from leactl.report.listing import row
     from leactl.runner import state
 
     findings = [*examine(), state.examine(), pdf.examine()]
@@ -20,8 +21,8 @@ def doctor(as_json: bool = typer.Option(False, "--json", help="Print JSON on std
     else:
         for finding in findings:
             mark = "ok     " if finding.fine else "MISSING" if finding.needed else "absent "
-            typer.echo(f"{mark} {finding.subject}: {finding.found}")
+            typer.echo(row(f"{mark} ", f"{finding.subject}: {finding.found}"))
             if finding.mend:
-                typer.echo(f"        mend: {finding.mend}")
+                typer.echo(row("        mend: ", finding.mend))
     if wrong:
         raise typer.Exit(2)

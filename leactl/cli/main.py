@@ -39,7 +39,7 @@ app.command("analyze", epilog=examples("analyze runs", "analyze RUN.h5 --json"))
 app.command(
     "report",
     cls=report.SeveralCompared,
-    epilog=examples("report runs --html sheet.html", "report new --compare old --pdf sheet.pdf"),
+    epilog=examples("report runs --html sheet.html", "report new --html sheet.html --pdf --compare old"),
 )(report.report)
 app.command(
     "run",

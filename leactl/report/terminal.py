@@ -101,8 +101,14 @@ def print_summary(results: Sequence[Result], names: Sequence[str]) -> None:
 
 
 def aligned(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Columns as wide as they need: a number that is cut or folded is worse than a long line."""
-    widths = [max(map(len, column)) for column in zip(headings, *rows, strict=True)]
+    """Columns as wide as they need: a number that is cut or folded is worse than a long line.
+
+    What nothing follows in its row takes no width of its column.
+    """
+    widths = [
+        max(len(row[place]) for row in (headings, *rows) if row is headings or any(row[place + 1 :]))
+        for place in range(len(headings))
+    ]
     lines = ("  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)) for row in (headings, *rows))
     return "\n".join(line.rstrip() for line in lines)
 

@@ -61,6 +61,8 @@ def test_every_command_has_examples_that_parse(path):
         given, _, _ = command.make_parser(typer.Context(command)).parse_args(rest)
         lacking = [param.name for param in command.params if param.required and not given.get(param.name)]
         assert not lacking
+        arguments = [given.get(param.name) for param in command.params if param.param_type_name == "argument"]
+        assert not re.search(r"\.(html|pdf)\b", repr(arguments))  # what an option that takes no value has left over
 
 
 @pytest.mark.parametrize("path", EVERY, ids=" ".join)

@@ -6,7 +6,15 @@ import pytest
 
 from tests.cli.terminal import COMMAND, leactl
 
-LISTS = ["driver list", "protocol list", "campaign list", "bench faults", "gap effects", "gap effects cogging"]
+LISTS = [
+    "driver list",
+    "protocol list",
+    "campaign list",
+    "bench faults",
+    "bench check emulated",
+    "gap effects",
+    "gap effects cogging",
+]
 
 
 def in_a_terminal(arguments, columns):

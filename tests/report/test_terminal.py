@@ -6,7 +6,7 @@ import pytest
 
 from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
 from leactl.report.plot import draw
-from leactl.report.terminal import interval_text, render, value_text
+from leactl.report.terminal import aligned, interval_text, render, value_text
 
 
 @pytest.mark.parametrize(
@@ -40,6 +40,15 @@ def test_r_squared_is_never_rounded_to_one():
 def test_intervals_have_the_digits_of_the_value():
     assert interval_text(Estimate("x", 0.49, 0.0012, 0.48764, 0.49236, "A")) == "0.4876 .. 0.4924"
     assert interval_text(Estimate("x", 0.49, NAN, NAN, NAN, "A")) == ""
+
+
+def test_a_text_that_nothing_follows_widens_no_column():
+    rows = [("a", "1.0", "0 .. 2"), ("  paper", "a long remark of the paper's", "")]
+    assert aligned(("", "value", "interval"), rows).splitlines() == [
+        "         value  interval",
+        "a        1.0    0 .. 2",
+        "  paper  a long remark of the paper's",
+    ]
 
 
 def test_a_logarithmic_axis_spaces_decades_evenly_and_takes_zero_to_its_edge():
