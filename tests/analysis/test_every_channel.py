@@ -92,6 +92,7 @@ def test_every_channel_of_a_shipped_experiment(tmp_path, experiment):
     assert misses(path, tmp_path, idle, (constant, frozen, gappy)) == []
 
 
+@pytest.mark.long
 def test_the_channels_of_a_heated_run(tmp_path):
     path = HeatedBench(tmp_path).run(
         rate_Hz=1.0, heat_s=900.0, cool_s=900.0, model="winding: wye\nphase_resistance: 0.264\n"

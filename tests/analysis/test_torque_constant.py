@@ -49,8 +49,8 @@ def test_a_hold_without_direction_among_others_that_have_one_does_not_count(benc
 @pytest.mark.parametrize(
     "faults",
     [
-        {"scatter": 0.02},
-        {"curve": 0.02},
+        pytest.param({"scatter": 0.02}, marks=pytest.mark.long),
+        pytest.param({"curve": 0.02}, marks=pytest.mark.long),
         {"scatter": 0.02, "curve": 0.02},
         {"current_error": 0.6},
     ],

@@ -22,7 +22,12 @@ def test_every_separating_protocol_is_tried():
     assert {name for name in protocolfile.names() if protocolfile.load(name).separates} == set(SHORTER)
 
 
-@pytest.mark.parametrize("name", SHORTER)
+SLOW = "separate-slow-friction"  # ten seconds
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long) if name == SLOW else name for name in SHORTER]
+)
 def test_it_runs_to_its_end(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "state"))

@@ -7,7 +7,7 @@ import pytest
 from leactl.protocol.protocolfile import load, names
 from tests.cli.terminal import leactl
 
-OFTEN = ("back-emf", "torque-sensor-calibration")  # what an ordinary run tries
+OFTEN = ("back-emf",)  # what an ordinary run tries
 
 
 def diagnosed(protocol, here):

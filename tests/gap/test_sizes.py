@@ -28,7 +28,7 @@ def lame(name, joint):
     }[name]
 
 
-@pytest.mark.parametrize("seed", [22, 23])
+@pytest.mark.parametrize("seed", [22, pytest.param(23, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", ["command_slew_limit", "saturation", "stribeck"])
 def test_an_effect_is_named_on_a_joint_of_any_size(name, seed):
     random = np.random.default_rng(seed)

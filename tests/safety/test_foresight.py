@@ -79,7 +79,10 @@ def waits(plan):
     return [(place, action) for place, action in enumerate(plan.actions) if getattr(action, "name", "") == "cooldown"]
 
 
-@pytest.mark.parametrize(("start", "bursts"), [(28.0, 3), pytest.param(60.0, 2, marks=pytest.mark.long), (100.0, 2)])
+@pytest.mark.parametrize(
+    ("start", "bursts"),
+    [pytest.param(28.0, 3, marks=pytest.mark.long), pytest.param(60.0, 2, marks=pytest.mark.long), (100.0, 2)],
+)
 def test_a_plan_with_waits_passes_nowhere_and_waits_no_longer_than_it_must(start, bursts):
     plan = made(CURRENT, *[REST, *BURST] * bursts)
     sight = foresight(start)
