@@ -6,7 +6,7 @@ import numpy as np
 
 from leactl.gap.evidence import Evidence
 from leactl.gap.record import Record
-from leactl.gap.regression import Candidate, Column, Fit
+from leactl.gap.regression import Candidate, Column, Fit, Normal
 
 
 def held_out_gains(evidence: Evidence, hypothesis: Sequence[Candidate], held_out: Sequence[Record]) -> list[float]:
@@ -35,23 +35,29 @@ def others_misfit(
     others: Evidence, evidence: Evidence, fit: Fit, hypothesis: Sequence[Candidate], weigh: bool
 ) -> float:
     """Misfit of other runs with the shared coefficients of a fit; the runs' own nuisances are free."""
+    if weigh:
+        others.settle(hypothesis)
+    return transferred(others.normal(), evidence, fit).misfit
+
+
+def transferred(normal: Normal, evidence: Evidence, fit: Fit) -> Fit:
+    """The shared coefficients of a fit on other runs, whose own nuisances are free."""
     known: dict[Column, float] = {
         evidence.stack.names[place]: float(value) for place, value in zip(fit.columns, fit.values, strict=True)
     }
-    shared = [k for k, name in enumerate(others.stack.names) if name in known and not own(name)]
-    free = np.asarray([k for k, name in enumerate(others.stack.names) if own(name)], np.intp)
-    if weigh:
-        others.settle(hypothesis)
-    normal = others.normal()
-    coefficients = np.asarray([known[others.stack.names[k]] for k in shared])
-    places = np.asarray(shared, np.intp)
+    names = normal.stack.names
+    places = np.asarray([k for k, name in enumerate(names) if name in known and not own(name)], np.intp)
+    free = np.asarray([k for k, name in enumerate(names) if own(name)], np.intp)
+    coefficients = np.asarray([known[names[k]] for k in places])
     right = normal.right - normal.gram[:, places] @ coefficients
-    total = normal.total - 2 * coefficients @ normal.right[places]
-    total += coefficients @ normal.gram[np.ix_(places, places)] @ coefficients
-    if len(free):
-        block = normal.gram[np.ix_(free, free)]
-        total -= right[free] @ np.linalg.solve(block + 1e-12 * np.diag(np.diag(block)), right[free])
-    return float(total)
+    misfit = normal.total - 2 * coefficients @ normal.right[places]
+    misfit += coefficients @ normal.gram[np.ix_(places, places)] @ coefficients
+    block = normal.gram[np.ix_(free, free)]
+    values = np.linalg.solve(block + 1e-12 * np.diag(np.diag(block)), right[free])
+    misfit -= right[free] @ values
+    columns = np.concatenate([places, free])
+    not_known = np.full((len(columns), len(columns)), np.nan)
+    return Fit(columns, np.concatenate([coefficients, values]), not_known, float(misfit), {})
 
 
 def own(name: Column) -> bool:

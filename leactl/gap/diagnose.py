@@ -15,6 +15,7 @@ from leactl.gap.judge import Judged, Unexplained, judge, left_by_form, unexplain
 from leactl.gap.notes import beyond_null, gathered, questions, unlike
 from leactl.gap.null import measure
 from leactl.gap.parameters import calibrated, effect_parameters, with_calibration
+from leactl.gap.picture import pictured
 from leactl.gap.record import Record, read_record
 from leactl.gap.regression import Candidate, Fit
 from leactl.gap.ringing import ringing
@@ -179,13 +180,16 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     causes = borne_out(causes, applied)
     if by_runs:
         surprise = unexplained(servo_answer.unfollowed(shrunk.shrinkage), {})
-    located = where(replayed, shrunk.channels)
+    located = where(replayed, shrunk.channels, applied.fitted.causes)
     notes = unlike(case.fitted, case.held_out) + gathered([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
         notes += ("no kind of run occurs twice: held out are two sixteenths of each run",)
     left = (surprise.note,) if surprise.probability >= UNKNOWN else ()
+    calibrates = not applied.calibration_withdrawn and gained(evidence, found)
+    standing = {cause.effect for cause in applied.fitted.causes}
+    causes = pictured(causes, evidence, [c for c in found.hypothesis if c[0] in standing], case.held_out)
     return Diagnosis(
-        verdict(causes, surprise.probability, not applied.calibration_withdrawn and gained(evidence, found)),
+        verdict(causes, surprise.probability, calibrates),
         surprise.probability,
         located,
         applied.fitted.calibration,

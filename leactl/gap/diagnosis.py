@@ -55,6 +55,41 @@ class EffectParameter:
 
 
 @dataclass(frozen=True)
+class Bin:
+    """Mean residual of a stretch of a variable, with its 95 % interval, before and after an effect is added."""
+
+    low: float
+    high: float
+    count: int
+    before: float
+    before_low: float
+    before_high: float
+    after: float
+    after_low: float
+    after_high: float
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What an equation leaves over on held-out runs, over the variable that an effect acts in."""
+
+    variable: str
+    variable_units: str
+    periods: float | None  # of an angle: how many parts of a turn lie on each other
+    along: str | None  # variable along whose sign the residual is counted; None where it is taken as it is
+    quantity: str
+    role: str
+    mechanical: str
+    equation: str
+    units: str
+    before_rms: float  # of the means in bins, each counted by its samples
+    after_rms: float
+    off_zero_before: int  # bins whose interval does not hold zero
+    off_zero_after: int
+    bins: tuple[Bin, ...]
+
+
+@dataclass(frozen=True)
 class Cause:
     """One effect with its probability of being present."""
 
@@ -66,6 +101,7 @@ class Cause:
     separating_experiment: str | None = None
     family: str = ""  # machine, sensor, drive, thermal or setup
     change: str | None = None  # of a fault of the set-up: the line that undoes it
+    picture: Picture | None = None  # of an effect that stands in the augmented model
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from typing import Any
 from leactl.effects import library
 from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.setup_fault import setup_faults
+from leactl.vocabulary.variable import VARIABLES
 
 
 def explained(name: str) -> dict[str, Any]:
@@ -24,6 +25,7 @@ def explained(name: str) -> dict[str, Any]:
         "family": definition.family,
         "meaning": definition.meaning,
         "equation": equation(name),
+        "acts_over": [VARIABLES[variable].label for variable in definition.acts_over],
         "shows_in": definition.shows_in,
         "confused_with": definition.confused_with,
         "shown_by": definition.shown_by,

@@ -7,11 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.diagnosis import Region, Where
+from leactl.gap.diagnosis import Cause, Region, Where
+from leactl.gap.over import (
+    best_sign,
+    bin_count,
+    bin_edges,
+    bin_of,
+    first_that_follows,
+    last_reversal,
+    periods_of,
+    turned,
+)
 from leactl.gap.record import Clocked, Record
 from leactl.gap.replay.compared import Compared
 from leactl.gap.smoothing import smooth
 from leactl.quantities import UNITS
+from leactl.vocabulary.effect import effect_definition
+from leactl.vocabulary.variable import VARIABLES
 
 Array = npt.NDArray[np.float64]
 MOST = 0.8  # of the squared residual that a region is to hold
@@ -42,8 +54,11 @@ class Profile:
     std: Array
 
 
-def where(records: Sequence[Record], channels: Sequence[Compared]) -> tuple[Where, ...]:
-    """A line for each quantity, role and set-up, the largest gap over its floor first."""
+def where(records: Sequence[Record], channels: Sequence[Compared], effects: Sequence[Cause] = ()) -> tuple[Where, ...]:
+    """A line for each quantity, role and set-up, the largest gap over its floor first.
+
+    effects : those of the last model; where they close a gap, its region is of a variable that they act in.
+    """
     by_name = {record.name: record for record in records}
     grouped: dict[tuple[str, str, str], list[Compared]] = {}
     for one in channels:
@@ -54,7 +69,9 @@ def where(records: Sequence[Record], channels: Sequence[Compared]) -> tuple[Wher
         floor = practical_floor(group)
         region, share = None, 0.0
         if calibrated > NEAR_FLOOR * floor:
-            region, share = smallest_region([(by_name[one.run], one) for one in group])
+            pairs = [(by_name[one.run], one) for one in group]
+            acting = effects if closes(group, floor) else ()
+            region, share = region_of_effects(pairs, acting) or smallest_region(pairs)
         units = UNITS.get(quantity, "")
         found.append(Where(quantity, role, mechanical, units, nominal, calibrated, floor, region, share))
     return tuple(sorted(found, key=lambda item: -item.calibrated_rms / max(item.floor_rms, 1e-300)))
@@ -120,6 +137,64 @@ def rms(squares: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(list(squares)))))
 
 
+def closes(group: Sequence[Compared], floor: float) -> bool:
+    """Whether the last model takes away most of what the calibrated one leaves beyond the floor, in squares."""
+    calibrated, last = (rms([one.squares(model) for one in group]) ** 2 for model in (1, 2))
+    return calibrated - last > 0.5 * (calibrated - floor**2)
+
+
+@dataclass(frozen=True, eq=False)
+class Over:
+    """A gap over a variable that an effect acts in."""
+
+    quantity: str
+    values: Array
+    squares: Array  # of what the calibrated model leaves over
+    explained: float  # share of the last model's departure from the calibrated one that follows the variable
+
+
+def region_of_effects(
+    group: Sequence[tuple[Record, Compared]], effects: Sequence[Cause]
+) -> tuple[Region | None, float] | None:
+    """The interval that holds most of the gap, of a variable that an effect acts in, however much of the data it is."""
+    wanted = [(quantity, periods_of(cause)) for cause in effects for quantity in regions_of(cause.effect)]
+    views = [view for quantity, periods in wanted if (view := over_quantity(group, quantity, periods)) is not None]
+    best = first_that_follows(views, lambda view: view.explained)
+    if best is None or (interval := narrowest(best.values, best.squares)) is None:
+        return None
+    units = OTHER_UNITS.get(best.quantity, UNITS.get(best.quantity, ""))
+    return Region(best.quantity, interval[0], interval[1], units), interval[2]
+
+
+def regions_of(effect: str) -> list[str]:
+    """Quantities by which a region of an effect's gap is given."""
+    shown = [VARIABLES[variable].quantity for variable in effect_definition(effect).acts_over]
+    return [quantity for quantity in shown if quantity is not None]
+
+
+def over_quantity(group: Sequence[tuple[Record, Compared]], quantity: str, periods: float) -> Over | None:
+    """The gap of a channel over a quantity, an angle within its turn; None where no run has it."""
+    values, parts, squares, signs, blocks = [], [], [], [], 0
+    for record, one in group:
+        series = variable_of(record, one, quantity)
+        if series is None:
+            continue
+        direction = variable_of(record, one, "direction")
+        values.append(series)
+        parts.append(one.replayed[2] - one.replayed[1])
+        squares.append(one.squares(1))
+        signs.append(np.sign(direction) if direction is not None else np.zeros_like(series))
+        blocks += len(np.unique(one.block))
+    if not values:
+        return None
+    series, part, sign = (np.concatenate(rows) for rows in (values, parts, signs))
+    within = turned(series, periods) if quantity == "angle" else series
+    place = bin_of(within, bin_edges(within, part, bin_count(blocks)))
+    shown = turned(series, 1.0) if quantity == "angle" else series
+    explained = best_sign(part, place, {"velocity": sign}).explained
+    return Over(quantity, shown, np.concatenate(squares), explained)
+
+
 def smallest_region(group: Sequence[tuple[Record, Compared]]) -> tuple[Region | None, float]:
     """Over all variables, the interval with the least data that holds most of the squared calibrated residual."""
     best: tuple[float, Region, float] | None = None
@@ -178,10 +253,7 @@ def speed_of(clock: Clocked) -> Array | None:
 
 def since_reversal(speed: Array, interval: float) -> Array:
     """Time since the sign of the speed last changed."""
-    turned = np.flatnonzero(np.diff(np.sign(speed), prepend=np.sign(speed[0])) != 0)
-    last = np.zeros(len(speed), np.intp)
-    last[turned] = turned
-    return np.asarray((np.arange(len(speed)) - np.maximum.accumulate(last)) * interval, np.float64)
+    return np.asarray((np.arange(len(speed)) - last_reversal(speed)) * interval, np.float64)
 
 
 def narrowest(values: Array, squares: Array) -> tuple[float, float, float, float] | None:

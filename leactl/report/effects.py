@@ -23,8 +23,9 @@ def one_effect(name: str) -> str:
     InputError : no such effect; the known ones are named.
     """
     about = explained(name)
-    keys = ("equation", "shows_in", "confused_with", "shown_by")
-    rows = [(key.replace("_", " "), about[key]) for key in keys if key in about]
+    keys = ("equation", "acts_over", "shows_in", "confused_with", "shown_by")
+    texts = about | ({"acts_over": " or ".join(about["acts_over"])} if "acts_over" in about else {})
+    rows = [(key.replace("_", " "), texts[key]) for key in keys if key in texts]
     for item in about.get("parameters", ()):
         rest = f", by default {item['default']:g}" if item.get("default") is not None else ""
         units = "" if item["units"] == "1" else f" {item['units']}"

@@ -22,9 +22,11 @@ from leactl.report.gap_words import (
     listed,
     open_gap,
     parameter_text,
+    picture_words,
     probability,
     region_text,
     sentence,
+    variable_words,
     with_std,
 )
 from leactl.report.html import fit
@@ -75,6 +77,8 @@ def cause_lines(cause: Cause, width: int) -> list[str]:
     said = [f"{probability(cause.probability):>6}  {cause.effect}"]
     long = max((len(p.name) for p in cause.parameters), default=0)
     said += [f"          {p.name:{long}}  {parameter_text(p)}" for p in cause.parameters]
+    if cause.picture is not None:
+        said.append(filled(f"over {variable_words(cause.picture)}: {picture_words(cause.picture)}", width, 10))
     if cause.indistinguishable_from:
         said.append(filled(f"cannot be told from {listed(cause.indistinguishable_from)}", width, 10))
     if cause.change:

@@ -1,16 +1,29 @@
 """Figures of a diagnosis: measured beside simulated, and what is left over over the variable of its region."""
 
+import math
+
 import numpy as np
 
-from leactl.gap.diagnosis import Diagnosis, Where
+from leactl.gap.diagnosis import Diagnosis, Picture, Where
 from leactl.gap.shrinkage import Trace
 from leactl.gap.where import Profile
 from leactl.report.chart import Bins, Curve, Layer, Stretch, chart
-from leactl.report.gap_words import NEAR_FLOOR, bare_units, floors, label, open_gap, region_text
+from leactl.report.gap_words import (
+    NEAR_FLOOR,
+    bare_units,
+    floors,
+    label,
+    open_gap,
+    picture_words,
+    region_text,
+    residual_words,
+    variable_words,
+)
 from leactl.report.html import Html, tag
 
 SHOWN = 5  # channels
 MODELS = ("nominal", "calibrated", "augmented")
+PICTURE = "Mean residual in each bin with its 95 % interval, on held-out runs where the effect acts"
 
 
 def figures(answer: Diagnosis) -> list[Html]:
@@ -34,6 +47,35 @@ def figures(answer: Diagnosis) -> list[Html]:
         )
         cards.append(tag("div", heading, tag("div", *charts, class_="pair"), class_="card"))
     return cards[:SHOWN]
+
+
+def pictures(answer: Diagnosis) -> list[Html]:
+    """A card for each effect that is in the augmented model: what is left over, over the variable that it acts in."""
+    drawn = [(cause, cause.picture) for cause in answer.causes if cause.picture is not None]
+    cards = []
+    for cause, picture in drawn:
+        heading = tag("h3", cause.effect, tag("small", picture_words(picture)))
+        cards.append(
+            tag("div", heading, tag("figure", tag("figcaption", PICTURE), picture_chart(picture)), class_="card")
+        )
+    return cards
+
+
+def picture_chart(picture: Picture) -> Html:
+    """Means in bins with their intervals, before and after."""
+    bins = [one for one in picture.bins if math.isfinite(one.before)]
+    low, high = (np.asarray([getattr(one, name) for one in bins]) for name in ("low", "high"))
+    layers: list[Layer] = []
+    for model, name in (("before", "calibrated"), ("after", "augmented")):
+        mean = np.asarray([getattr(one, model) for one in bins])
+        spread = np.asarray([getattr(one, f"{model}_high") - getattr(one, model) for one in bins])
+        words = "before: calibrated without it" if model == "before" else "after: with it"
+        layers.append(Bins(words, name, low, high, mean, np.nan_to_num(spread)))
+    ends = np.asarray([low[0], high[-1]]) if len(bins) else np.zeros(0)
+    layers.append(Curve("", "zero", ends, np.zeros(len(ends)), whole=True))
+    keys = [(layer.style, layer.name) for layer in layers if layer.name]
+    over = with_units(variable_words(picture), picture.variable_units)
+    return chart(layers, over, with_units(residual_words(picture), picture.units), keys=keys)
 
 
 def before_and_after(effects: bool) -> tuple[tuple[str, str], tuple[str, str]]:

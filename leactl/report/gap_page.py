@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from leactl.gap.diagnosis import Cause, Diagnosis, Shrinkage
-from leactl.report.gap_figures import figures
+from leactl.report.gap_figures import figures, pictures
 from leactl.report.gap_style import STYLE
 from leactl.report.gap_words import (
     CLOSES_NOTHING,
@@ -46,11 +46,13 @@ def page(answer: Diagnosis) -> str:
     """The whole answer as one self-contained page; the same answer gives the same page."""
     model = answer.extra.get("augmented")
     of = f": {model.name}" if model is not None else ""
+    drawn = pictures(answer)
     body = tag(
         "main",
         tag("h1", f"Gap between model and bench{of}"),
         headline(answer),
         section("Causes", causes(answer)),
+        section("What each effect explains", tag("div", *drawn, class_="pictures") if drawn else Html("")),
         section("How far the gap shrinks", shrinkage(answer)),
         section("Where the gap sits", joined([*figures(answer), where(answer)])),
         section("Calibration", calibration(answer)),

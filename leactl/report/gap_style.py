@@ -32,6 +32,9 @@ dd { margin: 0; font-variant-numeric: tabular-nums; }
 .bars .calibrated { background: var(--calibrated); }
 .bars .augmented { background: var(--augmented); }
 .bars .floor { background: var(--floor); }
+.pictures { display: grid; gap: 0.75rem; grid-template-columns: repeat(auto-fill, minmax(min(100%, 30rem), 1fr)); }
+.pictures .card { margin: 0; }
+path.zero { stroke: var(--faint); stroke-dasharray: 4 3; }
 path.measured { stroke: var(--ink); }
 path.nominal { stroke: var(--nominal); fill: var(--nominal); }
 path.calibrated { stroke: var(--calibrated); fill: var(--calibrated); }

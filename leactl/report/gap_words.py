@@ -3,10 +3,20 @@
 import math
 from collections.abc import Sequence
 
-from leactl.gap.diagnosis import CalibratedParameter, Cause, Diagnosis, EffectParameter, Region, Shrinkage, Where
+from leactl.gap.diagnosis import (
+    CalibratedParameter,
+    Cause,
+    Diagnosis,
+    EffectParameter,
+    Picture,
+    Region,
+    Shrinkage,
+    Where,
+)
 from leactl.report.terminal import number
 from leactl.vocabulary.effect import effect_definition, effect_names
 from leactl.vocabulary.setup_fault import setup_faults
+from leactl.vocabulary.variable import VARIABLES
 
 CLOSES_NOTHING = "No gap of held-out runs shrinks with these effects by more than chance."
 PRESENT = 0.5  # probability from which on a cause is said to act
@@ -159,3 +169,24 @@ def region_text(region: Region | None, share: float) -> str:
         return f"direction {word}, {percent(share)}"
     span = f"{figure(region.low)} to {figure(region.high)} {bare_units(region.units)}".rstrip()
     return f"{region.variable} {span}, {percent(share)}"
+
+
+def variable_words(picture: Picture) -> str:
+    """The variable of a picture; of an angle how many periods lie on each other."""
+    if picture.periods is not None and picture.periods > 1.0:
+        return f"angle within one of {picture.periods:.4g} periods of a turn"
+    return VARIABLES[picture.variable].label if picture.variable in VARIABLES else picture.variable
+
+
+def residual_words(picture: Picture) -> str:
+    """What is drawn over it."""
+    sign = f" x sign of {VARIABLES[picture.along].label}" if picture.along in VARIABLES else ""
+    return f"{picture.quantity}, {picture.mechanical}: residual{sign}"
+
+
+def picture_words(picture: Picture) -> str:
+    """The numbers of a picture in one line."""
+    units, bins = bare_units(picture.units), len(picture.bins)
+    rms = f"{figure(picture.before_rms)} {units} before, {figure(picture.after_rms)} {units} after"
+    off_zero = f"off zero in {picture.off_zero_before} bins before, in {picture.off_zero_after} after"
+    return f"{rms} (RMS of {bins} means); {off_zero}"

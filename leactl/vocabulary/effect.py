@@ -5,10 +5,11 @@ from functools import cache
 from importlib import resources
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from leactl import yamlfile
 from leactl.errors import InputError
+from leactl.vocabulary.variable import Variable
 
 STRICT = ConfigDict(frozen=True, extra="forbid")
 
@@ -44,6 +45,7 @@ class EffectDefinition(BaseModel):
     family: Literal["machine", "sensor", "drive", "thermal"]
     meaning: str
     parameters: dict[str, ParameterDefinition]
+    acts_over: tuple[Variable, ...] = Field(min_length=1)  # of several, that which its own part in a channel follows
     shows_in: str
     confused_with: str
     shown_by: str

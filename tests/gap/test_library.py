@@ -5,8 +5,10 @@ import pytest
 
 from leactl.effects import library
 from leactl.effects.contract import PLACES, Signals
+from leactl.gap.picture import OF_SIGNALS
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition, effect_names
+from leactl.vocabulary.variable import VARIABLES
 
 MODEL = Model.model_validate(
     {
@@ -80,3 +82,16 @@ def test_an_effect_fills_known_places_with_finite_columns_and_speaks_its_definit
     assert set(parameters) <= set(definition)
     assert {key for key, item in definition.items() if item.default is None} <= set(parameters)
     assert effect.size(forms[0], found, MODEL) > 0
+
+
+@pytest.mark.parametrize("name", effect_names())
+def test_a_run_that_shows_an_effect_shows_a_variable_that_it_acts_in(name):
+    variables = effect_definition(name).acts_over
+    effect = library()[name]
+    shown = [s for s in CASES if effect.terms(s, (effect.forms or ((6.0,),))[0])]
+    assert shown
+    assert any(OF_SIGNALS[variable](s) is not None for s in shown for variable in variables)
+
+
+def test_every_variable_comes_from_signals():
+    assert set(OF_SIGNALS) == set(VARIABLES)

@@ -1,9 +1,14 @@
 """Regions of a gap, and residuals in bins over a variable."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from leactl.gap.where import MOST, NARROW, PROFILE_BINS, binned, narrowest
+from leactl.gap.diagnosis import Cause, EffectParameter
+from leactl.gap.record import Clocked, Record
+from leactl.gap.replay.compared import Compared
+from leactl.gap.where import MOST, NARROW, PROFILE_BINS, binned, narrowest, where
 
 
 def test_the_narrowest_interval_holds_most_of_the_squares():
@@ -47,3 +52,42 @@ def test_too_few_samples_have_no_bins():
     low, _, mean, std = binned(np.arange(3.0), np.zeros((3, 3)))
     assert len(low) == 0
     assert mean.shape == std.shape == (3, 0)
+
+
+def test_a_gap_that_an_effect_closes_is_told_by_what_it_acts_in_and_not_by_a_proxy():
+    """Cogging that shows least while the winding is hot: the temperature would be the narrower region."""
+    time = np.arange(20000) / 1000.0
+    angle, temperature = 7.0 * time, 25.0 + time
+    wave = 0.1 * np.sin(14.0 * angle) * np.where(temperature > 37.0, 0.2, 1.0)
+    noise = np.random.default_rng(2).normal(0.0, 0.003, len(time))
+    values = {("angle", "test"): angle, ("winding_temperature", "test"): temperature}
+    record = Record(Path("run.h5"), "grid", "coupled", Clocked(time, 1e-3, values), None, {})
+    order = EffectParameter("order", 14.0, 0.0, "1")
+    cogging = Cause("cogging", 0.99, 1.0, (EffectParameter("amplitude", 0.1, 0.0, "N*m"), order))
+
+    def located(augmented, effects):
+        replayed = (np.zeros_like(wave), np.zeros_like(wave), augmented)
+        index, block = np.arange(len(time)), (time // 1.0).astype(int)
+        channel = Compared(
+            "run",
+            "grid",
+            "coupled",
+            "torque",
+            "test",
+            time,
+            index,
+            block,
+            wave + noise,
+            replayed,
+            augmented,
+            3e-3,
+            False,
+        )
+        return where([record], [channel], effects)[0]
+
+    told = located(wave, (cogging,))
+    assert told.region.variable == "angle"
+    assert 0.0 <= told.region.low < told.region.high <= 2.0 * np.pi
+    assert told.share >= MOST
+    assert located(wave, ()).region.variable in ("winding_temperature", "time")
+    assert located(0.05 * wave, (cogging,)).region.variable != "angle"  # it leaves nearly all of it

@@ -1,12 +1,16 @@
 """A diagnosis made by hand, with everything that one can say."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from leactl.gap.diagnosis import (
+    Bin,
     CalibratedParameter,
     Cause,
     Diagnosis,
     EffectParameter,
+    Picture,
     Region,
     Shrinkage,
     Where,
@@ -38,6 +42,7 @@ def answer(**changed):
                 (EffectParameter("knee", 21.37, 0.24, "A"), EffectParameter("order", 82.0, 0.0, "1")),
                 ("torque_sensor_gain",),
                 "separate-by-grid",
+                picture=picture(),
             ),
             Cause("torque_sensor_gain", 0.981, 0.0, (), ("saturation",)),
             Cause("cogging", 0.012, 0.0, ()),
@@ -51,6 +56,17 @@ def answer(**changed):
         "extra": {"traces": (trace(TEST), trace(LOCKED)), "profiles": (profile(LOCKED), profile(TEST, "direction"))},
     }
     return Diagnosis(**(said | changed))
+
+
+def picture(variable="q_axis_current", periods=None, along=None):
+    edges = np.linspace(-24.0, 24.0, 13).tolist()
+    bins = []
+    for low, high in pairwise(edges):
+        before, after = 1e-5 * (low + high) ** 3, 1e-4 * low
+        bins.append(Bin(low, high, 120, before, before - 0.02, before + 0.02, after, after - 0.01, after + 0.01))
+    bins[3] = Bin(-12.0, -8.0, 2, *[np.nan] * 6)
+    shown = ("torque", "test", "locked", "swung_torque", "N*m")
+    return Picture(variable, "A", periods, along, *shown, 0.4127, 0.0013, 10, 1, tuple(bins))
 
 
 def trace(key, points=200, run="locked_staircase-b"):

@@ -64,6 +64,7 @@ def test_causes_have_parameters_class_and_experiment():
     assert (
         "          cannot be told from torque_sensor_gain\n          to separate: leactl run separate-by-grid\n" in text
     )
+    assert "          over q-axis current: 0.413 N*m before, 0.00130 N*m after" in text
 
 
 def test_five_regions_at_most():

@@ -16,7 +16,7 @@ from leactl.report.gap import render
 from leactl.report.gap_page import page
 from leactl.report.gap_words import figure
 from leactl.report.plot import Axis
-from tests.report.answers import LOCKED, answer, profile, trace
+from tests.report.answers import LOCKED, answer, picture, profile, trace
 from tests.report.browser import look, needs_chromium
 
 VOID = {"meta"}
@@ -139,7 +139,7 @@ def test_bars_are_logarithmic_multiples_of_the_floor():
 
 def test_curves_lie_where_the_axes_say():
     root = tree(answer(where=answer().where[:1]))
-    figure_, residuals = root.iter("figure")
+    _, figure_, residuals = root.iter("figure")
     measured = next(p for p in figure_.iter("path") if p.get("class") == "curve measured")
     after = next(p for p in figure_.iter("path") if p.get("class") == "curve augmented")
     points, shifted = (
@@ -153,6 +153,27 @@ def test_curves_lie_where_the_axes_say():
     assert np.corrcoef(points[:, 1], shown.measured)[0, 1] < -0.999
     styles = [p.get("class") for p in residuals.iter("path")]
     assert {"area region", "area calibrated", "area augmented", "area floor"} <= set(styles)
+
+
+def test_an_effect_has_its_residual_over_what_it_acts_in_before_and_after():
+    [card] = by_class(tree(answer()), "pictures")[0]
+    said = words(card)
+    assert said.startswith("saturation0.413 N*m before, 0.00130 N*m after (RMS of 12 means)")
+    assert "off zero in 10 bins before, in 1 after" in said
+    assert "torque, locked: residual [N*m]" in said
+    assert "q-axis current [A]" in said
+    drawn = {p.get("class"): p.get("d") for p in card.iter("path")}
+    assert drawn["curve calibrated"].count("M") == drawn["curve augmented"].count("M") == 11  # one has too few samples
+    heights = [float(part.split()[1].split("H")[0]) for part in drawn["curve calibrated"].split("M")[1:]]
+    assert heights == sorted(heights, reverse=True)  # upwards, as the cube of the current
+
+
+def test_a_wave_over_the_angle_is_said_to_be_laid_on_itself():
+    said = answer()
+    wave = replace(said.causes[0], picture=picture("angle", 14.0, "velocity"))
+    shown = words(by_class(tree(replace(said, causes=(wave,))), "pictures")[0])
+    assert "angle within one of 14 periods of a turn" in shown
+    assert "residual x sign of velocity" in shown
 
 
 def test_without_an_effect_the_page_compares_before_and_after_calibration():

@@ -1,0 +1,241 @@
+"""The picture of an effect: what equations leave over on held-out runs, over the variable that the effect acts in.
+
+Before: everything else fitted without the effect. After: with it. Both are fitted on the fitted runs alone; what
+belongs to a held-out run by itself, such as where its lock stands, is fitted there in both.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.effects.contract import Signals
+from leactl.gap.confirm import transferred
+from leactl.gap.diagnosis import Bin, Cause, Picture
+from leactl.gap.evidence import Evidence
+from leactl.gap.over import (
+    ACTS,
+    FOLLOWED,
+    Along,
+    best_sign,
+    bin_count,
+    bin_edges,
+    bin_of,
+    first_that_follows,
+    last_reversal,
+    means,
+    periods_of,
+    turned,
+)
+from leactl.gap.record import Record
+from leactl.gap.regression import Candidate, Fit, Rows, residuals
+from leactl.gap.smoothing import slope
+from leactl.vocabulary.effect import effect_definition
+from leactl.vocabulary.variable import VARIABLES, Variable
+
+Array = npt.NDArray[np.float64]
+Groups = npt.NDArray[np.intp]
+LEAST_EDGES = 3  # of two bins: one says nothing of a variable
+STILL = 1e-3  # of the largest value, below which a variable has no sign
+
+
+def _rate(values: Array | None, interval: float) -> Array | None:
+    return None if values is None else slope(values, interval)
+
+
+def _travel(s: Signals) -> Array | None:
+    if s.angle is None or s.velocity is None:
+        return None
+    return np.asarray(np.abs(s.angle - s.angle[last_reversal(s.velocity)]), np.float64)
+
+
+def _power(s: Signals) -> Array | None:
+    return None if s.voltage is None or s.current is None else s.voltage * s.current
+
+
+OF_SIGNALS: dict[Variable, Callable[[Signals], Array | None]] = {
+    "angle": lambda s: s.angle,
+    "velocity": lambda s: s.velocity,
+    "acceleration": lambda s: s.acceleration,
+    "direction": lambda s: None if s.velocity is None else np.sign(s.velocity),
+    "travel": _travel,
+    "q_axis_current": lambda s: s.current if s.current is not None else s.line_current,
+    "current_rate": lambda s: _rate(s.following if s.following is not None else s.current, s.interval),
+    "power": _power,
+    "torque": lambda s: s.torque,
+    "torque_rate": lambda s: _rate(s.calm_torque, s.interval),
+    "winding_temperature": lambda s: s.winding,
+    "housing_temperature": lambda s: s.housing,
+    "time": lambda s: s.time,
+}
+"""Every variable from the signals of one run; None where the run does not show it."""
+SIGNS: tuple[Variable, ...] = ("velocity", "q_axis_current", "torque_rate")
+"""Variables along whose sign a residual may be counted: what turns round with them would cancel in a bin."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """An equation in one set-up on all held-out runs, where the effect acts."""
+
+    rows: Rows  # the first run's, for names and units
+    before: Array
+    after: Array
+    effect: Array  # what the effect explains, row by row
+    groups: Groups  # the stretch of a run that each row lies in
+    values: dict[Variable, Array]
+    independent: float  # how many rows carry information of their own
+    gain: float  # weighted squares that the effect takes away
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A part over one variable."""
+
+    part: Part
+    variable: Variable
+    edges: Array
+    place: Groups
+    along: Along
+
+
+def pictured(
+    causes: Sequence[Cause], evidence: Evidence, hypothesis: Sequence[Candidate], held_out: Sequence[Record]
+) -> tuple[Cause, ...]:
+    """Causes, each of them that is fitted with its picture.
+
+    Parameters
+    ----------
+    evidence : of the fitted runs.
+    hypothesis : forms of the effects that stand in the augmented model.
+    """
+    if not hypothesis or not held_out:
+        return tuple(causes)
+    others = Evidence(held_out, evidence.model, only=hypothesis, kept=evidence.kept, pinned=evidence.pinned)
+    if not others.stack.rows:
+        return tuple(causes)
+    others.settle(hypothesis)
+    normal = others.normal()
+    after = transferred(normal, evidence, evidence.settle(hypothesis))
+    forms = {candidate[0]: candidate for candidate in hypothesis}
+    answered = []
+    for cause in causes:
+        found = None
+        if cause.effect in forms:
+            rest = [candidate for candidate in hypothesis if candidate[0] != cause.effect]
+            before = transferred(normal, evidence, evidence.settle(rest))
+            found = picture(cause, parts_of(others, forms[cause.effect], before, after))
+        answered.append(replace(cause, picture=found))
+    return tuple(answered)
+
+
+def parts_of(others: Evidence, candidate: Candidate, before: Fit, after: Fit) -> list[Part]:
+    """Every equation and set-up that an effect touches, on the runs that were not fitted."""
+    touched: dict[tuple[str, str], list[int]] = {}
+    for index, rows in enumerate(others.stack.rows):
+        if any(belongs(name, candidate) for name in rows.columns):
+            touched.setdefault((rows.equation, rows.mechanical), []).append(index)
+    return [part_of(others, candidate, indices, before, after) for indices in touched.values()]
+
+
+def part_of(others: Evidence, candidate: Candidate, indices: Sequence[int], before: Fit, after: Fit) -> Part:
+    """One equation in one set-up, of several runs."""
+    stacked, several = others.stack, [others.stack.rows[index] for index in indices]
+    known = dict(zip((stacked.names[k] for k in after.columns), after.values.tolist(), strict=True))
+    left = [np.concatenate([residuals(stacked, fit, index) for index in indices]) for fit in (before, after)]
+    effect = np.concatenate(
+        [np.sum([known[n] * c for n, c in rows.columns.items() if belongs(n, candidate)], axis=0) for rows in several]
+    )
+    weight = np.concatenate([np.full(len(others.stack.rows[k].left_over), others.weights[k]) for k in indices])
+    blocks = np.concatenate([rows.block for rows in several])
+    runs = np.repeat(np.arange(len(several)), [len(rows.block) for rows in several])
+    _, groups = np.unique(np.stack([runs, blocks]), axis=1, return_inverse=True)
+    acts = where_it_acts(effect, groups)
+    values: dict[Variable, Array] = {}
+    for variable, of_signals in OF_SIGNALS.items():
+        series = [of_signals(rows.signals) for rows in several]
+        if all(one is not None for one in series):
+            pairs = zip(series, several, strict=True)
+            values[variable] = np.concatenate([one[rows.index] for one, rows in pairs if one is not None])[acts]
+    gain = float(np.sum(weight * (left[0] ** 2 - left[1] ** 2)))
+    independent = int(acts.sum()) / float(np.mean([rows.dependence for rows in several]))
+    return Part(several[0], left[0][acts], left[1][acts], effect[acts], groups[acts], values, independent, gain)
+
+
+def belongs(name: Sequence[str], candidate: Candidate) -> bool:
+    """Whether a column is one of a form of an effect."""
+    return name[0] == "effect" and (name[1], name[2]) == (candidate[0], repr(candidate[1]))
+
+
+def where_it_acts(effect: Array, groups: Groups) -> npt.NDArray[np.bool_]:
+    """Rows of the stretches that hold nearly all of what an effect explains: elsewhere nothing of it is to be seen."""
+    power = np.bincount(groups, weights=effect**2)
+    order = np.argsort(-power, kind="stable")
+    needed = int(np.searchsorted(np.cumsum(power[order]), ACTS * float(power.sum()))) + 1
+    kept = np.zeros(len(power), np.bool_)
+    kept[order[:needed]] = True
+    return kept[groups]
+
+
+def picture(cause: Cause, parts: Sequence[Part]) -> Picture | None:
+    """Of the equations in which the effect's own part follows a variable of its, the one that gains most."""
+    periods = periods_of(cause)
+    views = [view for part in parts if (view := view_of(part, effect_definition(cause.effect).acts_over, periods))]
+    if not views:
+        return None
+    following = [view for view in views if view.along.explained >= FOLLOWED]
+    best = max(following or views, key=lambda view: view.part.gain * view.along.explained)
+    part, bins = best.part, len(best.edges) - 1
+    sign = signs(part).get(best.along.name, np.ones_like(part.before))
+    before, after = (means(sign * left, best.place, part.groups, bins) for left in (part.before, part.after))
+    counts = np.bincount(best.place[best.place >= 0], minlength=bins)
+    columns = zip(
+        best.edges[:-1].tolist(),
+        best.edges[1:].tolist(),
+        counts.tolist(),
+        *(row.tolist() for own in (before, after) for row in (own.mean, own.low, own.high)),
+        strict=True,
+    )
+    return Picture(
+        best.variable,
+        VARIABLES[best.variable].units,
+        periods if best.variable == "angle" else None,
+        best.along.name or None,
+        part.rows.quantity,
+        part.rows.role,
+        part.rows.mechanical,
+        part.rows.equation,
+        part.rows.units,
+        before.rms(counts),
+        after.rms(counts),
+        before.off_zero,
+        after.off_zero,
+        tuple(Bin(*row) for row in columns),
+    )
+
+
+def view_of(part: Part, variables: Sequence[Variable], periods: float) -> View | None:
+    """A part over that of an effect's variables which it follows."""
+    views = []
+    for variable in variables:
+        if variable not in part.values:
+            continue
+        values = part.values[variable]
+        values = turned(values, periods) if variable == "angle" else values
+        edges = bin_edges(values, part.effect, bin_count(part.independent))
+        if len(edges) < LEAST_EDGES:
+            continue
+        place = bin_of(values, edges)
+        views.append(View(part, variable, edges, place, best_sign(part.effect, place, signs(part))))
+    return first_that_follows(views, lambda view: view.along.explained)
+
+
+def signs(part: Part) -> dict[str, Array]:
+    """Signs of variables that a part has, zero where these stand still."""
+    found: dict[str, Array] = {}
+    for name in SIGNS:
+        if name in part.values:
+            values = part.values[name]
+            moving = np.abs(values) > STILL * np.max(np.abs(values), initial=0.0)
+            found[name] = np.where(moving, np.sign(values), 0.0)
+    return found
