@@ -25,6 +25,10 @@ CAUSE = {"effect": str, "family": str, "probability": NUMBER, "share": NUMBER}
 CAUSE |= {"indistinguishable_from": list, "parameters": list}
 PARAMETER = {"name": str, "value": NUMBER, "std": NUMBER, "units": str}
 REGION = {"variable": str, "low": NUMBER, "high": NUMBER, "units": str}
+PICTURE = {"variable": str, "variable_units": str, "quantity": str, "role": str, "mechanical": str, "equation": str}
+PICTURE |= {"units": str, "before_rms": NUMBER, "after_rms": NUMBER, "off_zero_before": int, "off_zero_after": int}
+PICTURE |= {"bins": list}
+MEANS = tuple(f"{model}{end}" for model in ("before", "after") for end in ("", "_low", "_high"))
 DOCUMENT = {
     "format": str,
     "format_version": int,
@@ -78,12 +82,27 @@ def test_the_document_has_the_keys_of_the_format_and_no_other(diagnosed):
     for item in said["calibration"]:
         fits(item, CALIBRATION)
     for item in said["causes"]:
-        fits(item, CAUSE, ("separating_experiment", "change"))
+        fits(item, CAUSE, ("separating_experiment", "change", "picture"))
+        if item["picture"] is not None:
+            fits(item["picture"], PICTURE, ("periods", "along"))
+            for stretch in item["picture"]["bins"]:
+                fits(stretch, {"low": NUMBER, "high": NUMBER, "count": int}, MEANS)
         assert item["separating_experiment"] is None or isinstance(item["separating_experiment"], str)
         for parameter in item["parameters"]:
             fits(parameter, PARAMETER)
     for item in said["shrinkage"]:
         fits(item, SHRINKAGE, ("closed", "closed_low", "closed_high"))
+
+
+def test_the_first_cause_is_pictured_over_the_variable_that_it_acts_in(diagnosed):
+    seen = diagnosed.json["causes"][0]["picture"]
+    assert (seen["variable"], seen["variable_units"], seen["periods"]) == ("q_axis_current", "A", None)
+    assert seen["after_rms"] < 0.1 * seen["before_rms"]
+    assert seen["off_zero_before"] > 0.5 * len(seen["bins"])
+    edges = [(stretch["low"], stretch["high"]) for stretch in seen["bins"]]
+    assert edges == sorted(edges)
+    page = (diagnosed.folder / "page.html").read_text(encoding="utf-8")
+    assert "What each effect explains" in page
 
 
 def test_channels_are_named_by_the_vocabulary(diagnosed):
