@@ -15,6 +15,7 @@ app = group_of_commands()
 blind = group_of_commands()
 app.add_typer(blind, name="blind", help="Check the diagnosis on causes nobody told it.")
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
+FRESH = 10**6  # seeds that are drawn where none is given: short enough to type
 JSON, TO_STDOUT, RUN_FILE = "--json", "-", ".h5"
 
 
@@ -143,6 +144,35 @@ def plan_runs(
 
     advice = advise(model, runs or [], protocols, read_noise(noise))
     typer.echo(json.dumps(document(advice)) if as_json else "\n".join(lines(advice)))
+
+
+@app.command(epilog=examples("gap demo", "gap demo --effect cogging --out cogging"))
+def demo(
+    seed: int | None = typer.Option(None, "--seed", min=0, help="Draw the same again; by default fresh entropy."),
+    effect: str | None = typer.Option(None, "--effect", help="Plant this one.", autocompletion=effects),
+    out: Path | None = typer.Option(None, "--out", help="New folder; by default leactl-gap-demo-SEED."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Plant an effect in an emulated bench, run it, diagnose the runs, and only then open the key and compare."""
+    from secrets import randbelow
+
+    from leactl.emulation.blind.key import read_key
+    from leactl.emulation.blind.make import make
+    from leactl.gap.blind.demonstration import demonstrate
+    from leactl.report.gap_demo import as_json as document
+    from leactl.report.gap_demo import files_of, lines, preface
+    from leactl.report.gap_files import publish
+    from leactl.report.gap_page import page
+    from leactl.report.steps import Steps
+
+    number = randbelow(FRESH) if seed is None else seed
+    files = files_of(out or Path(f"leactl-gap-demo-{number}"))
+    with Steps() as step:
+        step("planting an effect and running the emulated bench")
+        make(1, files.bench, files.key, number, ("single",), [effect] if effect else None, ("plain", "strong"), "bench")
+        shown = demonstrate(files.bench, files.answer, lambda: read_key(files.key, files.bench), step)
+        publish(files.page, page(shown.answer, preface(shown, number)))
+    typer.echo(json.dumps(document(shown, number, files)) if as_json else "\n".join(lines(shown, number, files)))
 
 
 @blind.command("make", epilog=examples("gap blind make --cases 20 --out cases --key key"))

@@ -37,13 +37,17 @@ from leactl.report.gap_words import (
 )
 from leactl.report.html import Html, document, joined, table, tag
 
+NOTHING = Html("")
 MODELS = ("nominal", "calibrated", "augmented", "floor")
 CARDS = 12  # channels with bars, where no effect is added
 LEAST = 0.5  # of the smallest number, where the bars begin: on a log scale there is no zero
 
 
-def page(answer: Diagnosis) -> str:
-    """The whole answer as one self-contained page; the same answer gives the same page."""
+def page(answer: Diagnosis, preface: Html = NOTHING) -> str:
+    """The whole answer as one self-contained page; the same answer gives the same page.
+
+    preface : what is to stand after the verdict.
+    """
     model = answer.extra.get("augmented")
     of = f": {model.name}" if model is not None else ""
     drawn = pictures(answer)
@@ -51,12 +55,13 @@ def page(answer: Diagnosis) -> str:
         "main",
         tag("h1", f"Gap between model and bench{of}"),
         headline(answer),
+        preface,
         section("Causes", causes(answer)),
-        section("What each effect explains", tag("div", *drawn, class_="pictures") if drawn else Html("")),
+        section("What each effect explains", tag("div", *drawn, class_="pictures") if drawn else NOTHING),
         section("How far the gap shrinks", shrinkage(answer)),
         section("Where the gap sits", joined([*figures(answer), where(answer)])),
         section("Calibration", calibration(answer)),
-        section("Notes", tag("ul", *(tag("li", note) for note in answer.notes)) if answer.notes else Html("")),
+        section("Notes", tag("ul", *(tag("li", note) for note in answer.notes)) if answer.notes else NOTHING),
     )
     return document(f"Gap{of}", STYLE, body)
 
@@ -88,7 +93,7 @@ def headline(answer: Diagnosis) -> Html:
 def causes(answer: Diagnosis) -> Html:
     """One entry for each effect, a bar for its probability."""
     if not answer.causes:
-        return Html("")
+        return NOTHING
     intro = "Each bar is the probability that the effect is present; they need not sum to 1."
     empty = closes_nothing(answer)
     parts = [tag("p", intro, class_="about")]
@@ -126,7 +131,7 @@ def cause(item: Cause, closes_no_gap: bool) -> Html:
 def shrinkage(answer: Diagnosis) -> Html:
     """Bars for the channels with a gap, and a table of all."""
     if not answer.shrinkage:
-        return Html("")
+        return NOTHING
     effects = bool(claims(answer.causes))
     largest = largest_first(answer.shrinkage)
     shown = largest if effects else [*largest, *closed_by_calibration(answer.shrinkage)][:CARDS]
@@ -206,7 +211,7 @@ def where(answer: Diagnosis) -> Html:
         "region and its share of the square",
     ]
     about = "The practical floor is what noise leaves, or a replay that explains the channel, up to a few times that."
-    return joined([table(headings, rows, "figures"), tag("p", about, class_="about")]) if rows else Html("")
+    return joined([table(headings, rows, "figures"), tag("p", about, class_="about")]) if rows else NOTHING
 
 
 def calibration(answer: Diagnosis) -> Html:
@@ -215,4 +220,4 @@ def calibration(answer: Diagnosis) -> Html:
         [item.parameter, f"{item.nominal:.6g}", with_std(item.fitted, item.std), bare_units(item.units), change(item)]
         for item in answer.calibration
     ]
-    return table(["parameter", "nominal", "fitted ± std", "units", "change"], rows, "figures") if rows else Html("")
+    return table(["parameter", "nominal", "fitted ± std", "units", "change"], rows, "figures") if rows else NOTHING
