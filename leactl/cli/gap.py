@@ -175,23 +175,39 @@ def demo(
     typer.echo(json.dumps(document(shown, number, files)) if as_json else "\n".join(lines(shown, number, files)))
 
 
-@blind.command("make", epilog=examples("gap blind make --cases 20 --out cases --key key"))
+@blind.command(
+    "make",
+    epilog=examples("gap blind make --cases 20 --out cases", "gap blind make --cases 80 --machines 8 --out cases"),
+)
 def make_blind(
     cases: int = typer.Option(..., "--cases", help="How many cases to draw."),
     out: Path = typer.Option(..., "--out", help="New folder for runs, nominal models and the key's hash."),
     key: Path | None = typer.Option(None, "--key", help="New folder for the key; by default OUT with -key at its end."),
     seed: int | None = typer.Option(None, "--seed", min=0, help="Draw the same cases again; by default fresh entropy."),
     kinds: list[str] = typer.Option([], "--kinds", help="Only these of none, single, pair, unknown; may be repeated."),
+    machines: int | None = typer.Option(
+        None, "--machines", min=1, help="Draw so many machines, and cases on them; by default all are of the bench."
+    ),
+    simulator: str | None = typer.Option(
+        None, "--simulator", help="Of drawn machines: stepped, or mujoco from leactl[mujoco]; by default stepped."
+    ),
     as_json: bool = AS_JSON,
 ) -> None:
-    """Draw benches with unknown departures from their nominal model, and write their runs, the key apart from them."""
-    from leactl.emulation.blind.draws import KINDS
-    from leactl.emulation.blind.make import make
+    """Draw benches or machines with unknown departures from their nominal model; write their runs, the key apart."""
+    from leactl.emulation.blind.make import make as make_benches
+    from leactl.emulation.blind.plans import KINDS
+    from leactl.errors import InputError
+    from leactl.joints.make import make as make_machines
     from leactl.report.steps import Steps
 
-    key_dir = key or out.with_name(f"{out.name}-key")
+    if machines is None and simulator is not None:
+        raise InputError(f"--simulator {simulator}: simulates drawn machines; add --machines")
+    key_dir, chosen = key or out.with_name(f"{out.name}-key"), kinds or KINDS
     with Steps() as step:
-        digest = make(cases, out, key_dir, seed=seed, kinds=kinds or KINDS, progress=step)
+        if machines is None:
+            digest = make_benches(cases, out, key_dir, seed=seed, kinds=chosen, progress=step)
+        else:
+            digest = make_machines(cases, out, key_dir, machines, simulator or "stepped", seed, chosen, step)
     if as_json:
         typer.echo(json.dumps({"cases": cases, "out": str(out), "key": str(key_dir), "key_sha256": digest}))
         return

@@ -22,7 +22,6 @@ from leactl.emulation.unlisted.drawn import Unlisted
 from leactl.vocabulary.effect import effect_definition, effect_names
 
 Generator = np.random.Generator
-KINDS = ("none", "single", "pair", "unknown")
 STRENGTHS = {"faint": (0.0, 0.2), "plain": (0.4, 0.65), "strong": (0.8, 1.0)}  # of the scale in strengths.yaml
 REPEATS = ("a", "b")
 

@@ -1,6 +1,8 @@
-"""Write a case: ten run files and the nominal model they are to be compared with."""
+"""Write a case: ten run files, the nominal model they are to be compared with, and the entry of the key."""
 
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -87,3 +89,32 @@ def _write(
             block = np.column_stack([channels[spec.name] for spec in named[stream]])
             writer.append(stream, channels["time"], block)
     writer.path.rename(folder / f"{run.name}.h5")
+
+
+def entry(case: Case) -> dict[str, Any]:
+    """What is known of a case; unlisted effects count as `unknown`, their names stand in `unlisted`."""
+    named = [own for own in case.effects if case.kind != "unknown"]
+    return {
+        "kind": case.kind,
+        "effects": ["unknown"] if case.kind == "unknown" else [own.name for own in named],
+        "unlisted": [own.name for own in case.effects if case.kind == "unknown"],
+        "strength": case.effects[0].strength if case.effects else None,
+        "parameters": {own.name: dict(own.parameters) for own in case.effects},
+        "true_base": _true_base(case),
+    }
+
+
+def _true_base(case: Case) -> dict[str, float]:
+    """True parameters under the names of the model file; nested ones dotted."""
+    base = case.base
+    test: dict[str, Any] = asdict(base.test)
+    thermal = test.pop("thermal")
+    plain = {name: value for name, value in test.items() if isinstance(value, float)}
+    return {
+        **plain,
+        **{f"thermal.{name}": value for name, value in thermal.items()},
+        "bench.shaft_stiffness": base.bench.shaft_stiffness,
+        "load.viscous_damping": base.load.viscous_damping,
+        "load.coulomb_friction": base.load.coulomb_friction,
+        "ambient_temperature": base.bench.ambient_temperature,
+    }

@@ -5,26 +5,24 @@ The key file carries a random salt, so that nobody can find it by hashing guesse
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from leactl.emulation.blind.draws import Case
 from leactl.errors import InputError
 
 KEY_NAME = "key.json"
 HASH_NAME = "key.sha256"
 
 
-def write_key(key_dir: Path, out: Path, cases: Sequence[Case], seed: int, salt: str) -> str:
-    """Write the key and, beside the runs, its hash, which is given back."""
+def write_key(key_dir: Path, out: Path, entries: Mapping[str, Any], seed: int, salt: str) -> str:
+    """Write the key, an entry for each case, and, beside the runs, its hash, which is given back."""
     key = {
         "format": "leactl-gap-key",
         "format_version": 1,
         "salt": salt,
         "seed": str(seed),
-        "cases": {case.name: _entry(case) for case in cases},
+        "cases": dict(entries),
     }
     text = json.dumps(key, indent=1) + "\n"
     key_dir.mkdir(parents=True, exist_ok=True)
@@ -62,32 +60,3 @@ def read_key(key_dir: Path, out: Path) -> dict[str, Any]:
         raise InputError(f"{path}: its SHA-256 is not the one in {hash_path}; it is not the key of these runs")
     key: dict[str, Any] = json.loads(content)
     return key
-
-
-def _entry(case: Case) -> dict[str, Any]:
-    """What is known of a case; unlisted effects count as `unknown`, their names stand in `unlisted`."""
-    named = [own for own in case.effects if case.kind != "unknown"]
-    return {
-        "kind": case.kind,
-        "effects": ["unknown"] if case.kind == "unknown" else [own.name for own in named],
-        "unlisted": [own.name for own in case.effects if case.kind == "unknown"],
-        "strength": case.effects[0].strength if case.effects else None,
-        "parameters": {own.name: dict(own.parameters) for own in case.effects},
-        "true_base": _true_base(case),
-    }
-
-
-def _true_base(case: Case) -> dict[str, float]:
-    """True parameters under the names of the model file; nested ones dotted."""
-    base = case.base
-    test: dict[str, Any] = asdict(base.test)
-    thermal = test.pop("thermal")
-    plain = {name: value for name, value in test.items() if isinstance(value, float)}
-    return {
-        **plain,
-        **{f"thermal.{name}": value for name, value in thermal.items()},
-        "bench.shaft_stiffness": base.bench.shaft_stiffness,
-        "load.viscous_damping": base.load.viscous_damping,
-        "load.coulomb_friction": base.load.coulomb_friction,
-        "ambient_temperature": base.bench.ambient_temperature,
-    }

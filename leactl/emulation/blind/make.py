@@ -2,14 +2,16 @@
 
 import secrets
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from leactl.emulation.blind.draws import KINDS, STRENGTHS, Case, draw_case
-from leactl.emulation.blind.files import write_heated, write_model, write_moving
+from leactl.emulation.blind.draws import STRENGTHS, Case, draw_case
+from leactl.emulation.blind.files import entry, write_heated, write_model, write_moving
 from leactl.emulation.blind.key import write_key
+from leactl.emulation.blind.plans import KINDS, counts, faults_of, in_turn
 from leactl.emulation.stepped_heating import heat
 from leactl.emulation.stepped_run import Program, simulate
 from leactl.emulation.unlisted import unlisted_effects
@@ -17,7 +19,6 @@ from leactl.errors import InputError
 from leactl.vocabulary.effect import effect_names
 
 AT_ONCE = 40  # cases; 320 lanes take about 1 GB
-SHARES = {"none": 0.2, "single": 0.5, "pair": 0.15, "unknown": 0.15}  # of the kinds
 
 
 def make(
@@ -50,7 +51,7 @@ def make(
     draw = np.random.default_rng([number, 0])
     plans = _plans(draw, count, kinds, chosen, strengths)
     digits = max(3, len(str(count)))
-    cases: list[Case] = []
+    entries: dict[str, Any] = {}
     out.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
     for start in range(0, count, AT_ONCE):
@@ -61,17 +62,16 @@ def make(
             for k in range(start, min(start + AT_ONCE, count))
         ]
         _write(out, batch)
-        cases += [_slim(case) for case in batch]
+        entries |= {case.name: entry(case) for case in batch}
     salt = secrets.token_hex(16) if seed is None else bytes(draw.integers(0, 256, 16, np.uint8)).hex()
-    return write_key(key_dir, out, cases, number, salt)
+    return write_key(key_dir, out, entries, number, salt)
 
 
 def _check(
     count: int, out: Path, key_dir: Path, kinds: Sequence[str], effects: Sequence[str], strengths: Sequence[str]
 ) -> None:
-    faults = [f"cases: {count} is not a number of cases; give 1 or more"] if count < 1 else []
+    faults = faults_of(count, out, key_dir, kinds)
     for what, given, known in (
-        ("kind", kinds, KINDS),
         ("effect", effects, effect_names()),
         ("strength", strengths, tuple(STRENGTHS)),
     ):
@@ -79,11 +79,6 @@ def _check(
         faults += [] if given else [f"no {what} given; known: {', '.join(known)}"]
     if "pair" in kinds and len(set(effects)) < 2:
         faults.append("a pair needs two effects to be drawn from; give more, or leave out the kind pair")
-    if out.resolve() == key_dir.resolve() or out.resolve() in key_dir.resolve().parents:
-        faults.append(f"{key_dir}: the key belongs apart from the runs; choose a folder outside {out}")
-    for folder in {out, key_dir}:
-        if folder.exists() and any(folder.iterdir()):
-            faults.append(f"{folder}: is not empty; choose a new folder")
     if faults:
         raise InputError(faults)
 
@@ -92,14 +87,9 @@ def _plans(
     draw: np.random.Generator, count: int, kinds: Sequence[str], effects: Sequence[str], strengths: Sequence[str]
 ) -> list[tuple[str, tuple[str, ...], str]]:
     """Kind, effects and strength of each case, in an order that tells nothing."""
-    shares = np.array([SHARES[kind] for kind in kinds])
-    exact = count * shares / shares.sum()
-    numbers = np.floor(exact).astype(int)
-    for k in np.argsort(numbers - exact)[: count - int(numbers.sum())]:
-        numbers[k] += 1
-    singles, unknowns = _in_turn(draw, effects), _in_turn(draw, tuple(unlisted_effects()))
+    singles, unknowns = in_turn(draw, effects), in_turn(draw, tuple(unlisted_effects()))
     plans: list[tuple[str, tuple[str, ...], str]] = []
-    for kind, number in zip(kinds, numbers, strict=True):
+    for kind, number in counts(count, kinds).items():
         for _ in range(number):
             names: tuple[str, ...] = ()
             if kind == "single":
@@ -110,11 +100,6 @@ def _plans(
                 names = (next(unknowns),)
             plans.append((kind, names, str(draw.choice(list(strengths)))))
     return [plans[k] for k in draw.permutation(count)]
-
-
-def _in_turn(draw: np.random.Generator, names: Sequence[str]) -> Iterator[str]:
-    while True:
-        yield from (str(name) for name in draw.permutation(list(names)))
 
 
 def _write(out: Path, batch: Sequence[Case]) -> None:
@@ -128,8 +113,3 @@ def _write(out: Path, batch: Sequence[Case]) -> None:
     currents = [run.program for _, run in heated if not isinstance(run.program, Program)]
     for (case, run), record in zip(heated, heat([run.lane for _, run in heated], currents), strict=True):
         write_heated(out / case.name, case, run, record)
-
-
-def _slim(case: Case) -> Case:
-    """The case without its programs, which are large."""
-    return Case(case.name, case.kind, case.effects, case.base, case.spread, ())

@@ -1,0 +1,38 @@
+"""How many cases there are of each kind, in an order that tells nothing, and where they may be written."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+KINDS = ("none", "single", "pair", "unknown")
+SHARES = {"none": 0.2, "single": 0.5, "pair": 0.15, "unknown": 0.15}  # of the kinds
+
+
+def faults_of(count: int, out: Path, key_dir: Path, kinds: Sequence[str]) -> list[str]:
+    """What speaks against making so many cases of these kinds there, one line each."""
+    faults = [f"cases: {count} is not a number of cases; give 1 or more"] if count < 1 else []
+    faults += [f"kind {name!r} is not known; known: {', '.join(KINDS)}" for name in kinds if name not in KINDS]
+    faults += [] if kinds else [f"no kind given; known: {', '.join(KINDS)}"]
+    if out.resolve() == key_dir.resolve() or out.resolve() in key_dir.resolve().parents:
+        faults.append(f"{key_dir}: the key belongs apart from the runs; choose a folder outside {out}")
+    for folder in {out, key_dir}:
+        if folder.exists() and any(folder.iterdir()):
+            faults.append(f"{folder}: is not empty; choose a new folder")
+    return faults
+
+
+def counts(count: int, kinds: Sequence[str]) -> dict[str, int]:
+    """How many cases of each kind, in their usual shares."""
+    shares = np.array([SHARES[kind] for kind in kinds])
+    exact = count * shares / shares.sum()
+    numbers = np.floor(exact).astype(int)
+    for k in np.argsort(numbers - exact)[: count - int(numbers.sum())]:
+        numbers[k] += 1
+    return dict(zip(kinds, numbers.tolist(), strict=True))
+
+
+def in_turn(draw: np.random.Generator, names: Sequence[str]) -> Iterator[str]:
+    """Names without end, each before any comes twice, in an order that is drawn again each time."""
+    while True:
+        yield from (str(name) for name in draw.permutation(list(names)))

@@ -1,0 +1,208 @@
+"""The second simulator: MuJoCo has rotor, friction and elastic load; drive and effects are stepped run by run.
+
+It shares no equation with the first one. MuJoCo comes with `pip install 'leactl[mujoco]'` (Apache-2.0).
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from leactl.errors import InputError
+from leactl.joints.programs import SERVO_CORNER_HZ, SERVO_HZ
+from leactl.joints.run import PARTS, Run, Signals
+
+# dry friction as hard as MuJoCo's solver takes it: its default creeps where a bearing sticks
+HARD_FRICTION = 'solreffriction="{stiff:.9g} 1" solimpfriction="0.999 0.9999 0.001"'
+JOINT = """\
+<mujoco><compiler boundmass="0" boundinertia="0"/>
+<option timestep="{step:.12g}" gravity="0 0 0" integrator="implicitfast"/>
+<worldbody><body><joint name="rotor" type="hinge" axis="0 0 1" armature="{rotor:.9g}" damping="{damping:.9g}"
+ frictionloss="{friction:.9g}" {hard}/><geom size=".01" mass="1e-9" contype="0" conaffinity="0"/>{load}</body>
+</worldbody></mujoco>"""
+LOAD = """<body><joint name="load" type="hinge" axis="0 0 1" stiffness="{stiffness:.9g}" damping="{damping:.9g}"/>
+<inertial pos="0 0 0" mass="{inertia:.9g}" diaginertia="{inertia:.9g} {inertia:.9g} {inertia:.9g}"/></body>"""
+BURST_SHARE = 0.6  # of a sine's height: above it, a burst rubs
+MISSING = "simulator 'mujoco' needs MuJoCo: pip install 'leactl[mujoco]'"
+LOSSES = 0.1  # of the load's spring, twice its damping ratio
+
+
+def simulate(runs: Sequence[Run]) -> list[Signals]:
+    """Run one after the other.
+
+    Raises
+    ------
+    InputError : MuJoCo is not installed.
+    """
+    try:
+        import mujoco
+    except ImportError as fault:
+        raise InputError(MISSING) from fault
+    return [_simulate(mujoco, run) for run in runs]
+
+
+def model_text(run: Run) -> str:
+    """The joint as an MJCF model."""
+    specimen, load = run.specimen, ""
+    share, rotor = run.parameter("elastic_load", "share"), specimen.rotor_inertia
+    if share:
+        frequency = run.parameter("elastic_load", "resonance") / run.parameter("elastic_load", "slowness")
+        both = rotor * share * (1.0 - share)  # inertia that swings on the spring
+        turn = 2.0 * math.pi * frequency
+        load = LOAD.format(stiffness=both * turn**2, damping=LOSSES * both * turn, inertia=rotor * share)
+    step = 1.0 / specimen.machine.rate / PARTS
+    return JOINT.format(
+        step=step,
+        rotor=rotor * (1.0 - share),
+        damping=specimen.viscous_damping,
+        friction=0.0 if run.parameter("presliding", "displacement") else specimen.coulomb_friction,
+        hard=HARD_FRICTION.format(stiff=4.0 * step),
+        load=load,
+    )
+
+
+def _simulate(mujoco: Any, run: Run) -> Signals:
+    model = mujoco.MjModel.from_xml_string(model_text(run))
+    state, drive, effects = mujoco.MjData(model), _Drive(run), _Effects(run)
+    state.qpos[0] = run.angle
+    rows = np.zeros((4, len(run.asked(None))))
+    for index, (current, velocity) in enumerate(
+        zip(run.asked(run.program.current).tolist(), run.asked(run.program.velocity).tolist(), strict=True)
+    ):
+        reference = drive.reference(current, velocity)
+        for part in range(PARTS):
+            flowing = drive.step(reference, part)
+            angle, speed = state.qpos[0], state.qvel[0]
+            model.dof_frictionloss[0] = effects.friction(angle, speed, state.time)
+            model.dof_damping[0] = effects.damping(state.time)
+            state.qfrc_applied[0] = effects.torque(flowing, angle, speed, state.time)
+            mujoco.mj_step(model, state)
+            drive.read(state.qvel[0] * effects.encoder_slope(state.qpos[0]), part)
+        drive.before = reference
+        rows[:, index] = reference, drive.mean, drive.logged, effects.encoder(state.qpos[0])
+    return Signals(*rows)
+
+
+class _Drive:
+    """Velocity servo, current loop, velocity filter of one drive."""
+
+    def __init__(self, run: Run) -> None:
+        machine, step = run.specimen.machine, 1.0 / run.specimen.machine.rate / PARTS
+        self._log, self._servo = run.log, run.program.velocity is not None
+        self._proportional = 2.0 * math.pi * SERVO_HZ * machine.rotor_inertia / machine.torque_constant
+        self._reset = 2.0 * math.pi * SERVO_CORNER_HZ / machine.rate
+        self._limit = machine.current
+        self._loop = 1.0 - math.exp(-2.0 * math.pi * machine.loop * step)
+        self._filter = 1.0 - math.exp(-2.0 * math.pi * machine.filter * step)
+        lag = run.parameter("velocity_filter_lag", "time_constant")
+        self._lag = 1.0 - math.exp(-step / lag) if lag else 1.0
+        self._offset = run.parameter("current_sensor_offset", "offset")
+        self._slew = run.parameter("command_slew_limit", "rate", math.inf) * step
+        late = round(run.parameter("transport_delay", "delay") / step)
+        self._waiting = deque([0.0] * late)
+        self._commanded = self._current = self._velocity = self._lagging = self._sum = self._held = 0.0
+        self.before = self.mean = self.logged = 0.0
+
+    def reference(self, current: float, velocity: float) -> float:
+        """Current that is asked for in the next sample [A]."""
+        if not self._servo:
+            return current
+        error = velocity - self._lagging
+        wanted = self._proportional * (error * (1.0 + self._reset) + self._held)
+        if abs(wanted) > self._limit:
+            return math.copysign(self._limit, wanted)
+        self._held += self._reset * error
+        return wanted
+
+    def step(self, reference: float, part: int) -> float:
+        """Current that flows [A]."""
+        if not self._log.holds:
+            reference = self.before + (reference - self.before) * (part + 1) / PARTS
+        self._waiting.append(reference)
+        due = self._waiting.popleft()
+        self._commanded += max(min(due - self._commanded, self._slew), -self._slew)
+        self._current += self._loop * (self._commanded - (self._current + self._offset))
+        self._sum += self._current + self._offset
+        if part == PARTS - 1 - self._log.current_late:
+            self.mean, self._sum = self._sum / PARTS, 0.0
+        return self._current
+
+    def read(self, velocity: float, part: int) -> None:
+        """Filter what the encoder has of the velocity."""
+        self._velocity += self._filter * (velocity - self._velocity)
+        self._lagging += self._lag * (self._velocity - self._lagging)
+        if part == PARTS - 1 - self._log.velocity_late:
+            self.logged = self._lagging
+
+
+class _Effects:
+    """Torques and frictions beside MuJoCo's own."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._names = {drawn.name: drawn.parameters for drawn in run.effects}
+        self._gives = 0.0  # of friction that gives before it slides
+        self._step = 1.0 / run.specimen.machine.rate / PARTS
+
+    def torque(self, current: float, angle: float, speed: float, time: float) -> float:
+        """Torque on the rotor [N*m]."""
+        total = self._run.specimen.torque_constant * current
+        for name, at in self._names.items():
+            if name == "saturation":
+                total *= 1.0 - at["loss"] * (current / at["current"]) ** 2
+            elif name == "torque_ripple":
+                total *= 1.0 + at["amplitude"] * math.sin(at["order"] * angle + at["phase"])
+        for name, at in self._names.items():
+            if name == "cogging":
+                total += at["amplitude"] * math.sin(at["order"] * angle + at["phase"])
+            elif name == "unbalance":
+                total += at["amplitude"] * math.sin(angle + at["phase"])
+            elif name == "quadratic_drag":
+                total -= at["coefficient"] * speed * abs(speed)
+            elif name == "push_in_time":
+                total += at["amplitude"] * math.sin(2.0 * math.pi * at["frequency"] * time + at["phase"])
+            elif name == "restoring_cable":
+                total -= at["amplitude"] * math.tanh((angle - self._run.angle) / at["reach"])
+            elif name == "presliding":
+                reach = at["displacement"]
+                self._gives = max(min(self._gives + speed * self._step, reach), -reach)
+                total -= self._level(angle, speed, time) * self._gives / reach
+        return total
+
+    def friction(self, angle: float, speed: float, time: float) -> float:
+        """Dry friction of MuJoCo's joint [N*m]."""
+        return 0.0 if "presliding" in self._names else self._level(angle, speed, time)
+
+    def damping(self, time: float) -> float:
+        """Viscous damping of MuJoCo's joint [N*m*s/rad]."""
+        return self._run.specimen.viscous_damping * self._fresh(time)
+
+    def _fresh(self, time: float) -> float:
+        at = self._names.get("friction_run_in")
+        return 1.0 if at is None else 1.0 + at["excess"] * math.exp(-time / at["time_constant"])
+
+    def _level(self, angle: float, speed: float, time: float) -> float:
+        level = self._run.specimen.coulomb_friction * self._fresh(time)
+        for name, at in self._names.items():
+            if name == "stribeck":
+                level *= 1.0 + at["breakaway_ratio"] * math.exp(-abs(speed) / at["stribeck_velocity"])
+            elif name == "asymmetric_friction":
+                level *= 1.0 + at["asymmetry"] * math.copysign(1.0, speed)
+            elif name == "position_dependent_friction":
+                level *= 1.0 + at["amplitude"] * math.cos(at["order"] * angle + at["phase"])
+            elif name == "rubbing_bursts":
+                rubs = math.sin(2.0 * math.pi * time / at["period"] + at["phase"]) > BURST_SHARE
+                level *= 1.0 + at["excess"] * rubs
+        return level
+
+    def encoder(self, angle: float) -> float:
+        """Angle as the encoder has it [rad]."""
+        at = self._names.get("encoder_eccentricity")
+        return angle if at is None else angle + at["amplitude"] * math.sin(angle + at["phase"])
+
+    def encoder_slope(self, angle: float) -> float:
+        """Velocity that the encoder has over the rotor's."""
+        at = self._names.get("encoder_eccentricity")
+        return 1.0 if at is None else 1.0 + at["amplitude"] * math.cos(angle + at["phase"])

@@ -1,0 +1,83 @@
+"""What is wrong with a specimen: effects drawn at a strength, their sizes told in the machine's own scales."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from leactl.joints.machine import Generator, Machine, declared
+
+STRENGTHS = ("faint", "plain", "strong")
+SIZE_SPREAD = 0.15  # by which a size is drawn around its strength's
+SLOWEST_LEVEL = 0.03  # of the highest speed, the slowest that the levels hold
+SAMPLES_A_PERIOD = 4.0  # that a periodic effect needs at that speed
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One effect with its parameters; those that the vocabulary has are under its names."""
+
+    name: str
+    strength: str
+    parameters: Mapping[str, float]
+
+
+def listed() -> dict[str, Mapping[str, Any]]:
+    """Effects of the vocabulary that a joint may have."""
+    return {name: rule for name, rule in declared("sizes.yaml").items() if name != "unlisted"}
+
+
+def unlisted() -> Mapping[str, Mapping[str, Any]]:
+    """Those that the vocabulary lacks."""
+    rules: Mapping[str, Mapping[str, Any]] = declared("sizes.yaml")["unlisted"]
+    return rules
+
+
+def shown_by(machine: Machine) -> list[str]:
+    """Effects of the vocabulary that this machine's channels can show."""
+    return [name for name, rule in listed().items() if set(rule["needs"]) <= set(machine.channels)]
+
+
+def alike(name: str) -> list[str]:
+    """Effects that no record of a free joint without a voltage can tell from this one."""
+    return list(listed()[name].get("alike", [])) if name in listed() else []
+
+
+def draw_effect(draw: Generator, machine: Machine, name: str, strength: str) -> Drawn:
+    """Draw an effect's parameters at a strength, in SI units."""
+    rule = listed()[name] if name in listed() else unlisted()[name]
+    spread = 1.0 + SIZE_SPREAD * float(draw.uniform(-1.0, 1.0))
+    size = rule[strength] * spread * machine.scale(rule["in"])
+    if rule.get("signed") and draw.random() < 0.5:
+        size = -size
+    return Drawn(name, strength, {rule["size"]: size, **others(draw, machine, name)})
+
+
+def others(draw: Generator, machine: Machine, name: str) -> dict[str, float]:
+    """The parameters beside the size."""
+    phase = {"phase": float(draw.uniform(-np.pi, np.pi))}
+    slow = SLOWEST_LEVEL * machine.speed
+    if name in ("cogging", "torque_ripple"):
+        highest = 2.0 * np.pi * machine.rate / SAMPLES_A_PERIOD / slow
+        orders = [order for order in (1, 2, 6) if order * machine.pole_pairs <= highest] or [1]
+        return {"order": float(draw.choice(orders) * machine.pole_pairs), **phase}
+    if name == "position_dependent_friction":
+        return {"order": float(draw.choice([1, 2, 3, 6, 8, 12])), **phase}
+    if name in ("unbalance", "encoder_eccentricity"):
+        return phase
+    if name == "stribeck":
+        return {"stribeck_velocity": machine.speed * float(draw.uniform(0.01, 0.05))}
+    if name == "friction_run_in":
+        return {"time_constant": machine.seconds * float(draw.uniform(0.2, 0.5))}
+    if name == "saturation":
+        return {"exponent": 2.0, "current": machine.current}
+    if name == "push_in_time":
+        return {"frequency": float(draw.uniform(3.0, 60.0)) / machine.seconds, **phase}
+    if name == "rubbing_bursts":
+        return {"period": machine.seconds * float(draw.uniform(0.03, 0.12)), **phase}
+    if name == "restoring_cable":
+        return {"reach": machine.speed * machine.seconds * float(draw.uniform(0.02, 0.1))}
+    if name == "elastic_load":
+        return {"share": float(draw.uniform(0.3, 0.7)), "resonance": 0.12 * machine.rate}
+    return {}

@@ -1,0 +1,90 @@
+"""Write a case of a drawn machine: its runs as its log has them, the nominal model, and the entry of the key."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leactl import __version__
+from leactl.joints.effects import Drawn, alike
+from leactl.joints.machine import Specimen, nominal_text
+from leactl.joints.run import Array, Run, Signals
+from leactl.quantities import ChannelSpec
+from leactl.runfile.writer import RunInfo, RunWriter
+
+CREATED = "2026-01-01T00:00:00Z"  # the same for all, so that a seed gives the same files and no date tells a batch
+QUANTITIES = {
+    "current_reference": ("q_axis_current_reference", "instant"),
+    "current": ("q_axis_current", "mean"),
+    "velocity_reference": ("velocity_reference", "instant"),
+    "velocity": ("velocity", "instant"),
+    "angle": ("angle", "instant"),
+}
+
+
+def write_run(folder: Path, case: str, run: Run, signals: Signals) -> None:
+    """Write a run with the channels that the machine logs, their noise and rounding on them."""
+    machine = run.specimen.machine
+    columns = {name: values for name, values in logged(run, signals).items() if name in machine.channels}
+    specs = [
+        ChannelSpec(
+            name,
+            QUANTITIES[name][0],
+            "test",
+            "drive",
+            sampling=QUANTITIES[name][1] if machine.sampling else "",
+            dtype="f8" if name == "angle" else "f4",
+        )
+        for name in columns
+    ]
+    info = RunInfo(
+        run_id=f"{case}-{run.name}",
+        protocol=run.protocol,
+        bench="withheld",
+        actuator=machine.kind,
+        condition="design",
+        operator="",
+        simulated=True,
+        mechanical="free",
+        software=f"leactl {__version__}",
+        created=CREATED,
+        sources={"model": nominal_text(machine)},
+    )
+    count = len(signals.angle)
+    with RunWriter(folder, info, {"loop": specs}) as writer:
+        writer.append("loop", np.arange(1, count + 1) / machine.rate, np.column_stack(list(columns.values())))
+    writer.path.rename(folder / f"{run.name}.h5")
+
+
+def logged(run: Run, signals: Signals) -> dict[str, Array]:
+    """Every channel that a log may have."""
+    machine, draw = run.specimen.machine, np.random.default_rng([run.seed, 2])
+    count, reference = len(signals.angle), signals.reference
+    columns = {
+        "current_reference": reference if run.log.reference_before else np.append(reference[1:], reference[-1]),
+        "current": signals.current + machine.current_noise * draw.standard_normal(count),
+        "velocity": signals.velocity + machine.velocity_noise * draw.standard_normal(count),
+        "angle": np.rint(signals.angle / machine.count) * machine.count,
+    }
+    if run.program.velocity is not None:
+        columns["velocity_reference"] = run.program.velocity
+    return columns
+
+
+def entry(
+    specimen: Specimen, kind: str, effects: tuple[Drawn, ...], strength: str | None, machine: str, simulator: str
+) -> dict[str, Any]:
+    """What the key says of a case; effects outside the vocabulary count as `unknown`."""
+    outside = kind == "unknown"
+    names = [drawn.name for drawn in effects]
+    return {
+        "kind": kind,
+        "effects": ["unknown"] if outside else names,
+        "unlisted": names if outside else [],
+        "strength": strength,
+        "parameters": {drawn.name: dict(drawn.parameters) for drawn in effects},
+        "true_base": specimen.true_base(),
+        "alike": {name: alike(name) for name in names if alike(name)},
+        "machine": machine,
+        "simulator": simulator,
+    }

@@ -1,0 +1,146 @@
+"""A machine as its users have it, and a specimen of it: every parameter off the nominal model, as on any bench."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from leactl import yamlfile
+
+Generator = np.random.Generator
+SECONDS = (12.0, 20.0)  # that a run takes
+RATES = (250.0, 400.0, 500.0, 1000.0)  # Hz
+PROTOCOLS = ("multisine", "levels", "ramp", "steps")
+RESERVE = 1.6  # highest torque over the one that holds the highest speed
+# largest relative departures of a specimen from the nominal model
+SPREADS = {"torque_constant": 0.06, "rotor_inertia": 0.15, "viscous_damping": 0.3, "coulomb_friction": 0.3}
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What is nominal, and how its runs are made and logged."""
+
+    kind: str
+    rate: float  # Hz
+    seconds: float  # that a run takes
+    torque_constant: float  # N*m/A
+    rotor_inertia: float  # kg*m^2
+    viscous_damping: float  # N*m*s/rad
+    coulomb_friction: float  # N*m
+    current: float  # A, the highest
+    speed: float  # rad/s, the highest
+    pole_pairs: int
+    loop: float  # Hz, bandwidth of the current loop
+    filter: float  # Hz, bandwidth of the velocity's filter
+    count: float  # rad, of the encoder
+    current_noise: float  # A
+    velocity_noise: float  # rad/s
+    protocols: tuple[str, ...]
+    channels: tuple[str, ...]
+    sampling: bool  # whether the log says what its stamps mean
+
+    @property
+    def friction(self) -> float:
+        """All friction at the highest speed [N*m]."""
+        return self.coulomb_friction + self.viscous_damping * self.speed
+
+    def scale(self, name: str) -> float:
+        """A scale that sizes of effects are told in (`sizes.yaml`)."""
+        scales = {
+            "1": 1.0,
+            "friction": self.friction,
+            "drag": self.friction / self.speed**2,
+            "current": self.current,
+            "interval": 1.0 / self.rate,
+            "lag": 1.0 / (2.0 * np.pi * self.filter),
+            "rate": 2.0 * np.pi * self.current,
+        }
+        return float(scales[name])
+
+
+@dataclass(frozen=True)
+class Specimen:
+    """One machine's true parameters beside what is nominal."""
+
+    machine: Machine
+    torque_constant: float
+    rotor_inertia: float
+    viscous_damping: float
+    coulomb_friction: float
+
+    def true_base(self) -> dict[str, float]:
+        """The true parameters under the names of a model file."""
+        return {name: getattr(self, name) for name in SPREADS} | {"back_emf_constant": self.torque_constant}
+
+
+def draw_machine(draw: Generator, kind: str) -> Machine:
+    """Draw a machine of a kind of `machines.yaml`, and how it is run and logged."""
+    values = {name: logarithmic(draw, *limits) for name, limits in kinds()[kind].items()}
+    friction = values["torque_constant"] * values["current"] / RESERVE
+    coulomb, speed, rate = values["coulomb"] * friction, values["speed"], float(draw.choice(RATES))
+    channels = ["current", "angle"]
+    channels += [name for name, share in (("current_reference", 0.85), ("velocity", 0.85)) if draw.random() < share]
+    channels += ["velocity_reference"] if draw.random() < 0.5 else []
+    # levels stand still long enough for friction, the other two are drawn
+    others = draw.choice([name for name in PROTOCOLS if name != "levels"], 2, replace=False)
+    return Machine(
+        kind=kind,
+        rate=rate,
+        seconds=float(draw.uniform(*SECONDS)),
+        torque_constant=values["torque_constant"],
+        rotor_inertia=friction / speed * values["time"],
+        viscous_damping=(friction - coulomb) / speed,
+        coulomb_friction=coulomb,
+        current=values["current"],
+        speed=speed,
+        pole_pairs=int(draw.integers(2, 22)),
+        loop=rate * float(draw.uniform(0.15, 0.3)),
+        filter=rate * float(draw.uniform(0.1, 0.2)),
+        count=2.0 * np.pi / 2 ** int(draw.integers(12, 18)),
+        current_noise=values["current"] * logarithmic(draw, 5e-4, 4e-3),
+        velocity_noise=speed * logarithmic(draw, 1e-4, 1e-3),
+        protocols=("levels", *(str(name) for name in others)),
+        channels=tuple(channels),
+        sampling=bool(draw.random() < 0.6),
+    )
+
+
+def draw_specimen(draw: Generator, machine: Machine) -> Specimen:
+    """Draw the true parameters of one machine."""
+    off = {name: 1.0 + spread * float(draw.uniform(-1.0, 1.0)) for name, spread in SPREADS.items()}
+    return Specimen(machine, **{name: getattr(machine, name) * by for name, by in off.items()})
+
+
+def nominal_text(machine: Machine) -> str:
+    """The nominal model file beside the runs."""
+    return f"""\
+name: {machine.kind}
+torque_constant: {machine.torque_constant:.6g}  # N*m/A
+back_emf_constant: {machine.torque_constant:.6g}  # V*s/rad
+rotor_inertia: {machine.rotor_inertia:.6g}  # kg*m^2
+viscous_damping: {machine.viscous_damping:.6g}  # N*m*s/rad
+coulomb_friction: {machine.coulomb_friction:.6g}  # N*m
+bench:
+  current_loop_bandwidth: {machine.loop:.6g}  # Hz, first order
+  velocity_filter_bandwidth: {machine.filter:.6g}  # Hz, first order
+"""
+
+
+def logarithmic(draw: Generator, low: float, high: float) -> float:
+    """A number between two, evenly on a logarithmic scale."""
+    return float(np.exp(draw.uniform(np.log(low), np.log(high))))
+
+
+def kinds() -> Mapping[str, Mapping[str, tuple[float, float]]]:
+    """What each kind of machine is drawn from."""
+    limits: Mapping[str, Mapping[str, tuple[float, float]]] = declared("machines.yaml")
+    return limits
+
+
+@cache
+def declared(name: str) -> Any:
+    """The content of a file of this room."""
+    return yamlfile.parse((resources.files(__package__) / name).read_text(encoding="utf-8"), name).data

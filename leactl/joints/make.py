@@ -1,0 +1,136 @@
+"""Make cases of drawn machines: each a specimen of one of them, its runs simulated by one of two simulators."""
+
+import secrets
+import time
+from collections.abc import Callable, Iterator, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leactl.emulation.blind.key import write_key
+from leactl.emulation.blind.plans import KINDS, counts, faults_of, in_turn
+from leactl.errors import InputError
+from leactl.joints import by_mujoco, stepped
+from leactl.joints.effects import STRENGTHS, Drawn, alike, draw_effect, listed, shown_by, unlisted
+from leactl.joints.files import entry, write_run
+from leactl.joints.machine import Generator, Machine, draw_machine, draw_specimen, kinds, nominal_text
+from leactl.joints.programs import draw_program
+from leactl.joints.run import Run, Signals, draw_log
+
+SIMULATORS: dict[str, Callable[[Sequence[Run]], list[Signals]]] = {
+    "stepped": stepped.simulate,
+    "mujoco": by_mujoco.simulate,
+}
+AT_ONCE = 20  # cases; their signals take about 100 MB
+REPEATS = ("a", "b")
+
+
+def make(
+    count: int,
+    out: Path,
+    key_dir: Path,
+    machines: int,
+    simulator: str,
+    seed: int | None = None,
+    wanted: Sequence[str] = KINDS,
+    progress: Callable[[str], None] = lambda _: None,
+) -> str:
+    """Make cases under `out`, each in a folder of its own, and their key in `key_dir`; gives the key's hash.
+
+    Parameters
+    ----------
+    machines : how many are drawn; cases go round them in turn.
+    simulator : `stepped` or `mujoco`.
+    seed : the same seed and arguments give the same values; without one it is fresh entropy.
+    wanted : kinds of cases, of `none`, `single`, `pair` and `unknown`, met in their usual shares.
+
+    Raises
+    ------
+    InputError : an argument names what there is not, a folder is taken, or the simulator is not installed.
+    """
+    faults = faults_of(count, out, key_dir, wanted)
+    faults += [f"machines: {machines} is not a number of machines; give 1 or more"] if machines < 1 else []
+    if simulator not in SIMULATORS:
+        faults.append(f"simulator {simulator!r} is not known; known: {', '.join(SIMULATORS)}")
+    if simulator == "mujoco" and find_spec("mujoco") is None:
+        faults.append(by_mujoco.MISSING)
+    if faults:
+        raise InputError(faults)
+    number = secrets.randbits(128) if seed is None else seed
+    draw = np.random.default_rng([number, 0])
+    drawn_machines = draw_machines(draw, machines)
+    plans = plan(draw, count, drawn_machines, wanted)
+    digits, entries = max(3, len(str(count))), dict[str, Any]()
+    out.mkdir(parents=True, exist_ok=True)
+    began = time.monotonic()
+    for start in range(0, count, AT_ONCE):
+        left = f", about {(time.monotonic() - began) / start * (count - start) / 60:.1f} min left" if start else ""
+        progress(f"{start} of {count} cases made{left}")
+        batch: list[tuple[str, Run]] = []
+        for k in range(start, min(start + AT_ONCE, count)):
+            name, at, (kind, effects, strength) = f"case-{k + 1:0{digits}d}", k % machines, plans[k]
+            runs = draw_runs(np.random.default_rng([number, 1, k]), drawn_machines[at], effects, strength)
+            batch += [(name, run) for run in runs]
+            told = f"{drawn_machines[at].kind} {at + 1}"
+            felt = strength if effects else None
+            entries[name] = entry(runs[0].specimen, kind, runs[0].effects, felt, told, simulator)
+            (out / name).mkdir()
+            (out / name / "nominal.yaml").write_text(nominal_text(drawn_machines[at]), encoding="utf-8")
+        for (name, run), signals in zip(batch, SIMULATORS[simulator]([run for _, run in batch]), strict=True):
+            write_run(out / name, name, run, signals)
+    salt = secrets.token_hex(16) if seed is None else bytes(draw.integers(0, 256, 16, np.uint8)).hex()
+    return write_key(key_dir, out, entries, number, salt)
+
+
+def draw_machines(draw: Generator, count: int) -> list[Machine]:
+    """Draw machines, one of each kind before any kind comes twice."""
+    names = in_turn(draw, tuple(kinds()))
+    return [draw_machine(draw, next(names)) for _ in range(count)]
+
+
+def plan(
+    draw: Generator, count: int, machines: Sequence[Machine], wanted: Sequence[str]
+) -> list[tuple[str, tuple[str, ...], str]]:
+    """Kind, effects and strength of each case; a machine gets effects that its channels can show."""
+    drawn = [kind for kind, number in counts(count, wanted).items() for _ in range(number)]
+    listed_ones, unlisted_ones = in_turn(draw, tuple(listed())), in_turn(draw, tuple(unlisted()))
+    plans: list[tuple[str, tuple[str, ...], str]] = []
+    for index, kind in enumerate(draw.permutation(drawn).tolist()):
+        names: tuple[str, ...] = ()
+        if kind == "unknown":
+            names = (next(unlisted_ones),)
+        elif kind in ("single", "pair"):
+            names = (shown(listed_ones, machines[index % len(machines)], ()),)
+        if kind == "pair":
+            names = (*names, shown(listed_ones, machines[index % len(machines)], names))
+        plans.append((str(kind), tuple(sorted(names)), str(draw.choice(STRENGTHS))))
+    return plans
+
+
+def shown(names: Iterator[str], machine: Machine, beside: Sequence[str]) -> str:
+    """The next effect that a machine can show and that is not there in another guise."""
+    taken = {*beside, *(name for other in beside for name in alike(other))}
+    fit = set(shown_by(machine)) - taken
+    return next(name for name in names if name in fit)
+
+
+def draw_runs(draw: Generator, machine: Machine, effects: Sequence[str], strength: str) -> list[Run]:
+    """Draw a specimen with its effects, and the runs that are made of it."""
+    specimen, log = draw_specimen(draw, machine), draw_log(draw, machine.sampling)
+    drawn: tuple[Drawn, ...] = tuple(draw_effect(draw, machine, name, strength) for name in effects)
+    return [
+        Run(
+            name=f"{protocol}-{repeat}",
+            protocol=protocol,
+            specimen=specimen,
+            effects=drawn,
+            program=draw_program(draw, machine, protocol),
+            log=log,
+            angle=float(draw.uniform(0.0, 2.0 * np.pi)),
+            seed=int(draw.integers(0, 2**63)),
+        )
+        for protocol in machine.protocols
+        for repeat in REPEATS
+    ]
