@@ -214,18 +214,24 @@ def make_blind(
     typer.echo(f"{cases} cases in {out}; their key in {key_dir}, SHA-256 {digest}")
 
 
-@blind.command("score", epilog=examples("gap blind score --cases cases --key key --out score"))
+@blind.command(
+    "score",
+    epilog=examples(
+        "gap blind score --cases cases --key key --out score.md",
+        "gap blind score --cases one --key one-key --cases two --key two-key",
+    ),
+)
 def score_blind(
-    cases: Path = typer.Option(..., "--cases", help="Folder of runs that `blind make` wrote."),
-    key: Path = typer.Option(..., "--key", help="Folder of their key; opened after the last diagnosis."),
+    cases: list[Path] = typer.Option(..., "--cases", help="Folder that `blind make` wrote; may be repeated."),
+    key: list[Path] = typer.Option(..., "--key", help="Folder of their key; opened after the last diagnosis."),
     out: Path | None = typer.Option(None, "--out", help="Write the report, a .md."),
-    answers: Path | None = typer.Option(None, "--answers", help="Folder of answers; by default CASES-answers."),
+    answers: list[Path] = typer.Option([], "--answers", help="Folder of answers; by default CASES-answers."),
     processes: int = typer.Option(1, "--processes", min=1, help="How many cases are diagnosed at a time."),
     as_json: bool = AS_JSON,
 ) -> None:
     """Diagnose every case, then open the key and say how often the diagnosis was right; a stop keeps what is done."""
     from leactl.emulation.blind.key import read_key, require_whole
-    from leactl.gap.blind.check import check
+    from leactl.gap.blind.check import Cases, check
     from leactl.gap.blind.score import score
     from leactl.report.blind import as_json as document
     from leactl.report.blind import markdown
@@ -234,11 +240,14 @@ def score_blind(
 
     if out is not None:
         refuse_existing(out)
-    require_whole(cases)
-    beside = answers or cases.with_name(f"{cases.name}-answers")
+    for folder in cases:
+        require_whole(folder)
+    sets = Cases.side_by_side(cases, key, answers)
     with Steps() as step:
-        marks = check(cases, beside, lambda: read_key(key, cases), processes, step)
-    found, command = score(marks), f"leactl gap blind score --cases {cases.name} --key {key.name}"
+        marks = check(sets, read_key, processes, step)
+    found = score(marks)
+    options = " ".join(f"--cases {part.runs.name} --key {part.key.name}" for part in sets)
+    command = f"leactl gap blind score {options}"
     if out is not None:
         with new_file(out) as path:
             path.write_text(markdown(found, command), encoding="utf-8")

@@ -1,18 +1,23 @@
 """The score of a check on withheld causes as Markdown and as JSON."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from leactl.gap.blind.score import Calibration, Score, Share
+from leactl.gap.blind.score import Calibration, Group, Score, Share
 
 FORMAT, VERSION = "leactl-gap-score", 1
 MEANINGS = """\
-Each case is an emulated bench with parameters off its nominal model and with no effect, one, two, or one that the
-library lacks. The last run of each kind was held out. Answers were written before the key was opened; the key's
-SHA-256 is the one beside the runs. Intervals are Wilson's 95 %.
+Each case is an emulated bench or a drawn machine with parameters off its nominal model and with no effect, one, two, or
+one that the library lacks. The last run of each kind was held out. Answers were written before the key was opened;
+the key's SHA-256 is the one beside the runs. Intervals are Wilson's 95 %.
 
 - *First cause right*: the first entry of `causes` truly acts. *Reported set*: that entry with its
-  `indistinguishable_from`. *Named*: a probability of 0.5 or more, or in the reported set.
+  `indistinguishable_from`. *Named*: a probability of 0.5 or more, or in the reported set. Where no record of a machine
+  can tell two effects apart (a joint without a voltage: asymmetric friction and an offset of the current sensor), they
+  count as one.
+- *Called sound*: the verdict is `none` or `calibration`. *The held-out gap grew*: the squared distance to the held-out
+  runs, summed over the channels in multiples of their floors, is larger than without.
 - *What the effects move*: the bench's true parameters are replayed through the held-out runs with the true effects and
   without them; channels and set-ups rank by how far apart the two are in multiples of the floor. *What calibration
   leaves*: the same, the nominal model as calibrated alone in the place of the true bench without effects. The first
@@ -44,6 +49,7 @@ def as_json(score: Score, command: str) -> dict[str, Any]:
         else dict(zip(("median", "quantile_90"), score.behind_oracle, strict=True)),
         "parameters": [line(share) for share in score.parameters],
         "misses": [asdict(miss) for miss in score.misses],
+        "groups": [asdict(group) | {"shares": [line(share) for share in group.shares]} for group in score.groups],
     }
 
 
@@ -73,9 +79,21 @@ def markdown(score: Score, command: str) -> str:
     out += ["", "## Calibrated parameters within 2 standard errors", ""]
     out += ["| parameter | target | found | count | 95 % interval |", "|---|---|---|---|---|"]
     out += [row(share) for share in score.parameters]
+    for by in dict.fromkeys(group.by for group in score.groups):
+        out += ["", f"## By {by}", "", *table([group for group in score.groups if group.by == by])]
     out += ["", "## Every miss", "", "| case | question | acts | answer |", "|---|---|---|---|"]
     out += [f"| {m.case} | {m.question} | {m.truth} | {m.answer} |" for m in score.misses]
     return "\n".join(out) + "\n"
+
+
+def table(groups: Sequence[Group]) -> list[str]:
+    """A row a group, a column a question."""
+    out = [f"| {groups[0].by} | cases | {' | '.join(share.question for share in groups[0].shares)} |"]
+    out.append("|---" * (2 + len(groups[0].shares)) + "|")
+    for group in groups:
+        cells = [f"{share.count} of {share.total}" if share.total else "-" for share in group.shares]
+        out.append(f"| {group.name} | {group.cases} | {' | '.join(cells)} |")
+    return out
 
 
 def row(share: Share) -> str:

@@ -39,6 +39,10 @@ def scored(cases):
     return CliRunner().invoke(app, [*arguments, "--out", str(cases / "report.md"), "--json"])
 
 
+def sets_of(folder):
+    return checking.Cases(folder / "cases", folder / "key", folder / "cases-answers")
+
+
 def test_both_cases_are_named_and_their_gap_is_closed(scored):
     assert scored.exit_code == 0, scored.output
     found = json.loads(scored.stdout)
@@ -70,7 +74,7 @@ def test_what_is_answered_is_not_done_again(cases, scored, monkeypatch):
     monkeypatch.setattr("leactl.gap.blind.answers.diagnose", again)
     monkeypatch.setattr("leactl.gap.blind.check.measure", again)
     entries = json.loads((cases / "key" / "key.json").read_text())
-    marks = checking.check(cases / "cases", cases / "cases-answers", lambda: entries, 1, lambda _: None)
+    marks = checking.check([sets_of(cases)], lambda *_: entries, 1, lambda _: None)
     assert [m.first for m in marks] == [entries["cases"][m.name]["effects"][0] for m in marks]
 
 
@@ -100,12 +104,12 @@ def test_a_key_is_opened_after_the_last_answer_only(tmp_path, monkeypatch):
     order = []
     monkeypatch.setattr("leactl.gap.blind.answers.answer", lambda case, out: order.append(case.name))
 
-    def open_key():
+    def read_key(*_):
         order.append("key")
         return {"cases": {}}
 
     with pytest.raises(InputError, match="no such case"):
-        checking.check(tmp_path / "cases", tmp_path / "answers", open_key, 1, lambda _: None)
+        checking.check([sets_of(tmp_path)], read_key, 1, lambda _: None)
     assert order == ["case-1", "case-2", "key"]
 
 
@@ -122,7 +126,7 @@ def test_a_case_that_cannot_be_read_is_told_after_all_others(tmp_path, monkeypat
 
     monkeypatch.setattr("leactl.gap.blind.answers.answer", answer)
     with pytest.raises(InputError, match="case-1: broken"):
-        checking.check(tmp_path, tmp_path / "answers", lambda: {}, 1, lambda _: None)
+        checking.check([checking.Cases(tmp_path, tmp_path, tmp_path / "a")], lambda *_: {}, 1, lambda _: None)
     assert done == ["case-2", "case-3"]
 
 
@@ -165,7 +169,7 @@ def test_a_stop_keeps_what_is_done_and_ends_soon(tmp_path):
 
 def test_a_folder_without_cases_is_an_error(tmp_path):
     with pytest.raises(InputError, match="no case in it"):
-        checking.check(tmp_path, tmp_path / "answers", lambda: {}, 1, lambda _: None)
+        checking.check([checking.Cases(tmp_path, tmp_path, tmp_path / "a")], lambda *_: {}, 1, lambda _: None)
 
 
 def answer_of(*causes, verdict="effect", where=(), shrinkage=(), parameters=()):
@@ -280,4 +284,48 @@ def test_every_miss_is_listed_with_what_was_said():
     answer = answer_of(("backlash", 0.9, []))
     misses = score([mark("case-7", truth_of("presliding"), answer, UNMEASURED)]).misses
     assert {(m.case, m.truth, m.answer) for m in misses} == {("case-7", "presliding, plain", "effect: backlash 0.90")}
-    assert len(misses) == 2
+    assert len(misses) == 3
+
+
+def test_effects_that_no_record_tells_apart_count_as_one_and_others_do_not():
+    truth = replace(truth_of("asymmetric_friction"), alike={"asymmetric_friction": ["current_sensor_offset"]})
+    given = answer_of(("current_sensor_offset", 0.9, []), ("asymmetric_friction", 0.9, []))
+    found = mark("c", truth, given, UNMEASURED)
+    assert (found.first_right, found.in_set, found.all_named) == (True, True, True)
+    assert not found.names_what_is_not_there
+    further = answer_of(("asymmetric_friction", 0.9, []), ("cogging", 0.6, []))
+    assert mark("c", truth, further, UNMEASURED).names_what_is_not_there
+
+
+def gap(nominal, calibrated, augmented):
+    return line("velocity", nominal_rms=nominal, calibrated_rms=calibrated, augmented_rms=augmented, floor_rms=0.1)
+
+
+def test_a_gap_that_grew_is_told_where_something_was_named_or_recalibrated():
+    parameters = [{"parameter": "rotor_inertia", "fitted": 2.0, "std": 0.5}]
+    lines = [gap(1.0, 2.0, 3.0), gap(1.0, 0.5, 0.1)]
+    given = answer_of(("cogging", 0.9, []), shrinkage=lines, parameters=parameters)
+    found = mark("c", truth_of("cogging"), given, UNMEASURED)
+    assert (found.effect_closes, found.calibration_closes) == (False, False)
+    better = answer_of(("cogging", 0.9, []), shrinkage=[gap(2.0, 1.0, 0.2)], parameters=parameters)
+    found = mark("c", truth_of("cogging"), better, UNMEASURED)
+    assert (found.effect_closes, found.calibration_closes) == (True, True)
+    quiet = mark("c", truth_of("cogging"), answer_of(shrinkage=lines), UNMEASURED)
+    assert (quiet.effect_closes, quiet.calibration_closes) == (None, None)
+
+
+def test_groups_show_each_machine_and_simulator_and_targets_follow_what_was_drawn():
+    answer = answer_of(("cogging", 0.9, []))
+    truths = [replace(truth_of("cogging"), machine=name, simulator="stepped") for name in ("spindle 1", "wheel 2")]
+    found = score([mark(f"case-{k}", truth, answer, UNMEASURED) for k, truth in enumerate(truths)])
+    assert {(group.by, group.name, group.cases) for group in found.groups} == {
+        ("machine", "spindle 1", 1),
+        ("machine", "wheel 2", 1),
+    }
+    assert found.shares[0].target == ">= 95 %"
+    assert score([mark("c", truth_of("cogging"), answer, UNMEASURED)]).shares[0].target == ">= 98 %"
+
+
+def test_as_many_keys_as_sets_of_cases_are_needed(tmp_path):
+    with pytest.raises(InputError, match="give one for each"):
+        checking.Cases.side_by_side([tmp_path / "a", tmp_path / "b"], [tmp_path / "key"], [])

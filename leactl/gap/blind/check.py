@@ -1,40 +1,76 @@
 """The check as a whole: answers first, then the key, then the marks."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from leactl.errors import InputError
-from leactl.gap.blind.answers import answer_all, read
+from leactl.gap.blind.answers import answer_all, case_names, read
 from leactl.gap.blind.marks import Mark, mark
 from leactl.gap.blind.pool import Progress, each
 from leactl.gap.blind.truth import Truth, measure
 
 OpenKey = Callable[[], Mapping[str, Any]]
+ReadKey = Callable[[Path, Path], Mapping[str, Any]]
 
 
-def check(cases: Path, answers: Path, open_key: OpenKey, processes: int, progress: Progress) -> list[Mark]:
-    """Diagnose every case, and only then open the key and mark the answers.
+@dataclass(frozen=True)
+class Cases:
+    """One set of cases, and what stands beside its runs."""
+
+    runs: Path
+    key: Path  # a folder apart from the runs
+    answers: Path  # what stands there is not done again; what the key makes measurable stands beside, under `told`
+
+    @classmethod
+    def side_by_side(cls, runs: Sequence[Path], keys: Sequence[Path], answers: Sequence[Path]) -> list[Self]:
+        """Sets from folders that are given in the same order; answers are put beside the runs by default.
+
+        Raises
+        ------
+        InputError : there are not as many of each, or two sets would have their answers in one folder.
+        """
+        if len(keys) != len(runs):
+            raise InputError(f"--key: found {len(keys)} for {len(runs)} of --cases; give one for each, in their order")
+        beside = list(answers) or [folder.with_name(f"{folder.name}-answers") for folder in runs]
+        if len(beside) != len(runs):
+            raise InputError(f"--answers: found {len(beside)} for {len(runs)} of --cases; give one for each or none")
+        if len({folder.resolve() for folder in beside}) < len(beside):
+            raise InputError("--answers: one folder for two sets of cases; give each its own")
+        return [cls(*folders) for folders in zip(runs, keys, beside, strict=True)]
+
+
+def check(sets: Sequence[Cases], read_key: ReadKey, processes: int, progress: Progress) -> list[Mark]:
+    """Diagnose every case of every set, and only then open the keys and mark the answers.
 
     Parameters
     ----------
-    answers : folder for the answers; what stands there is not done again. What the key makes measurable stands beside,
-        under `told`.
-    open_key : reads and checks the key.
+    read_key : reads and checks a key, from its folder and the one of the runs.
 
     Raises
     ------
     InputError : cases that cannot be diagnosed, or a key that is not theirs.
     """
-    names = answer_all(cases, answers, processes, progress)
-    entries = open_key()["cases"]
-    missing = [f"{cases / name}: the key has no such case" for name in names if name not in entries]
+    for part in sets:
+        answer_all(part.runs, part.answers, processes, progress)
+    marks: list[Mark] = []
+    for part in sets:
+        prefix = f"{part.runs.name}/" if len(sets) > 1 else ""
+        marks += marks_of(part, prefix, read_key(part.key, part.runs)["cases"], processes, progress)
+    return marks
+
+
+def marks_of(part: Cases, prefix: str, entries: Mapping[str, Any], processes: int, progress: Progress) -> list[Mark]:
+    """Mark the answers of one set against the entries of its key."""
+    names = case_names(part.runs)
+    missing = [f"{part.runs / name}: the key has no such case" for name in names if name not in entries]
     if missing:
         raise InputError(missing)
-    told = answers / "told"
+    told = part.answers / "told"
     told.mkdir(exist_ok=True)
     left = [name for name in names if not (told / f"{name}.json").exists()]
-    jobs = [(cases / name, entries[name], told / f"{name}.json") for name in left]
+    jobs = [(part.runs / name, entries[name], told / f"{name}.json") for name in left]
     each(measure, jobs, processes, "told the truth", progress)
-    given, measured = read(answers, names), read(told, names)
-    return [mark(name, Truth.of(entries[name]), given[name], measured[name]) for name in names]
+    given, measured = read(part.answers, names), read(told, names)
+    return [mark(f"{prefix}{name}", Truth.of(entries[name]), given[name], measured[name]) for name in names]

@@ -10,6 +10,7 @@ NAMED = 0.5  # probability from which a cause counts as named
 LEAST_MOVED = 1.0  # floors, below which a gap drowns in noise wherever it is
 AS_GOOD = 0.9  # of the most floors moved: test and load actuator tell the speed of one shaft
 GAP = 1.1  # floors, below which an oracle finds no gap to close
+GROWN = 1.001  # of the squared distance, up to which it is the same: replays differ by as much
 SAME_NUMBER = "back_emf_constant"  # in power-invariant units the torque constant again
 REPLACED = {"shaft_compliance": "bench.shaft_stiffness"}  # an effect whose parameter stands for one of the model's
 NO_TRUTH = "ambient_offset"  # of the plant's ambient, which has none of its own
@@ -38,6 +39,8 @@ class Mark:
     closed: float | None  # on the channel that carries the gap
     oracle_closed: float | None
     departures: tuple[Departure, ...]
+    effect_closes: bool | None = None  # whether the effects narrow the held-out gap; None where none is named
+    calibration_closes: bool | None = None  # the same of recalibration alone; None where nothing is recalibrated
 
     @property
     def first(self) -> str | None:
@@ -51,24 +54,39 @@ class Mark:
 
     @property
     def first_right(self) -> bool:
-        """Whether the first cause truly acts."""
-        return self.first in self.truth.effects
+        """Whether the first cause truly acts, or is one that no record can tell from what acts."""
+        return self.first in self.truth.guises
 
     @property
     def in_set(self) -> bool:
         """Whether something of the reported set truly acts."""
-        return any(name in self.truth.effects for name in self.reported)
+        return any(name in self.truth.guises for name in self.reported)
 
     @property
     def all_named(self) -> bool:
         """Whether everything that acts is named, at even odds or better or in the reported set."""
-        named = {name for name, probability in self.causes if probability >= NAMED} | set(self.reported)
-        return set(self.truth.effects) <= named
+        named = {*self.named, *self.reported}
+        return all({name, *self.truth.alike.get(name, ())} & named for name in self.truth.effects)
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Causes at even odds or better."""
+        return tuple(name for name, probability in self.causes if probability >= NAMED)
+
+    @property
+    def names_what_is_not_there(self) -> bool:
+        """Whether any cause is named, first or further, that neither acts nor is alike to what acts."""
+        return not set(self.named) <= self.truth.guises
 
     @property
     def names_a_cause(self) -> bool:
         """Whether any cause is named at even odds or better."""
-        return any(probability >= NAMED for _, probability in self.causes)
+        return bool(self.named)
+
+    @property
+    def sound(self) -> bool:
+        """Whether the answer is that nothing acts."""
+        return self.verdict in ("none", "calibration") and not self.named
 
     @property
     def owned_up(self) -> bool:
@@ -89,7 +107,34 @@ def mark(name: str, truth: Truth, answer: Document, measured: Document) -> Mark:
     verdict = answer["verdict"]
     moved_right, left_right = (begins in places if places else None for places in (moved, left))
     departures = tuple(departures_of(truth, answer["calibration"]))
-    return Mark(name, truth, verdict, causes, reported, moved_right, left_right, closed, oracle_closed, departures)
+    lines = answer["shrinkage"]
+    some_named = any(probability >= NAMED for _, probability in causes)
+    return Mark(
+        name,
+        truth,
+        verdict,
+        causes,
+        reported,
+        moved_right,
+        left_right,
+        closed,
+        oracle_closed,
+        departures,
+        narrows(lines, "calibrated_rms", "augmented_rms") if some_named else None,
+        narrows(lines, "nominal_rms", "calibrated_rms") if answer["calibration"] else None,
+    )
+
+
+def narrows(lines: Sequence[Document], before: str, after: str) -> bool | None:
+    """Whether a model is nearer to the held-out runs than another, all channels together in multiples of their floors.
+
+    None where no channel is replayed.
+    """
+    usable = [line for line in lines if line["floor_rms"] and None not in (line[before], line[after])]
+    if not usable:
+        return None
+    first, second = (sum((line[at] / line["floor_rms"]) ** 2 for line in usable) for at in (before, after))
+    return bool(second <= GROWN * first)
 
 
 def farthest(lines: Sequence[Document], by: str) -> list[tuple[str, str, str]]:

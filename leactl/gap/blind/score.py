@@ -1,18 +1,27 @@
 """Marks made into figures: shares with their intervals, the calibration of probabilities, and what was missed."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from leactl.gap.blind.marks import Departure, Mark
+from leactl.gap.blind.truth import BENCH
 
 Z = 1.959964  # of a 95 % interval
 BINS = 10
 MEDIAN_WITHIN, MOST_WITHIN = 0.03, 0.08  # of the oracle's share: half and nine tenths of the cases are to be so close
 STDS = 2.0  # that a calibrated parameter may be off
 Test = Callable[[Mark], bool]
+KINDS = ("single", "pair", "none", "unknown")
+PLAIN, FAINT = "one effect, plain or strong: first cause right", "one effect, faint: first cause right"
+NOTHING, SOUND = "nothing but wrong parameters: an effect named", "nothing but wrong parameters: called sound"
+OUTSIDE = "an effect outside the vocabulary: unknown, no cause named"
+NOT_THERE = "any case: an effect named that is not there, further ones counted"
+GREW = "an effect named: the held-out gap grew with it"
+WORSE = "recalibrated: the held-out gap grew by that"
+CHIEF = (PLAIN, FAINT, SOUND, OUTSIDE, NOT_THERE)  # shown by group
 
 
 @dataclass(frozen=True)
@@ -74,6 +83,16 @@ class Miss:
 
 
 @dataclass(frozen=True)
+class Group:
+    """The same questions of some of the cases."""
+
+    by: str  # simulator, machine, strength, effect
+    name: str
+    cases: int
+    shares: tuple[Share, ...]
+
+
+@dataclass(frozen=True)
 class Score:
     """Everything that the report shows."""
 
@@ -85,40 +104,25 @@ class Score:
     behind_oracle: tuple[float, float] | None  # median and 90 % quantile of the distance
     parameters: tuple[Share, ...]  # within two standard errors, by parameter
     misses: tuple[Miss, ...]
+    groups: tuple[Group, ...] = ()
 
 
 def score(marks: Sequence[Mark]) -> Score:
     """All figures of a set of marks."""
-    single = [m for m in marks if m.truth.kind == "single"]
-    pair, none, unknown = ([m for m in marks if m.truth.kind == kind] for kind in ("pair", "none", "unknown"))
-    faint = [m for m in single if m.truth.strength == "faint"]
-    plain = [m for m in single if m.truth.strength != "faint"]
-    moved = [m for m in marks if m.moved_right is not None]
-    left = [m for m in marks if m.left_right is not None]
-    asked: list[tuple[str, str, Sequence[Mark], Test]] = [
-        ("one effect, plain or strong: first cause right", ">= 98 %", plain, lambda m: m.first_right),
-        ("one effect, faint: first cause right", ">= 92 %", faint, lambda m: m.first_right),
-        ("one effect, any: in the reported set", ">= 98 %", single, lambda m: m.in_set),
-        ("two effects: one of them first", ">= 98 %", pair, lambda m: m.first_right),
-        ("two effects: both named", ">= 85 %", pair, lambda m: m.all_named),
-        ("nothing but wrong parameters: an effect named", "<= 2 %", none, lambda m: m.names_a_cause),
-        ("an effect outside the vocabulary: unknown, no cause named", ">= 95 %", unknown, lambda m: m.owned_up),
-        ("first entry of `where`: what the effects move most", ">= 97 %", moved, lambda m: m.moved_right is True),
-        ("first entry of `where`: what calibration leaves most of", ">= 97 %", left, lambda m: m.left_right is True),
-    ]
-    shares = [Share(text, target, sum(map(test, among)), len(among)) for text, target, among, test in asked]
+    questions = asked(marks)
+    shares = [share_of(question) for question in questions]
     misses = [
-        Miss(m.name, text, what_acts(m), what_was_said(m))
-        for text, target, among, test in asked
-        for m in among
-        if test(m) == target.startswith("<=")
+        Miss(m.name, question.text, what_acts(m), what_was_said(m))
+        for question in questions
+        for m in question.among
+        if question.test(m) == question.target.startswith("<=")
     ]
     known = [m for m in marks if m.truth.kind != "unknown"]
     departures = [d for m in known for d in m.departures]
     shares.append(within("calibrated parameters within 2 standard errors of the truth", departures))
     behind = [abs(m.closed - m.oracle_closed) for m in marks if m.closed is not None and m.oracle_closed is not None]
     names = sorted({d.parameter for d in departures})
-    sets = [len(m.reported) for m in single if m.reported]
+    sets = [len(m.reported) for m in marks if m.truth.kind == "single" and m.reported]
     return Score(
         len(marks),
         (*shares, *near_oracle(behind)),
@@ -128,7 +132,79 @@ def score(marks: Sequence[Mark]) -> Score:
         (float(np.median(behind)), float(np.quantile(behind, 0.9))) if behind else None,
         tuple(within(name, [d for d in departures if d.parameter == name]) for name in names),
         tuple(misses),
+        tuple(groups(marks)),
     )
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of some cases, and how many of them are to pass."""
+
+    text: str
+    target: str
+    among: Sequence[Mark]
+    test: Test
+
+
+def asked(marks: Sequence[Mark]) -> list[Question]:
+    """Every question of a set of cases; what is asked of the bench is more than what is asked of drawn machines."""
+    bench = all(m.truth.machine == BENCH for m in marks)
+    single, pair, none, unknown = ([m for m in marks if m.truth.kind == kind] for kind in KINDS)
+    faint = [m for m in single if m.truth.strength == "faint"]
+    plain = [m for m in single if m.truth.strength != "faint"]
+    moved = [m for m in marks if m.moved_right is not None]
+    left = [m for m in marks if m.left_right is not None]
+    named = [m for m in marks if m.effect_closes is not None]
+    recalibrated = [m for m in marks if m.calibration_closes is not None]
+    return [
+        Question(text, on_bench if bench else on_machines, among, test)
+        for text, on_bench, on_machines, among, test in (
+            (PLAIN, ">= 98 %", ">= 95 %", plain, lambda m: m.first_right),
+            (FAINT, ">= 92 %", ">= 85 %", faint, lambda m: m.first_right),
+            ("one effect, any: in the reported set", ">= 98 %", ">= 95 %", single, lambda m: m.in_set),
+            ("two effects: one of them first", ">= 98 %", ">= 95 %", pair, lambda m: m.first_right),
+            ("two effects: both named", ">= 85 %", ">= 85 %", pair, lambda m: m.all_named),
+            (NOTHING, "<= 2 %", "<= 2 %", none, lambda m: m.names_a_cause),
+            (SOUND, ">= 98 %", ">= 98 %", none, lambda m: m.sound),
+            (OUTSIDE, ">= 95 %", ">= 92 %", unknown, lambda m: m.owned_up),
+            (NOT_THERE, "<= 1.5 %", "<= 2 %", marks, lambda m: m.names_what_is_not_there),
+            (GREW, "<= 0 %", "<= 0 %", named, lambda m: m.effect_closes is False),
+            (WORSE, "<= 0 %", "<= 0 %", recalibrated, lambda m: m.calibration_closes is False),
+            ("first entry of `where`: what the effects move most", ">= 97 %", ">= 97 %", moved, moves_right),
+            ("first entry of `where`: what calibration leaves most of", ">= 97 %", ">= 97 %", left, leaves_right),
+        )
+    ]
+
+
+def moves_right(m: Mark) -> bool:
+    """Whether `where` begins with what the effects move most."""
+    return m.moved_right is True
+
+
+def leaves_right(m: Mark) -> bool:
+    """Whether `where` begins with what recalibration leaves most of."""
+    return m.left_right is True
+
+
+def share_of(question: Question) -> Share:
+    """How many pass."""
+    return Share(question.text, question.target, sum(map(question.test, question.among)), len(question.among))
+
+
+def groups(marks: Sequence[Mark]) -> Iterator[Group]:
+    """The chief questions by simulator, machine, strength and effect, where there is more than one of them."""
+    sorts: dict[str, Callable[[Mark], str]] = {
+        "simulator": lambda m: m.truth.simulator,
+        "machine": lambda m: m.truth.machine,
+        "strength": lambda m: m.truth.strength or "nothing wrong",
+        "effect": lambda m: " + ".join(m.truth.effects or m.truth.unlisted) if m.truth.kind != "pair" else "",
+    }
+    for by, name_of in sorts.items():
+        named = sorted({name_of(m) for m in marks} - {""})
+        for name in named if len(named) > 1 else []:
+            members = [m for m in marks if name_of(m) == name]
+            shares = tuple(share_of(question) for question in asked(members) if question.text in CHIEF)
+            yield Group(by, name, len(members), shares)
 
 
 def within(question: str, departures: Sequence[Departure]) -> Share:

@@ -6,7 +6,7 @@ from the nominal model as calibrated alone is what recalibration leaves of it.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from leactl.gap.shrinkage import shrinkage
 from leactl.model.nominal import Model, as_mapping
 
 UNKNOWN = "unknown"
+BENCH = "emulated bench"  # what every case was of before machines were drawn
 
 
 @dataclass(frozen=True)
@@ -37,13 +38,23 @@ class Truth:
     strength: str | None
     parameters: Mapping[str, Mapping[str, float]]
     base: Mapping[str, float]  # true parameters under the names of a model file
+    alike: Mapping[str, Sequence[str]] = field(default_factory=dict)  # effects that no record of this machine can tell
+    machine: str = BENCH
+    simulator: str = BENCH
+
+    @property
+    def guises(self) -> set[str]:
+        """The effects that act, and those that no record of this machine can tell from them."""
+        return {*self.effects, *(name for effect in self.effects for name in self.alike.get(effect, ()))}
 
     @classmethod
     def of(cls, entry: Mapping[str, Any]) -> "Truth":
         """From the key file."""
         effects = tuple(name for name in entry["effects"] if name != UNKNOWN)
         unlisted = tuple(entry["unlisted"])
-        return cls(entry["kind"], effects, unlisted, entry["strength"], entry["parameters"], entry["true_base"])
+        told = {name: entry[name] for name in ("alike", "machine", "simulator") if name in entry}
+        strength, parameters, base = entry["strength"], entry["parameters"], entry["true_base"]
+        return cls(entry["kind"], effects, unlisted, strength, parameters, base, **told)
 
 
 def measure(case: Path, entry: Mapping[str, Any], out: Path) -> None:
