@@ -87,4 +87,5 @@ def entry(
         "alike": {name: alike(name) for name in names if alike(name)},
         "machine": machine,
         "simulator": simulator,
+        "ratios_to": "torque_constant",  # free runs without torque or voltage tell no torque, only torques in currents
     }

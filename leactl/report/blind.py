@@ -29,7 +29,8 @@ the key's SHA-256 is the one beside the runs. Intervals are Wilson's 95 %.
 - *Within 2 standard errors*: every calibrated parameter of every case whose effects the library has, whatever the
   answer. Left out are `back_emf_constant`, which is the torque constant again, `ambient_offset`, which the emulated
   bench has none of, and the shaft's stiffness where `shaft_compliance` replaces it. Parameters of one case are not
-  independent of each other: the interval is too narrow for that.
+  independent of each other: the interval is too narrow for that. Of a drawn machine, which logs neither torque nor
+  voltage, parameters are compared as ratios to the torque constant: its runs tell no more.
 """
 
 

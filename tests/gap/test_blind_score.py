@@ -329,3 +329,13 @@ def test_groups_show_each_machine_and_simulator_and_targets_follow_what_was_draw
 def test_as_many_keys_as_sets_of_cases_are_needed(tmp_path):
     with pytest.raises(InputError, match="give one for each"):
         checking.Cases.side_by_side([tmp_path / "a", tmp_path / "b"], [tmp_path / "key"], [])
+
+
+def test_parameters_are_compared_as_ratios_where_no_run_tells_a_torque():
+    parameters = [
+        {"parameter": "torque_constant", "fitted": 1.0, "std": 0.01},
+        {"parameter": "rotor_inertia", "fitted": 3.0, "std": 0.5},
+    ]
+    truth = truth_of("cogging", base={"torque_constant": 2.0, "rotor_inertia": 4.0})
+    found = mark("c", replace(truth, ratios_to="torque_constant"), answer_of(parameters=parameters), UNMEASURED)
+    assert found.departures == (Departure("rotor_inertia", 2.0),)

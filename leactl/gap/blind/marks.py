@@ -165,8 +165,15 @@ def shares_closed(
 def departures_of(truth: Truth, calibration: Sequence[Document]) -> list[Departure]:
     """How far fitted parameters are from the true ones, where the truth is one number."""
     replaced = {REPLACED[name] for name in truth.effects if name in REPLACED} | {SAME_NUMBER, NO_TRUTH}
+    fitted = {line["parameter"]: line["fitted"] for line in calibration}
+    by, truly_by = 1.0, 1.0
+    if truth.ratios_to is not None:
+        if truth.ratios_to not in fitted:
+            return []
+        replaced |= {truth.ratios_to}
+        by, truly_by = fitted[truth.ratios_to], truth.base[truth.ratios_to]
     return [
-        Departure(line["parameter"], (line["fitted"] - truth.base[line["parameter"]]) / line["std"])
+        Departure(name, (line["fitted"] / by - truth.base[name] / truly_by) / (line["std"] / by))
         for line in calibration
-        if line["parameter"] not in replaced and line["parameter"] in truth.base and line["std"]
+        if (name := line["parameter"]) not in replaced and name in truth.base and line["std"]
     ]

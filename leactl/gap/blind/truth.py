@@ -41,6 +41,7 @@ class Truth:
     alike: Mapping[str, Sequence[str]] = field(default_factory=dict)  # effects that no record of this machine can tell
     machine: str = BENCH
     simulator: str = BENCH
+    ratios_to: str | None = None  # the parameter that the others are told in, where no run tells it
 
     @property
     def guises(self) -> set[str]:
@@ -52,7 +53,7 @@ class Truth:
         """From the key file."""
         effects = tuple(name for name in entry["effects"] if name != UNKNOWN)
         unlisted = tuple(entry["unlisted"])
-        told = {name: entry[name] for name in ("alike", "machine", "simulator") if name in entry}
+        told = {name: entry[name] for name in ("alike", "machine", "simulator", "ratios_to") if name in entry}
         strength, parameters, base = entry["strength"], entry["parameters"], entry["true_base"]
         return cls(entry["kind"], effects, unlisted, strength, parameters, base, **told)
 
