@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from leactl.cli.main import app
 from leactl.errors import InputError
 from leactl.joints import by_mujoco, machine, stepped
-from leactl.joints.effects import STRENGTHS, alike, draw_effect, listed, shown_by, unlisted
+from leactl.joints.effects import SIZE_SPREAD, STRENGTHS, alike, draw_effect, listed, shown_by, unlisted
 from leactl.joints.machine import draw_machine, kinds
 from leactl.joints.make import draw_runs, make
 from leactl.joints.programs import Program
@@ -69,6 +69,11 @@ def test_both_simulators_agree_on_every_effect():
         assert distance(by_mujoco.simulate(runs), first, runs[0].specimen.machine) < ALIKE, name
 
 
+def most(name):
+    """The largest size that the vocabulary declares; infinite where it has a unit."""
+    return effect_definition(name).largest
+
+
 def test_sizes_grow_and_names_are_the_vocabularys():
     drawn = draw_machine(np.random.default_rng(1), "wheel_motor")
     for name in listed():
@@ -77,6 +82,7 @@ def test_sizes_grow_and_names_are_the_vocabularys():
             effect = draw_effect(np.random.default_rng(5), drawn, name, strength)
             sizes.append(abs(effect.parameters[listed()[name]["size"]]))
             assert set(effect.parameters) <= set(effect_definition(name).parameters)
+        assert (1.0 + SIZE_SPREAD) * listed()[name]["strong"] * (listed()[name]["in"] == "1") <= most(name)
         assert sizes == sorted(sizes, reverse=name == "command_slew_limit"), name
         assert all(name in alike(other) for other in alike(name))
 

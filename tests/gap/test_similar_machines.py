@@ -1,0 +1,103 @@
+"""Drawn machines at another size and at a lower rate get the same answer, read from their files anew."""
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from leactl.gap.diagnose import Case, diagnose, split
+from leactl.gap.record import build
+from leactl.joints.make import make
+from leactl.model.nominal import Model, as_mapping, read_model
+from leactl.runfile.reader import Run
+
+CASES = int(os.environ.get("SIMILAR", "60"))
+MACHINES = 10
+SAME = 0.99  # of the answers
+SIZES = {"torque x 20, current x 2, time x 1.6": (20.0, 2.0, 1.6), "x 0.02, 0.4, 0.5": (0.02, 0.4, 0.5)} | {
+    "time x 4": (1.0, 1.0, 4.0)
+}
+# of a sample or less, or many times a turn: a lower rate cannot show them
+BEYOND_HALF_THE_RATE = {
+    "transport_delay",
+    "velocity_filter_lag",
+    "command_slew_limit",
+    "cogging",
+    "torque_ripple",
+    "elastic_load",
+}
+
+
+def factors(torque, current, time):
+    """Of every unit that a joint's log has."""
+    return {"A": current, "rad": 1.0, "rad/s": 1.0 / time, "s": time}
+
+
+def model_of_size(model, torque, current, time):
+    """The model of a machine that is similar in the sense of dimensional analysis."""
+    document = as_mapping(model)
+    by = {
+        "torque_constant": torque / current,
+        "back_emf_constant": torque / current,
+        "rotor_inertia": torque * time**2,
+        "viscous_damping": torque * time,
+        "coulomb_friction": torque,
+    }
+    scaled = {name: document[name] * factor for name, factor in by.items()}
+    bench = {name: value / time for name, value in document["bench"].items()}
+    return Model.model_validate(document | scaled | {"bench": bench})
+
+
+def thinned(channel, divide):
+    """Every so many samples one; means over them for means, as `sampling` says or as every drive has its current."""
+    rows = len(channel.time) // divide * divide
+    values = channel.values[divide - 1 : rows : divide]
+    if channel.quantity == "q_axis_current":
+        values = channel.values[:rows].reshape(-1, divide).mean(axis=1)
+    return replace(channel, time=channel.time[divide - 1 : rows : divide], values=values)
+
+
+def case_of(folder: Path, size=(1.0, 1.0, 1.0), divide=1):
+    by, records = factors(*size), []
+    for path in sorted(folder.glob("*.h5")):
+        with Run.open(path) as run:
+            found = [channel for spec in run.streams["loop"] for channel in run.channels(spec.quantity, spec.role)]
+            scaled = [
+                replace(one, time=one.time * by["s"], values=np.asarray(one.values, float) * by[one.units])
+                for one in found
+            ]
+            channels = [thinned(one, divide) for one in scaled]
+            records.append(build(path, str(run.attributes["protocol"]), run.mechanical, channels, {}))
+    model, _ = read_model(folder / "nominal.yaml")
+    return Case(model_of_size(model, *size), *split(records))
+
+
+def named(case):
+    found = diagnose(case)
+    return found.verdict, {cause.effect for cause in found.causes if cause.probability >= 0.5}
+
+
+@pytest.mark.long
+def test_a_drawn_machine_of_another_size_or_at_a_lower_rate_gets_the_same_answer(tmp_path):
+    make(CASES, tmp_path / "cases", tmp_path / "key", MACHINES, "stepped", seed=77)
+    key = json.loads((tmp_path / "key" / "key.json").read_text())["cases"]
+    changes = {name: (size, 1) for name, size in SIZES.items()}
+    changes |= {f"every {count} samples": ((1.0, 1.0, 1.0), count) for count in (2, 4)}
+    asked, differ = dict.fromkeys(changes, 0), dict.fromkeys(changes, 0)
+    for name, told in key.items():
+        folder, acts = tmp_path / "cases" / name, {*told["effects"], *told["unlisted"]}
+        before = named(case_of(folder))
+        for change, (size, divide) in changes.items():
+            if divide > 1 and acts & BEYOND_HALF_THE_RATE:
+                continue
+            after = named(case_of(folder, size, divide))
+            asked[change] += 1
+            if after != before:
+                differ[change] += 1
+                print(f"{name} {told['machine']} {sorted(acts)} {told['strength']}: {change}: {before} -> {after}")
+    for change, count in asked.items():
+        print(f"{change}: {count - differ[change]} of {count} the same")
+    assert sum(differ.values()) <= (1.0 - SAME) * sum(asked.values())
