@@ -27,6 +27,7 @@ from leactl.gap.servo.runs import side_by_side
 from leactl.gap.setup import mended
 from leactl.gap.shrinkage import shrinkage
 from leactl.gap.stamps import stamp_notes, stamped
+from leactl.gap.unknown import describe, nearest_effects
 from leactl.gap.where import profiles, where
 from leactl.gap.withdrawal import Applied, Fitted, Refit, apply
 from leactl.model.nominal import Model, read_model
@@ -184,10 +185,16 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     notes = unlike(case.fitted, case.held_out) + gathered([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
         notes += ("no kind of run occurs twice: held out are two sixteenths of each run",)
-    left = (surprise.note,) if surprise.probability >= UNKNOWN else ()
     calibrates = not applied.calibration_withdrawn and gained(evidence, found)
-    standing = {cause.effect for cause in applied.fitted.causes}
-    causes = pictured(causes, evidence, [c for c in found.hypothesis if c[0] in standing], case.held_out)
+    names = {cause.effect for cause in applied.fitted.causes}
+    standing = [candidate for candidate in found.hypothesis if candidate[0] in names]
+    causes = pictured(causes, evidence, standing, case.held_out)
+    left, rest = tuple[str, ...](), None
+    if surprise.probability >= UNKNOWN:
+        progress("describing what is left")
+        near = nearest_effects(found, judged, applied.refused)
+        left = (surprise.note,)
+        rest = describe(evidence, standing, surprise.channel, case.held_out, near)
     return Diagnosis(
         verdict(causes, surprise.probability, calibrates),
         surprise.probability,
@@ -207,6 +214,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
                 + questions(case.model, case.fitted, evidence)
             )
         ),
+        rest,
         {
             "calibrated": applied.calibrated,
             "augmented": applied.augmented,

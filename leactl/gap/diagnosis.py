@@ -105,6 +105,29 @@ class Cause:
 
 
 @dataclass(frozen=True)
+class Near:
+    """An effect that comes near to explaining what is left, and why it was refused."""
+
+    effect: str
+    refused_because: str
+
+
+@dataclass(frozen=True)
+class Rest:
+    """What is not explained: of the channel that is farthest from a sound machine's, what it depends on."""
+
+    depends_on: tuple[str, ...]  # variables of the state, or time, or nothing that is logged
+    closable: float | None  # share of the held-out gap that a free function of the state closes; None where no gap is
+    quantity: str
+    role: str
+    mechanical: str
+    equation: str
+    shapes: tuple[Picture, ...]  # over each variable, before and after that function
+    nearest: tuple[Near, ...]
+    experiment: str | None  # the shipped protocol that would decide
+
+
+@dataclass(frozen=True)
 class Shrinkage:
     """How far the gap of one channel shrinks on held-out runs."""
 
@@ -132,6 +155,7 @@ class Diagnosis:
     causes: tuple[Cause, ...] = ()
     shrinkage: tuple[Shrinkage, ...] = ()
     notes: tuple[str, ...] = ()
+    unexplained: Rest | None = None  # where something acts that no effect explains
     extra: dict[str, Any] = field(default_factory=dict, compare=False)  # for reports, not part of the JSON
 
     def as_json(self) -> dict[str, Any]:

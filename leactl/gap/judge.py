@@ -118,6 +118,7 @@ class Unexplained:
 
     probability: float
     note: str  # empty where nothing does
+    channel: tuple[str, str, str] | None = None  # equation, quantity and set-up that tell it
 
 
 Channels = Mapping[tuple[str, str, str], float]
@@ -129,11 +130,11 @@ def unexplained(restless: Channels, lines: Mapping[tuple[str, str, str], Line]) 
     for (equation, quantity, mechanical), ratio in restless.items():
         probability = 1.0 / (1.0 + (UNREST / ratio) ** UNREST_SLOPE) if ratio > 0.0 else 0.0
         told = f"{ratio:.3g} times as far from noise as a sound model leaves it"
-        found.append(Unexplained(probability, f"unexplained: {quantity}, {mechanical} ({equation}) is {told}"))
+        note = f"unexplained: {quantity}, {mechanical} ({equation}) is {told}"
+        found.append(Unexplained(probability, note, (equation, quantity, mechanical)))
     for (equation, quantity, mechanical), line in lines.items():
         probability = 1.0 / (1.0 + (LINE / line.height) ** LINE_SLOPE) if line.height > 0.0 else 0.0
         told = f"rings at about {line.frequency:.3g} Hz"
-        found.append(
-            Unexplained(probability, f"unexplained: what is left of {quantity}, {mechanical} ({equation}) {told}")
-        )
+        note = f"unexplained: what is left of {quantity}, {mechanical} ({equation}) {told}"
+        found.append(Unexplained(probability, note, (equation, quantity, mechanical)))
     return max(found, key=lambda one: one.probability)

@@ -184,7 +184,11 @@ def picture(cause: Cause, parts: Sequence[Part]) -> Picture | None:
     if not views:
         return None
     following = [view for view in views if view.along.explained >= FOLLOWED]
-    best = max(following or views, key=lambda view: view.part.gain * view.along.explained)
+    return picture_of(max(following or views, key=lambda view: view.part.gain * view.along.explained), periods)
+
+
+def picture_of(best: View, periods: float) -> Picture:
+    """Means in bins with intervals, before and after."""
     part, bins = best.part, len(best.edges) - 1
     sign = signs(part).get(best.along.name, np.ones_like(part.before))
     before, after = (means(sign * left, best.place, part.groups, bins) for left in (part.before, part.after))

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from leactl.gap.diagnosis import CalibratedParameter, Cause
+from leactl.gap.diagnosis import CalibratedParameter, Cause, Near
 from leactl.gap.parameters import at_bound, with_calibration, with_effects
 from leactl.gap.shrinkage import Shrunk
 from leactl.model.nominal import Model
@@ -34,6 +34,7 @@ class Applied:
     shrunk: Shrunk
     calibration_withdrawn: bool
     notes: tuple[str, ...]
+    refused: tuple[Near, ...]  # effects that were named before, and why they are not
 
 
 def apply(
@@ -70,16 +71,17 @@ def apply(
         refusals.clear()
     names = [", ".join(cause.effect for cause in stage) for stage in waiting]
     notes = [f"not named though it fits: {name}; {why}" for name, why in zip(names, refusals, strict=True)]
+    refused = tuple(Near(cause.effect, why) for stage, why in zip(waiting, refusals, strict=True) for cause in stage)
     if shrunk is not None:
-        return Applied(calibrated, augmented, fitted, shrunk, False, tuple(notes))
+        return Applied(calibrated, augmented, fitted, shrunk, False, tuple(notes), refused)
     bounded = at_bounds(alone) if bounded_fit else []
     if not bounded:
         shrunk = simulate(calibrated, calibrated)
         if not shrunk.growth.calibration_worse:
-            return Applied(calibrated, calibrated, fitted, shrunk, False, tuple(notes))
+            return Applied(calibrated, calibrated, fitted, shrunk, False, tuple(notes), refused)
     reason = f"{', '.join(bounded)} ended at a bound" if bounded else "with it the gap of held-out runs grows"
     notes.append(f"calibration is not applied: {reason}; the model stays as it was given")
-    return Applied(model, model, Fitted((), ()), simulate(model, model), True, tuple(notes))
+    return Applied(model, model, Fitted((), ()), simulate(model, model), True, tuple(notes), refused)
 
 
 def refusal(shrunk: Shrunk, bounded: Sequence[str], beside_others: bool) -> str:

@@ -24,7 +24,10 @@ from leactl.report.gap_words import (
     parameter_text,
     picture_words,
     probability,
+    refusal_words,
     region_text,
+    rest_channel,
+    rest_words,
     sentence,
     variable_words,
     with_std,
@@ -48,6 +51,7 @@ def render(answer: Diagnosis, width: int = 80, encoding: str = "utf-8") -> str:
     width = min(max(width, SMALLEST), WIDEST)
     parts = [
         what(answer, width),
+        not_explained(answer, width),
         how_far(answer, width),
         where(answer, width),
         calibration(answer, width),
@@ -69,6 +73,19 @@ def what(answer: Diagnosis, width: int) -> str:
         said += cause_lines(cause, width)
     if closes_nothing(answer):
         said.append(filled(CLOSES_NOTHING, width))
+    return "\n".join(said)
+
+
+def not_explained(answer: Diagnosis, width: int) -> str:
+    """What the rest depends on, what comes nearest, and what would decide."""
+    rest = answer.unexplained
+    if rest is None:
+        return ""
+    said = [filled(f"not explained: {rest_channel(rest)}", width), filled(rest_words(rest), width, 2)]
+    said += [filled(f"over {variable_words(seen)}: {picture_words(seen)}", width, 2) for seen in rest.shapes]
+    said += [filled(f"near: {refusal_words(near)}", width, 2) for near in rest.nearest]
+    if rest.experiment:
+        said.append(filled(f"to decide: leactl run {rest.experiment}", width, 2))
     return "\n".join(said)
 
 

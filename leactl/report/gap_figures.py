@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from leactl.gap.diagnosis import Diagnosis, Picture, Where
+from leactl.gap.diagnosis import Diagnosis, Picture, Rest, Where
 from leactl.gap.shrinkage import Trace
 from leactl.gap.where import Profile
 from leactl.report.chart import Bins, Curve, Layer, Stretch, chart
@@ -23,7 +23,9 @@ from leactl.report.html import Html, tag
 
 SHOWN = 5  # channels
 MODELS = ("nominal", "calibrated", "augmented")
-PICTURE = "Mean residual in each bin with its 95 % interval, on held-out runs where the effect acts"
+PICTURE = "Mean residual in each bin with its 95 % interval, on held-out runs"
+WITHOUT_AND_WITH = ("before: calibrated without it", "after: with it")
+LEFT_AND_CLOSED = ("what is left", "beyond a free function of the state")
 
 
 def figures(answer: Diagnosis) -> list[Html]:
@@ -52,25 +54,32 @@ def figures(answer: Diagnosis) -> list[Html]:
 def pictures(answer: Diagnosis) -> list[Html]:
     """A card for each effect that is in the augmented model: what is left over, over the variable that it acts in."""
     drawn = [(cause, cause.picture) for cause in answer.causes if cause.picture is not None]
-    cards = []
-    for cause, picture in drawn:
-        heading = tag("h3", cause.effect, tag("small", picture_words(picture)))
-        cards.append(
-            tag("div", heading, tag("figure", tag("figcaption", PICTURE), picture_chart(picture)), class_="card")
-        )
-    return cards
+    return [
+        picture_card(cause.effect, picture, WITHOUT_AND_WITH, f"{PICTURE} where the effect acts")
+        for cause, picture in drawn
+    ]
 
 
-def picture_chart(picture: Picture) -> Html:
-    """Means in bins with their intervals, before and after."""
+def shapes_of(rest: Rest) -> list[Html]:
+    """A card for each variable that a rest depends on."""
+    return [picture_card(variable_words(one), one, LEFT_AND_CLOSED, PICTURE) for one in rest.shapes]
+
+
+def picture_card(title: str, picture: Picture, names: tuple[str, str], caption: str) -> Html:
+    """A picture with its numbers."""
+    heading = tag("h3", title, tag("small", picture_words(picture)))
+    return tag("div", heading, tag("figure", tag("figcaption", caption), picture_chart(picture, names)), class_="card")
+
+
+def picture_chart(picture: Picture, names: tuple[str, str]) -> Html:
+    """Means in bins with their intervals, before and after, which are given names."""
     bins = [one for one in picture.bins if math.isfinite(one.before)]
     low, high = (np.asarray([getattr(one, name) for one in bins]) for name in ("low", "high"))
     layers: list[Layer] = []
-    for model, name in (("before", "calibrated"), ("after", "augmented")):
+    for model, style, name in zip(("before", "after"), ("calibrated", "augmented"), names, strict=True):
         mean = np.asarray([getattr(one, model) for one in bins])
         spread = np.asarray([getattr(one, f"{model}_high") - getattr(one, model) for one in bins])
-        words = "before: calibrated without it" if model == "before" else "after: with it"
-        layers.append(Bins(words, name, low, high, mean, np.nan_to_num(spread)))
+        layers.append(Bins(name, style, low, high, mean, np.nan_to_num(spread)))
     ends = np.asarray([low[0], high[-1]]) if len(bins) else np.zeros(0)
     layers.append(Curve("", "zero", ends, np.zeros(len(ends)), whole=True))
     keys = [(layer.style, layer.name) for layer in layers if layer.name]

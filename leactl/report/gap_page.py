@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from leactl.gap.diagnosis import Cause, Diagnosis, Shrinkage
-from leactl.report.gap_figures import figures, pictures
+from leactl.report.gap_figures import figures, pictures, shapes_of
 from leactl.report.gap_style import STYLE
 from leactl.report.gap_words import (
     CLOSES_NOTHING,
@@ -32,6 +32,8 @@ from leactl.report.gap_words import (
     percent,
     probability,
     region_text,
+    rest_channel,
+    rest_words,
     sentence,
     with_std,
 )
@@ -58,6 +60,7 @@ def page(answer: Diagnosis, preface: Html = NOTHING) -> str:
         preface,
         section("Causes", causes(answer)),
         section("What each effect explains", tag("div", *drawn, class_="pictures") if drawn else NOTHING),
+        section("What is not explained", not_explained(answer)),
         section("How far the gap shrinks", shrinkage(answer)),
         section("Where the gap sits", joined([*figures(answer), where(answer)])),
         section("Calibration", calibration(answer)),
@@ -126,6 +129,24 @@ def cause(item: Cause, closes_no_gap: bool) -> Html:
     if item.separating_experiment:
         said.append(tag("p", "To separate: ", tag("code", f"leactl run {item.separating_experiment}")))
     return tag("li", *said)
+
+
+def not_explained(answer: Diagnosis) -> Html:
+    """What the rest depends on, its shape, what comes nearest, and what would decide."""
+    rest = answer.unexplained
+    if rest is None:
+        return NOTHING
+    parts = [tag("p", tag("strong", rest_channel(rest)), ": ", rest_words(rest), ".")]
+    if rest.nearest:
+        items = [
+            tag("li", tag("span", near.effect, class_="name"), f": {near.refused_because}") for near in rest.nearest
+        ]
+        parts += [tag("p", "Effects that come near, and why each was refused:"), tag("ul", *items)]
+    if rest.experiment:
+        parts.append(tag("p", "To decide: ", tag("code", f"leactl run {rest.experiment}")))
+    if rest.shapes:
+        parts.append(tag("div", *shapes_of(rest), class_="pictures"))
+    return joined(parts)
 
 
 def shrinkage(answer: Diagnosis) -> Html:

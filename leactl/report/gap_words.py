@@ -8,8 +8,10 @@ from leactl.gap.diagnosis import (
     Cause,
     Diagnosis,
     EffectParameter,
+    Near,
     Picture,
     Region,
+    Rest,
     Shrinkage,
     Where,
 )
@@ -19,6 +21,7 @@ from leactl.vocabulary.setup_fault import setup_faults
 from leactl.vocabulary.variable import VARIABLES
 
 CLOSES_NOTHING = "No gap of held-out runs shrinks with these effects by more than chance."
+TIME = "time"  # as what a rest depends on
 PRESENT = 0.5  # probability from which on a cause is said to act
 NEAR_FLOOR = 1.1  # floors, below which no gap is left to close
 VERDICTS = {
@@ -190,3 +193,27 @@ def picture_words(picture: Picture) -> str:
     rms = f"{figure(picture.before_rms)} {units} before, {figure(picture.after_rms)} {units} after"
     off_zero = f"off zero in {picture.off_zero_before} bins before, in {picture.off_zero_after} after"
     return f"{rms} (RMS of {bins} means); {off_zero}"
+
+
+def rest_channel(rest: Rest) -> str:
+    """The channel that is looked at, and its equation."""
+    return f"{rest.quantity}, {rest.mechanical} ({rest.equation})"
+
+
+def rest_words(rest: Rest) -> str:
+    """What a rest depends on, and how much of it a function of the state closes."""
+    if rest.closable is None:
+        return "held-out runs leave no gap beyond noise there"
+    state, share = [VARIABLES[name].label for name in rest.depends_on if name != TIME], percent(rest.closable)
+    if state:
+        slow = "; what that leaves changes slowly with time" if TIME in rest.depends_on else ""
+        return f"it follows {listed(state)}: a free function closes {share} of the gap on held-out runs{slow}"
+    closes = f"a free function of the logged state closes {share} of the gap on held-out runs"
+    if TIME in rest.depends_on:
+        return f"it changes slowly with time, each stretch of a run like its neighbours; {closes}"
+    return f"it follows nothing that is logged, nor changes slowly with time; {closes}"
+
+
+def refusal_words(near: Near) -> str:
+    """Why an effect that comes near is not named."""
+    return f"{near.effect}, refused: {near.refused_because}"

@@ -10,8 +10,10 @@ from leactl.gap.diagnosis import (
     Cause,
     Diagnosis,
     EffectParameter,
+    Near,
     Picture,
     Region,
+    Rest,
     Shrinkage,
     Where,
 )
@@ -67,6 +69,21 @@ def picture(variable="q_axis_current", periods=None, along=None):
     bins[3] = Bin(-12.0, -8.0, 2, *[np.nan] * 6)
     shown = ("torque", "test", "locked", "swung_torque", "N*m")
     return Picture(variable, "A", periods, along, *shown, 0.4127, 0.0013, 10, 1, tuple(bins))
+
+
+def rest(**changed):
+    said = {
+        "depends_on": ("velocity", "q_axis_current"),
+        "closable": 0.973,
+        "quantity": "torque",
+        "role": "test",
+        "mechanical": "coupled",
+        "equation": "coupled_torque",
+        "shapes": (picture("velocity"), picture()),
+        "nearest": (Near("quadratic_drag", "the set explains 11 % of the gap where it acts"),),
+        "experiment": "separate-by-grid",
+    }
+    return Rest(**(said | changed))
 
 
 def trace(key, points=200, run="locked_staircase-b"):

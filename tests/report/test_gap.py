@@ -6,14 +6,15 @@ import pytest
 
 from leactl.gap.diagnosis import Diagnosis
 from leactl.report.gap import render
-from tests.report.answers import answer
+from leactl.report.gap_words import rest_words
+from tests.report.answers import answer, rest
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
 @pytest.mark.parametrize("width", [40, 60, 80, 100, 200])
 def test_no_line_is_wider_than_the_terminal(width, encoding):
     said = answer(notes=("the replay of a, b and c starts again every second " * 4,))
-    text = render(said, width, encoding)
+    text = render(replace(said, unexplained=rest()), width, encoding)
     assert max(map(len, text.splitlines())) <= width
     assert text.isascii() or encoding == "utf-8"
     assert text.endswith("\n")
@@ -65,6 +66,35 @@ def test_causes_have_parameters_class_and_experiment():
         "          cannot be told from torque_sensor_gain\n          to separate: leactl run separate-by-grid\n" in text
     )
     assert "          over q-axis current: 0.413 N*m before, 0.00130 N*m after" in text
+
+
+def test_what_is_not_explained_is_described():
+    text = render(answer(verdict="unknown", causes=(), unexplained=rest()), 120)
+    assert "\nnot explained: torque, coupled (coupled_torque)\n" in text
+    assert "it follows velocity and q-axis current: a free function closes 97 % of the gap on held-out runs" in text
+    assert "near: quadratic_drag, refused: the set explains 11 %" in text
+    assert "to decide: leactl run separate-by-grid" in text
+
+
+@pytest.mark.parametrize(
+    ("depends_on", "closable", "words"),
+    [
+        (("time",), 0.0, "it changes slowly with time, each stretch of a run like its neighbours"),
+        (
+            (),
+            0.02,
+            "nor changes slowly with time; a free function of the logged state closes 2 %",
+        ),
+        ((), None, "held-out runs leave no gap beyond noise there"),
+        (
+            ("angle", "time"),
+            0.4,
+            "closes 40 % of the gap on held-out runs; what that leaves changes slowly",
+        ),
+    ],
+)
+def test_time_and_nothing_logged_are_answers_too(depends_on, closable, words):
+    assert words in rest_words(rest(depends_on=depends_on, closable=closable))
 
 
 def test_five_regions_at_most():

@@ -16,7 +16,7 @@ from leactl.report.gap import render
 from leactl.report.gap_page import page
 from leactl.report.gap_words import figure
 from leactl.report.plot import Axis
-from tests.report.answers import LOCKED, answer, picture, profile, trace
+from tests.report.answers import LOCKED, answer, picture, profile, rest, trace
 from tests.report.browser import look, needs_chromium
 
 VOID = {"meta"}
@@ -168,6 +168,17 @@ def test_an_effect_has_its_residual_over_what_it_acts_in_before_and_after():
     assert heights == sorted(heights, reverse=True)  # upwards, as the cube of the current
 
 
+def test_what_is_not_explained_has_its_shape_and_the_effects_that_come_near():
+    root = tree(answer(verdict="unknown", causes=(), unexplained=rest()))
+    part = next(s for s in root.iter("section") if s.find("h2").text == "What is not explained")
+    said = words(part)
+    assert "torque, coupled (coupled_torque): it follows velocity and q-axis current" in said
+    assert "quadratic_drag: the set explains 11 %" in said
+    assert part.find(".//code").text == "leactl run separate-by-grid"
+    assert len(list(part.iter("svg"))) == 2
+    assert said.count("beyond a free function of the state") == 2
+
+
 def test_a_wave_over_the_angle_is_said_to_be_laid_on_itself():
     said = answer()
     wave = replace(said.causes[0], picture=picture("angle", 14.0, "velocity"))
@@ -236,7 +247,7 @@ def test_figures_have_three_digits(value, shown):
 def test_nothing_overflows_in_a_browser(tmp_path):
     long = "a_quantity_with_a_name_that_is_longer_than_any_screen_of_a_telephone_is_wide"
     said = answer(notes=("x" * 300, *answer().notes))
-    said = replace(said, where=(*said.where, replace(said.where[0], quantity=long)))
+    said = replace(said, where=(*said.where, replace(said.where[0], quantity=long)), unexplained=rest())
     fault, _, _ = look(tmp_path, page(said), (360, 1400), ("light",))
     assert fault == "fits"
 
