@@ -15,7 +15,7 @@ from leactl.gap.judge import Judged, Unexplained, judge, left_by_form, unexplain
 from leactl.gap.notes import beyond_null, gathered, questions, unlike
 from leactl.gap.null import measure
 from leactl.gap.parameters import calibrated, effect_parameters, with_calibration
-from leactl.gap.picture import pictured
+from leactl.gap.picture import pictured, pictured_by_replays
 from leactl.gap.record import Record, read_record
 from leactl.gap.regression import Candidate, Fit
 from leactl.gap.ringing import ringing
@@ -188,7 +188,9 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     calibrates = not applied.calibration_withdrawn and gained(evidence, found)
     names = {cause.effect for cause in applied.fitted.causes}
     standing = [candidate for candidate in found.hypothesis if candidate[0] in names]
-    causes = pictured(causes, evidence, standing, case.held_out)
+    alternatives = [rival.candidate for item in judged for rival, _ in item.rivals]
+    causes = pictured(causes, evidence, standing, alternatives, case.held_out)
+    causes = pictured_by_replays(causes, applied.fitted.causes, replayed, shrunk.channels)
     left, rest = tuple[str, ...](), None
     if surprise.probability >= UNKNOWN:
         progress("describing what is left")

@@ -6,6 +6,7 @@ belongs to a held-out run by itself, such as where its lock stands, is fitted th
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +31,10 @@ from leactl.gap.over import (
 )
 from leactl.gap.record import Record
 from leactl.gap.regression import Candidate, Fit, Rows, residuals
+from leactl.gap.replay.compared import Compared
 from leactl.gap.smoothing import slope
+from leactl.gap.where import variable_of
+from leactl.quantities import UNITS
 from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.variable import VARIABLES, Variable
 
@@ -74,11 +78,26 @@ SIGNS: tuple[Variable, ...] = ("velocity", "q_axis_current", "torque_rate")
 """Variables along whose sign a residual may be counted: what turns round with them would cancel in a bin."""
 
 
+class Channel(NamedTuple):
+    """What a residual is of."""
+
+    quantity: str
+    role: str
+    mechanical: str
+    equation: str  # or `replay`, where measured is compared with simulated
+    units: str
+
+
+def channel_of(rows: Rows) -> Channel:
+    """The channel of an equation's rows."""
+    return Channel(rows.quantity, rows.role, rows.mechanical, rows.equation, rows.units)
+
+
 @dataclass(frozen=True, eq=False)
 class Part:
-    """An equation in one set-up on all held-out runs, where the effect acts."""
+    """A channel in one set-up on all held-out runs, where the effect acts."""
 
-    rows: Rows  # the first run's, for names and units
+    channel: Channel
     before: Array
     after: Array
     effect: Array  # what the effect explains, row by row
@@ -100,33 +119,89 @@ class View:
 
 
 def pictured(
-    causes: Sequence[Cause], evidence: Evidence, hypothesis: Sequence[Candidate], held_out: Sequence[Record]
+    causes: Sequence[Cause],
+    evidence: Evidence,
+    hypothesis: Sequence[Candidate],
+    alternatives: Sequence[Candidate],
+    held_out: Sequence[Record],
 ) -> tuple[Cause, ...]:
-    """Causes, each of them that is fitted with its picture.
+    """Causes, each of them that is fitted with its picture, and each that cannot be told from such a one.
 
     Parameters
     ----------
     evidence : of the fitted runs.
     hypothesis : forms of the effects that stand in the augmented model.
+    alternatives : forms of effects that may be named in the place of one of these.
     """
-    if not hypothesis or not held_out:
+    sets = {cause.effect: in_place(cause, hypothesis, alternatives) for cause in causes}
+    wanted = list(dict.fromkeys(candidate for several in sets.values() for candidate in several))
+    if not wanted or not held_out:
         return tuple(causes)
-    others = Evidence(held_out, evidence.model, only=hypothesis, kept=evidence.kept, pinned=evidence.pinned)
+    others = Evidence(held_out, evidence.model, only=wanted, kept=evidence.kept, pinned=evidence.pinned)
     if not others.stack.rows:
         return tuple(causes)
     others.settle(hypothesis)
-    normal = others.normal()
-    after = transferred(normal, evidence, evidence.settle(hypothesis))
-    forms = {candidate[0]: candidate for candidate in hypothesis}
-    answered = []
+    normal, answered = others.normal(), []
     for cause in causes:
-        found = None
-        if cause.effect in forms:
-            rest = [candidate for candidate in hypothesis if candidate[0] != cause.effect]
-            before = transferred(normal, evidence, evidence.settle(rest))
-            found = picture(cause, parts_of(others, forms[cause.effect], before, after))
-        answered.append(replace(cause, picture=found))
+        drawn = None
+        if several := sets[cause.effect]:
+            rest = [candidate for candidate in several if candidate[0] != cause.effect]
+            [form] = [candidate for candidate in several if candidate[0] == cause.effect]
+            before, after = (transferred(normal, evidence, evidence.settle(tried)) for tried in (rest, several))
+            drawn = picture(cause, parts_of(others, form, before, after))
+        answered.append(replace(cause, picture=drawn))
     return tuple(answered)
+
+
+def pictured_by_replays(
+    causes: Sequence[Cause], standing: Sequence[Cause], records: Sequence[Record], channels: Sequence[Compared]
+) -> tuple[Cause, ...]:
+    """Causes, each that stands in the augmented model and touches no equation with a picture of what replays miss.
+
+    Before: the calibrated model without any effect. After: the augmented one.
+    """
+    names = {cause.effect for cause in standing}
+    if all(cause.picture is not None for cause in causes if cause.effect in names):
+        return tuple(causes)
+    by_name = {record.name: record for record in records}
+    grouped: dict[tuple[str, str, str], list[tuple[Record, Compared]]] = {}
+    for one in channels:
+        grouped.setdefault((one.quantity, one.role, one.mechanical), []).append((by_name[one.run], one))
+    parts = [replayed_part(group) for group in grouped.values()]
+    return tuple(
+        replace(cause, picture=picture(cause, parts)) if cause.effect in names and cause.picture is None else cause
+        for cause in causes
+    )
+
+
+def replayed_part(group: Sequence[tuple[Record, Compared]]) -> Part:
+    """What replays of one channel miss on several runs, weighted by its noise."""
+    first = group[0][1]
+    before, after = (np.concatenate([one.measured - one.replayed[k] for _, one in group]) for k in (1, 2))
+    groups = np.concatenate([one.block + (run << 32) for run, (_, one) in enumerate(group)])
+    values: dict[Variable, Array] = {}
+    for name in OF_SIGNALS:
+        series = [variable_of(record, one, name) for record, one in group if VARIABLES[name].quantity == name]
+        known = [one for one in series if one is not None]
+        if len(known) == len(group):
+            # a sign that is taken in between samples is neither
+            whole = np.concatenate(known)
+            values[name] = np.asarray(np.round(whole) if name == "direction" else whole, np.float64)
+    noise = max(float(np.sqrt(np.mean([one.noise**2 for _, one in group]))), 1e-300)
+    gain = float(np.sum(before**2 - after**2)) / noise**2
+    channel = Channel(first.quantity, first.role, first.mechanical, "replay", UNITS[first.quantity])
+    return Part(channel, before, after, before - after, groups, values, float(len(np.unique(groups))), gain)
+
+
+def in_place(cause: Cause, hypothesis: Sequence[Candidate], alternatives: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """The set that a cause is drawn in: its own, or that in which it stands for one that it cannot be told from."""
+    if any(candidate[0] == cause.effect for candidate in hypothesis):
+        return tuple(hypothesis)
+    form = next((candidate for candidate in alternatives if candidate[0] == cause.effect), None)
+    stood_for = next((c for c in hypothesis if c[0] in cause.indistinguishable_from), None)
+    if form is None or stood_for is None:
+        return ()
+    return (*(candidate for candidate in hypothesis if candidate != stood_for), form)
 
 
 def parts_of(others: Evidence, candidate: Candidate, before: Fit, after: Fit) -> list[Part]:
@@ -159,7 +234,9 @@ def part_of(others: Evidence, candidate: Candidate, indices: Sequence[int], befo
             values[variable] = np.concatenate([one[rows.index] for one, rows in pairs if one is not None])[acts]
     gain = float(np.sum(weight * (left[0] ** 2 - left[1] ** 2)))
     independent = int(acts.sum()) / float(np.mean([rows.dependence for rows in several]))
-    return Part(several[0], left[0][acts], left[1][acts], effect[acts], groups[acts], values, independent, gain)
+    return Part(
+        channel_of(several[0]), left[0][acts], left[1][acts], effect[acts], groups[acts], values, independent, gain
+    )
 
 
 def belongs(name: Sequence[str], candidate: Candidate) -> bool:
@@ -205,11 +282,7 @@ def picture_of(best: View, periods: float) -> Picture:
         VARIABLES[best.variable].units,
         periods if best.variable == "angle" else None,
         best.along.name or None,
-        part.rows.quantity,
-        part.rows.role,
-        part.rows.mechanical,
-        part.rows.equation,
-        part.rows.units,
+        *part.channel,
         before.rms(counts),
         after.rms(counts),
         before.off_zero,

@@ -16,7 +16,7 @@ from leactl.gap.diagnosis import Near, Picture, Rest
 from leactl.gap.evidence import Evidence
 from leactl.gap.judge import HALF, Judged, presence
 from leactl.gap.orders import periodogram, turns
-from leactl.gap.picture import OF_SIGNALS, Part, picture_of, view_of
+from leactl.gap.picture import OF_SIGNALS, Part, channel_of, picture_of, view_of
 from leactl.gap.record import Record
 from leactl.gap.regression import Candidate, Fit, Rows, Stack, residuals
 from leactl.gap.search import ENTRY, Finding, Found
@@ -161,7 +161,7 @@ def shape(rows: Rows, sample: Sample, free: Function, name: Variable) -> Picture
     after = sample.left - part
     gain = float(np.sum(sample.left**2 - after**2))
     periods = free.strongest_order() if name == "angle" else 1.0
-    whole = Part(rows, sample.left, after, part, sample.stretch, dict(sample.state), independent, gain)
+    whole = Part(channel_of(rows), sample.left, after, part, sample.stretch, dict(sample.state), independent, gain)
     view = view_of(whole, [name], periods)
     return None if view is None else picture_of(view, periods)
 

@@ -242,6 +242,8 @@ def variable_of(record: Record, one: Compared, variable: str) -> Array | None:
     for at in (record.fast, record.slow):
         if at is not None and (values := at.get(variable)) is not None:
             return np.interp(one.time, at.time - at.time[0], values)
+    if variable == "velocity" and clock is not None and (speed := speed_of(clock)) is not None:
+        return np.interp(one.time, clock.time - clock.time[0], speed)
     return None
 
 

@@ -34,8 +34,15 @@ Channel = Where | Shrinkage
 
 
 def sentence(answer: Diagnosis) -> str:
-    """The verdict as one sentence that names the causes."""
-    return VERDICTS[answer.verdict].format(causes=listed(claims(answer.causes)))
+    """The verdict as one sentence that names the causes; faults of the set-up are nothing that a model lacks."""
+    faults, lacking = (
+        claims([cause for cause in answer.causes if (cause.family == "setup") is of_setup])
+        for of_setup in (True, False)
+    )
+    if answer.verdict != "effect" or not faults:
+        return VERDICTS[answer.verdict].format(causes=listed(lacking))
+    lacks = f"; with it mended, the model lacks {listed(lacking)}" if lacking else ""
+    return f"The set-up has {listed(faults)}{lacks}."
 
 
 def claims(causes: Sequence[Cause]) -> list[str]:

@@ -75,6 +75,9 @@ def test_a_servo_is_diagnosed_whole(tmp_path):
     found = diagnosed(records)
     assert (found.verdict, named(found)) == ("effect", ["load_dependent_friction"])
     assert any("straight down" in note for note in found.notes)
+    [seen] = [cause.picture for cause in found.causes if cause.effect == "load_dependent_friction"]
+    assert (seen.variable, seen.equation) == ("angle", "replay")  # no torque is logged: what a pendulum's angle makes
+    assert seen.after_rms < 0.5 * seen.before_rms
     angle = next(line for line in found.shrinkage if line.quantity == "angle")
     assert angle.augmented_rms < 0.2 * angle.calibrated_rms
     again = diagnose(Case(found.extra["augmented"], *split(records)))

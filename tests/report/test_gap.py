@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from leactl.gap.diagnosis import Diagnosis
+from leactl.gap.diagnosis import Cause, Diagnosis
 from leactl.report.gap import render
 from leactl.report.gap_words import rest_words
 from tests.report.answers import answer, rest
@@ -66,6 +66,16 @@ def test_causes_have_parameters_class_and_experiment():
         "          cannot be told from torque_sensor_gain\n          to separate: leactl run separate-by-grid\n" in text
     )
     assert "          over q-axis current: 0.413 N*m before, 0.00130 N*m after" in text
+
+
+def test_a_fault_of_the_set_up_is_nothing_that_the_model_lacks():
+    lacking = answer().causes
+    fault = Cause("channel_sign", 0.99, 1.0, (), family="setup", change="give it `sign: -1` in the mapping")
+    alone, both = (render(answer(causes=causes), 120) for causes in ((fault,), (fault, *lacking)))
+    assert alone.startswith("verdict: effect. The set-up has channel_sign.\n")
+    assert (
+        "The set-up has channel_sign; with it mended, the model lacks one of saturation / torque_sensor_gain." in both
+    )
 
 
 def test_what_is_not_explained_is_described():
