@@ -177,12 +177,25 @@ def _shrunk(group: list[Compared], random: np.random.Generator) -> Shrinkage:
         closed = (calibrated - augmented) / (calibrated - floor)
         picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
         again = np.sqrt(sums[picked].sum(axis=1) / counts[picked].sum(axis=1)[:, None])
-        room = np.maximum(again[:, 1] - again[:, 3], 1e-12 * calibrated)
-        low, high = (float(q) for q in np.quantile((again[:, 1] - again[:, 2]) / room, (CHANCE, 1.0 - CHANCE)))
+        low, high = closed_between(again)
     units = UNITS[first.quantity]
     return Shrinkage(
         first.quantity, first.role, first.mechanical, units, nominal, calibrated, augmented, floor, closed, low, high
     )
+
+
+def closed_between(again: Array) -> tuple[float, float] | tuple[None, None]:
+    """Interval of the share that is closed, from resampled gaps of the three models and the floor, a row each.
+
+    A sample without a gap says nothing of its share; where chance may bring up one, there is no interval.
+    """
+    open_gap = again[:, 1] > again[:, 3]
+    if np.mean(~open_gap) > CHANCE:
+        return None, None
+    gaps = again[open_gap]
+    shares = (gaps[:, 1] - gaps[:, 2]) / (gaps[:, 1] - gaps[:, 3])
+    low, high = np.quantile(shares, (CHANCE, 1.0 - CHANCE))
+    return float(low), float(high)
 
 
 def _blocks(group: list[Compared]) -> tuple[Array, Array]:

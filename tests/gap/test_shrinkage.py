@@ -9,7 +9,7 @@ import pytest
 from leactl.gap.record import read_record
 from leactl.gap.replay import Job, plant_of, replay, replay_all
 from leactl.gap.replay.bearing import TRIED, give_of
-from leactl.gap.shrinkage import closes, shrinkage
+from leactl.gap.shrinkage import closed_between, closes, shrinkage
 from leactl.model.nominal import Model, read_model
 from tests.gap.synthetic import INTERVAL_S, model, record
 
@@ -40,6 +40,17 @@ def staircase(truth, seed=0, seconds=6.0):
 
 def table(shrunk):
     return {(one.quantity, one.role, one.mechanical): one for one in shrunk.shrinkage}
+
+
+def test_a_share_of_a_gap_that_chance_closes_has_no_interval():
+    random = np.random.default_rng(3)
+    gaps = np.tile([2.0, 1.0, 0.2, 0.1], (2000, 1)) * random.normal(1.0, 0.02, (2000, 4))
+    low, high = closed_between(gaps)
+    assert 0.85 < low < 0.8 / 0.9 < high < 0.92
+    gaps[:200, 3] = gaps[:200, 1]  # no gap is left in a tenth
+    assert closed_between(gaps) == (None, None)
+    gaps[20:200, 3] = 0.1
+    assert closed_between(gaps) == pytest.approx((low, high), abs=0.01)
 
 
 def test_the_true_model_closes_the_gap_to_the_floor_and_others_stay_open():
