@@ -133,7 +133,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
             " current of a moving run, voltage and current, or temperatures and heat"
         )
     progress("measuring sound machines")
-    null = measure(case.fitted, case.model, evidence.scaleless)
+    null = measure(case.fitted, case.model)
     evidence.compare_with(null)
     progress("searching effects")
     found = search(evidence)

@@ -116,9 +116,8 @@ class Evidence:
         names = {rows.equation for _, rows in made}
         if unscaled(names):
             self.candidates = [c for c in self.candidates if c[0] not in GAINS]
-        self.scaleless = unscaled(names) and not names & READINGS  # told are ratios to the torque constant
-        if self.scaleless:
-            self.priors["torque_constant"] = PINNED
+            if not names & READINGS:
+                self.priors["torque_constant"] = PINNED
         self.priors.update(dict.fromkeys(self.kept, PINNED))
         self.stack: Stack = stack([rows for _, rows in made], self.priors)
         self.weigh_as_usual()

@@ -34,13 +34,8 @@ def questions(model: Model, records: Sequence[Record], evidence: Evidence) -> tu
 def beyond_null(evidence: Evidence, null: Null) -> tuple[str, ...]:
     """Notes on parameters that sound machines move by themselves, and on equations that none could be simulated for."""
     notes = []
-    if null.kept:
-        notes.append(
-            f"{', '.join(null.kept)} stays as the model has it: torques are balanced against each other alone, so that"
-            " inertia, damping and friction are told relative to it"
-        )
-    if untold := [name for name in null.untold if name not in null.kept]:
-        named = ", ".join(f"{name} ({100.0 * math.hypot(*null.moved[name]):.0f} %)" for name in untold)
+    if null.untold:
+        named = ", ".join(f"{name} ({100.0 * math.hypot(*null.moved[name]):.0f} %)" for name in null.untold)
         notes.append(
             f"these runs cannot tell {named}: fits to simulated sound runs move it so far; the model's is kept"
         )

@@ -36,27 +36,23 @@ from leactl.model.nominal import Model
 Array = npt.NDArray[np.float64]
 NULLS = 3  # sound machines
 SCALE = "torque_constant"
-BALANCED = ("rotor_inertia", "viscous_damping", "coulomb_friction", "load.viscous_damping", "load.coulomb_friction")
-"""Parameters of torques that are balanced against the drive's: kept at its model's scale they shrink as that grows."""
 FARTHEST = 2.0  # standard deviations of what is usual, that a machine's parameter is drawn off its model
 FARTHEST_STAMP = 1.0  # samples, by which a stamp that no file explains may be off
 SLOW_WIDTH = 8.0  # samples, smoothing of temperatures that drive a simulation
 
 
-def measure(records: Sequence[Record], model: Model, scaleless: bool = False, seed: int = 0) -> Null:
+def measure(records: Sequence[Record], model: Model, seed: int = 0) -> Null:
     """Simulate the runs of a case as sound machines would make them, and look for effects there.
 
     Torques that are balanced against each other alone shrink together with their scale. Where fits to sound runs do so,
-    or no equation knows more (`scaleless`), the torque constant is drawn anew for every machine and kept at the model's
-    value in the fit.
+    the torque constant is drawn anew for every machine and kept at the model's value in the fit.
     """
     random = np.random.default_rng(seed)
-    shown = Shown() if scaleless else looked_at(records, model, (), random)
-    moved = shown.parameters()
-    kept = (SCALE,) if scaleless or SCALE in shown.untold() else ()
+    shown = looked_at(records, model, (), random)
+    moved, kept = shown.parameters(), tuple(name for name in shown.untold() if name == SCALE)
     if kept:
         shown = looked_at(records, model, kept, random)
-        moved = shown.parameters() | {SCALE: moved.get(SCALE, (0.0, PRIORS[SCALE]))}
+        moved = shown.parameters() | {SCALE: moved[SCALE]}
     return Null(
         {key: float(np.mean(values)) for key, values in shown.unrest.items()},
         {effect: float(np.sqrt(np.mean(np.square(sizes)))) for effect, sizes in shown.sizes.items()},
@@ -70,10 +66,8 @@ def measure(records: Sequence[Record], model: Model, scaleless: bool = False, se
 def looked_at(records: Sequence[Record], model: Model, kept: Sequence[str], random: np.random.Generator) -> "Shown":
     """What sound machines show whose fits keep some parameters at the model's values."""
     shown = Shown()
-    machines = [drawn(model, kept, random) for _ in range(NULLS)]
-    for machine, own in zip(machines, sound_runs(records, machines, random), strict=True):
-        scale = nominal_value(machine, SCALE), nominal_value(model, SCALE)
-        shown.look(Evidence(own, model, kept=kept), scale[0] / scale[1] if scale[0] and scale[1] else 1.0)
+    for own in sound_runs(records, [drawn(model, kept, random) for _ in range(NULLS)], random):
+        shown.look(Evidence(own, model, kept=kept))
     return shown
 
 
@@ -85,14 +79,10 @@ class Shown:
     sizes: dict[str, list[float]] = field(default_factory=dict)
     lines: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
     moved: dict[str, list[float]] = field(default_factory=dict)
-    missed: dict[str, list[float]] = field(default_factory=dict)  # as moved, but for what the machine's scale explains
     priors: dict[str, float] = field(default_factory=dict)
 
-    def look(self, evidence: Evidence, scale: float) -> None:
-        """Take in a machine whose torque constant is so many times the model's.
-
-        Nothing of it is kept but these values, for its columns take much memory.
-        """
+    def look(self, evidence: Evidence) -> None:
+        """Take in one machine; nothing of it is kept but these values, for its columns take much memory."""
         if not evidence.stack.rows:
             return
         fit = evidence.settle([])
@@ -106,24 +96,16 @@ class Shown:
         for place, value in zip(fit.columns, fit.values, strict=True):
             name = evidence.stack.names[place]
             if name[0] == "calibration":
-                change = float(value)
-                self.moved.setdefault(name[1], []).append(change)
-                miss = scale * (1.0 + change) - 1.0 if name[1] in BALANCED else change
-                self.missed.setdefault(name[1], []).append(miss)
+                self.moved.setdefault(name[1], []).append(float(value))
 
     def parameters(self) -> dict[str, tuple[float, float]]:
         """Mean and scatter of what fits make of the model's own parameters, as relative changes."""
-        return {name: mean_and_scatter(values) for name, values in self.moved.items()}
+        return {name: (float(np.mean(values)), float(np.std(values))) for name, values in self.moved.items()}
 
     def untold(self) -> tuple[str, ...]:
         """Parameters that sound machines move by themselves."""
-        misses = {name: mean_and_scatter(values) for name, values in self.missed.items()}
-        return tuple(name for name, by in misses.items() if math.hypot(*by) > UNTOLD * self.priors.get(name, math.inf))
-
-
-def mean_and_scatter(values: Sequence[float]) -> tuple[float, float]:
-    """Mean and standard deviation."""
-    return float(np.mean(values)), float(np.std(values))
+        changes = self.parameters().items()
+        return tuple(name for name, by in changes if math.hypot(*by) > UNTOLD * self.priors.get(name, math.inf))
 
 
 def drawn(model: Model, names: Sequence[str], random: np.random.Generator) -> Model:

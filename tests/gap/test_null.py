@@ -1,7 +1,6 @@
 """Sound machines in the place of a case: what they leave over, and in which units what they leave is counted."""
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from leactl.gap.diagnose import read_case
 from leactl.gap.evidence import PRIORS, Evidence, floors, table
 from leactl.gap.noise import SEGMENT, quantum_of
 from leactl.gap.null import FARTHEST, NULLS, drawn, measure, sound_runs
-from leactl.gap.parameters import calibrated, nominal_value
+from leactl.gap.parameters import nominal_value
 from leactl.gap.replay.cutting import TRACKED
 from leactl.gap.search import ENTRY
 from leactl.gap.signals import resolved, unseen
@@ -55,24 +54,6 @@ def test_sound_machines_move_no_parameter_that_these_runs_tell(null):
         mean, scatter = null.moved[name]
         assert abs(mean) < 0.01, name
         assert scatter < 0.01, name
-
-
-def test_torques_alone_tell_inertia_and_friction_relative_to_the_torque_constant(case):
-    runs = [without_voltage(one) for one in case.fitted if one.mechanical == "free" and one.fast is not None]
-    evidence = Evidence(runs, case.model, only=[])
-    assert evidence.scaleless
-    null = measure(runs, case.model, evidence.scaleless, seed=3)  # draws torque constants a fifth off
-    assert null.kept == null.untold == ("torque_constant",)
-    assert null.moved["torque_constant"] == (0.0, PRIORS["torque_constant"])
-    evidence.compare_with(null)
-    stated = {item.parameter: item.std / item.nominal for item in calibrated(evidence, evidence.settle([]))}
-    assert "torque_constant" not in stated  # nobody has told it
-    assert {"rotor_inertia", "coulomb_friction"} <= stated.keys()
-
-
-def without_voltage(record):
-    values = {key: column for key, column in record.fast.values.items() if key[0] != "q_axis_voltage"}
-    return replace(record, fast=replace(record.fast, values=values), slow=None)
 
 
 def test_a_simulated_run_has_the_channels_the_noise_and_the_rounding_of_the_measured_one(case):
