@@ -37,6 +37,10 @@ class Size(BaseModel):
     units: str
 
 
+Rig = Literal["bench", "joint", "servo"]
+"""Two actuators on a torque sensor's shaft, one joint that logs its own drive, and one behind a position servo."""
+
+
 class EffectDefinition(BaseModel):
     """What an effect is, where it shows, what it is taken for, and which experiment shows it."""
 
@@ -46,6 +50,7 @@ class EffectDefinition(BaseModel):
     meaning: str
     parameters: dict[str, ParameterDefinition]
     acts_over: tuple[Variable, ...] = Field(min_length=1)  # of several, that which its own part in a channel follows
+    shown_on: tuple[Rig, ...] = Field(min_length=1)
     shows_in: str
     confused_with: str
     shown_by: str
@@ -69,6 +74,12 @@ def effect_names() -> tuple[str, ...]:
     """Identifiers of all effects, sorted."""
     folder = resources.files("leactl.vocabulary") / "effects"
     return tuple(sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml")))
+
+
+@cache
+def effects_on(rig: Rig) -> tuple[str, ...]:
+    """Identifiers of the effects that a kind of rig can show, sorted."""
+    return tuple(name for name in effect_names() if rig in effect_definition(name).shown_on)
 
 
 @cache
