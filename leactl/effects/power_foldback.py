@@ -50,5 +50,4 @@ class PowerFoldback(Effect):
 
 def folded_back(current: Array, velocity: Array, most: float) -> Array:
     """A current [A] that times the speed stays within a bound [A*rad/s]."""
-    bound = most / np.maximum(np.abs(velocity), np.finfo(np.float64).tiny)
-    return np.asarray(np.clip(current, -bound, bound), np.float64)
+    return np.asarray(current * (most / np.maximum(np.abs(current * velocity), most)), np.float64)

@@ -150,6 +150,10 @@ class Evidence:
         usual = table()["unrest"].get(rows.equation, UNKNOWN_UNREST)
         return max(self.sound.get((rows.equation, rows.kind), 0.0), usual)
 
+    def tells_nothing_of(self, parameter: str) -> bool:
+        """Whether these runs cannot tell a parameter of the model: sound machines move it, or no fit may."""
+        return parameter in self.untold or self.priors.get(parameter) == PINNED
+
     def floor(self, candidate: Candidate) -> float:
         """Size below which an effect is model error; of a bound, at the nearest of its forms."""
         name, form = candidate
