@@ -58,7 +58,7 @@ CASES = [signals("coupled"), signals("locked"), signals("free"), signals("heated
 
 def test_the_library_has_every_word_of_the_vocabulary():
     assert tuple(library()) == effect_names()
-    assert len(library()) == 37
+    assert len(library()) == 39
 
 
 @pytest.mark.parametrize("name", effect_names())
