@@ -45,6 +45,7 @@ SCALES = (
     "highest current",  # A, that the runs reach
     "highest power",  # W, of torque and speed, that the runs reach or ask for
     "longest run",  # s, of those that turn
+    "travel",  # rad, that the widest run covers
     "loop",  # s, time constant of the model's current loop
     "velocity filter",  # s, time constant
     "torque filter",  # s, time constant
@@ -124,6 +125,13 @@ class Effect:
 
     def applies(self, model: Model) -> bool:
         """Whether a model of this kind can lack the effect."""
+        return True
+
+    def is_usual(self, travel: float) -> bool:
+        """Whether it is what one thinks of first, of effects that share an equation, on a joint that travels so far.
+
+        travel : rad, that the widest of the runs covers.
+        """
         return True
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Unbalance: a torque A sin(angle + phase) of gravity on the rotor."""
+"""Unbalance: a torque A sin(n angle + phase) of gravity on the rotor, which turns n times for one turn of the joint."""
 
 import math
 from collections.abc import Mapping
@@ -16,14 +16,19 @@ class Unbalance(Effect):
     name = "unbalance"
 
     def applies(self, model: Model) -> bool:
-        """On a pendulum it is part of the weight that hangs there."""
-        return model.load.type == "none"
+        """On a pendulum or arm without a gear it is part of the weight that hangs there."""
+        return model.load.type == "none" or model.gear_ratio != 1.0
+
+    def is_usual(self, travel: float) -> bool:
+        """What makes whole turns carries no arm."""
+        return travel >= 2.0 * math.pi
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Sine and cosine of the angle, as torque that drives the rotor."""
+        """Sine and cosine of the rotor's angle, as torque that drives it."""
         if signals.angle is None:
             return {}
-        return {"drag": {"cos": -np.cos(signals.angle), "sin": -np.sin(signals.angle)}}
+        turned = signals.model.gear_ratio * signals.angle
+        return {"drag": {"cos": -np.cos(turned), "sin": -np.sin(turned)}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Amplitude and phase."""
@@ -32,5 +37,5 @@ class Unbalance(Effect):
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A torque over the angle."""
-        amplitude, phase = parameters["amplitude"], parameters["phase"]
-        plant.rotor_torque.append(lambda now: amplitude * np.sin(now.angle + phase))
+        amplitude, phase, ratio = parameters["amplitude"], parameters["phase"], plant.model.gear_ratio
+        plant.rotor_torque.append(lambda now: amplitude * np.sin(ratio * now.angle + phase))

@@ -1,6 +1,6 @@
 """The whole diagnosis: calibrate, search, judge, and measure on held-out runs how far the gap shrinks."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,14 +11,15 @@ from leactl.errors import InputError
 from leactl.gap.confirm import held_out_gains
 from leactl.gap.diagnosis import CalibratedParameter, Cause, Diagnosis, EffectParameter, Verdict
 from leactl.gap.evidence import Evidence
-from leactl.gap.judge import Judged, Unexplained, judge, left_by_form, unexplained, unrest
+from leactl.gap.judge import Judged, judge, left_by_form, unexplained, unrest
 from leactl.gap.notes import beyond_null, gathered, questions, unlike
 from leactl.gap.null import measure
 from leactl.gap.parameters import calibrated, effect_parameters, with_calibration
 from leactl.gap.picture import pictured, pictured_by_replays
 from leactl.gap.record import Record, read_record
-from leactl.gap.regression import Candidate, Fit
-from leactl.gap.ringing import ringing
+from leactl.gap.regression import Candidate, Fit, Rows
+from leactl.gap.rig import DRIVES, VOLTAGE, Array
+from leactl.gap.ringing import Line, ringing
 from leactl.gap.search import Found, search
 from leactl.gap.separating import separating_experiment
 from leactl.gap.servo import answer as servo_answer
@@ -38,8 +39,10 @@ EFFECT = 0.5  # probability above which the verdict is an effect
 UNKNOWN = 0.5  # probability that something unexplained acts, above which the verdict is that where no effect is named
 OUTWEIGHED = 0.1  # of what a set explains, that it may leave beyond noise where something unexplained acts
 CALIBRATED = 25.0  # weighted squares a parameter must gain for the verdict to be calibration
+COURSE, ALIKE = 64, 0.95  # points of a course, and the cosine from which two are one; a ramp and a step have 0.87
 RIG = ("drive_gain", "load_mass", "load_length", "load_arm_mass")  # by which runs of a protocol differ in kind
 Progress = Callable[[str], None]
+Channel = tuple[str, str, str]  # equation, quantity and mechanical set-up
 
 
 @dataclass
@@ -83,14 +86,32 @@ def read_case(runs: Sequence[Path], held_out: Sequence[Path], model: Path) -> Ca
 def split(records: list[Record]) -> tuple[list[Record], list[Record]]:
     """Hold out the last run of every kind that occurs twice; where none does, stretches of every run."""
     kinds: dict[object, list[Record]] = {}
+    courses: list[Array] = []
     for record in records:
         rig = tuple(record.setup.get(name) for name in RIG)
-        kinds.setdefault((record.kind, record.mechanical, rig), []).append(record)
+        kinds.setdefault((record.kind, record.mechanical, rig, alike(record, courses)), []).append(record)
     held = [group[-1] for group in kinds.values() if len(group) > 1]
     if held:
         return [record for record in records if record not in held], held
     kept, taken = zip(*(record.parted() for record in records), strict=True)
     return list(kept), list(taken)
+
+
+def alike(record: Record, courses: list[Array]) -> int:
+    """The first of some courses of a voltage that a run has as well, up to its size; it joins them where it is another.
+
+    A log of WPILib names its tests alike, and a ramp one way does not tell what a step the other way does. Runs that
+    no voltage drives are alike.
+    """
+    clock = record.fast
+    volts = clock.get("q_axis_voltage") if clock is not None else None
+    if clock is None or volts is None or any(clock.get(name) is not None for name in DRIVES):
+        return -1
+    course = np.interp(np.linspace(0.0, len(volts) - 1.0, COURSE), np.arange(len(volts)), volts)
+    course /= max(float(np.linalg.norm(course)), np.finfo(np.float64).tiny)
+    near = [index for index, other in enumerate(courses) if float(course @ other) > ALIKE]
+    courses += [] if near else [course]
+    return near[0] if near else len(courses) - 1
 
 
 def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
@@ -142,7 +163,8 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     judged = judge(evidence, found, gains)
     heard = [not left_by_form(found, index) for index in range(len(evidence.stack.rows))]
     lines = ringing(evidence, evidence.settle(found.hypothesis), heard)
-    surprise = unexplained(unrest(evidence, found), lines)
+    restless = unrest(evidence, found)
+    surprise = unexplained(restless, lines)
     causes = causes_of(evidence, found, judged)
     calibrated_alone = calibrated(evidence, evidence.settle([]))
     members = {item.finding.effect for item in judged}
@@ -160,7 +182,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
         calibrated_alone = calibrated_alone if ladder.standing else parameters
         refit = partial(fitted_by_ladder, parameters)
         told = servo_answer.rig_note(ladder.augmented, [record for record in case.fitted if record not in free])
-    elif outweighed(found, surprise):
+    elif outweighed(evidence, found, restless, lines):
         told = tuple(f"not named: {item.finding.effect}; far more is left than it explains" for item in judged)
         causes = tuple(replace(c, probability=c.probability * (1.0 - surprise.probability)) for c in causes)
     named = [cause for cause in causes if cause.probability >= EFFECT and cause.effect in members]
@@ -226,9 +248,32 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     )
 
 
-def outweighed(found: Found, surprise: Unexplained) -> bool:
-    """Whether something unexplained leaves so much that what a set of effects explains may be a part of that."""
-    return surprise.probability >= UNKNOWN and sum(found.left) > OUTWEIGHED * sum(found.taken)
+def outweighed(
+    evidence: Evidence, found: Found, restless: Mapping[Channel, float], lines: Mapping[Channel, Line]
+) -> bool:
+    """Whether something unexplained leaves so much that what a set of effects explains may be a part of that.
+
+    What the velocity of a motor fed with a voltage leaves over beside its angle says nothing of effects elsewhere: it
+    is the controller's own estimate, and no balance takes it.
+    """
+    aside = {
+        rows.equation
+        for rows in evidence.stack.rows
+        if rows.kind == VOLTAGE and rows.equation == "velocity" and not touched(rows, found.hypothesis)
+    }
+    rest = {key: ratio for key, ratio in restless.items() if key[0] not in aside}
+    heard = {key: line for key, line in lines.items() if key[0] not in aside}
+    taken, left = (
+        sum(one for one, rows in zip(amounts, evidence.stack.rows, strict=True) if rows.equation not in aside)
+        for amounts in (found.taken, found.left)
+    )
+    return unexplained(rest, heard).probability >= UNKNOWN and left > OUTWEIGHED * taken
+
+
+def touched(rows: Rows, hypothesis: Sequence[Candidate]) -> bool:
+    """Whether an effect of a set has a column in some rows."""
+    own = {(effect, repr(form)) for effect, form in hypothesis}
+    return any(name[0] == "effect" and (name[1], name[2]) in own for name in rows.columns)
 
 
 def fitted_again(evidence: Evidence, found: Found, causes: Sequence[Cause]) -> Fitted:
@@ -283,9 +328,19 @@ def causes_of(evidence: Evidence, found: Found, judged: Sequence[Judged]) -> tup
             family = effect_definition(rival.effect).family
             causes[rival.effect] = Cause(rival.effect, together, 0.0, parameters, peers, family=family)
     members = {item.finding.effect for item in judged}
+    readings = {item.finding.effect for item in judged if of_a_reading(evidence, item.finding.candidate)}
     # what is sure beyond a hundredth ranks by how much of the gap it takes
     told = [cause for cause in causes.values() if cause.probability >= NAMED]
-    return tuple(sorted(told, key=lambda c: (-round(c.probability, 2), c.effect not in members, -c.share)))
+    ranks = {
+        c.effect: (-round(c.probability, 2), c.effect in readings, c.effect not in members, -c.share) for c in told
+    }
+    return tuple(sorted(told, key=lambda c: ranks[c.effect]))
+
+
+def of_a_reading(evidence: Evidence, candidate: Candidate) -> bool:
+    """Whether an effect shows in the velocity that a controller estimates, and not in what moves a fed motor."""
+    balances = [rows for rows in evidence.stack.rows if rows.kind == VOLTAGE and rows.equation != "velocity"]
+    return bool(balances) and not any(touched(rows, [candidate]) for rows in balances)
 
 
 def alone(evidence: Evidence, others: list[Candidate], candidate: Candidate) -> tuple[EffectParameter, ...]:

@@ -32,7 +32,7 @@ from leactl.gap.regression import (
     residuals,
     stack,
 )
-from leactl.gap.scales import form_scales, scales
+from leactl.gap.scales import form_scales, scales, widest
 from leactl.gap.stamp_fit import overdue, pin, stamping
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
@@ -49,6 +49,10 @@ PRIORS = {
     "bench.shaft_stiffness": 0.08,
     "load.viscous_damping": 0.4,
     "load.coulomb_friction": 0.4,
+    # a feedforward is a fit: what it leaves out moves its parameters by as much as they are
+    "feedforward.kS": 1.0,
+    "feedforward.kV": 1.0,
+    "feedforward.kA": 1.0,
     "ambient_offset": 3.0,  # K
     "thermal.winding_ambient_resistance": 0.2,
     "thermal.winding_housing_resistance": 0.2,
@@ -102,7 +106,7 @@ class Evidence:
         self.moved: Mapping[str, tuple[float, float]] = {}
         self.lines: Mapping[tuple[str, str, str], float] = {}
         self.kept, self.untold = tuple(kept), tuple[str, ...]()  # parameters that stay as the model has them
-        self.forms = forms_here(records, model)
+        self.forms, self.travel = forms_here(records, model), widest(records)
         self.candidates: list[Candidate] = list(only) if only is not None else every_form(self.forms)
         self._terms = TermsOf()
         self._equations: list[tuple[str, str, Equation]] = [

@@ -25,6 +25,8 @@ def questions(model: Model, records: Sequence[Record], evidence: Evidence) -> tu
         role = "bench" if quantity == "bus_voltage" else "test"
         if not any(has(record, quantity, role) for record in records):
             notes.append(f"not answered: {question}; it needs {need}")
+    if model.feedforward is not None:
+        notes.append("torques are told in volts: a feedforward says nothing of the torque that a volt makes")
     hidden = invisible(model, evidence)
     if hidden:
         notes.append(f"invisible in these runs: {', '.join(hidden)}")

@@ -27,6 +27,7 @@ from leactl.gap.replay.drive import over_samples
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.plants import plant_of
 from leactl.gap.replay.readings import angle, current, velocity
+from leactl.gap.rig import fed_by_voltage
 from leactl.gap.ringing import ringing
 from leactl.gap.search import sizes_by_chance, strengths_by_chance
 from leactl.gap.signals import moved_by_a_servo
@@ -156,6 +157,9 @@ def logged(jobs: Sequence[Job], random: np.random.Generator) -> None:
                 )
                 for values in (job.current, job.current_mean)
             )
+        if job.current is None and job.angle is not None and ("q_axis_voltage", "test") in unstamped:
+            # of a voltage and the motion that it makes, only how they stand to each other shows
+            job.angle = delayed(job.angle, -float(current_late + reference_late) * job.parts, 1.0)
         if job.velocity is not None and ("velocity", "test") in job.fast and ("velocity", "test") in unstamped:
             job.velocity = delayed(job.velocity, float(velocity_late) * job.parts, 1.0)
             job.fast["velocity", "test"] = velocity(job)
@@ -165,7 +169,8 @@ def driven(record: Record) -> Record:
     """A run whose measured inputs are without noise: rotors would creep under noise, which then counts twice."""
     fast, slow = record.fast, record.slow
     if fast is not None:
-        fast = replace(fast, values=evened(fast.values, "q_axis_current", BASE))
+        drives = "q_axis_current" if ("q_axis_current", "test") in fast.values else "q_axis_voltage"
+        fast = replace(fast, values=evened(fast.values, drives, BASE))
     if slow is not None:
         fed = smooth(slow.fed, SLOW_WIDTH) if slow.fed is not None else None
         slow = replace(slow, values=evened(slow.values, "_temperature", SLOW_WIDTH), fed=fed)
@@ -213,6 +218,9 @@ def asked_for(job: Job, pull: Array) -> dict[Key, Array]:
     """What the references of a run ask for beyond the measured ones, so that its drive makes the torque that tracks."""
     constant = job.plant.model.torque_constant or 1.0
     total = (len(job.clock.time) - 1) * job.parts + 1
+    if (fed := fed_by_voltage(job.record, job.plant.model)) is not None:
+        over = over_samples(0.5 * (pull[1:total] + pull[: total - 1]), job.parts)
+        return {("q_axis_voltage", "test"): over / fed.gain}
     if job.current is None:
         told = "torque_reference" if ("torque_reference", "test") in job.clock.values else "torque"
         return {(told, "test"): over_samples(0.5 * (pull[1:total] + pull[: total - 1]), job.parts)}

@@ -49,6 +49,9 @@ UNITS = {
     "bench.shaft_stiffness": "N*m/rad",
     "load.viscous_damping": "N*m*s/rad",
     "load.coulomb_friction": "N*m",
+    "feedforward.kS": "V",
+    "feedforward.kV": "V*s/rad",
+    "feedforward.kA": "V*s^2/rad",
     "ambient_offset": "K",
     "thermal.winding_ambient_resistance": "K/W",
     "thermal.winding_housing_resistance": "K/W",
@@ -102,8 +105,11 @@ def untold(model: Model, parameter: str) -> list[CalibratedParameter]:
 
 
 def at_bound(item: CalibratedParameter) -> bool:
-    """Whether a fit went as far as it may: the data want more than this parameter can give."""
-    if item.parameter == "ambient_offset" or not item.nominal:
+    """Whether a fit went as far as it may: the data want more than this parameter can give.
+
+    A feedforward is a fit itself, whose kS may hold all that it left out: no share of it is a bound.
+    """
+    if item.parameter == "ambient_offset" or item.parameter.startswith("feedforward.") or not item.nominal:
         return False
     factor = item.fitted / item.nominal
     return not SMALLEST * (1.0 + 1e-9) < factor < (1.0 - 1e-9) / SMALLEST
@@ -154,7 +160,9 @@ def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tup
 
     here, units = at(values), effect_definition(name).parameters
     if not np.isfinite(spread).all():  # no run shows one of its coefficients
-        return tuple(EffectParameter(key, value, math.inf, units[key].units) for key, value in here.items())
+        return tuple(
+            EffectParameter(key, value, math.inf, model.units_of(units[key].units)) for key, value in here.items()
+        )
     steps = np.sqrt(np.maximum(np.diag(spread), 0.0))
     slopes = {key: np.zeros(len(values)) for key in here}
     for k, step in enumerate(steps):
@@ -163,6 +171,11 @@ def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tup
             for key in here:
                 slopes[key][k] = (there[key] - here[key]) / step
     return tuple(
-        EffectParameter(key, value, math.sqrt(max(float(slopes[key] @ spread @ slopes[key]), 0.0)), units[key].units)
+        EffectParameter(
+            key,
+            value,
+            math.sqrt(max(float(slopes[key] @ spread @ slopes[key]), 0.0)),
+            model.units_of(units[key].units),
+        )
         for key, value in here.items()
     )

@@ -80,7 +80,7 @@ def make_rows(
     length = max(1.0, 40.0 * equation.step * interval)
     return Rows(
         run,
-        kind,
+        equation.kind or kind,
         equation.signals.mechanical,
         equation.name,
         equation.quantity,

@@ -1,7 +1,11 @@
 """What rigs other than the bench add to the signals: another drive, something that hangs on the shaft, creeping motion.
 
+A motor that is fed with a voltage and logs no current makes the torque of that voltage, less what its back-EMF takes.
+
 Most log position and command only. A run's own set-up (`drive_gain`, `load_mass`, ...) replaces the model file's.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +19,9 @@ from leactl.model.nominal import DriveModel, LoadModel, Model
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+DRIVES = ("q_axis_current", "q_axis_current_reference", "torque_reference", "torque")
+"""Channels that tell what drives a motor better than its voltage does."""
+VOLTAGE = "voltage"  # kind of all runs of a motor that is fed with a logged voltage
 CREEP_COUNTS = 30.0  # of the encoder a sample, up to which an axis creeps
 FASTEST_CREEP = 0.15  # rad/s, from where on the balance of a rotor that turns takes a run
 CREEP_TRAVEL = 300.0  # counts, below which it stands
@@ -32,23 +39,33 @@ def drive_of(record: Record, model: Model) -> DriveModel | None:
 
 
 def load_of(record: Record, model: Model) -> LoadModel:
-    """What hangs on the shaft in a run."""
+    """What hangs on the shaft in a run: the model's load with the run's own numbers."""
     own = {
         name: record.setup[f"load_{name}"] for name in ("mass", "length", "arm_mass") if f"load_{name}" in record.setup
     }
     return model.load.model_copy(update=own)
 
 
-def level_torque(load: LoadModel) -> float:
-    """Torque of a pendulum held out level."""
-    if load.type == "none":
-        return 0.0
-    return (load.mass + 0.5 * load.arm_mass) * load.gravity * load.length
+class Fed(NamedTuple):
+    """What a voltage does to a motor whose current no channel shows."""
+
+    gain: float  # N*m/V; one where the model tells torques in volts
+    damping: float  # N*m*s/rad, that its back-EMF brakes with
 
 
-def load_inertia(load: LoadModel) -> float:
-    """Inertia of a pendulum about the shaft."""
-    return 0.0 if load.type == "none" else (load.mass + load.arm_mass / 3.0) * load.length**2
+def fed_by_voltage(record: Record, model: Model) -> Fed | None:
+    """How the logged voltage drives a free motor; None where a current, a torque or a servo's reference is logged."""
+    clock = record.fast
+    if clock is None or record.mechanical != "free" or clock.get("q_axis_voltage") is None:
+        return None
+    if model.feedforward is not None:
+        return Fed(1.0, model.feedforward.kV)
+    if any(clock.get(quantity) is not None for quantity in DRIVES) or drive_of(record, model) is not None:
+        return None
+    if model.torque_constant is None or model.phase_resistance is None:
+        return None
+    gain = model.torque_constant / model.phase_resistance
+    return Fed(gain, gain * (model.back_emf_constant or model.torque_constant))
 
 
 def complete(record: Record, s: Signals) -> None:
@@ -61,7 +78,13 @@ def complete(record: Record, s: Signals) -> None:
     servo = drive_of(record, model)
     if servo is not None and s.current is None and s.velocity is not None:
         servo_current(clock, servo, s)
-    if s.current is None and (told := logged_torque(clock, model)) is not None:
+    if (fed := fed_by_voltage(record, model)) is not None and s.velocity is not None and s.voltage is not None:
+        s.current = None  # of a feedforward nobody knows the torque that a current makes
+        s.extra["fed"] = fed.gain * s.voltage
+        s.extra["fed_emf"] = -fed.damping * s.velocity
+        if model.load.type != "none":
+            s.torque = s.extra["fed"] + s.extra["fed_emf"]
+    elif s.current is None and (told := logged_torque(clock, model)) is not None:
         s.extra["told"] = told
         if clock.get("torque") is None or clock.get("torque_reference") is not None:
             s.extra["commanded"] = told  # and not what a sensor says

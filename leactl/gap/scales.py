@@ -34,7 +34,7 @@ def scales(records: Sequence[Record], model: Model) -> dict[str, float]:
         if model.coulomb_friction:
             found["N*m/s"] = model.coulomb_friction / lasting
     if model.coulomb_friction:
-        found["N*m"] = model.coulomb_friction
+        found["N*m"] = found["N*m/rad"] = model.coulomb_friction
         if "rad/s" in found:
             found["N*m*s^2/rad^2"] = found["N*m"] / found["rad/s"] ** 2
         if model.torque_constant:
@@ -62,6 +62,8 @@ def form_scales(records: Sequence[Record], model: Model) -> dict[str, float]:
         found["housing"] = model.thermal.housing_capacitance * model.thermal.housing_ambient_resistance
     if not clocks:
         return found
+    if (travel := widest(records)) > 0.0:
+        found["travel"] = travel
     bench = model.bench
     found["sampling rate"] = 1.0 / min(clock.interval for clock in clocks)
     found["loop"] = time_constant(bench.current_loop_bandwidth, min(clock.interval for clock in clocks))
@@ -78,6 +80,13 @@ def form_scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     if model.torque_constant and (asked := max(currents_at_speed(clocks), default=0.0)) > 0.0:
         found["highest power"] = model.torque_constant * asked
     return found
+
+
+def widest(records: Sequence[Record]) -> float:
+    """Angle that the widest of some runs covers [rad]."""
+    clocks = [record.fast for record in records if record.fast is not None]
+    angles = [angle for clock in clocks if (angle := clock.get("angle")) is not None]
+    return max((float(np.ptp(angle)) for angle in angles), default=0.0)
 
 
 def time_constant(bandwidth: float | None, otherwise: float) -> float:

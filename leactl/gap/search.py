@@ -21,12 +21,14 @@ from leactl.vocabulary.effect import effect_definition
 Array = npt.NDArray[np.float64]
 MOST = 3  # effects in a set
 ENTRY = 3.2  # times its floor and uncertainty, that an effect must be large to enter a set
+SAME = 1e-3  # of twice a log likelihood, by which fits are alike
 EXCHANGES = 4
 SHORTLIST = 4
 USUAL_SPREAD = 2.0  # of a sound machine's noise, by which the next one may differ
 WHOLE_ROUNDS = 2
 WAVE = ("cos", "sin")  # coefficients that make one amplitude
 LOOSE, LOOSE_ERROR = 0.8, 0.1  # the same where an effect must explain less than that by its own account
+TIE = 1e-6  # of a gain, by which the unusual one of two effects with the same columns stands behind; far above rounding
 FORM_ERROR = 0.003  # share of what a set explains in a channel that its own functional form may miss
 BEYOND = 2.0  # times the largest size of an effect's definition: a geared servo has half more than benches of one stage
 INTERVAL = 1.96  # standard deviations on either side that hold 95 %
@@ -75,6 +77,8 @@ def finding(
         return None
     gain, values, covariance = gain_of(normal, base, added)
     effect = library()[candidate[0]]
+    if not effect.is_usual(evidence.travel):
+        gain *= 1.0 - TIE
     if effect.one_sided and values[0] <= 0.0 and not free:
         return None
     if effect.shaped and not (covariance[0, 0] < SHAPE[1] ** 2 and (free or SHAPE[0] < values[0] < SHAPE[1])):
@@ -235,7 +239,8 @@ def step(evidence: Evidence, hypothesis: Sequence[Candidate]) -> Candidate | Non
         for candidate in listed:
             evidence.settle([*hypothesis, candidate])
             trials.append((evidence.surprise(), candidate))
-        return min(trials)[1]
+        least = min(surprise for surprise, _ in trials)
+        return next(candidate for surprise, candidate in trials if surprise < least + SAME)  # the first of the list
     return listed[0] if listed else None
 
 

@@ -166,8 +166,10 @@ class _Effects:
                 total -= at["coefficient"] * speed * abs(speed)
             elif name == "push_in_time":
                 total += at["amplitude"] * math.sin(2.0 * math.pi * at["frequency"] * time + at["phase"])
-            elif name == "restoring_cable":
-                total -= at["amplitude"] * math.tanh((angle - self._run.angle) / at["reach"])
+            elif name == "gravity_load":
+                total -= at["amplitude"] * math.cos(angle + at["phase"])
+            elif name == "position_spring":
+                total -= at["stiffness"] * at["reach"] * math.tanh((angle - at["rest_angle"]) / at["reach"])
             elif name == "presliding":
                 reach = at["displacement"]
                 self._gives = max(min(self._gives + speed * self._step, reach), -reach)

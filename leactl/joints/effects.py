@@ -65,7 +65,7 @@ def others(draw: Generator, machine: Machine, name: str) -> dict[str, float]:
         return {"order": float(draw.choice(orders) * machine.pole_pairs), **phase}
     if name == "position_dependent_friction":
         return {"order": float(draw.choice([1, 2, 3, 6, 8, 12])), **phase}
-    if name in ("unbalance", "encoder_eccentricity"):
+    if name in ("unbalance", "gravity_load", "encoder_eccentricity"):
         return phase
     if name == "stribeck":
         return {"stribeck_velocity": machine.speed * float(draw.uniform(0.01, 0.05))}
@@ -77,12 +77,13 @@ def others(draw: Generator, machine: Machine, name: str) -> dict[str, float]:
         return {"frequency": float(draw.uniform(3.0, 60.0)) / machine.seconds, **phase}
     if name == "rubbing_bursts":
         return {"period": machine.seconds * float(draw.uniform(0.03, 0.12)), **phase}
-    if name == "restoring_cable":
-        return {"reach": machine.speed * machine.seconds * float(draw.uniform(0.02, 0.1))}
     if name == "joint_elasticity":
         lowest, highest = (share * machine.rate for share in SWINGS)
         return {
             "frequency": float(np.exp(draw.uniform(np.log(lowest), np.log(highest)))),
             "damping_ratio": float(draw.uniform(0.02, 0.1)),
         }
+    if name == "position_spring":
+        reach = machine.speed * machine.seconds * float(draw.uniform(0.02, 0.1))
+        return {"rest_angle": float(draw.uniform(-np.pi, np.pi)), "reach": reach}
     return {}

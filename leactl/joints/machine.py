@@ -53,6 +53,7 @@ class Machine:
             "1": 1.0,
             "friction": self.friction,
             "drag": self.friction / self.speed**2,
+            "spring": self.friction / (self.speed * self.seconds),
             "current": self.current,
             "interval": 1.0 / self.rate,
             "lag": 1.0 / (2.0 * np.pi * self.filter),

@@ -67,8 +67,7 @@ class Lanes:
         self.filters = -np.expm1(-2.0 * np.pi * nominal("filter") * self.step)
         with np.errstate(divide="ignore"):
             self.lags = np.where(lag > 0.0, -np.expm1(-self.step / lag), 1.0)
-        self.start = column(lambda run: run.angle)
-        self.angle, zero = self.start.copy(), np.zeros(len(runs))
+        self.angle, zero = column(lambda run: run.angle), np.zeros(len(runs))
         self.speed, self.current, self.limited, self.before = (zero.copy() for _ in range(4))
         self.filtered, self.reading, self.integral, self.stretch = (zero.copy() for _ in range(4))
         self.twist, self.load_speed, self.charge, self.charge_before = (zero.copy() for _ in range(4))
@@ -99,7 +98,9 @@ class Lanes:
         self.drag = effect("quadratic_drag", "coefficient")
         self.push, self.push_phase = (effect("push_in_time", name) for name in ("amplitude", "phase"))
         self.push_rate = 2.0 * np.pi * effect("push_in_time", "frequency")
-        self.cable, self.reach = effect("restoring_cable", "amplitude"), effect("restoring_cable", "reach", 1.0)
+        self.weight, self.weight_phase = (effect("gravity_load", name) for name in ("amplitude", "phase"))
+        self.cable, self.rest = effect("position_spring", "stiffness"), effect("position_spring", "rest_angle")
+        self.reach = effect("position_spring", "reach", 1.0)
 
     def _frictions(self, effect: Parameter) -> None:
         self.breakaway = effect("stribeck", "breakaway_ratio")
@@ -158,7 +159,8 @@ class Lanes:
         torque += self.cogging * np.sin(self.cogging_order * angle + self.cogging_phase)
         torque += self.unbalance * np.sin(angle + self.unbalance_phase)
         torque += self.push * np.sin(self.push_rate * self.time + self.push_phase)
-        torque -= self.cable * np.tanh((angle - self.start) / self.reach)
+        torque -= self.weight * np.cos(angle + self.weight_phase)
+        torque -= self.cable * self.reach * np.tanh((angle - self.rest) / self.reach)
         spring = self.stiffness * self.twist + self.spring_damping * (speed - self.load_speed)
         more = 1.0 + self.excess * np.exp(-self.time / self.settling)
         level = self.coulomb * more * self._uneven(angle, speed)

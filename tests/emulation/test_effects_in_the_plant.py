@@ -104,6 +104,21 @@ def unbalance():
     assert np.angle(found) == pytest.approx(-1.0, abs=0.1)
 
 
+def gravity_load():
+    on, off = turning("gravity_load", {"amplitude": 0.2, "phase": 0.4}, speed=12.0)
+    found = harmonic(on.angle, on.torque - off.torque, 1)
+    assert abs(found) == pytest.approx(0.2, rel=0.05)
+    assert np.angle(found) == pytest.approx(0.4 - 0.5 * np.pi, abs=0.1)  # it pulls by -cos(angle + phase)
+
+
+def position_spring():
+    on, off = turning("position_spring", {"stiffness": 0.05, "rest_angle": 2.0}, speed=12.0)
+    pull, near = on.torque - off.torque, np.abs(on.angle - 2.0) < 1.0
+    assert np.polyfit(on.angle[near], pull[near], 1)[0] == pytest.approx(-0.05, rel=0.1)
+    assert np.interp(2.0, on.angle, pull) == pytest.approx(0.0, abs=0.002)
+    assert -0.05 * 5.0 < np.interp(7.0, on.angle, pull) < -0.05 * 4.0  # less than in proportion
+
+
 def torque_sensor_crosstalk():
     off = Record("coupled", speed=12.0)
     signals = as_signals(off)

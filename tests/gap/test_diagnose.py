@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from leactl.emulation.blind.draws import usual_effects
 from leactl.emulation.blind.make import make
 from leactl.emulation.unlisted import unlisted_effects
 from leactl.errors import InputError
@@ -15,10 +16,10 @@ from leactl.gap.notes import gathered
 from leactl.gap.record import build
 from leactl.gap.ringing import ringing
 from leactl.runfile.reader import Channel
-from leactl.vocabulary.effect import effect_definition, effects_on
+from leactl.vocabulary.effect import effect_definition
 
 SEED, FEW = 16, 3  # of what no effect explains: the resonator is among the first three
-EVERY = effects_on("bench")
+EVERY = (*usual_effects(), "power_foldback", "torque_limit")
 OFTEN = (*EVERY[::18], "torque_ripple")  # what an ordinary run tries; all of them are a long one
 DEPENDS = {  # of what no effect explains and acts at all times, on what it is seen to depend
     "current_eddy_drag": {"velocity", "q_axis_current"},

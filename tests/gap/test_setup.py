@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import diagnose
+from leactl.gap.record import Clocked
 from leactl.gap.setup import mended, samples, scaling
-from leactl.gap.setup.samples import period_of
+from leactl.gap.setup.samples import at_ends, period_of
 from leactl.gap.setup.scaling import convention
 from tests.gap.joints import Log, case, drawn_joint
 
+VELOCITY = ("velocity", "test")
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 SPOILT = {  # channels, what is done to them, the fault, and what its evidence tells
     "turned velocity": (["velocity"], lambda v, _: -v, ("channel_sign", "velocity")),
@@ -109,6 +111,18 @@ def test_a_fault_that_leaves_nothing_to_check_is_the_answer_itself(cases):
 )
 def test_a_factor_is_told_as_the_convention_it_equals(factor, name):
     assert convention(factor) == name
+
+
+def test_a_rest_before_a_motion_to_one_side_is_no_end_of_a_range():
+    time = np.linspace(0.0, 5.0, 1000)
+    speed = -np.clip(time - 0.5, 0.0, None) * (1.0 + 0.01 * np.random.default_rng(1).standard_normal(1000))
+    assert not at_ends(clocked(time, speed), VELOCITY).any()
+    clipped = np.maximum(speed, -3.0)
+    assert at_ends(clocked(time, clipped), VELOCITY).sum() > 200
+
+
+def clocked(time, speed):
+    return Clocked(time, float(time[1]), {VELOCITY: speed}, {VELOCITY: np.ones(len(time), bool)})
 
 
 def test_a_period_is_told_from_leaps_and_never_from_a_motion():

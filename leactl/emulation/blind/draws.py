@@ -173,6 +173,11 @@ def _with_gain(program: Program, most: float) -> Program:
     return replace(program, velocity_gain=gain, velocity_integral=program.velocity_integral * share * share)
 
 
+def usual_effects() -> tuple[str, ...]:
+    """Effects that are drawn where none are asked for: those that this bench may have."""
+    return tuple(name for name in effects_on("bench") if not _rules()[name].get("asked"))
+
+
 @cache
 def _rules() -> dict[str, dict[str, Any]]:
     text = (resources.files("leactl.emulation.blind") / "strengths.yaml").read_text(encoding="utf-8")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from leactl.emulation.blind.draws import STRENGTHS, Case, draw_case
+from leactl.emulation.blind.draws import STRENGTHS, Case, draw_case, usual_effects
 from leactl.emulation.blind.files import entry, write_heated, write_model, write_moving
 from leactl.emulation.blind.key import write_key
 from leactl.emulation.blind.plans import KINDS, counts, faults_of, in_turn
@@ -38,14 +38,15 @@ def make(
     ----------
     seed : the same seed and arguments give the same values; without one it is fresh entropy.
     kinds : of `none`, `single`, `pair` and `unknown`, met in their usual shares.
-    effects : which identifiers may be drawn; all by default. Single ones come in turn, each before any comes twice.
+    effects : which identifiers may be drawn; by default all that this bench may have. Single ones come in turn, each
+        before any comes twice.
     strengths : of `faint`, `plain` and `strong`.
 
     Raises
     ------
     InputError : an argument names what there is not, or a folder is taken.
     """
-    chosen = tuple(effects) if effects else effects_on("bench")
+    chosen = tuple(effects) if effects else usual_effects()
     _check(count, out, key_dir, kinds, chosen, strengths)
     number = secrets.randbits(128) if seed is None else seed
     draw = np.random.default_rng([number, 0])

@@ -1,9 +1,11 @@
 """Equations of the bench, one for each channel that can be checked against the others."""
 
+from dataclasses import replace
+
 from leactl.gap.equations import axis, electrical, mechanical, motion, thermal
 from leactl.gap.equations.contract import Equation
 from leactl.gap.record import Record
-from leactl.gap.rig import complete
+from leactl.gap.rig import VOLTAGE, complete, fed_by_voltage
 from leactl.gap.signals import fast_signals, slow_signals
 from leactl.model.nominal import Model
 
@@ -36,6 +38,9 @@ def equations(record: Record, model: Model) -> list[Equation]:
             found = [equation for equation in found if equation.name != "free_torque"] + [own]
             note = axis.confounded(record, fast)
             record.notes += [note] if note is not None and note not in record.notes else []
+        if fed_by_voltage(record, model) is not None:
+            # each test of a voltage is a kind by itself: one run's own noise would let it fit that run and no other
+            found = [replace(equation, kind=VOLTAGE) for equation in found]
     if slow is not None:
         line = electrical.line_voltage(record, slow)
         found += ([line] if line is not None else []) + thermal.temperatures(record, slow)

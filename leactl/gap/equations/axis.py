@@ -1,15 +1,20 @@
-"""Torque balance of a foreign axis: driven by a servo or a logged force, loaded by a pendulum, or creeping."""
+"""Torque balance of a foreign axis: driven by a servo, a logged force or voltage, loaded by a weight, or creeping."""
+
+import math
 
 import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import Equation, Place
-from leactl.gap.record import Record
-from leactl.gap.rig import drive_of, in_motion, level_torque, load_inertia, load_of
-from leactl.gap.smoothing import slope, smooth
+from leactl.gap.noise import noise_of
+from leactl.gap.record import Clocked, Record
+from leactl.gap.rig import drive_of, fed_by_voltage, in_motion, load_of
+from leactl.gap.smoothing import BASE, slope, smooth
+from leactl.gap.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
+WIDTHS, EVEN = (4.0, 8.0, 12.0), 2e-3  # samples, and the share of the voltage that an acceleration's noise may have
 ZERO_PRIOR = 0.1  # rad, of where a pendulum hangs straight down
 TIMING_SAMPLES = 2.0  # a reference goes over the servo's bus before it counts, its feedback comes back over it
 
@@ -29,9 +34,9 @@ def axis(record: Record, s: Signals) -> Equation | None:
     if driven is None or not (servo or s.current is None or load.type != "none" or "creep" in s.extra):
         return None
     torque, calibration, places = driven
-    hanging, inertia = level_torque(load), model.rotor_inertia
+    hanging, inertia = load.level_torque, model.rotor_inertia
     damping, friction = model.viscous_damping or 0.0, model.coulomb_friction or 0.0
-    weight = hanging * np.sin(s.angle) if s.angle is not None else np.zeros_like(torque)
+    tilt = s.angle - load.hanging_angle if s.angle is not None else np.zeros_like(torque)
     own = {
         "rotor_inertia": inertia * s.acceleration,
         "viscous_damping": damping * s.velocity,
@@ -39,16 +44,28 @@ def axis(record: Record, s: Signals) -> Equation | None:
     }
     nuisance: dict[str, tuple[Array, float]] = {}
     if hanging and s.angle is not None:
-        nuisance["load_zero_rad"] = (hanging * np.cos(s.angle), ZERO_PRIOR)
+        nuisance["load_zero_rad"] = (hanging * np.cos(tilt), ZERO_PRIOR)
     if "servo_slope" in s.extra and model.torque_constant and model.phase_resistance:
         late = s.extra["servo_slope"] * slope(s.extra["servo_reference"], s.interval)
         column = late * model.torque_constant / model.phase_resistance
         nuisance["reference_timing_s"] = (column, TIMING_SAMPLES * s.interval)
-    swung = load_inertia(load)
+    swung, shared = load.inertia, dict[str, tuple[Array, float]]()
+    taken = sum(own.values()) + swung * s.acceleration + hanging * np.sin(tilt)
+    if (fed := fed_by_voltage(record, model)) is not None:
+        damping += fed.damping
+        shared = stamp_columns("axis_torque", clock, _FED, -s.extra["fed"])
+        if model.feedforward is None:
+            # columns of what the motion takes, not of the voltage: else all torques would shrink together, rest and all
+            calibration = {"phase_resistance": taken, "torque_constant": -(taken + s.extra["fed_emf"])}
+        else:
+            calibration = {"feedforward.kV": -s.extra["fed_emf"]}
+            own = {IN_VOLTS[name]: column for name, column in own.items() if name in IN_VOLTS}
     places["drag"] = lambda c: c
     places["angle_reading"] = lambda c: _angle_error(c, s.interval, inertia + swung, damping)
     mask = in_motion(s, clock.counts.get(("angle", "test"), 0.0))
     mask &= clock.all_valid(*((quantity, "test") for quantity in ("angle", *_DRIVES)))
+    if fed is not None:
+        mask &= clock.all_valid(*_FED)
     if "servo_share" in s.extra:
         share = s.extra["servo_share"]
         mask &= (share < 1e-3) | (share > 1 - 1e-3)
@@ -56,19 +73,37 @@ def axis(record: Record, s: Signals) -> Equation | None:
         "axis_torque",
         "velocity" if servo is None else "angle",
         "test",
-        "N" if clock.units.get(("angle", "test")) == "m" else "N*m",
-        torque - sum(own.values()) - swung * s.acceleration - weight,
+        "N" if clock.units.get(("angle", "test")) == "m" else model.units_of("N*m"),
+        torque - taken,
         s,
         np.asarray(mask, np.bool_),
         places,
         calibration | own,
-        shared=nuisance,
-        width=1.0 if "creep" in s.extra else 4.0,
+        shared=nuisance | shared,
+        width=1.0 if "creep" in s.extra else 4.0 if fed is None else even_width(clock, s, inertia + swung),
         step=2 if "creep" in s.extra else 8,
     )
 
 
+IN_VOLTS = {"rotor_inertia": "feedforward.kA", "coulomb_friction": "feedforward.kS"}
+"""Parameters of a balance in newton metres, and those that stand for them where torques are told in volts."""
+_FED = ("q_axis_voltage", "test"), ("angle", "test"), ("velocity", "test")
 _DRIVES = ("q_axis_current", "q_axis_current_reference", "torque_reference", "angle_reference", "drive_enabled")
+
+
+def even_width(clock: Clocked, s: Signals, inertia: float) -> float:
+    """Smoothing of a fed motor's rows, at which the noise of its acceleration hardly counts beside its voltage.
+
+    That noise is in what inertia takes: where it counts, a fit gives the inertia away and makes up something else.
+    """
+    noise = noise_of(clock.values["angle", "test"]) / s.interval**2 if s.angle is not None else 0.0
+    largest = EVEN * float(np.sqrt(np.mean(s.extra["fed"] ** 2)))
+    for width in WIDTHS:
+        # of the second derivative of a Gaussian: its squares add up to 3 / (8 sqrt(pi) spread^5)
+        spread = math.hypot(BASE, width)
+        if inertia * noise * math.sqrt(3.0 / (8.0 * math.sqrt(math.pi) * spread**5)) <= largest:
+            return width
+    return WIDTHS[-1]
 
 
 def drive(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None:
@@ -77,6 +112,8 @@ def drive(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None
     A logged force is taken as it is: only its ratio to mass and friction shows, so that its gain stays as it was set.
     """
     model = s.model
+    if "fed" in s.extra:
+        return s.extra["fed"] + s.extra["fed_emf"], {}, {}
     if s.current is None:
         logged = s.extra.get("told")
         if logged is None:

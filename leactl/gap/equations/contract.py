@@ -37,5 +37,6 @@ class Equation:
     shared: dict[str, tuple[Array, float]] = field(default_factory=dict)  # nuisances that all runs have in common
     rounding: float = 0.0  # standard deviation that a channel's rounding gives a row
     levels: float = math.inf  # that a rounded channel takes: no more independent values than that are in its rows
+    kind: str = ""  # of the runs that its rows are weighed together with; the run's own where left out
     width: float = 4.0
     step: int = 8

@@ -163,7 +163,7 @@ def motion(plan: Plan, asked: Asked, model: Model) -> tuple[Array, Array, Array]
         or model.drive is not None
         or load_of(Record(Path(plan.name), "", "", None, None, {}), model).type != "none"
     ):
-        what = ", ".join(missing) or "a bench without a pendulum or a position servo"
+        what = ", ".join(missing) or "a bench without a pendulum, an arm or a position servo"
         raise InputError(f"protocol '{plan.name}' cannot be planned with model '{model.name}': it needs {what}")
     turning = next((speed for role in ("test", "load") if (speed := asked.speed(role)) is not None), None)
     rotors = 2 if plan.setup == "coupled" else 1

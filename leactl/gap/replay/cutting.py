@@ -12,6 +12,7 @@ from leactl.gap.replay.drive import measured, spread
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.lanes import SHAFT_DAMPING, Lanes, Servo, Tracking
 from leactl.gap.replay.starting import reach
+from leactl.gap.rig import fed_by_voltage, load_of
 from leactl.gap.smoothing import smooth
 from leactl.gap.stamps import restamped
 
@@ -125,6 +126,8 @@ def asked_angle(job: Job) -> Array:
 def drive_torque(job: Job, magnets: Array) -> Array:
     """Torque of the test drive at the instants: of its current, else as it was logged."""
     constant = job.plant.model.torque_constant
+    if (fed := voltage_torque(job)) is not None:
+        return np.append(fed[:1], np.repeat(fed[1:], job.parts))
     if job.current is None or constant is None:
         logged = logged_torque(job)
         assert logged is not None
@@ -135,6 +138,14 @@ def drive_torque(job: Job, magnets: Array) -> Array:
     for saturates in job.plant.torque_share:
         torque = torque * saturates(flowing)
     return torque
+
+
+def voltage_torque(job: Job) -> Array | None:
+    """Torque that the logged voltage makes in a motor at rest; None where no voltage drives the run."""
+    fed = fed_by_voltage(job.record, job.plant.model)
+    if fed is None:
+        return None
+    return fed.gain * restamped(job.clock.values["q_axis_voltage", "test"], job.clock.stamping.get("axis_torque"))
 
 
 def logged_torque(job: Job) -> Array | None:
@@ -199,6 +210,7 @@ def lanes_of(cuts: Sequence[Cut], picked: Sequence[Index]) -> Lanes:
         friction_share=inputs("share", 1.0) if any(c.share is not None for c in cuts) else None,
         inertia=constant("inertia"),
         damping=constant("damping"),
+        emf_damping=constant("emf_damping"),
         friction=constant("friction"),
         load_inertia=constant("load_inertia"),
         load_damping=constant("load_damping"),
@@ -206,6 +218,7 @@ def lanes_of(cuts: Sequence[Cut], picked: Sequence[Index]) -> Lanes:
         stiffness=constant("stiffness"),
         damping_ratio=constant("damping_ratio"),
         gravity=constant("gravity"),
+        hanging=constant("hanging"),
         servo=servo,
         tracking=tracking,
     )
@@ -223,36 +236,35 @@ def hangs_by_a_spring(job: Job) -> bool:
 
 def constants_of(job: Job) -> dict[str, float]:
     """The numbers of a bench as the stepper takes them, a run's own set-up over the model's."""
-    model, record, setup = job.plant.model, job.record, job.record.setup
-    load, inertia, gravity = model.load, model.rotor_inertia or 0.0, 0.0
-    if load.type == "pendulum":
-        mass, length = setup.get("load_mass", load.mass), setup.get("load_length", load.length)
-        arm = setup.get("load_arm_mass", load.arm_mass)
-        inertia += (mass + arm / 3.0) * length**2
-        gravity = (mass + 0.5 * arm) * load.gravity * length
+    model, record = job.plant.model, job.record
+    load, fed = load_of(record, model), fed_by_voltage(record, model)
+    inertia = (model.rotor_inertia or 0.0) + load.inertia
     damping, friction = model.viscous_damping or 0.0, model.coulomb_friction or 0.0
     found = {
         "inertia": inertia,
         "damping": damping,
+        "emf_damping": fed.damping if fed is not None else 0.0,
         "friction": friction,
         "load_inertia": np.inf if record.mechanical == "locked" else model.rotor_inertia or 0.0,
         "load_damping": load.viscous_damping if load.viscous_damping is not None else damping,
         "load_friction": load.coulomb_friction if load.coulomb_friction is not None else friction,
         "stiffness": 0.0 if record.mechanical == "free" else job.plant.stiffness or 0.0,
         "damping_ratio": SHAFT_DAMPING,
-        "gravity": gravity,
+        "gravity": load.level_torque,
+        "hanging": load.hanging_angle,
     }
     if job.plant.elastic_load is not None and hangs_by_a_spring(job):
         found |= split_by_a_spring(inertia, job.plant.elastic_load)
     rate = 1.0 / (TRACKED * job.clock.interval)
     moved = found["inertia"] + (found["load_inertia"] if two_ended(job) else 0.0)
-    found["tracking"] = moved * rate**2 if job.tracked else 0.0
+    # what a back-EMF brakes follows a spring only if that is strong against it
+    found["tracking"] = moved * rate**2 + found["emf_damping"] * rate if job.tracked else 0.0
     found["tracking_damping"] = 2.0 * moved * rate if job.tracked else 0.0
     if by_servo(job):
         assert model.drive is not None
         constant = model.torque_constant or 0.0
         found |= {
-            "servo_gain": setup.get("drive_gain", model.drive.gain),
+            "servo_gain": record.setup.get("drive_gain", model.drive.gain),
             "servo_limit": model.drive.voltage_limit,
             "resistance": model.phase_resistance or 0.0,
             "torque_constant": constant,

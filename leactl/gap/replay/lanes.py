@@ -68,13 +68,15 @@ class Lanes:
     friction_share: Array | None  # factor, (steps, lanes)
     inertia: Array  # kg*m^2
     damping: Array  # N*m*s/rad
+    emf_damping: Array  # N*m*s/rad, of the back-EMF under a voltage that is given
     friction: Array  # N*m
     load_inertia: Array  # kg*m^2; infinite where the shaft's end is held
     load_damping: Array
     load_friction: Array
     stiffness: Array  # N*m/rad; zero where nothing is on the shaft
     damping_ratio: Array  # of critical, of the shaft
-    gravity: Array  # N*m, of a pendulum held out level
+    gravity: Array  # N*m, of a pendulum or arm held out level
+    hanging: Array  # rad, at which it hangs straight down
     servo: Servo | None = None
     tracking: Tracking | None = None
 
@@ -104,13 +106,13 @@ def stepped(lanes: Lanes, start: State) -> Motion:
     steps, count = lanes.drive.shape
     h = lanes.step
     servo = lanes.servo
-    decay, gain = _answer(lanes.damping, lanes.inertia, h)
+    decay, gain = _answer(lanes.damping + lanes.emf_damping, lanes.inertia, h)
     load_decay, load_gain = _answer(lanes.load_damping, lanes.load_inertia, h)
     stiffness = resonant_stiffness(lanes)
     yielding = 2.0 * lanes.damping_ratio * np.sqrt(stiffness / (1.0 / lanes.inertia + 1.0 / lanes.load_inertia))
     bristles = _Bristles(lanes, gain)
     shaft, hanging = bool(np.any(stiffness > 0)), bool(np.any(lanes.gravity != 0))
-    loaded = shaft and bool(np.any(load_gain > 0))
+    loaded, fed = shaft and bool(np.any(load_gain > 0)), bool(np.any(lanes.emf_damping > 0))
     held, load_held = gain * lanes.friction, load_gain * lanes.load_friction
     groups = [_Group(plant, place, gain) for plant, place in lanes.plants]
     groups = [group for group in groups if group.acts]
@@ -139,7 +141,7 @@ def stepped(lanes: Lanes, start: State) -> Motion:
             for group in groups:
                 group.slip(stiffness)
         elif hanging:
-            np.multiply(lanes.gravity, np.sin(angle), out=torque)
+            np.multiply(lanes.gravity, np.sin(angle - lanes.hanging), out=torque)
         np.subtract(drive, torque, out=push)
         out.torque[index] = torque
         out.angle[index] = angle
@@ -151,8 +153,9 @@ def stepped(lanes: Lanes, start: State) -> Motion:
                 push -= (more - 1.0) * lanes.damping * velocity
             elif any(group.rubs for group in groups):
                 level = held.copy()
+            made = drive - lanes.emf_damping * velocity if fed else drive
             for group in groups:
-                group.drive(drive, drive if hanging else torque)
+                group.drive(made, made if hanging else torque)
         np.multiply(velocity, decay, out=ahead)
         push *= gain
         ahead += push

@@ -13,7 +13,16 @@ import numpy.typing as npt
 
 from leactl.effects.plant import Array
 from leactl.effects.shapes import play
-from leactl.gap.replay.cutting import Cut, Index, by_servo, constants_of, cut_of, lanes_of, logged_torque
+from leactl.gap.replay.cutting import (
+    Cut,
+    Index,
+    by_servo,
+    constants_of,
+    cut_of,
+    lanes_of,
+    logged_torque,
+    voltage_torque,
+)
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.lanes import Motion, State, stepped
 from leactl.gap.replay.starting import starting_motion
@@ -51,6 +60,8 @@ def move(jobs: Sequence[Job]) -> None:
 def kind_of(job: Job) -> str | None:
     """How a job is stepped: locked, turning or servo; None, with a note, where it cannot be."""
     model, name = job.plant.model, job.record.path.name
+    if model.transmission is not None:
+        job.notes.append(f"{name}: the model's `transmission:` is not simulated; motor and joint turn as one")
     if model.rotor_inertia is None:
         job.notes.append(f"{name}: the model has no rotor_inertia; its motion is not replayed")
         return None
@@ -62,9 +73,16 @@ def kind_of(job: Job) -> str | None:
     if job.clock.interval > SLOWEST_S and job.record.mechanical != "locked":
         job.notes.append(f"{name}: {1 / job.clock.interval:.3g} samples a second are too few to replay a motion")
         return None
-    if (job.current is None or model.torque_constant is None) and logged_torque(job) is None:
-        job.notes.append(f"{name}: a replay needs a current of the test drive and a torque_constant in the model")
+    driven = job.current is not None and model.torque_constant is not None
+    if not driven and logged_torque(job) is None and voltage_torque(job) is None:
+        job.notes.append(
+            f"{name}: a replay needs a current of the test drive and a torque_constant in the model, or its voltage and"
+            " phase_resistance or feedforward"
+        )
         return None
+    plant = job.plant
+    if voltage_torque(job) is not None and (plant.torque_share or plant.lost_voltage or plant.magnet_share):
+        job.notes.append(f"{name}: a voltage drives its replay; effects that act by the current are left out of it")
     if job.record.mechanical == "locked":
         if job.plant.stiffness is None:
             job.notes.append(f"{name}: the model has no bench.shaft_stiffness; its torque is not replayed")
@@ -103,7 +121,7 @@ def start_of(cut: Cut, kind: str) -> State:
     drive = np.zeros(len(at)) if kind == "servo" else cut.drive[at * job.parts]
     load_drive = cut.load_drive[at * job.parts] if cut.load_drive is not None else np.zeros(len(at))
     rubbing = np.tanh(velocity / 0.1)
-    net = drive - c["damping"] * velocity - c["friction"] * rubbing
+    net = drive - (c["damping"] + c["emf_damping"]) * velocity - c["friction"] * rubbing
     load_net = load_drive - c["load_damping"] * velocity - c["load_friction"] * rubbing
     twist = np.zeros(len(at))
     mass = c["inertia"]

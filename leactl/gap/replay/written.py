@@ -15,6 +15,7 @@ from leactl.gap.record import Clocked, Key, read_record
 from leactl.gap.replay import replay
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.readings import angle
+from leactl.gap.rig import fed_by_voltage
 from leactl.model.nominal import read_model
 from leactl.quantities import ChannelSpec
 from leactl.runfile.description import RunInfo, new_run_id
@@ -96,7 +97,8 @@ def _column(run: Run, stream: str, spec: ChannelSpec, made: dict[Key, tuple[Cloc
         clock, values = made[key]
         return np.interp(run.time(stream), clock.time, values)
     given = spec.quantity in INPUTS or spec.quantity.endswith("_reference") or key == ("q_axis_current", "load")
-    if given or (key == ("q_axis_current", "test") and job.current is not None):
+    fed = key == ("q_axis_voltage", "test") and fed_by_voltage(job.record, job.plant.model) is not None
+    if given or fed or (key == ("q_axis_current", "test") and job.current is not None):
         location = spec.location or None
         return run.channel(*key, location=location).values
     return None

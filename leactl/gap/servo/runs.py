@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.gap.record import Clocked, Record
-from leactl.gap.rig import drive_of, level_torque, load_inertia, load_of
+from leactl.gap.rig import drive_of, load_of
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
@@ -66,8 +66,8 @@ def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
         measured,
         np.array([servo.gain for servo in servos]),
         np.array([servo.voltage_limit for servo in servos]),
-        np.array([level_torque(load) for load in loads]),
-        np.array([load_inertia(load) for load in loads]),
+        np.array([load.level_torque for load in loads]),
+        np.array([load.inertia for load in loads]),
     )
 
 

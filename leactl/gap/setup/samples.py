@@ -175,6 +175,11 @@ def clipped(records: Sequence[Record], _: Model) -> SetUpFault | None:
     return None
 
 
+def begins_at_rest(values: Array) -> slice:
+    """Samples at zero before a channel first moves: a run to one side begins at an end of its range."""
+    return slice(0, int(np.argmax(values != 0.0)))
+
+
 def at_ends(clock: Clocked, key: Key) -> Mask:
     """Samples at which a channel of many levels stands at its largest or smallest value, several in a row."""
     values = where_measured(clock, key)
@@ -186,6 +191,7 @@ def at_ends(clock: Clocked, key: Key) -> Mask:
     if float(np.mean(still[~(ends[0] | ends[1])])) >= TOPPED:
         return found  # samples in a row are alike elsewhere as well
     for there in ends:
+        there[begins_at_rest(values)] = False
         begin, stop = longest_run(there)
         if stop - begin >= IN_A_ROW and float(there.mean()) >= TOPPED:
             found |= there

@@ -1,0 +1,44 @@
+"""Gravity on an arm that the model leaves out: the drive has to hold A cos(angle + phase)."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
+from leactl.model.nominal import Model
+
+TURN = 2.0 * math.pi  # rad
+
+
+class GravityLoad(Effect):
+    """The weight of an arm, over the joint's angle."""
+
+    name = "gravity_load"
+
+    def applies(self, model: Model) -> bool:
+        """On a pendulum it is part of the weight that hangs there. A bench's shaft has no arm."""
+        return model.load.type != "pendulum" and model.bench.shaft_stiffness is None
+
+    def is_usual(self, travel: float) -> bool:
+        """A joint that makes no whole turn carries an arm."""
+        return travel < TURN
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """Cosine and sine of the joint's angle, as torque that the drive has to hold."""
+        if signals.angle is None:
+            return {}
+        return {"drag": {"cos": np.cos(signals.angle), "sin": np.sin(signals.angle)}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Amplitude and phase."""
+        return {
+            "amplitude": math.hypot(found["cos"], found["sin"]),
+            "phase": math.atan2(-found["sin"], found["cos"]),
+        }
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A torque over the angle."""
+        amplitude, phase = parameters["amplitude"], parameters["phase"]
+        plant.rotor_torque.append(lambda now: -amplitude * np.cos(now.angle + phase))
