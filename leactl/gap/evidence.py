@@ -106,7 +106,7 @@ class Evidence:
         self._made: list[tuple[list[Equation], list[Rows]]] = []  # of each run, equations and the rows of each
         for record in records:
             found = equations(record, model)
-            rows = make_rows(record.name, record.kind, found, self.candidates)
+            rows = make_rows(record.run, record.kind, found, self.candidates)
             pairs = [(bare(equation), own) for equation, own in zip(found, rows, strict=True) if own is not None]
             self._made.append(([equation for equation, _ in pairs], [own for _, own in pairs]))
         made = self._rows()

@@ -48,6 +48,17 @@ class Clocked:
     counts: dict[Key, float] = field(default_factory=dict)  # smallest step of an angle, next to none if interpolated
     between: dict[Key, tuple[Array, Array]] = field(default_factory=dict)  # stamps and values of one taken in between
     fed: Array | None = None  # degC, of the phases that two leads feed; None where a winding is not told apart
+    begin: float | None = None  # stamp at which the run began, where this is a stretch of it
+    fastest: float = 0.0  # rad/s, or m/s, that the whole run reaches, where this is a stretch of it
+    aside: bool = False  # whether it only says how warm a stretch was, and equations are those of the whole run
+    driven: dict[str, Array] = field(
+        default_factory=dict
+    )  # what all of the drive's clock came to from each stamp on, of a run that is looked at in stretches
+
+    @property
+    def since_begin(self) -> Array:
+        """Time [s] since the run began."""
+        return self.time - (self.time[0] if self.begin is None else self.begin)
 
     def get(self, quantity: str, role: str = "test") -> Array | None:
         """The values, or None where the run has no such channel."""
@@ -89,15 +100,21 @@ class Record:
     setup: dict[str, float]
     notes: list[str] = field(default_factory=list)
     condition: str = ""  # on the bench; empty where the file names none
+    stretch: str = ""  # where in the run it begins; empty where it is the whole run
 
     @property
-    def name(self) -> str:
+    def run(self) -> str:
         """The file without its ending."""
         return self.path.stem
 
+    @property
+    def name(self) -> str:
+        """The run, and which stretch of it."""
+        return self.run + self.stretch
+
     def parted(self) -> tuple["Record", "Record"]:
         """The run without what was measured in two of sixteen stretches, and with nothing but that; inputs stay."""
-        clocks = [clock for clock in (self.fast, self.slow) if clock is not None]
+        clocks = [clock for clock in (self.fast, self.slow) if clock is not None and not clock.aside]
         first, last = min(clock.time[0] for clock in clocks), max(clock.time[-1] for clock in clocks)
 
         def masked(clock: Clocked | None, out: bool) -> Clocked | None:
@@ -123,25 +140,26 @@ def read_record(path: Path) -> Record:
         return record_of(run)
 
 
-def record_of(run: Run) -> Record:
-    """Sort the channels of an open run.
+def record_of(run: Run, channels: list[Channel] | None = None) -> Record:
+    """Sort the channels of an open run, all of them or some.
 
     Raises
     ------
     InputError : channels that cannot be used, or that were condemned; one line each.
     """
-    found = [
-        channel
-        for specs in run.streams.values()
-        for spec in specs
-        if spec.quantity
-        for channel in run.channels(spec.quantity, spec.role)
-    ]
-    unique = {(c.stream, c.quantity, c.role, c.location): c for c in found}
+    if channels is None:
+        found = [
+            channel
+            for specs in run.streams.values()
+            for spec in specs
+            if spec.quantity
+            for channel in run.channels(spec.quantity, spec.role)
+        ]
+        channels = list({(c.stream, c.quantity, c.role, c.location): c for c in found}.values())
     kind = str(run.attributes.get("protocol") or run.mechanical)
     setup = {k: float(v) for k, v in run.setup.items() if isinstance(v, int | float)}
     condition = str(run.attributes.get("condition") or "")
-    return replace(build(run.path, kind, run.mechanical, list(unique.values()), setup), condition=condition)
+    return replace(build(run.path, kind, run.mechanical, channels, setup), condition=condition)
 
 
 def build(path: Path, kind: str, mechanical: str, channels: list[Channel], setup: dict[str, float]) -> Record:
@@ -161,9 +179,14 @@ def build(path: Path, kind: str, mechanical: str, channels: list[Channel], setup
                 notes.append(f"{path.name}: {channel.quantity} of {channel.role} never changes; is the channel alive?")
     if not usable:
         raise InputError(f"{path}: no channel with {FEWEST} samples or more; a diagnosis needs a current or an angle")
-    fast = [c for c in usable if c.quantity not in SLOW and not c.quantity.startswith("line_")]
-    slow = [c for c in usable if c.quantity in SLOW or c.quantity.startswith("line_")]
+    fast = [c for c in usable if not is_slow(c.quantity)]
+    slow = [c for c in usable if is_slow(c.quantity)]
     return Record(path, kind, mechanical, _on_clock(fast, notes, path), _on_clock(slow, notes, path), setup, notes)
+
+
+def is_slow(quantity: str) -> bool:
+    """Whether a channel belongs on the clock of camera and supply."""
+    return quantity in SLOW or quantity.startswith("line_")
 
 
 def of_the_bench(channels: list[Channel]) -> list[Channel]:

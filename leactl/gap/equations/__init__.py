@@ -36,7 +36,7 @@ def equations(record: Record, model: Model) -> list[Equation]:
             found = [equation for equation in found if equation.name != "free_torque"] + [own]
             note = axis.confounded(record, fast)
             record.notes += [note] if note is not None and note not in record.notes else []
-    if slow is not None:
+    if slow is not None and record.slow is not None and not record.slow.aside:
         line = electrical.line_voltage(record, slow)
         found += ([line] if line is not None else []) + thermal.temperatures(record, slow)
     return found
