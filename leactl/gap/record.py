@@ -26,6 +26,8 @@ REACH = 2.5  # paces, that values are taken in between over
 BURSTS = (
     0.3  # of a run's time without samples, from which on its stamps come in bursts: a hold, then a step to the next
 )
+PAUSES = 16  # gaps, below which a run pauses or its clock jumps: its stamps do not come in bursts
+PAUSED = 64.0  # times as long as its samples take, that a run may last
 UNBRIDGED = 0.05
 LONG, SMOOTHED = 8, 12  # samples: of a gap that no straight line bridges, and to either side that smoothing carries it
 STRETCHES, EVERY = 16, 8  # of a run, and which of them are taken out of it
@@ -215,6 +217,8 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked 
     leading = max(streams.values(), key=lambda group: (len(group), len(group[0].time)))[0].time
     interval = bridging_interval(leading)
     span = leading[-1] - leading[0]
+    if span > PAUSED * interval * len(leading):
+        raise InputError(f"{path}: {jump_of(leading)}; what it measures cannot be put on one clock")
     grid = leading[0] + interval * np.arange(int(span / interval + 1.5))
     even = is_even(grid, leading)
     if not even and is_even(other := np.linspace(leading[0], leading[-1], len(leading)), leading):
@@ -290,11 +294,19 @@ def bridging_interval(stamps: Array) -> float:
     """The pace of stamps; where they come in bursts, one so slow that all but a twentieth of the time is bridged."""
     steps = np.diff(stamps)
     pace, span = float(np.median(steps)), float(stamps[-1] - stamps[0])
-    if float(steps[steps > REACH * pace].sum()) < BURSTS * span:
+    gaps = steps[steps > REACH * pace]
+    if len(gaps) < PAUSES or float(gaps.sum()) < BURSTS * span:
         return pace
     ordered = np.sort(steps)
     bridged = np.cumsum(ordered)
     return float(ordered[np.searchsorted(bridged, (1.0 - UNBRIDGED) * bridged[-1])] / REACH)
+
+
+def jump_of(stamps: Array) -> str:
+    """The longest gap between stamps, for a person."""
+    steps = np.diff(stamps)
+    at = int(np.argmax(steps))
+    return f"its clock jumps by {steps[at]:.6g} s after {stamps[at] - stamps[0]:.6g} s"
 
 
 def _pace(time: Array) -> float:

@@ -10,12 +10,13 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
-from leactl.gap.record import FEWEST, Clocked, Record, bridging_interval, is_slow, record_of
+from leactl.gap.record import FEWEST, PAUSED, Clocked, Record, bridging_interval, is_slow, record_of
 from leactl.gap.replay.job import parts_of
 from leactl.gap.scales import TOP, speeds
 from leactl.gap.smoothing import smooth
@@ -26,13 +27,13 @@ from leactl.runfile.reader import Channel, Run
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-ROWS = 1 << 19  # of all runs of a case together
+ROWS = 3 << 17  # of all runs of a case together
 SLOW_ROWS = 1 << 14  # of the temperatures of a run: what is slower than its drive needs no more
 STRETCHES = 16
 SHORTEST = 1 << 9  # rows of a stretch, of which there are fewer where a share is small
 CANDIDATES = 1 << 10  # stretches of a run that those are chosen among
 PARTS = 8  # steps of a replay in a sample, beyond which one counts for more than a row
-PAUSED = 2.0  # of the usual time that a stretch takes, beyond which there is a pause in it
+BROKEN = 2.0  # of the usual time that a stretch takes, beyond which there is a pause in it
 AROUND = 64  # samples of temperature to either side of a stretch, for what smooths them
 CURRENTS = ("q_axis_current", "q_axis_current_reference", "torque_reference", "torque", "q_axis_voltage")
 SPEEDS = ("velocity", "angle", "velocity_reference", "angle_reference")
@@ -86,10 +87,8 @@ def cost_of(run: Run) -> float:
     rows = run.rows[name]
     stamps = run.values(name, "time", 0, min(rows, ROWS + 1))
     interval = bridging_interval(stamps)
-    made = float(rows)
-    if rows <= ROWS:
-        made = max(made, float(stamps[-1] - stamps[0]) / interval)  # a clock that jumps makes rows in its gap
-    return made * weight(interval)
+    made = float(stamps[-1] - stamps[0]) / interval if rows <= ROWS else rows  # a gap makes rows as well
+    return math.inf if made > PAUSED * rows else max(made, rows) * weight(interval)
 
 
 def weight(interval: float) -> float:
@@ -118,46 +117,61 @@ def records_of(run: Run, share: float) -> list[Record]:
     ------
     InputError : channels that cannot be used, or that were condemned; one line each.
     """
-    slow = slow_record(run)
-    name = leading(run)
-    assert name is not None  # a run without a drive is not too long for anything
-    interval = bridging_interval(run.values(name, "time", 0, min(run.rows[name], ROWS)))
-    looked_at = min(int(share / weight(interval)), run.rows[name])
-    count = min(STRETCHES, max(looked_at // SHORTEST, 2))
-    walk = Walk(run, name, looked_at // count, count)
-    edges = slow.slow.time if slow is not None and slow.slow is not None else None
-    windows, driven = walk.windows(), walk.driven(edges) if edges is not None else {}
-    begin = float(run.values(name, "time", 0, 1)[0])
-    stretches: list[Record] = []
-    faults: list[str] = []
-    for first, stop in windows:
-        try:
-            stretches.append(stretch_of(run, name, first, stop, begin, slow))
-        except InputError as error:
-            faults += error.faults
-    if not stretches:
-        raise InputError(list(dict.fromkeys(faults)))
-    stretches = alike(stretches)
-    told = [f"{run.path.name}: {walk.told(windows)}"]
+    try:
+        slow, told = slow_record(run), list[str]()
+    except InputError as error:  # a clock that jumps: there is no whole run to follow temperatures over
+        slow, told = None, [f"{fault}; temperatures are left out" for fault in error.faults]
+    walk = Walk.of(run, share)
+    stretches = stretches_of(walk, slow)
+    told.insert(0, walk.told(stretches))
     told += [note for note in stretches[0].notes if all(note in other.notes for other in stretches)]
     for stretch in stretches:
         stretch.notes = []
     if slow is None or slow.slow is None:
         return [replace(stretches[0], notes=told), *stretches[1:]]
-    whole = replace(slow, slow=replace(slow.slow, driven=driven), notes=[*told, *slow.notes])
-    return [whole, *stretches]
+    clock = replace(slow.slow, driven=walk.driven(slow.slow.time))
+    return [replace(slow, slow=clock, notes=[*told, *slow.notes]), *stretches]
 
 
-def alike(stretches: Sequence[Record]) -> list[Record]:
-    """Stretches of a run with its highest speed and its counts, which one that stands still does not show."""
-    clocks = [one.fast for one in stretches if one.fast is not None]
+def stretches_of(walk: "Walk", slow: Record | None) -> list[Record]:
+    """The stretches of a long run, each with its run's highest speed and counts: one that stands still has neither.
+
+    Raises
+    ------
+    InputError : none of them can be used.
+    """
+    found: list[tuple[Record, Clocked]] = []
+    faults: list[str] = []
+    for first, stop in walk.windows():
+        try:
+            found.append(stretch_of(walk, first, stop, slow))
+        except InputError as error:
+            faults += error.faults
+    if not found:
+        raise InputError(list(dict.fromkeys(faults)))
+    clocks = [clock for _, clock in found]
     fastest = max((float(np.quantile(speed, TOP)) for clock in clocks for speed in speeds(clock)), default=0.0)
     counts = {key: max(clock.counts.get(key, 0.0) for clock in clocks) for clock in clocks for key in clock.counts}
     return [
-        replace(one, fast=replace(one.fast, fastest=fastest, counts={key: counts[key] for key in one.fast.counts}))
-        for one in stretches
-        if one.fast is not None
+        replace(one, fast=replace(clock, fastest=fastest, counts={key: counts[key] for key in clock.counts}))
+        for one, clock in found
     ]
+
+
+def stretch_of(walk: "Walk", first: int, stop: int, slow: Record | None) -> tuple[Record, Clocked]:
+    """Some rows of the leading stream, what other streams have meanwhile, and how warm it was; with its fast clock."""
+    run = walk.run
+    stamps = walk.values("time", first, stop)
+    since, until = float(stamps[0]), float(stamps[-1])
+    rows = {stream: (row_at(run, stream, since), row_at(run, stream, until) + 1) for stream in run.streams}
+    rows[walk.stream] = first, stop
+    channels = [run.section(stream, spec, *rows[stream]) for stream, spec in channels_of(run) if is_fast(spec)]
+    found = record_of(run, channels)
+    clock = found.fast
+    assert clock is not None  # else nothing were usable
+    warm = None if slow is None or slow.slow is None else cut_out(slow.slow, since, until)
+    found = replace(found, slow=warm, stretch=f" from {since - walk.begin:.6g} s")
+    return found, replace(clock, begin=walk.begin)
 
 
 def whole(run: Run) -> list[Channel]:
@@ -206,19 +220,6 @@ def blocks(rows: int, width: int) -> Iterator[tuple[int, int]]:
         yield first, min(first + length, rows)
 
 
-def stretch_of(run: Run, name: str, first: int, stop: int, begin: float, slow: Record | None) -> Record:
-    """Some rows of the leading stream, what other streams have meanwhile, and how warm it was."""
-    stamps = run.values(name, "time", first, stop)
-    since, until = float(stamps[0]), float(stamps[-1])
-    rows = {stream: (row_at(run, stream, since), row_at(run, stream, until) + 1) for stream in run.streams}
-    rows[name] = first, stop
-    channels = [run.section(stream, spec, *rows[stream]) for stream, spec in channels_of(run) if is_fast(spec)]
-    found = record_of(run, channels)
-    assert found.fast is not None  # else nothing were usable
-    found = replace(found, fast=replace(found.fast, begin=begin), stretch=f" from {since - begin:.6g} s")
-    return found if slow is None or slow.slow is None else replace(found, slow=cut_out(slow.slow, since, until))
-
-
 def cut_out(clock: Clocked, since: float, until: float) -> Clocked:
     """Temperatures around a stretch."""
     first, last = np.searchsorted(clock.time, [since, until])
@@ -255,17 +256,41 @@ class Walk:
     length: int  # rows of a stretch
     count: int  # of stretches, at most
 
+    @classmethod
+    def of(cls, run: Run, share: float) -> Self:
+        """A run of which so many rows may be looked at."""
+        name = leading(run)
+        assert name is not None  # a run without a drive is not too long for anything
+        interval = bridging_interval(run.values(name, "time", 0, min(run.rows[name], ROWS)))
+        looked_at = max(min(int(share / weight(interval)), run.rows[name]), 2)
+        count = min(STRETCHES, max(looked_at // SHORTEST, 2))
+        return cls(run, name, looked_at // count, count)
+
+    @property
+    def rows(self) -> int:
+        """Of the leading stream."""
+        return self.run.rows[self.stream]
+
+    @property
+    def begin(self) -> float:
+        """The first stamp."""
+        return float(self.values("time", 0, 1)[0])
+
+    def values(self, name: str, start: int, stop: int) -> Array:
+        """Some rows of a channel of the leading stream."""
+        return self.run.values(self.stream, name, start, stop)
+
     def windows(self) -> list[tuple[int, int]]:
         """Begin and end of the stretches, in rows of the leading stream.
 
         One in each part of the run: the first, the last, and in between those that are farthest from all the others
         by mean and root mean square of current and speed, each counted in its range.
         """
-        rows = self.run.rows[self.stream]
+        rows = self.rows
         starts = np.linspace(0, rows - self.length, min(rows // self.length, CANDIDATES)).astype(np.intp)
         seen = np.stack([self._seen(int(start)) for start in starts])
         spans, shapes = seen[:, 0], seen[:, 1:]
-        whole = spans <= PAUSED * np.median(spans)
+        whole = spans <= BROKEN * np.median(spans)
         ranges = np.ptp(shapes, axis=0)
         shapes = (shapes - shapes.min(axis=0)) / np.where(ranges > 0.0, ranges, 1.0)
         parts = [part[whole[part]] for part in np.array_split(np.arange(len(starts)), self.count)]
@@ -279,7 +304,7 @@ class Walk:
     def _seen(self, start: int) -> Array:
         """How long a stretch takes, and mean and root mean square of current and speed in it."""
         stop = start + self.length
-        stamps = self.run.values(self.stream, "time", start, stop)
+        stamps = self.values("time", start, stop)
         found = [stamps[-1] - stamps[0]]
         for values in self._moving(start, stop, stamps):
             good = values[np.isfinite(values)]
@@ -291,7 +316,7 @@ class Walk:
         for wanted in (CURRENTS, SPEEDS):
             spec = self._first(wanted)
             if spec is not None:
-                values = self.run.values(self.stream, spec.name, start, stop)
+                values = self.values(spec.name, start, stop)
                 yield turned(values, stamps) if spec.quantity.startswith("angle") else values
 
     def _first(self, wanted: Sequence[str]) -> ChannelSpec | None:
@@ -302,17 +327,17 @@ class Walk:
         """Mean and mean square of the current, and mean square of the speed, over the interval from each edge on."""
         sums: dict[str, Array] = {}
         counts: dict[str, Array] = {}
-        rows = self.run.rows[self.stream]
+        rows = self.rows
         current, speed = self._first(CURRENTS[:1]), self._first(SPEEDS[:2])
         for first, stop in blocks(rows, 1):
-            stamps = self.run.values(self.stream, "time", first, stop)
+            stamps = self.values("time", first, stop)
             place = np.searchsorted(edges, stamps, side="right") - 1
             powers: dict[str, Array] = {}
             if current is not None:
-                flowing = self.run.values(self.stream, current.name, first, stop)
+                flowing = self.values(current.name, first, stop)
                 powers = {"current_mean": flowing, "current_squared": flowing**2}
             if speed is not None:
-                turning = self.run.values(self.stream, speed.name, first, stop)
+                turning = self.values(speed.name, first, stop)
                 if speed.quantity == "angle":
                     turning = turned(turning, stamps)
                 powers["speed_squared"] = turning**2
@@ -325,15 +350,13 @@ class Walk:
                 counts[name] = counts.get(name, np.zeros(len(edges))) + np.bincount(at, minlength=len(edges))
         return {name: bridged(total, counts[name]) for name, total in sums.items()}
 
-    def told(self, windows: Sequence[tuple[int, int]]) -> str:
+    def told(self, stretches: Sequence[Record]) -> str:
         """How much of the run is looked at, for a person."""
-        rows = self.run.rows[self.stream]
-        first, last = (float(self.run.values(self.stream, "time", at, at + 1)[0]) for at in (0, rows - 1))
-        lasts = (last - first) / (rows - 1) * self.length
-        share = 100.0 * len(windows) * self.length / rows
+        lasts = float(self.values("time", self.rows - 1, self.rows)[0]) - self.begin
+        each, share = lasts / (self.rows - 1) * self.length, 100.0 * len(stretches) * self.length / self.rows
         return (
-            f"{len(windows)} stretches of {lasts:.3g} s of a run of {last - first:.6g} s are looked at ({share:.2g} %),"
-            " its temperatures and what heats from end to end"
+            f"{self.run.path.name}: {len(stretches)} stretches of {each:.3g} s of a run of {lasts:.6g} s are looked at"
+            f" ({share:.2g} %), temperatures and what heats from end to end"
         )
 
 

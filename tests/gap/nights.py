@@ -23,8 +23,11 @@ CONSTANT, INERTIA, DAMPING, FRICTION = 0.4, 2.5e-3, 0.02, 0.15
 RESISTANCE, INDUCTANCE, COPPER, LOOP, FILTER = 0.6, 2e-4, 0.0039, 150.0, 120.0
 TOP, COUNT = 4.0, 2.0 * np.pi / 2**16
 WINDING, HOUSING, INWARD, OUTWARD, BESIDE = 30.0, 400.0, 0.8, 1.6, 6.0  # J/K, J/K, K/W, K/W, K/W
+DRAG = 3e-4  # N*m*s^2/rad^2
+RUN_IN = 0.15  # of a run, in which its friction settles
+HEATED = 10  # samples, over which heat is held
 SEGMENT_S = 20.0  # of a programme of levels, ramps and waves
-EFFECTS = ("none", "drag", "run-in", "cubic-load")  # the last one stands in no vocabulary
+EFFECTS = ("none", "drag", "run-in", "clutch")  # the last one stands in no vocabulary
 CHANNELS = {
     "q_axis_current_reference": ("A", "test", "instant"),
     "q_axis_current": ("A", "test", "mean"),
@@ -49,6 +52,7 @@ class Night:
 
     seed: int
     effect: str
+    lasts: float  # s
     angle: float = 0.0
     winding: float = 25.0
     housing: float = 25.0
@@ -105,12 +109,13 @@ class Night:
         flowing, speed, reading = np.zeros((3, len(at)))
         for sample in range(at.shape[1]):
             wanted, mean, turned = asked[:, sample], 0.0, 0.0
-            held = FRICTION * self.rubs(at[:, sample] / RATE) * step / INERTIA
+            rubs = self.rubs(at[:, sample] / RATE)
+            held = FRICTION * rubs * step / INERTIA
             for _ in range(PARTS):
                 before = flowing
                 flowing = flowing + follows * (wanted - flowing)
                 mean = mean + (before + flowing) / (2.0 * PARTS)
-                ahead = speed + (CONSTANT * flowing - self.drags(speed)) * step / INERTIA
+                ahead = speed + (CONSTANT * flowing - rubs * DAMPING * speed - self.drags(speed)) * step / INERTIA
                 after = ahead - np.clip(ahead, -held, held)
                 turned = turned + 0.5 * (speed + after) * step
                 speed = after
@@ -120,37 +125,36 @@ class Night:
 
     def rubs(self, time):
         """Friction over what it settles to."""
-        return 1.0 + (1.0 * np.exp(-np.maximum(time, 0.0) / 200.0) if self.effect == "run-in" else 0.0)
+        return 1.0 + (1.0 * np.exp(-np.maximum(time, 0.0) / (RUN_IN * self.lasts)) if self.effect == "run-in" else 0.0)
 
     def drags(self, speed):
-        """Torque against the motion besides Coulomb friction."""
-        torque = DAMPING * speed
+        """Torque against the motion besides friction."""
         if self.effect == "drag":
-            torque = torque + 3e-4 * speed * np.abs(speed)
-        if self.effect == "cubic-load":  # a fan clutch that lets go and grips at one speed
-            torque = torque + 0.25 * np.sin(speed / 4.0) * np.exp(-((speed / 25.0) ** 2))
-        return torque
+            return DRAG * speed * np.abs(speed)
+        if self.effect == "clutch":  # slips and grips as the speed rises
+            return 0.25 * np.sin(speed / 4.0) * np.exp(-((speed / 25.0) ** 2))
+        return 0.0
 
     def warmed(self, current):
-        """Temperatures of winding and housing, of each sample: a network stepped once a second."""
-        seconds = -(-len(current) // int(RATE))
-        nodes = np.empty((seconds + 1, 2))
-        for second in range(seconds):
-            nodes[second] = self.winding, self.housing
-            part = current[second * int(RATE) : (second + 1) * int(RATE)]
-            lasts = len(part) / RATE
-            heat = RESISTANCE * (1.0 + COPPER * (self.winding - 25.0)) * float(np.mean(part**2))
+        """Temperatures of winding and housing, of each sample: a network whose heat is held over a few."""
+        starts = np.arange(0, len(current), HEATED)
+        squared = np.add.reduceat(current**2, starts) / np.diff(np.append(starts, len(current)))
+        nodes = np.empty((len(starts) + 1, 2))
+        lasts = HEATED / RATE
+        for step, heating in enumerate(squared.tolist()):
+            nodes[step] = self.winding, self.housing
+            heat = RESISTANCE * (1.0 + COPPER * (self.winding - 25.0)) * heating
             inward, outward = (self.winding - self.housing) / INWARD, (self.housing - 25.0) / OUTWARD
             self.winding += (heat - inward - (self.winding - 25.0) / BESIDE) / WINDING * lasts
             self.housing += (inward - outward) / HOUSING * lasts
-        nodes[seconds] = self.winding, self.housing
-        at = np.arange(len(current)) / RATE
-        return tuple(np.interp(at, np.arange(seconds + 1), node) for node in nodes.T)
+        nodes[-1] = self.winding, self.housing
+        at = (np.arange(len(current)) + 1) / HEATED
+        return tuple(np.interp(at, np.arange(len(nodes)), node) for node in nodes.T)
 
 
 def write_night(path, rows, effect="none", seed=1, protocol="night"):
     """Write one run, uncompressed and with checksums."""
-    night = Night(seed, effect)
+    night = Night(seed, effect, rows / RATE)
     with h5py.File(path, "w", libver=layout.HDF5_FORMAT) as file:
         told = {"format": layout.FORMAT, "format_version": layout.VERSION, "run_id": path.stem, "protocol": protocol}
         file.attrs.update(told | {"status": "complete", "condition": "design", "simulated": 1})
