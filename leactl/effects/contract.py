@@ -70,6 +70,7 @@ class Signals:
     model: Model
     interval: float
     run: str = ""
+    fastest: float = 0.0  # rad/s, that the run reaches elsewhere, where this is a stretch of it
     current: Array | None = None
     following: Array | None = None  # A, what the model's loop makes of the reference
     voltage: Array | None = None

@@ -16,7 +16,7 @@ from leactl.gap.notes import beyond_null, gathered, questions, unlike
 from leactl.gap.null import measure
 from leactl.gap.parameters import calibrated, effect_parameters, with_calibration
 from leactl.gap.picture import pictured, pictured_by_replays
-from leactl.gap.record import Record, read_record
+from leactl.gap.record import Record
 from leactl.gap.regression import Candidate, Fit, Rows
 from leactl.gap.rig import DRIVES, VOLTAGE, Array
 from leactl.gap.ringing import Line, ringing
@@ -28,6 +28,7 @@ from leactl.gap.servo.runs import side_by_side
 from leactl.gap.setup import mended
 from leactl.gap.shrinkage import shrinkage
 from leactl.gap.stamps import stamp_notes, stamped
+from leactl.gap.stretches import read_records
 from leactl.gap.unknown import describe, nearest_effects
 from leactl.gap.where import profiles, where
 from leactl.gap.withdrawal import Applied, Fitted, Refit, apply
@@ -62,7 +63,6 @@ def read_case(runs: Sequence[Path], held_out: Sequence[Path], model: Path) -> Ca
     InputError : files that cannot be used, or a run on both sides.
     """
     faults: list[str] = []
-    read: dict[Path, Record] = {}
     both = {path.resolve() for path in runs} & {path.resolve() for path in held_out}
     faults += [f"{path}: is both fitted and held out; a run can be on one side only" for path in sorted(both)]
     nominal: Model | None = None
@@ -70,14 +70,14 @@ def read_case(runs: Sequence[Path], held_out: Sequence[Path], model: Path) -> Ca
         nominal = read_model(model)[0]
     except InputError as error:
         faults += error.faults
-    for path in [*runs, *held_out]:
-        try:
-            read[path] = read_record(path)
-        except InputError as error:
-            faults += error.faults
+    read: dict[Path, list[Record]] = {}
+    try:
+        read = read_records([*runs, *held_out])
+    except InputError as error:
+        faults += error.faults
     if faults or nominal is None:
         raise InputError(faults)
-    fitted, others = [read[path] for path in runs], [read[path] for path in held_out]
+    fitted, others = ([record for path in paths for record in read[path]] for paths in (runs, held_out))
     if not others:
         fitted, others = split(fitted)
     return Case(nominal, fitted, others)
@@ -85,14 +85,17 @@ def read_case(runs: Sequence[Path], held_out: Sequence[Path], model: Path) -> Ca
 
 def split(records: list[Record]) -> tuple[list[Record], list[Record]]:
     """Hold out the last run of every kind that occurs twice; where none does, stretches of every run."""
-    kinds: dict[object, list[Record]] = {}
+    kinds: dict[object, list[Path]] = {}
     courses: list[Array] = []
+    firsts: dict[Path, Record] = {}  # of a long run its first stretch
     for record in records:
+        firsts.setdefault(record.path, record)
+    for path, record in firsts.items():
         rig = tuple(record.setup.get(name) for name in RIG)
-        kinds.setdefault((record.kind, record.mechanical, rig, alike(record, courses)), []).append(record)
-    held = [group[-1] for group in kinds.values() if len(group) > 1]
+        kinds.setdefault((record.kind, record.mechanical, rig, alike(record, courses)), []).append(path)
+    held = [runs[-1] for runs in kinds.values() if len(runs) > 1]
     if held:
-        return [record for record in records if record not in held], held
+        return [r for r in records if r.path not in held], [r for path in held for r in records if r.path == path]
     kept, taken = zip(*(record.parted() for record in records), strict=True)
     return list(kept), list(taken)
 

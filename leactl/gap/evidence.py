@@ -26,7 +26,8 @@ from leactl.gap.regression import (
     Normal,
     Rows,
     Stack,
-    TermsOf,
+    bare,
+    effect_columns,
     make_rows,
     more_columns,
     residuals,
@@ -108,24 +109,21 @@ class Evidence:
         self.kept, self.untold = tuple(kept), tuple[str, ...]()  # parameters that stay as the model has them
         self.forms, self.travel = forms_here(records, model), widest(records)
         self.candidates: list[Candidate] = list(only) if only is not None else every_form(self.forms)
-        self._terms = TermsOf()
-        self._equations: list[tuple[str, str, Equation]] = [
-            (record.name, record.kind, equation) for record in records for equation in equations(record, model)
-        ]
-        made = [
-            (equation, rows)
-            for name, kind, equation in self._equations
-            if (rows := make_rows(name, kind, equation, self.candidates, self._terms)) is not None
-        ]
-        self._made = made
+        self._made: list[tuple[list[Equation], list[Rows]]] = []  # of each run, equations and the rows of each
+        for record in records:
+            found = equations(record, model)
+            rows = make_rows(record.run, record.kind, found, self.candidates)
+            pairs = [(bare(equation), own) for equation, own in zip(found, rows, strict=True) if own is not None]
+            self._made.append(([equation for equation, _ in pairs], [own for _, own in pairs]))
+        made = self._rows()
         self.priors = dict(PRIORS)
-        names = {rows.equation for _, rows in made}
+        names = {rows.equation for rows in made}
         if unscaled(names):
             self.candidates = [c for c in self.candidates if c[0] not in GAINS]
             if not names & READINGS:
                 self.priors["torque_constant"] = PINNED
         self.priors.update(dict.fromkeys(self.kept, PINNED))
-        self.stack: Stack = stack([rows for _, rows in made], self.priors)
+        self.stack: Stack = stack(made, self.priors)
         self.weigh_as_usual()
         self.pinned = pinned if pinned is not None else overdue(self.stack, self.settle([])) if made else {}
         if self.pinned:
@@ -133,6 +131,9 @@ class Evidence:
             self.stack = stack(self.stack.rows, self.priors)
         if only is None and made:
             self.add(strongest(self.stack, self.settle([]), self.weights, ORDERS_TRIED))
+
+    def _rows(self) -> list[Rows]:
+        return [rows for _, made in self._made for rows in made]
 
     def weigh_as_usual(self) -> None:
         """Take the noise that shows from row to row, with what a sound model usually leaves beside it."""
@@ -146,7 +147,7 @@ class Evidence:
             self.floors[effect] = max(self.floors.get(effect, 0.0), size)
         self.kept, self.untold = null.kept, null.untold
         self.priors.update(dict.fromkeys(self.kept, PINNED))
-        self.stack = stack([rows for _, rows in self._made], self.priors)
+        self.stack = stack(self._rows(), self.priors)
         self.weigh_as_usual()
 
     def expected(self, rows: Rows) -> float:
@@ -172,9 +173,10 @@ class Evidence:
         if not fresh:
             return
         self.candidates += fresh
-        for equation, rows in self._made:
-            more_columns(rows, equation, fresh, self._terms)
-        self.stack = stack([rows for _, rows in self._made], self.priors)
+        for found, made in self._made:
+            for rows, columns in zip(made, effect_columns(found, fresh), strict=True):
+                more_columns(rows, columns)
+        self.stack = stack(self._rows(), self.priors)
 
     @property
     def weights(self) -> list[float]:

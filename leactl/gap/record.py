@@ -26,6 +26,8 @@ REACH = 2.5  # paces, that values are taken in between over
 BURSTS = (
     0.3  # of a run's time without samples, from which on its stamps come in bursts: a hold, then a step to the next
 )
+PAUSES = 16  # gaps, below which a run pauses or its clock jumps: its stamps do not come in bursts
+PAUSED = 64.0  # times as long as its samples take, that a run may last
 UNBRIDGED = 0.05
 LONG, SMOOTHED = 8, 12  # samples: of a gap that no straight line bridges, and to either side that smoothing carries it
 STRETCHES, EVERY = 16, 8  # of a run, and which of them are taken out of it
@@ -48,6 +50,17 @@ class Clocked:
     counts: dict[Key, float] = field(default_factory=dict)  # smallest step of an angle, next to none if interpolated
     between: dict[Key, tuple[Array, Array]] = field(default_factory=dict)  # stamps and values of one taken in between
     fed: Array | None = None  # degC, of the phases that two leads feed; None where a winding is not told apart
+    begin: float | None = None  # stamp at which the run began, where this is a stretch of it
+    fastest: float = 0.0  # rad/s, or m/s, that the whole run reaches, where this is a stretch of it
+    aside: bool = False  # whether it only says how warm a stretch was, and equations are those of the whole run
+    driven: dict[str, Array] = field(
+        default_factory=dict
+    )  # what all of the drive's clock came to from each stamp on, of a run that is looked at in stretches
+
+    @property
+    def since_begin(self) -> Array:
+        """Time [s] since the run began."""
+        return self.time - (self.time[0] if self.begin is None else self.begin)
 
     def get(self, quantity: str, role: str = "test") -> Array | None:
         """The values, or None where the run has no such channel."""
@@ -89,15 +102,21 @@ class Record:
     setup: dict[str, float]
     notes: list[str] = field(default_factory=list)
     condition: str = ""  # on the bench; empty where the file names none
+    stretch: str = ""  # where in the run it begins; empty where it is the whole run
 
     @property
-    def name(self) -> str:
+    def run(self) -> str:
         """The file without its ending."""
         return self.path.stem
 
+    @property
+    def name(self) -> str:
+        """The run, and which stretch of it."""
+        return self.run + self.stretch
+
     def parted(self) -> tuple["Record", "Record"]:
         """The run without what was measured in two of sixteen stretches, and with nothing but that; inputs stay."""
-        clocks = [clock for clock in (self.fast, self.slow) if clock is not None]
+        clocks = [clock for clock in (self.fast, self.slow) if clock is not None and not clock.aside]
         first, last = min(clock.time[0] for clock in clocks), max(clock.time[-1] for clock in clocks)
 
         def masked(clock: Clocked | None, out: bool) -> Clocked | None:
@@ -123,25 +142,26 @@ def read_record(path: Path) -> Record:
         return record_of(run)
 
 
-def record_of(run: Run) -> Record:
-    """Sort the channels of an open run.
+def record_of(run: Run, channels: list[Channel] | None = None) -> Record:
+    """Sort the channels of an open run, all of them or some.
 
     Raises
     ------
     InputError : channels that cannot be used, or that were condemned; one line each.
     """
-    found = [
-        channel
-        for specs in run.streams.values()
-        for spec in specs
-        if spec.quantity
-        for channel in run.channels(spec.quantity, spec.role)
-    ]
-    unique = {(c.stream, c.quantity, c.role, c.location): c for c in found}
+    if channels is None:
+        found = [
+            channel
+            for specs in run.streams.values()
+            for spec in specs
+            if spec.quantity
+            for channel in run.channels(spec.quantity, spec.role)
+        ]
+        channels = list({(c.stream, c.quantity, c.role, c.location): c for c in found}.values())
     kind = str(run.attributes.get("protocol") or run.mechanical)
     setup = {k: float(v) for k, v in run.setup.items() if isinstance(v, int | float)}
     condition = str(run.attributes.get("condition") or "")
-    return replace(build(run.path, kind, run.mechanical, list(unique.values()), setup), condition=condition)
+    return replace(build(run.path, kind, run.mechanical, channels, setup), condition=condition)
 
 
 def build(path: Path, kind: str, mechanical: str, channels: list[Channel], setup: dict[str, float]) -> Record:
@@ -161,9 +181,14 @@ def build(path: Path, kind: str, mechanical: str, channels: list[Channel], setup
                 notes.append(f"{path.name}: {channel.quantity} of {channel.role} never changes; is the channel alive?")
     if not usable:
         raise InputError(f"{path}: no channel with {FEWEST} samples or more; a diagnosis needs a current or an angle")
-    fast = [c for c in usable if c.quantity not in SLOW and not c.quantity.startswith("line_")]
-    slow = [c for c in usable if c.quantity in SLOW or c.quantity.startswith("line_")]
+    fast = [c for c in usable if not is_slow(c.quantity)]
+    slow = [c for c in usable if is_slow(c.quantity)]
     return Record(path, kind, mechanical, _on_clock(fast, notes, path), _on_clock(slow, notes, path), setup, notes)
+
+
+def is_slow(quantity: str) -> bool:
+    """Whether a channel belongs on the clock of camera and supply."""
+    return quantity in SLOW or quantity.startswith("line_")
 
 
 def of_the_bench(channels: list[Channel]) -> list[Channel]:
@@ -192,6 +217,8 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked 
     leading = max(streams.values(), key=lambda group: (len(group), len(group[0].time)))[0].time
     interval = bridging_interval(leading)
     span = leading[-1] - leading[0]
+    if span > PAUSED * interval * len(leading):
+        raise InputError(f"{path}: {jump_of(leading)}; what it measures cannot be put on one clock")
     grid = leading[0] + interval * np.arange(int(span / interval + 1.5))
     even = is_even(grid, leading)
     if not even and is_even(other := np.linspace(leading[0], leading[-1], len(leading)), leading):
@@ -267,11 +294,19 @@ def bridging_interval(stamps: Array) -> float:
     """The pace of stamps; where they come in bursts, one so slow that all but a twentieth of the time is bridged."""
     steps = np.diff(stamps)
     pace, span = float(np.median(steps)), float(stamps[-1] - stamps[0])
-    if float(steps[steps > REACH * pace].sum()) < BURSTS * span:
+    gaps = steps[steps > REACH * pace]
+    if len(gaps) < PAUSES or float(gaps.sum()) < BURSTS * span:
         return pace
     ordered = np.sort(steps)
     bridged = np.cumsum(ordered)
     return float(ordered[np.searchsorted(bridged, (1.0 - UNBRIDGED) * bridged[-1])] / REACH)
+
+
+def jump_of(stamps: Array) -> str:
+    """The longest gap between stamps, for a person."""
+    steps = np.diff(stamps)
+    at = int(np.argmax(steps))
+    return f"its clock jumps by {steps[at]:.6g} s after {stamps[at] - stamps[0]:.6g} s"
 
 
 def _pace(time: Array) -> float:

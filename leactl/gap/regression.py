@@ -6,13 +6,13 @@ small solve. Rows are weighted by the equation's noise, and counted by how many 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from leactl.effects import library
-from leactl.effects.contract import Form, Signals
+from leactl.effects.contract import Form, Signals, Terms
 from leactl.gap.equations.contract import Equation
 from leactl.gap.smoothing import thinned, thinned_index
 
@@ -48,11 +48,17 @@ class Rows:
     gram: Array | None = None  # over [left_over, columns]; None where it is to be made
 
 
-def make_rows(
-    run: str, kind: str, equation: Equation, candidates: Sequence[Candidate], terms: "TermsOf"
-) -> Rows | None:
-    """Smooth, thin and mask one equation and every column that touches it."""
-    mask = thinned(equation.mask.astype(float), equation.width, equation.step) > 0.999
+def make_rows(run: str, kind: str, equations: Sequence[Equation], candidates: Sequence[Candidate]) -> list[Rows | None]:
+    """Smooth, thin and mask the equations of one run and every column that touches them; None of too few rows."""
+    return [
+        rows_of(run, kind, equation, columns)
+        for equation, columns in zip(equations, effect_columns(equations, candidates), strict=True)
+    ]
+
+
+def rows_of(run: str, kind: str, equation: Equation, effects: dict[Column, Array]) -> Rows | None:
+    """One equation with the columns of effects, which are thinned already."""
+    mask = usable(equation)
     if int(mask.sum()) < FEWEST_ROWS:
         return None
     names: list[Column] = []
@@ -69,13 +75,10 @@ def make_rows(
         names.append(("nuisance", "", name))
         priors[names[-1]] = prior
         raw.append(column)
-    fresh, more = effect_columns(equation, candidates, terms)
-    names += fresh
-    raw += more
     table = thinned(np.stack(raw, axis=1), equation.width, equation.step)[mask]
     index = thinned_index(len(equation.left_over), equation.width, equation.step)[mask]
     left = np.ascontiguousarray(table[:, 0])
-    columns = {name: table[:, k + 1] for k, name in enumerate(names)}
+    columns = {name: table[:, k + 1] for k, name in enumerate(names)} | effects
     interval = equation.signals.interval
     length = max(1.0, 40.0 * equation.step * interval)
     return Rows(
@@ -97,51 +100,60 @@ def make_rows(
     )
 
 
-def effect_columns(
-    equation: Equation, candidates: Sequence[Candidate], terms: "TermsOf"
-) -> tuple[list[Column], list[Array]]:
-    """What effects put into the places of an equation, sample by sample."""
-    found: dict[Column, Array] = {}
+def bare(equation: Equation) -> Equation:
+    """An equation that can still take effects in, without the columns that its rows have already."""
+    return replace(equation, calibration={}, nuisance={}, shared={})
+
+
+def usable(equation: Equation) -> npt.NDArray[np.bool_]:
+    """Which rows of an equation touch no sample that is masked."""
+    return np.asarray(thinned(equation.mask.astype(float), equation.width, equation.step) > 0.999)
+
+
+def effect_columns(equations: Sequence[Equation], candidates: Sequence[Candidate]) -> list[dict[Column, Array]]:
+    """What effects put into the places of each equation of one run, as its rows have it.
+
+    A form's terms are worked out once for all equations on one clock and thinned at once: all columns sample by sample
+    would take far more memory than the runs.
+    """
+    masks = [usable(equation) for equation in equations]
+    found: list[dict[Column, Array]] = [{} for _ in equations]
     for effect, form in candidates:
-        for place, coefficients in terms(equation.signals, effect, form).items():
-            if place not in equation.places:
+        terms: dict[int, Terms] = {}
+        for equation, mask, columns in zip(equations, masks, found, strict=True):
+            if int(mask.sum()) < FEWEST_ROWS:
                 continue
-            for coefficient, column in coefficients.items():
-                key = ("effect", effect, repr(form), coefficient)
-                put = equation.places[place](column)
-                found[key] = found[key] + put if key in found else put
-    return list(found), list(found.values())
+            own = id(equation.signals)
+            if own not in terms:
+                terms[own] = library()[effect].terms(equation.signals, form)
+            for coefficient, column in effect_in(equation, terms[own]).items():
+                rows = thinned(column[:, None], equation.width, equation.step)[mask, 0]
+                columns["effect", effect, repr(form), coefficient] = rows
+    return found
 
 
-def more_columns(rows: Rows, equation: Equation, candidates: Sequence[Candidate], terms: "TermsOf") -> None:
+def effect_in(equation: Equation, terms: Terms) -> dict[str, Array]:
+    """What an effect puts into the places of one equation, sample by sample, for each of its coefficients."""
+    found: dict[str, Array] = {}
+    for place, coefficients in terms.items():
+        if place not in equation.places:
+            continue
+        for coefficient, column in coefficients.items():
+            put = equation.places[place](column)
+            found[coefficient] = found[coefficient] + put if coefficient in found else put
+    return found
+
+
+def more_columns(rows: Rows, fresh: dict[Column, Array]) -> None:
     """Put further forms of effects beside rows that stand."""
-    names, raw = effect_columns(equation, candidates, terms)
-    if not names:
+    if not fresh:
         return
-    table = thinned(np.stack(raw, axis=1), equation.width, equation.step)
-    every = thinned_index(len(equation.left_over), equation.width, equation.step)
-    table = table[np.searchsorted(every, rows.index)]
     before = np.column_stack([rows.left_over, *rows.columns.values()])
-    rows.columns.update({name: table[:, k] for k, name in enumerate(names)})
+    rows.columns.update(fresh)
     if rows.gram is not None:
+        table = np.column_stack(list(fresh.values()))
         cross = before.T @ table
         rows.gram = np.block([[rows.gram, cross], [cross.T, table.T @ table]])
-
-
-class TermsOf:
-    """What effects put where, worked out once for each set of signals."""
-
-    def __init__(self) -> None:
-        self._known: dict[tuple[int, str, Form], dict[str, dict[str, Array]]] = {}
-        self._kept: list[Signals] = []
-
-    def __call__(self, signals: Signals, effect: str, form: Form) -> dict[str, dict[str, Array]]:
-        """Terms of one form of an effect."""
-        key = (id(signals), effect, form)
-        if key not in self._known:
-            self._kept.append(signals)
-            self._known[key] = library()[effect].terms(signals, form)
-        return self._known[key]
 
 
 def white_noise(values: Array) -> float:

@@ -22,7 +22,7 @@ def scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     clocks = [record.fast for record in records if record.fast is not None]
     if clocks:
         found["s"] = min(clock.interval for clock in clocks)
-        lasting = max(float(clock.time[-1] - clock.time[0]) for clock in clocks)
+        lasting = max(float(clock.since_begin[-1]) for clock in clocks)
         speeds = [
             float(np.quantile(np.abs(np.diff(angle)), TOP)) / clock.interval
             for clock in clocks
@@ -69,7 +69,7 @@ def form_scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     found["loop"] = time_constant(bench.current_loop_bandwidth, min(clock.interval for clock in clocks))
     found["velocity filter"] = time_constant(bench.velocity_filter_bandwidth, found["loop"])
     found["torque filter"] = time_constant(bench.torque_filter_bandwidth, found["loop"])
-    turning = [(float(clock.time[-1] - clock.time[0]), speed) for clock in clocks for speed in speeds(clock)]
+    turning = [(float(clock.since_begin[-1]), speed) for clock in clocks for speed in speeds(clock)]
     if turning and (top := max(float(np.quantile(speed, TOP)) for _, speed in turning)) > 0.0:
         found["highest speed"] = top
         found["longest run"] = max(lasting for lasting, speed in turning if np.quantile(speed, TOP) > TURNING * top)

@@ -234,7 +234,15 @@ def _shown(one: Compared) -> slice:
 
 def _notes(jobs: Sequence[Job], channels: Sequence[Compared]) -> tuple[str, ...]:
     notes = [note for job in jobs for note in job.notes]
-    again = sorted({one.run for one in channels if one.restarts})
+    run_of = {job.record.name: job.record.run for job in jobs}
+    limited: dict[str, dict[str, int]] = {}
+    for job in jobs:
+        if job.at_ceiling:
+            limited.setdefault(job.record.path.name, {})[job.record.name] = job.at_ceiling
+    for file, counts in limited.items():
+        total = sum(counts.values())
+        notes.append(f"{file}: {total} samples at the voltage ceiling; the measured current drives the replay there")
+    again = sorted({run_of[one.run] for one in channels if one.restarts})
     if again:
         runs = ", ".join(again)
         notes.append(f"the replay of {runs} starts again every second from the measured state: an angle is an integral")

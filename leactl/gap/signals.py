@@ -45,7 +45,7 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
     if clock is None:
         return None
     dt = clock.interval
-    s = Signals(record.mechanical, clock.time - clock.time[0], model, dt, record.name)
+    s = Signals(record.mechanical, clock.since_begin, model, dt, record.name, clock.fastest)
     current = averaged(clock, "q_axis_current")
     reference = clock.get("q_axis_current_reference")
     if reference is not None and model.bench.current_loop_bandwidth:
@@ -167,6 +167,8 @@ def settled(s: Signals, swing: float) -> Mask:
     above, below, _ = cont2discrete(([rate**2], [1.0, 2.0 * SWING_DAMPING * rate, rate**2]), s.interval, "foh")
     swung = lfilter(above[0], below, force, zi=lfilter_zi(above[0], below) * force[0])[0]  # without friction
     leaps = np.flatnonzero(np.abs(swung - force) > swing * friction)
+    if s.time[0] > 0.0:  # of a stretch of a run nothing says where it stuck before
+        leaps = np.union1d(0, leaps)
     for leap, following in zip(leaps, np.append(leaps, len(force))[1:], strict=True):
         rings = leap + round(RINGS_S / s.interval)
         after = force[rings:following]
@@ -212,7 +214,7 @@ def slow_signals(record: Record, model: Model) -> Signals | None:
     clock = record.slow
     if clock is None:
         return None
-    s = Signals(record.mechanical, clock.time - clock.time[0], model, clock.interval, record.name)
+    s = Signals(record.mechanical, clock.since_begin, model, clock.interval, record.name)
     s.extra["stamps"] = clock.time
     raw = {
         name: clock.get(f"{name}_temperature", "bench" if name == "ambient" else "test")
@@ -223,7 +225,10 @@ def slow_signals(record: Record, model: Model) -> Signals | None:
     winding, housing, ambient = raw["winding"], raw["housing"], raw["ambient"]
     s.ambient = smooth(ambient, width) if ambient is not None else None
     s.housing = smooth(housing, width) if housing is not None else None
-    if winding is not None:
+    if winding is not None and clock.aside:
+        s.winding = smooth(winding, width)
+        s.winding_rise = s.winding - model.reference_temperature
+    elif winding is not None:
         s.winding = smooth(winding, width)
         motion(record, s, clock.time)
         s.winding_rise = s.winding - model.reference_temperature
@@ -266,6 +271,11 @@ def following(thermal: Thermal, interval: float, heat: Array, ambient: Array, me
 
 def motion(record: Record, s: Signals, stamps: Array) -> None:
     """Mean squares of current and speed over the intervals of the slow clock."""
+    if record.slow is not None and record.slow.driven:
+        s.extra |= {name: values for name, values in record.slow.driven.items() if name.startswith("current")}
+        if (squared := record.slow.driven.get("speed_squared")) is not None:
+            s.velocity = np.sqrt(squared)
+        return
     if record.fast is None:
         return
     current, angle = record.fast.get("q_axis_current"), record.fast.get("angle")

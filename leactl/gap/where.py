@@ -238,12 +238,12 @@ def variable_of(record: Record, one: Compared, variable: str) -> Array | None:
         if clock is None or (speed := speed_of(clock)) is None:
             return None
         series = np.sign(speed) if variable == "direction" else since_reversal(speed, clock.interval)
-        return np.interp(one.time, clock.time - clock.time[0], series)
+        return np.interp(one.time, clock.since_begin, series)
     for at in (record.fast, record.slow):
         if at is not None and (values := at.get(variable)) is not None:
-            return np.interp(one.time, at.time - at.time[0], values)
+            return np.interp(one.time, at.since_begin, values)
     if variable == "velocity" and clock is not None and (speed := speed_of(clock)) is not None:
-        return np.interp(one.time, clock.time - clock.time[0], speed)
+        return np.interp(one.time, clock.since_begin, speed)
     return None
 
 

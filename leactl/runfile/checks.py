@@ -73,25 +73,31 @@ def faults_of_numbers(place: str, found: dict[str, Any]) -> list[str]:
 
 def faults_of_time(place: str, time: Any) -> list[str]:
     """Whether the stamps are finite and increase strictly, with the row where they first do not."""
-    stamps = time[:]
-    good = increasing_rows(stamps)
-    if good == len(stamps):
+    good = increasing_rows(time, len(time))
+    if good == len(time):
         return []
-    before = f" after {stamps[good - 1]!s}" if good else ""
-    return [f"{place}[{good}]: {stamps[good]!s}{before}; time must be finite and increase strictly"]
+    before = f" after {time[good - 1]!s}" if good else ""
+    return [f"{place}[{good}]: {time[good]!s}{before}; time must be finite and increase strictly"]
 
 
-def increasing_rows(stamps: np.ndarray[Any, Any]) -> int:
-    """How many stamps from the start are finite and increase strictly."""
-    wrong = ~np.isfinite(stamps)
-    wrong[1:] |= ~(stamps[1:] > stamps[:-1])
-    return int(np.argmax(wrong)) if wrong.any() else len(stamps)
+def increasing_rows(time: Any, rows: int) -> int:
+    """How many of so many stamps from the start are finite and increase strictly; read block by block."""
+    before = -math.inf
+    for start in range(0, rows, layout.BLOCK_ROWS):
+        stamps = time[start : min(start + layout.BLOCK_ROWS, rows)]
+        wrong = ~np.isfinite(stamps)
+        wrong[1:] |= ~(stamps[1:] > stamps[:-1])
+        wrong[0] |= ~(stamps[0] > before)
+        if wrong.any():
+            return start + int(np.argmax(wrong))
+        before = stamps[-1]
+    return rows
 
 
 def whole_rows(group: Any) -> int:
     """Rows that every column has and that have a stamp: where a file left by a kill is cut."""
     shortest = min(len(column) for column in group.values())
-    return increasing_rows(group["time"][:shortest])
+    return increasing_rows(group["time"], shortest)
 
 
 def uneven_tables(file: Any) -> list[str]:

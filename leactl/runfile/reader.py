@@ -209,7 +209,11 @@ class Run:
 
     def time(self, stream: str) -> Array:
         """Stamps of one stream."""
-        return np.asarray(self._column(stream, "time", 0, self.rows[stream]), np.float64)
+        return self.values(stream, "time", 0, self.rows[stream])
+
+    def values(self, stream: str, name: str, start: int, stop: int) -> Array:
+        """Some rows of a channel of one stream, or of its `time`."""
+        return np.asarray(self._column(stream, name, start, stop), np.float64)
 
     def blocks(self, stream: str, rows: int = layout.BLOCK_ROWS) -> Iterator[dict[str, npt.NDArray[Any]]]:
         """The stream's columns as stored, `time` first, so many rows at a time."""
@@ -239,11 +243,15 @@ class Run:
         return ", ".join(sorted(named)) or "no channel"
 
     def _read(self, stream: str, spec: ChannelSpec) -> Channel:
+        return self.section(stream, spec, 0, self.rows[stream])
+
+    def section(self, stream: str, spec: ChannelSpec, start: int, stop: int) -> Channel:
+        """Some rows of a channel."""
         if reason := self.condemned.get(f"{stream}/{spec.name}"):
             raise InputError(reason)
         return Channel(
-            time=self.time(stream) + spec.skew_s,
-            values=np.asarray(self._column(stream, spec.name, 0, self.rows[stream]), np.float64),
+            time=self.values(stream, "time", start, stop) + spec.skew_s,
+            values=self.values(stream, spec.name, start, stop),
             quantity=spec.quantity,
             role=spec.role,
             units=spec.units,

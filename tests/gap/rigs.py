@@ -1,26 +1,32 @@
-"""Rigs drawn at random: any channels, any rate, models that lack what many lack, records as bad as they come."""
+"""Rigs drawn at random: any channels, any rate, models that lack what many lack, records as bad as they come.
+
+One in twenty runs for minutes or hours: what a joint does in a few thousand samples again and again, in files.
+"""
 
 from dataclasses import replace
-from pathlib import Path
 
+import h5py
 import numpy as np
 
 from leactl.gap.diagnose import Case, split
 from leactl.gap.record import build
+from leactl.gap.stretches import read_records
 from leactl.model.nominal import Model
+from leactl.runfile import layout
 from tests.gap import joints
 
 RATES = (20.0, 50.0, 100.0, 250.0, 400.0, 1000.0, 2000.0, 5000.0, 20000.0)  # Hz
 LENGTHS = (0.2, 2.0, 6.0, 20.0, 60.0)  # s
-MOST = 8000  # samples of a run
+MOST = 8000  # samples of a run that is simulated
+LONG, LONG_LENGTHS, LONGEST = 0.05, (120.0, 1200.0, 7200.0), 1_000_000  # share of the rigs, s, samples of a run
 KINDS = ("multisine", "levels", "ramp")
 QUANTITIES = ("q_axis_current", "q_axis_current_reference", "velocity", "angle")
 DAMAGES = ("none", "nan", "gap", "jitter", "coarse", "constant", "wrapped", "clipped", "short", "repeated")
 PARAMETERS = ("torque_constant", "rotor_inertia", "viscous_damping", "coulomb_friction", "back_emf_constant")
 
 
-def drawn_rig(seed):
-    """A case of one to six runs.
+def drawn_rig(seed, folder):
+    """A case of one to six runs; long ones are written into a folder and read again.
 
     Raises
     ------
@@ -35,15 +41,52 @@ def drawn_rig(seed):
     log = joints.Log() if random.random() < 0.3 else joints.drawn_log(random)
     lacking = {quantity for quantity in QUANTITIES if random.random() < 0.25}
     damage, mechanical = random.choice(DAMAGES), random.choice(["free", "free", "free", "locked", "coupled"])
-    records = []
+    again, lasts = np.random.default_rng([78, seed]), 0.0
+    if again.random() < LONG:
+        seconds, lasts = MOST / 2 / rate, float(again.choice(LONG_LENGTHS))
+    made, rows = round(seconds * rate), min(round(lasts * rate), LONGEST)
+    records, written = [], []
     for index, kind in enumerate(random.choice(KINDS, int(random.choice([1, 2, 3, 6])))):
         whole = joints.channels(joint, log, str(kind), random, seconds=seconds)
+        whole = [lengthened(channel, rows, rate) for channel in whole] if rows > made else whole
         kept = [channel for channel in whole if channel.quantity not in lacking]
         kept += more_channels(kept, joint, mechanical, random)
         spoilt = [damaged(channel, damage, joint, random) for channel in kept]
-        records.append(build(Path(f"{kind}-{index}.h5"), str(kind), str(mechanical), spoilt, {}))
+        path = folder / f"{kind}-{index}.h5"
+        if rows > made:
+            write(path, str(kind), str(mechanical), spoilt)
+            written.append(path)
+        else:
+            records.append(build(path, str(kind), str(mechanical), spoilt, {}))
+    records += [record for several in read_records(written).values() for record in several]
     fitted, held_out = split(records)
     return Case(poor_model(joint, mechanical, random), fitted, held_out)
+
+
+def lengthened(channel, rows, rate):
+    """A channel that goes on and on; an angle from where it is."""
+    times = -(-rows // len(channel.values))
+    values = np.tile(channel.values, times)[:rows]
+    if channel.quantity == "angle":
+        further = channel.values[-1] - channel.values[0]
+        values = values + np.repeat(np.arange(times) * further, len(channel.values))[:rows]
+    return replace(channel, time=(np.arange(rows) + 1) / rate, values=values)
+
+
+def write(path, kind, mechanical, channels):
+    """A run file with a stream for every clock."""
+    with h5py.File(path, "w", libver=layout.HDF5_FORMAT) as file:
+        file.attrs.update({"format": layout.FORMAT, "format_version": layout.VERSION, "protocol": kind})
+        file.create_group("setup").attrs["mechanical"] = mechanical
+        streams = file.create_group("streams")
+        for channel in channels:
+            stream = next((one for one in streams.values() if np.array_equal(one["time"][:], channel.time)), None)
+            if stream is None:
+                stream = streams.create_group(f"clock{len(streams)}")
+                stream["time"] = channel.time
+            column = stream.create_dataset(channel.quantity, data=channel.values)
+            told = ("quantity", "role", "units", "device", "long_name", "sampling")
+            column.attrs.update({name: getattr(channel, name) for name in told if getattr(channel, name)})
 
 
 def more_channels(channels, joint, mechanical, random):

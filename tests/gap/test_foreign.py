@@ -13,7 +13,7 @@ from leactl.gap.equations import equations
 from leactl.gap.evidence import PRIORS
 from leactl.gap.orders import strongest
 from leactl.gap.record import read_record
-from leactl.gap.regression import Normal, TermsOf, make_rows, residuals, stack
+from leactl.gap.regression import Normal, make_rows, residuals, stack
 from leactl.gap.servo.ladder import climb
 from leactl.gap.servo.runs import servo_runs
 from leactl.gap.servo.simulation import replay, table
@@ -40,8 +40,7 @@ def nominal(name):
 
 
 def rows_of(records, model, hypothesis=()):
-    terms = TermsOf()
-    made = [make_rows(r.name, r.kind, e, hypothesis, terms) for r in records for e in equations(r, model)]
+    made = [rows for r in records for rows in make_rows(r.name, r.kind, equations(r, model), hypothesis)]
     return [rows for rows in made if rows is not None]
 
 

@@ -14,10 +14,10 @@ DRAWN = int(os.environ.get("RIGS", "2000"))
 LONGEST_S = 60.0  # of processor time, for one of at most 48,000 samples
 
 
-def answered(seed):
+def answered(seed, folder):
     """The verdict on a drawn rig, or the faults it is refused with."""
     try:
-        found = diagnose(drawn_rig(seed))
+        found = diagnose(drawn_rig(seed, folder))
     except InputError as error:
         assert error.faults
         assert all("\n" not in fault for fault in error.faults)
@@ -28,16 +28,16 @@ def answered(seed):
 
 
 @pytest.mark.parametrize("seed", [1001, 1006, 1038, 1039])
-def test_a_drawn_rig_is_answered_or_refused(seed):
-    assert answered(seed) in (*VERDICTS, "refused")
+def test_a_drawn_rig_is_answered_or_refused(seed, tmp_path):
+    assert answered(seed, tmp_path) in (*VERDICTS, "refused")
 
 
 @pytest.mark.long
-def test_of_thousands_of_drawn_rigs_none_fails():
+def test_of_thousands_of_drawn_rigs_none_fails(tmp_path):
     told, longest = [], 0.0
     for seed in range(1000, 1000 + DRAWN):
         begin = time.process_time()
-        told.append(answered(seed))
+        told.append(answered(seed, tmp_path))
         longest = max(longest, time.process_time() - begin)
     assert longest < LONGEST_S
     print(f"{longest:.0f} s", {verdict: told.count(verdict) for verdict in sorted(set(told))})

@@ -132,6 +132,23 @@ def test_a_period_is_told_from_leaps_and_never_from_a_motion():
     assert period_of(np.sign(np.sin(time))) == 0.0 or period_of(100.0 * np.sin(time)) == 0.0
 
 
+def test_an_angle_that_flickers_at_rest_is_not_wrapped():
+    assert period_of(1e-4 * (np.arange(4000) % 7 == 0)) == 0.0
+
+
+def test_a_reference_that_holds_a_level_is_not_frozen(cases):
+    joint, given = cases[0]
+    random = np.random.default_rng(1)
+
+    def held(values, top):
+        flowing = np.where(np.arange(len(values)) < len(values) // 2, values, 0.8 * top)
+        return flowing if len(np.unique(values)) < 20 else flowing + 2e-3 * top * random.standard_normal(len(values))
+
+    levels = replace(given, fitted=[given.fitted[1]], held_out=[given.held_out[1]])
+    both = spoilt(levels, joint, ["q_axis_current", "q_axis_current_reference"], held)
+    assert samples.frozen([*both.fitted, *both.held_out], given.model) is None
+
+
 def test_the_page_has_the_numbers_of_the_code():
     page = re.sub(r"\s+", " ", (DOCS / "gap.md").read_text(encoding="utf-8"))
     assert f"stands still over {100 * samples.FROZEN:.0f} % of a run" in page

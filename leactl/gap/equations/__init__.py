@@ -41,7 +41,7 @@ def equations(record: Record, model: Model) -> list[Equation]:
         if fed_by_voltage(record, model) is not None:
             # each test of a voltage is a kind by itself: one run's own noise would let it fit that run and no other
             found = [replace(equation, kind=VOLTAGE) for equation in found]
-    if slow is not None:
+    if slow is not None and record.slow is not None and not record.slow.aside:
         line = electrical.line_voltage(record, slow)
         found += ([line] if line is not None else []) + thermal.temperatures(record, slow)
     return found

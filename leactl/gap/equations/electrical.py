@@ -103,7 +103,7 @@ def current(record: Record, s: Signals) -> Equation | None:
     mask = clock.all_valid(("q_axis_current", "test"), ("q_axis_current_reference", "test"))
     mask &= smooth(at_ceiling(clock, s.model).astype(float), RECOVERS) < 1e-3
     settles = 1.0 / (2.0 * math.pi * (s.model.bench.current_loop_bandwidth or math.inf))
-    mask &= s.time > BEGINS * settles + TAPS[-1] * s.interval
+    mask &= s.time - s.time[0] > BEGINS * settles + TAPS[-1] * s.interval
     change = slope(s.following, s.interval)
     nuisance = {"current_stamp_s": (-change, STAMPED * s.interval)}
     if moved_by_a_servo(clock):

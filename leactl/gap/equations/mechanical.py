@@ -20,7 +20,8 @@ STICKING_PRIOR = 0.5  # of nominal Coulomb friction
 def moving(s: Signals, velocity: Array, reach: float) -> Mask:
     """Samples around which the shaft turns one way, by half a count of the encoder a sample or more."""
     speed = np.abs(velocity)
-    slowest = max(0.5 * s.count / s.interval, SLOW_SHARE * float(np.quantile(speed, 0.999)))
+    fastest = max(s.fastest, float(np.quantile(speed, 0.999)))
+    slowest = max(0.5 * s.count / s.interval, SLOW_SHARE * fastest)
     return np.asarray(smooth((speed < slowest).astype(float), reach) < 1e-3)
 
 

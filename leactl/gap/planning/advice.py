@@ -9,7 +9,8 @@ from leactl.errors import InputError
 from leactl.gap.evidence import Evidence
 from leactl.gap.planning.records import planned_record, usual_noise
 from leactl.gap.planning.reveal import Sight, planned_candidates, sights
-from leactl.gap.record import Record, read_record
+from leactl.gap.record import Record
+from leactl.gap.stretches import read_records
 from leactl.model.nominal import read_model
 from leactl.protocol import protocolfile
 from leactl.protocol.plan import Plan
@@ -72,7 +73,7 @@ def advise(model_file: Path, runs: Sequence[Path], protocols: Sequence[str], noi
     """
     model, _ = read_model(model_file)
     spread = usual_noise() | dict(noise)
-    given = [read_record(path) for path in runs]
+    given = [record for several in read_records(runs).values() for record in several]
     plans = [protocolfile.load(name) for name in protocols]
     known = {plan.name for plan in plans}
     further = [plan for name in protocolfile.names() if (plan := protocolfile.load(name)).name not in known]
@@ -88,9 +89,9 @@ def advise(model_file: Path, runs: Sequence[Path], protocols: Sequence[str], noi
         raise InputError(["there is nothing to plan with", *notes])
     planned = [*given, *(record for _, record in extra)]
     evidence = Evidence(planned, model, only=planned_candidates(planned, model))
-    base = [record.name for record in given]
+    base = [record.run for record in given]
     now = sights(evidence, base)
-    experiments = [experiment(plan, now, sights(evidence, [*base, record.name])) for plan, record in extra]
+    experiments = [experiment(plan, now, sights(evidence, [*base, record.run])) for plan, record in extra]
     useful = sorted((e for e in experiments if e.gain > 0.0), key=lambda e: -e.gain)
     shown = {s.effect for s in now if s.seen}.union(*(e.shows for e in useful))
     return Advice(tuple(now), tuple(useful), tuple(s.effect for s in now if s.effect not in shown), tuple(notes))

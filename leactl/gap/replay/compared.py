@@ -84,7 +84,7 @@ def _compared(
     if len(index) < 2:
         return None
     left = [values[index] - row[index] for row in rows[:-1]]
-    time = clock.time - clock.time[0]
+    time = clock.since_begin
     length = BLOCK_S if clock is record.fast else max(BLOCK_S, float(time[-1]) / FEWEST_BLOCKS)
     block = (time[index] / length).astype(np.intp)
     noise = max(min(white(residual) for residual in left), quantum_of(values) / np.sqrt(12.0))

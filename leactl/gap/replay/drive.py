@@ -63,11 +63,7 @@ def where_measured(job: Job, reading: Array, mean: Array) -> tuple[Array, Array]
     found, beyond = measured(job, "test"), at_ceiling(job.clock, job.plant.model) & ~unasked
     if found is None or not (beyond | unasked).any():
         return reading, mean
-    if beyond.any():
-        job.notes.append(
-            f"{job.record.path.name}: {int(beyond.sum())} samples at the voltage ceiling; the measured current drives"
-            " the replay there"
-        )
+    job.at_ceiling = int(beyond.sum())
     near = unasked | (np.convolve(beyond, np.ones(2 * RECOVERS + 1), "same") > 0)
     steps = np.repeat(near[1:], job.parts)
     instants = np.concatenate([steps[:1], steps])

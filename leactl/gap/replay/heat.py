@@ -36,11 +36,11 @@ def warm(jobs: Sequence[Job]) -> None:
 def has_network(job: Job) -> bool:
     """Whether a run's temperatures can be replayed."""
     clock, model = job.record.slow, job.plant.model
-    if clock is None or model.thermal is None or model.phase_resistance is None:
+    if clock is None or clock.aside or model.thermal is None or model.phase_resistance is None:
         return False
     if clock.get("winding_temperature") is None or clock.get("ambient_temperature", "bench") is None:
         return False
-    return clock.get("line_current") is not None or job.current is not None
+    return clock.get("line_current") is not None or job.current is not None or "current_squared" in clock.driven
 
 
 class Network:
@@ -81,6 +81,8 @@ class Network:
         resistance, line = self.job.plant.model.phase_resistance or 0.0, self.clock.get("line_current")
         if line is not None:
             return 2.0 * resistance * line**2 * self._fed_share()
+        if "current_squared" in self.clock.driven:
+            return resistance * self.clock.driven["current_squared"]
         assert self.job.current is not None
         squared = self.job.current[:: self.job.parts] ** 2
         return resistance * binned(self.job.clock.time, squared, self.clock.time)
@@ -97,6 +99,8 @@ class Network:
     def _speed(self) -> Array:
         """Measured speed [rad/s], as root mean square over the interval that begins at each sample."""
         fast = self.job.record.fast
+        if "speed_squared" in self.clock.driven:
+            return np.sqrt(self.clock.driven["speed_squared"])
         if fast is None or self.job.record.mechanical in ("locked", "heated"):
             return np.zeros(len(self.clock.time))
         speed = fast.get("velocity")

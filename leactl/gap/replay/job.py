@@ -12,6 +12,11 @@ Array = npt.NDArray[np.float64]
 FINEST_S = 2.5e-4  # sub-step: a ninth of a period of the stiff shaft between two coupled rotors (350 Hz)
 
 
+def parts_of(interval: float) -> int:
+    """Sub-steps in a sample."""
+    return max(1, int(np.ceil(interval / FINEST_S - 1e-6)))
+
+
 @dataclass
 class Job:
     """A run, a bench, and the replay as it grows: current, temperatures, motion, readings."""
@@ -34,6 +39,7 @@ class Job:
     first: int = 0  # sample at which the motion starts
     fast: dict[Key, Array] = field(default_factory=dict)  # what the channels of the fast clock read
     slow: dict[Key, Array] = field(default_factory=dict)
+    at_ceiling: int = 0  # samples at the ceiling of its voltage, where the measured current drives it
     restarts: bool = False  # whether the motion starts again every second
     notes: list[str] = field(default_factory=list)
 
@@ -46,7 +52,7 @@ class Job:
     @property
     def parts(self) -> int:
         """Sub-steps in a sample."""
-        return max(1, int(np.ceil(self.clock.interval / FINEST_S - 1e-6)))
+        return parts_of(self.clock.interval)
 
     @property
     def step(self) -> float:
@@ -55,7 +61,7 @@ class Job:
 
     def course(self) -> Course:
         """The run at its samples, as effects ask for it before its motion is known."""
-        time = self.clock.time - self.clock.time[0]
+        time = self.clock.since_begin
         none = np.zeros_like(time)
         housing = self.housing if self.housing is not None else none + self.plant.model.reference_temperature
         return Course(time, self.clock.interval, none, housing)

@@ -28,6 +28,7 @@ from leactl.gap.replay.lanes import Motion, State, stepped
 from leactl.gap.replay.starting import starting_motion
 
 SLOWEST_S = 0.05  # interval of samples, beyond which a start is lost before it is measured
+SETTLED_AFTER = 128  # passes, beyond which a locked rotor that never slides may begin a stretch where it was guessed
 FORGOTTEN_AFTER = 3  # passes, after which a tracked rotor knows nothing of where it began
 CLOSE = 3e-4  # of the largest torque, by which a stretch may begin off the end of the one before
 
@@ -149,7 +150,8 @@ def settle(cuts: Sequence[Cut], kind: str) -> None:
     """Step the stretches of locked or tracked rotors until each begins where the one before it ended."""
     picked: list[Index] = [np.arange(cut.count) for cut in cuts]
     starts = [resting(cut) if kind == "locked" else start_of(cut, kind) for cut in cuts]
-    for _ in range(max(cut.count for cut in cuts) + 1 if kind == "locked" else FORGOTTEN_AFTER):
+    passes = min(max(cut.count for cut in cuts) + 1, SETTLED_AFTER) if kind == "locked" else FORGOTTEN_AFTER
+    for _ in range(passes):
         motion = run(cuts, picked, [start.picked(lanes) for start, lanes in zip(starts, picked, strict=True)])
         keep(cuts, picked, motion)
         wrong: list[Index] = []

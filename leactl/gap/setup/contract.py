@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -48,9 +47,9 @@ def with_values(record: Record, key: Key, values: Array) -> Record:
     return replace(record, fast=replace(clock, values=clock.values | {key: values}, between=between))
 
 
-def left_out(record: Record, key: Key, masks: Mapping[Path, Mask]) -> Record:
-    """A record without some samples of a channel; without the channel where all of them are."""
-    clock, out = record.fast, masks.get(record.path)
+def left_out(record: Record, key: Key, masks: Mapping[str, Mask]) -> Record:
+    """A record without some samples of a channel, masked by the record's name; without it where all of them are."""
+    clock, out = record.fast, masks.get(record.name)
     if clock is None or out is None or key not in clock.values:
         return record
     if not out.all():

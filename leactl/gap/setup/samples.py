@@ -1,15 +1,14 @@
 """Faults that a channel's own samples show: wrapped, frozen, repeated, clipped."""
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from leactl.gap.diagnosis import EffectParameter
 from leactl.gap.noise import noise_of
-from leactl.gap.record import Clocked, Key, Record
+from leactl.gap.record import Clocked, Key, Record, smallest_step
 from leactl.gap.setup.contract import SetUpFault, left_out, with_values
 from leactl.model.nominal import Model
 
@@ -19,6 +18,7 @@ MEASURED = ("q_axis_current", "velocity", "torque", "q_axis_voltage")  # that no
 SEEN = 0.99  # probability of what samples show by themselves
 ALIKE = 0.1  # of a period, by which leaps of a wrapped channel differ
 LEAPS = 0.6  # of a channel's whole range, from which a step from one sample to the next is a leap
+TURN = 16.0  # steps of an encoder, below which a leap is an angle at rest that flickers
 FROZEN = 0.3  # of a record, from which a channel that stands still is no rest
 MOVES = 0.2  # of its usual deviation, that a companion has to have meanwhile
 LONGEST_REST = 100  # samples
@@ -35,11 +35,11 @@ COMPANIONS = {
 """Channels, and what does not move without them."""
 
 
-def channels_of(records: Sequence[Record], quantities: Collection[str]) -> Iterator[tuple[Key, dict[Path, Clocked]]]:
-    """Every channel of these quantities with the clocks of the runs that have it."""
-    clocks = {record.path: record.fast for record in records if record.fast is not None}
+def channels_of(records: Sequence[Record], quantities: Collection[str]) -> Iterator[tuple[Key, dict[str, Clocked]]]:
+    """Every channel of these quantities with the clocks of the records that have it, by their names."""
+    clocks = {record.name: record.fast for record in records if record.fast is not None}
     for key in sorted({key for clock in clocks.values() for key in clock.values if key[0] in quantities}):
-        yield key, {path: clock for path, clock in clocks.items() if key in clock.values}
+        yield key, {name: clock for name, clock in clocks.items() if key in clock.values}
 
 
 def share_of(masks: Iterable[Mask]) -> str:
@@ -70,7 +70,7 @@ def period_of(values: Array) -> float:
     """The period by which values leap, zero where they do not."""
     steps, whole = np.diff(values), float(np.ptp(values))
     leaps = np.abs(steps[np.abs(steps) > LEAPS * whole])
-    if len(leaps) < 2:
+    if len(leaps) < 2 or float(np.median(leaps)) < TURN * smallest_step(values):
         return 0.0
     period = float(np.median(leaps)) + float(np.median(np.abs(steps)))
     near = 2.0 * np.pi if abs(period / (2.0 * np.pi) - 1.0) < ALIKE else period
@@ -79,17 +79,27 @@ def period_of(values: Array) -> float:
 
 def frozen(records: Sequence[Record], _: Model) -> SetUpFault | None:
     """A channel that stands still for long while what must move with it does."""
-    mechanical = {record.path: record.mechanical for record in records}
+    mechanical = {record.name: record.mechanical for record in records}
     for key, clocks in channels_of(records, COMPANIONS):
-        if all(may_rest(key, mechanical[path]) for path in clocks):
+        if all(may_rest(key, mechanical[name]) for name in clocks):
             continue
-        rests = {path: rest_of(clock, key) for path, clock in clocks.items() if not may_rest(key, mechanical[path])}
-        still = {path: rest for path, rest in rests.items() if rest.any()}
+        rests = {name: rest_of(clock, key) for name, clock in clocks.items() if not may_rest(key, mechanical[name])}
+        still = lasting(rests, {record.name: record.run for record in records})
         if still:
             evidence = f"stands still over {share_of(rests.values())} of its samples while {COMPANIONS[key[0]]} moves"
             change = "look at its wire and its column; these samples are left out"
             return SetUpFault("frozen_channel", key, SEEN, evidence, change, partial(left_out, key=key, masks=still))
     return None
+
+
+def lasting(rests: Mapping[str, Mask], runs: Mapping[str, str]) -> dict[str, Mask]:
+    """The rests of runs that rest long enough, over all the stretches that are looked at of each."""
+    found: dict[str, Mask] = {}
+    for run in {runs[name] for name in rests}:
+        own = {name: rest for name, rest in rests.items() if runs[name] == run}
+        if float(np.mean(np.concatenate(list(own.values())))) >= FROZEN:
+            found |= {name: rest for name, rest in own.items() if rest.any()}
+    return found
 
 
 def may_rest(key: Key, mechanical: str) -> bool:
@@ -111,6 +121,8 @@ def rest_of(clock: Clocked, key: Key) -> Mask:
     if key[0] not in ("angle", "velocity"):
         moving = companion - companion.mean()
     usual, meanwhile = (float(np.sqrt(np.mean(part**2))) for part in (moving, moving[begin : end + 1]))
+    if key[0] not in ("angle", "velocity"):
+        meanwhile = float(np.std(moving[begin : end + 1]))  # one that holds another level than usual does not move
     if usual == 0.0 or meanwhile < MOVES * usual or noise_of(companion) > 0.5 * float(np.std(companion)):
         return found
     found[begin : end + 1] = True
@@ -164,10 +176,11 @@ def again(clock: Clocked, key: Key) -> Mask:
 def clipped(records: Sequence[Record], _: Model) -> SetUpFault | None:
     """A measured channel that stands at an end of its range, sample after sample, where noise should move it."""
     for key, clocks in channels_of(records, MEASURED):
-        topped = {path: top for path, clock in clocks.items() if (top := at_ends(clock, key)).any()}
+        topped = {name: top for name, clock in clocks.items() if (top := at_ends(clock, key)).any()}
         if topped:
-            level = max(float(np.max(np.abs(clocks[path].values[key]))) for path in topped)
-            evidence = f"stands at {level:.6g} over {share_of(topped.values())} of the samples of {len(topped)} runs"
+            level = max(float(np.max(np.abs(clocks[name].values[key]))) for name in topped)
+            runs = len({record.run for record in records if record.name in topped})
+            evidence = f"stands at {level:.6g} over {share_of(topped.values())} of the samples of {runs} runs"
             parameters = (EffectParameter("level", level, 0.0, next(iter(clocks.values())).units.get(key, "")),)
             mend = partial(left_out, key=key, masks=topped)
             change = "widen its range; these samples are left out"
