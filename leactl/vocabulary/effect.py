@@ -25,6 +25,8 @@ class ParameterDefinition(BaseModel):
     default: float | None = None  # of a shape that may be left out
 
 
+Rig = Literal["bench", "servo"]
+"""The bench and what is alike, whose drives follow a current or speed; a servo that keeps its position by itself."""
 DIMENSIONLESS = ("1", "rad", "share of the limit")
 """Units of parameters whose range holds for a machine of any size."""
 
@@ -43,6 +45,7 @@ class EffectDefinition(BaseModel):
     model_config = STRICT
     effect: str
     family: Literal["machine", "sensor", "drive", "thermal"]
+    rig: Rig = "bench"  # that can show it
     meaning: str
     parameters: dict[str, ParameterDefinition]
     acts_over: tuple[Variable, ...] = Field(min_length=1)  # of several, that which its own part in a channel follows
@@ -69,6 +72,12 @@ def effect_names() -> tuple[str, ...]:
     """Identifiers of all effects, sorted."""
     folder = resources.files("leactl.vocabulary") / "effects"
     return tuple(sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml")))
+
+
+@cache
+def effects_on(rig: Rig) -> tuple[str, ...]:
+    """Identifiers of the effects that a rig can show, sorted."""
+    return tuple(name for name in effect_names() if effect_definition(name).rig == rig)
 
 
 @cache

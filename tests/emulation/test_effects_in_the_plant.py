@@ -1,4 +1,4 @@
-"""Each of the 37 effects does in the stepped plant what its definition says, whatever form it has there."""
+"""Each effect of the bench does in the stepped plant what its definition says, whatever form it has there."""
 
 import math
 from dataclasses import replace
@@ -13,7 +13,7 @@ from leactl.emulation.stepped_heating import heat
 from leactl.emulation.stepped_lanes import Lane
 from leactl.emulation.stepped_run import Signals
 from leactl.emulation.stepped_sensors import Sensors, Spread
-from leactl.vocabulary.effect import effect_definition, effect_names
+from leactl.vocabulary.effect import effect_definition, effects_on
 
 LEA = ActuatorParameters()
 FLYWHEEL = replace(LEA, rotor_inertia=1e4, coulomb_friction=0.0, viscous_damping=0.0)  # holds any speed
@@ -23,8 +23,8 @@ KT, F, B = 0.49, 0.208, 0.0238
 
 def test_all_definitions_have_a_form_with_their_parameters():
     known = known_effects()
-    assert set(effect_names()) <= set(known)
-    for name in effect_names():
+    assert set(effects_on("bench")) <= set(known)
+    for name in effects_on("bench"):
         definition = effect_definition(name)
         own = {parameter: entry for parameter, entry in definition.parameters.items() if entry.default is None}
         lowest = {parameter: entry.low for parameter, entry in own.items()}
@@ -32,7 +32,7 @@ def test_all_definitions_have_a_form_with_their_parameters():
         for parameters in (lowest, highest):  # both ends of the vocabulary's ranges are within what the form takes
             effect = make_effect(name, parameters)
             assert {key: value for key, value in vars(effect).items() if key != "role"} == parameters
-    assert set(CHECKS) == set(effect_names())
+    assert set(CHECKS) == set(effects_on("bench"))
 
 
 class Record:
@@ -417,15 +417,15 @@ def as_signals(record):
     return Signals(thin, thin, thin, thin, record.angle, thin, thin, thin, thin, thin[:1], thin[:1])
 
 
-CHECKS = {name: thing for name, thing in list(globals().items()) if name in effect_names() and callable(thing)}
+CHECKS = {name: thing for name, thing in list(globals().items()) if name in effects_on("bench") and callable(thing)}
 
 
-@pytest.mark.parametrize("name", effect_names())
+@pytest.mark.parametrize("name", effects_on("bench"))
 def test_effect_does_what_its_definition_says(name):
     CHECKS[name]()
 
 
-@pytest.mark.parametrize("name", effect_names())
+@pytest.mark.parametrize("name", effects_on("bench"))
 def test_effect_of_no_size_leaves_the_plant_as_it_is(name):
     """At the neutral value of its parameters an effect changes nothing, so what it changes comes from its size."""
     effect = make_effect(name, NEUTRAL.get(name))

@@ -15,10 +15,10 @@ from leactl.gap.notes import gathered
 from leactl.gap.record import build
 from leactl.gap.ringing import ringing
 from leactl.runfile.reader import Channel
-from leactl.vocabulary.effect import effect_definition, effect_names
+from leactl.vocabulary.effect import effect_definition, effects_on
 
 SEED, FEW = 16, 3  # of what no effect explains: the resonator is among the first three
-EVERY = effect_names()
+EVERY = effects_on("bench")
 OFTEN = (*EVERY[::18], "torque_ripple")  # what an ordinary run tries; all of them are a long one
 DEPENDS = {  # of what no effect explains and acts at all times, on what it is seen to depend
     "current_eddy_drag": {"velocity", "q_axis_current"},

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from leactl.effects import library
 from leactl.gap.replay import replay
+from leactl.vocabulary.effect import effects_on
 from tests.gap.synthetic import INTERVAL_S, model, record
 
 CURRENT = ("q_axis_current", "test")
@@ -106,7 +106,7 @@ def test_an_effect_moves_what_it_says_and_nothing_else(effect, parameters, mecha
 
 
 def test_every_effect_of_the_library_has_a_case():
-    assert [case[0] for case in CASES] == list(library())
+    assert [case[0] for case in CASES] == list(effects_on("bench"))  # servos have theirs in test_servo_limits
 
 
 def test_faults_of_one_sensor_follow_each_other():

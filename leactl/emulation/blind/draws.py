@@ -19,7 +19,7 @@ from leactl.emulation.stepped_run import Program
 from leactl.emulation.stepped_sensors import Spread
 from leactl.emulation.unlisted import unlisted_effects
 from leactl.emulation.unlisted.drawn import Unlisted
-from leactl.vocabulary.effect import effect_definition, effect_names
+from leactl.vocabulary.effect import effect_definition, effects_on
 
 Generator = np.random.Generator
 STRENGTHS = {"faint": (0.0, 0.2), "plain": (0.4, 0.65), "strong": (0.8, 1.0)}  # of the scale in strengths.yaml
@@ -177,6 +177,6 @@ def _with_gain(program: Program, most: float) -> Program:
 def _rules() -> dict[str, dict[str, Any]]:
     text = (resources.files("leactl.emulation.blind") / "strengths.yaml").read_text(encoding="utf-8")
     rules: dict[str, dict[str, Any]] = yamlfile.parse(text, "strengths.yaml").data
-    if set(rules) != set(effect_names()):
-        raise ValueError(f"strengths.yaml: {sorted(set(rules) ^ set(effect_names()))} on one side only")
+    if set(rules) != set(effects_on("bench")):
+        raise ValueError(f"strengths.yaml: {sorted(set(rules) ^ set(effects_on('bench')))} on one side only")
     return rules

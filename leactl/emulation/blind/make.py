@@ -16,7 +16,7 @@ from leactl.emulation.stepped_heating import heat
 from leactl.emulation.stepped_run import Program, simulate
 from leactl.emulation.unlisted import unlisted_effects
 from leactl.errors import InputError
-from leactl.vocabulary.effect import effect_names
+from leactl.vocabulary.effect import effects_on
 
 AT_ONCE = 40  # cases; 320 lanes take about 1 GB
 
@@ -45,7 +45,7 @@ def make(
     ------
     InputError : an argument names what there is not, or a folder is taken.
     """
-    chosen = tuple(effects) if effects else effect_names()
+    chosen = tuple(effects) if effects else effects_on("bench")
     _check(count, out, key_dir, kinds, chosen, strengths)
     number = secrets.randbits(128) if seed is None else seed
     draw = np.random.default_rng([number, 0])
@@ -72,7 +72,7 @@ def _check(
 ) -> None:
     faults = faults_of(count, out, key_dir, kinds)
     for what, given, known in (
-        ("effect", effects, effect_names()),
+        ("effect", effects, effects_on("bench")),
         ("strength", strengths, tuple(STRENGTHS)),
     ):
         faults += [f"{what} {name!r} is not known; known: {', '.join(known)}" for name in given if name not in known]
