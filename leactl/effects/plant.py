@@ -72,6 +72,8 @@ class Plant:
     command: list[Becomes] = field(default_factory=list)  # A, what the current loop follows
     command_at_speed: list[Callable[[Array, Array], Array]] = field(default_factory=list)  # the same at a speed [rad/s]
     loop_answer: list[Becomes] = field(default_factory=list)  # A, what becomes of the loop's answer
+    set_point: list[Becomes] = field(default_factory=list)  # rad, what a position servo follows
+    servo_error: list[Callable[[Array], Array]] = field(default_factory=list)  # rad, what it answers of an error [rad]
     torque_share: list[Callable[[Array], Array]] = field(default_factory=list)  # factor at a current [A]
     magnet_share: list[OfCourse] = field(default_factory=list)  # factor on torque and back-EMF constant
     friction_share: list[OfCourse] = field(default_factory=list)  # factor on viscous damping and Coulomb friction

@@ -184,7 +184,8 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
         members |= {item.effect for item in ladder.standing}
         calibrated_alone = calibrated_alone if ladder.standing else parameters
         refit = partial(fitted_by_ladder, parameters)
-        told = servo_answer.rig_note(ladder.augmented, [record for record in case.fitted if record not in free])
+        left_out = [record for record in case.fitted if record not in free]
+        told = servo_answer.rig_note(ladder, case.model.load.type == "pendulum", left_out)
     elif outweighed(evidence, found, restless, lines):
         told = tuple(f"not named: {item.finding.effect}; far more is left than it explains" for item in judged)
         causes = tuple(replace(c, probability=c.probability * (1.0 - surprise.probability)) for c in causes)
@@ -194,6 +195,8 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     replayed = [*case.held_out, *(r for r in case.fitted if (r.kind, r.mechanical) not in kinds)]
     stamps = evidence.stamping(found.fit)
     replayed = [stamped(record, stamps) for record in replayed]
+    if by_runs:
+        replayed = servo_answer.on_time(replayed, case.model, ladder.late)
     applied = apply(
         case.model,
         calibrated_alone,
@@ -205,7 +208,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     shrunk = applied.shrunk
     causes = borne_out(causes, applied)
     if by_runs:
-        surprise = unexplained(servo_answer.unfollowed(shrunk.shrinkage), {})
+        surprise = unexplained(servo_answer.unfollowed(shrunk.shrinkage, replayed), {})
     located = where(replayed, shrunk.channels, applied.fitted.causes)
     notes = unlike(case.fitted, case.held_out) + gathered([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
@@ -238,7 +241,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
                 + stamp_notes(stamps)
                 + beyond_null(evidence, null)
                 + shrunk.notes
-                + questions(case.model, case.fitted, evidence)
+                + questions(case.model, case.fitted, evidence, by_runs)
             )
         ),
         rest,

@@ -7,6 +7,7 @@ from leactl.effects import library
 from leactl.gap.evidence import Evidence, Null
 from leactl.gap.record import Record
 from leactl.model.nominal import Model
+from leactl.vocabulary.effect import effect_definition
 
 NEEDS = {
     "torque": ("the torque sensor", "a torque channel in a locked or coupled run"),
@@ -18,8 +19,8 @@ NEEDS = {
 }
 
 
-def questions(model: Model, records: Sequence[Record], evidence: Evidence) -> tuple[str, ...]:
-    """Notes on what these runs cannot show."""
+def questions(model: Model, records: Sequence[Record], evidence: Evidence, by_runs: bool) -> tuple[str, ...]:
+    """Notes on what these runs cannot show; free runs show what belongs to a servo."""
     notes = []
     for quantity, (question, need) in NEEDS.items():
         role = "bench" if quantity == "bus_voltage" else "test"
@@ -27,7 +28,11 @@ def questions(model: Model, records: Sequence[Record], evidence: Evidence) -> tu
             notes.append(f"not answered: {question}; it needs {need}")
     if model.feedforward is not None:
         notes.append("torques are told in volts: a feedforward says nothing of the torque that a volt makes")
-    hidden = invisible(model, evidence)
+    if model.drive is None and any(has(record, "angle_reference", "test") for record in records):
+        notes.append("not answered: limits and dead band of the servo; they need its `drive:` in the model")
+    hidden = [
+        name for name in invisible(model, evidence) if not (by_runs and effect_definition(name).shown_on == ("servo",))
+    ]
     if hidden:
         notes.append(f"invisible in these runs: {', '.join(hidden)}")
     return tuple(notes)

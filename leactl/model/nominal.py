@@ -90,10 +90,11 @@ class Feedforward(Block):
 
 
 class DriveModel(Block):
-    """A position servo that turns the angle error into a voltage."""
+    """A position servo that turns the angle's error, and how fast that changes, into a voltage."""
 
     type: Literal["position_servo"]
     gain: NotNegative = 0.0  # V/rad
+    damping: NotNegative = 0.0  # V*s/rad, on the rate of the error
     voltage_limit: Positive  # V
 
 

@@ -17,7 +17,7 @@ from leactl.emulation.blind.make import make
 from leactl.emulation.effects.contract import own_hooks
 from leactl.emulation.unlisted import unlisted_effects
 from leactl.errors import InputError
-from leactl.vocabulary.effect import effect_definition, effect_names
+from leactl.vocabulary.effect import effect_definition, effect_names, effects_on
 
 
 @pytest.fixture
@@ -122,7 +122,7 @@ def test_every_base_parameter_is_off_nominal():
         assert (base.test.resistance_coefficient == 0.0) == (base.nominal_coefficient == 0.0)
 
 
-@pytest.mark.parametrize("name", effect_names())
+@pytest.mark.parametrize("name", effects_on("bench"))
 def test_drawn_parameters_lie_in_the_vocabulary_and_grow_with_strength(name):
     definition = effect_definition(name)
     rule = draws._rules()[name]

@@ -6,7 +6,7 @@ import pytest
 from leactl.effects import library
 from leactl.effects.contract import PLACES, Signals
 from leactl.gap.picture import OF_SIGNALS
-from leactl.model.nominal import Model
+from leactl.model.nominal import DriveModel, Model
 from leactl.vocabulary.effect import effect_definition, effect_names, effects_on
 from leactl.vocabulary.variable import VARIABLES
 
@@ -61,7 +61,21 @@ def test_the_library_has_every_word_of_the_vocabulary():
     assert set(effects_on("bench")) | set(effects_on("joint")) | set(effects_on("servo")) == set(library())
 
 
-@pytest.mark.parametrize("name", effect_names())
+SERVO = [name for name in effect_names() if effect_definition(name).shown_on == ("servo",)]
+
+
+@pytest.mark.parametrize("name", SERVO)
+def test_an_effect_of_servos_touches_no_equation_and_asks_for_a_servo(name):
+    effect, definition = library()[name], effect_definition(name).parameters
+    assert not any(effect.terms(case, ()) for case in CASES)
+    assert not effect.applies(MODEL)
+    servo = MODEL.model_copy(update={"drive": DriveModel(type="position_servo", gain=3.0, voltage_limit=7.4)})
+    assert effect.applies(servo)
+    found = effect.parameters((), dict.fromkeys(definition, 0.5), servo)
+    assert {key for key, item in definition.items() if item.default is None} <= set(found) <= set(definition)
+
+
+@pytest.mark.parametrize("name", [name for name in effect_names() if name not in SERVO])
 def test_an_effect_fills_known_places_with_finite_columns_and_speaks_its_definition(name):
     effect = library()[name]
     forms = effect.forms or ((7.0,),)
@@ -84,7 +98,7 @@ def test_an_effect_fills_known_places_with_finite_columns_and_speaks_its_definit
     assert effect.size(forms[0], found, MODEL) > 0
 
 
-@pytest.mark.parametrize("name", effect_names())
+@pytest.mark.parametrize("name", effects_on("bench"))
 def test_a_run_that_shows_an_effect_shows_a_variable_that_it_acts_in(name):
     variables = effect_definition(name).acts_over
     effect = library()[name]

@@ -106,17 +106,12 @@ def target_of(job: Job) -> tuple[Array, Array]:
     return np.asarray(even(at), np.float64), np.asarray(even(at, 1) / clock.interval, np.float64)
 
 
-def by_servo(job: Job) -> bool:
-    """Whether the model's position servo drives the run."""
-    return job.plant.model.drive is not None and job.clock.get("angle_reference") is not None
-
-
 def asked_angle(job: Job) -> Array:
     """The angle that a servo is asked for, held until the next sample; NaN while the drive is disabled."""
     reference, enabled = job.clock.values["angle_reference", "test"], job.clock.get("drive_enabled")
     held = np.append(np.repeat(reference[:-1], job.parts), reference[-1])
-    for late in job.plant.loop_answer:
-        held = late(held, job.step)
+    for becomes in (*job.plant.loop_answer, *job.plant.set_point):
+        held = becomes(held, job.step)
     if enabled is not None:
         on = np.append(np.repeat(enabled[:-1], job.parts), enabled[-1])
         held = np.where(on > 0.5, held, np.nan)
@@ -189,10 +184,12 @@ def lanes_of(cuts: Sequence[Cut], picked: Sequence[Index]) -> Lanes:
         servo = Servo(
             reference=drive,
             gain=constant("servo_gain"),
+            damping=constant("servo_damping"),
             limit=constant("servo_limit"),
             resistance=constant("resistance"),
             torque_constant=constant("torque_constant"),
             emf=constant("emf"),
+            held=cuts[0].job.parts,
         )
     tracking = None
     if cuts[0].target is not None:
@@ -260,11 +257,12 @@ def constants_of(job: Job) -> dict[str, float]:
     # what a back-EMF brakes follows a spring only if that is strong against it
     found["tracking"] = moved * rate**2 + found["emf_damping"] * rate if job.tracked else 0.0
     found["tracking_damping"] = 2.0 * moved * rate if job.tracked else 0.0
-    if by_servo(job):
+    if job.by_servo:
         assert model.drive is not None
         constant = model.torque_constant or 0.0
         found |= {
             "servo_gain": record.setup.get("drive_gain", model.drive.gain),
+            "servo_damping": model.drive.damping,
             "servo_limit": model.drive.voltage_limit,
             "resistance": model.phase_resistance or 0.0,
             "torque_constant": constant,

@@ -7,8 +7,12 @@ import numpy.typing as npt
 
 from leactl.effects.plant import Course, Plant
 from leactl.gap.record import Clocked, Key, Record
+from leactl.gap.rig import load_of
+from leactl.gap.servo.times import times_of
 
 Array = npt.NDArray[np.float64]
+SERVO_STEP = 0.02  # of the shortest time in which a servo answers: back-EMF then acts right to a percent
+MOST_PARTS = 80
 FINEST_S = 2.5e-4  # sub-step: a ninth of a period of the stiff shaft between two coupled rotors (350 Hz)
 
 
@@ -52,7 +56,22 @@ class Job:
     @property
     def parts(self) -> int:
         """Sub-steps in a sample."""
-        return parts_of(self.clock.interval)
+        if not self.by_servo:
+            return parts_of(self.clock.interval)
+        return max(1, int(np.ceil(self.clock.interval / self._longest_step() - 1e-6)))
+
+    def _longest_step(self) -> float:
+        """The longest sub-step [s] that follows a servo's motion, by its own times."""
+        model, gain = self.plant.model, self.record.setup.get("drive_gain")
+        assert model.drive is not None
+        load = load_of(self.record, model).inertia
+        shortest, _ = times_of(model, np.array([model.drive.gain if gain is None else gain]), load, load)
+        return min(max(SERVO_STEP * shortest, self.clock.interval / MOST_PARTS), self.clock.interval)
+
+    @property
+    def by_servo(self) -> bool:
+        """Whether the model's position servo drives the run."""
+        return self.plant.model.drive is not None and self.clock.get("angle_reference") is not None
 
     @property
     def step(self) -> float:

@@ -41,10 +41,12 @@ class Servo:
 
     reference: Array  # rad, (steps, lanes); NaN while the drive is disabled and no current flows
     gain: Array  # V/rad
+    damping: Array  # V*s/rad, on the rate of the error
     limit: Array  # V
     resistance: Array  # ohm
     torque_constant: Array  # N*m/A
     emf: Array  # V*s/rad
+    held: int  # steps, for which a reference stays as it is
 
 
 @dataclass
@@ -131,7 +133,7 @@ def stepped(lanes: Lanes, start: State) -> Motion:
             out.pull[index] = _pull(lanes.tracking, index, angle, velocity)
             drive = drive + out.pull[index]
         if servo is not None and out.current is not None:
-            flowing = out.current[index] = _servo_current(servo, index, angle, velocity, groups)
+            flowing = out.current[index] = _servo_current(servo, lanes.step, index, angle, velocity, groups)
             drive = servo.torque_constant * flowing
             for group in groups:
                 group.saturate(drive, flowing)
@@ -176,15 +178,30 @@ def stepped(lanes: Lanes, start: State) -> Motion:
     return out
 
 
-def _servo_current(servo: Servo, index: int, angle: Array, velocity: Array, groups: "list[_Group]") -> Array:
+def _servo_current(
+    servo: Servo, step: float, index: int, angle: Array, velocity: Array, groups: "list[_Group]"
+) -> Array:
     """What the servo's voltage drives through the winding, none while it is disabled."""
     wanted = servo.reference[index]
-    volts = np.clip(servo.gain * (wanted - angle), -servo.limit, servo.limit)
+    error = wanted - angle
+    for group in groups:
+        group.answer(error)
+    volts = servo.gain * error
+    if np.any(servo.damping):
+        volts += servo.damping * (_hasty(servo, step, index) - velocity)
+    volts = np.clip(volts, -servo.limit, servo.limit)
     flowing = (volts - servo.emf * velocity) / servo.resistance
     for group in groups:
         group.lose(volts, flowing)
         flowing = (volts - servo.emf * velocity) / servo.resistance
     return np.where(np.isnan(wanted), 0.0, flowing)
+
+
+def _hasty(servo: Servo, step: float, index: int) -> Array:
+    """Speed [rad/s] of what the servo follows, over as many steps as it stays the same for; none where it begins."""
+    behind = servo.reference[max(index - servo.held, 0)]
+    moved = (servo.reference[index] - behind) / (servo.held * step)
+    return np.asarray(np.nan_to_num(moved), np.float64)
 
 
 def _pull(tracking: Tracking | None, index: int, angle: Array, velocity: Array) -> Array:
@@ -233,7 +250,7 @@ class _Group:
         self.plant, self.place, self.gain = plant, place, gain[place]
         self.pushes = bool(plant.ripple or plant.rotor_torque or plant.drag)
         self.rubs = bool(plant.coulomb_share or plant.coulomb_added)
-        electric = plant.lost_voltage or plant.torque_share
+        electric = plant.lost_voltage or plant.torque_share or plant.servo_error
         self.acts = self.pushes or self.rubs or bool(plant.play or electric or plant.friction_share)
 
     def attach(self, angle: Array, velocity: Array, ahead: Array, torque: Array, twist: Array, push: Array) -> None:
@@ -242,6 +259,11 @@ class _Group:
         self.torque, self.twist, self.push = torque[own], twist[own], push[own]
         self.before = Moment(angle[own], velocity[own], torque[own], torque[own])
         self.after = Moment(angle[own], ahead[own], torque[own], torque[own])
+
+    def answer(self, error: Array) -> None:
+        """Leave of the servo's errors what its controller answers."""
+        for answered in self.plant.servo_error:
+            error[self.place] = answered(error[self.place])
 
     def lose(self, volts: Array, current: Array) -> None:
         """Take from the voltage what the winding does not see."""

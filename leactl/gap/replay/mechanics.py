@@ -16,7 +16,6 @@ from leactl.effects.shapes import play
 from leactl.gap.replay.cutting import (
     Cut,
     Index,
-    by_servo,
     constants_of,
     cut_of,
     lanes_of,
@@ -66,7 +65,7 @@ def kind_of(job: Job) -> str | None:
     if model.rotor_inertia is None:
         job.notes.append(f"{name}: the model has no rotor_inertia; its motion is not replayed")
         return None
-    if by_servo(job):
+    if job.by_servo:
         if model.phase_resistance is None or model.torque_constant is None:
             job.notes.append(f"{name}: a servo's replay needs phase_resistance and torque_constant")
             return None

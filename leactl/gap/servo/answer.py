@@ -12,17 +12,22 @@ from leactl.gap.record import Record
 from leactl.gap.replay import replay_all
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.plants import plant_of
+from leactl.gap.rig import drive_of
 from leactl.gap.separating import separating_experiment
 from leactl.gap.servo.fit import Fitted
 from leactl.gap.servo.ladder import OWN, Ladder
+from leactl.gap.servo.profile import shifted
 from leactl.gap.servo.runs import side_by_side
-from leactl.gap.servo.simulation import SCALES
+from leactl.gap.servo.simulation import FREE
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 
-SIMULATED = {name.partition(".")[0] for name in SCALES if "." in name}
+SIMULATED = {name.partition(".")[0] for name in FREE if "." in name}
 """Effects that a servo's simulation knows."""
 USUAL = 3.0  # floors that a replay without the rig's own zero and delay leaves
+LEAPS, TOP = 2.0, 0.99  # times the highest speed of the axis, from which a reference leaps; the quantile that is it
+ARRIVED = 0.1  # of a leap, within which the axis is there
+SURE = 2.0  # variances of a uniform instant, that may be hidden
 CLOSER = 0.95  # of the squared distance without it, that an effect of the balance must bring a free run to
 
 
@@ -31,20 +36,31 @@ def judged_by_runs(model: Model, records: Sequence[Record]) -> bool:
     known = all(entry.effect in SIMULATED for entry in model.effects)
     moves = model.torque_constant and model.phase_resistance and model.rotor_inertia
     told = any(record.fast is not None and record.fast.get("q_axis_current") is not None for record in records)
-    return bool(known and moves and not told and model.load.type == "pendulum" and side_by_side(records, model))
+    return bool(known and moves and not told and side_by_side(records, model))
 
 
-def rig_note(fitted: Fitted, left_out: Sequence[Record]) -> tuple[str, ...]:
+def rig_note(ladder: Ladder, pendulum: bool, left_out: Sequence[Record]) -> tuple[str, ...]:
     """What free runs told of the rig that no model file holds, and which runs were not among them."""
-    zero, late = fitted.parameters["load_zero"], fitted.parameters["reference_delay"]
-    note = (
-        f"free runs have the pendulum straight down at {zero:.3g} rad and the reference {1e3 * late:.2g} ms late; no"
-        " model file holds either, and the replay goes without"
-    )
+    zero, late = ladder.augmented.parameters["load_zero"], ladder.late
+    hangs = f"the pendulum straight down at {zero:.3g} rad (replays go without) and " if pendulum else ""
+    note = f"free runs have {hangs}the reference {1e3 * late:.2g} ms late, which no model file holds"
     if not left_out:
         return (note,)
     names = ", ".join(record.name for record in left_out)
     return note, f"not among the servo's free runs, for another pace or want of a reference: {names}"
+
+
+def on_time(records: Sequence[Record], model: Model, late: float) -> list[Record]:
+    """Runs of a servo whose references arrive as free runs have them: what a stamp hides is nobody's fault."""
+    return [_shifted(record, late) if drive_of(record, model) is not None else record for record in records]
+
+
+def _shifted(record: Record, late: float) -> Record:
+    clock = record.fast
+    assert clock is not None
+    key = ("angle_reference", "test")
+    values = clock.values | {key: shifted(clock.values[key][None], late / clock.interval)[0]}
+    return replace(record, fast=replace(clock, values=values))
 
 
 def causes(
@@ -97,13 +113,28 @@ def _entry(cause: Cause) -> tuple[str, dict[str, float]]:
     return cause.effect, {parameter.name: parameter.value for parameter in cause.parameters}
 
 
-def unfollowed(shrinkage: Sequence[Shrinkage]) -> dict[tuple[str, str, str], float]:
+def unfollowed(shrinkage: Sequence[Shrinkage], records: Sequence[Record]) -> dict[tuple[str, str, str], float]:
     """Of the angle: what the last model leaves of held-out runs, over what a servo's replay may well leave."""
+    hidden = SURE * float(np.mean([hidden_by_stamps(record) for record in records]))
     return {
-        ("free run", line.quantity, line.mechanical): (line.augmented_rms / (USUAL * line.floor_rms)) ** 2
+        ("free run", line.quantity, line.mechanical): line.augmented_rms**2 / ((USUAL * line.floor_rms) ** 2 + hidden)
         for line in shrinkage
         if line.quantity == "angle"
     }
+
+
+def hidden_by_stamps(record: Record) -> float:
+    """Mean square [rad^2] by which an axis is off where its reference leaps, at whatever instant between two stamps."""
+    clock = record.fast
+    if clock is None or ("angle_reference", "test") not in clock.unstamped or clock.get("angle") is None:
+        return 0.0
+    reference, angle = clock.values["angle_reference", "test"], clock.values["angle", "test"]
+    moved, asked = np.abs(np.diff(angle)), np.abs(np.diff(reference))
+    away, on_its_way = np.abs(reference - angle)[1:], np.zeros(len(moved), np.bool_)
+    for leap in np.flatnonzero(asked > LEAPS * float(np.quantile(moved, TOP))):
+        arrived = np.flatnonzero(away[leap:] < ARRIVED * asked[leap])
+        on_its_way[leap : leap + arrived[0] if len(arrived) else None] = True
+    return float(np.sum(moved[on_its_way] ** 2)) / (12.0 * len(angle))
 
 
 def parameters(effect: str, found: Mapping[str, tuple[float, float]]) -> tuple[EffectParameter, ...]:

@@ -18,22 +18,28 @@ from leactl.gap.evidence import rows_per_independent
 from leactl.gap.judge import UNCONFIRMED, presence
 from leactl.gap.record import Record
 from leactl.gap.regression import Candidate
-from leactl.gap.servo.fit import Fitted, cost, fit
+from leactl.gap.search import BEYOND, INTERVAL
+from leactl.gap.servo.fit import Fitted, Measured, cost, fit
+from leactl.gap.servo.limits import DRIVE, acts, as_fitted, as_told, drive_starts
+from leactl.gap.servo.profile import PROFILE
 from leactl.gap.servo.runs import ServoRuns, servo_runs, side_by_side
-from leactl.gap.servo.simulation import SCALES, Parameters, replay, table
+from leactl.gap.servo.simulation import Parameters, parts_of, table
 from leactl.model.nominal import Model
+from leactl.vocabulary.effect import effect_definition
 
 Array = npt.NDArray[np.float64]
 Set = frozenset[str]
 OWN = ("torque_constant", "phase_resistance", "rotor_inertia", "viscous_damping", "coulomb_friction")
-RIG = {"load_zero": 0.0, "reference_delay": 0.005}  # what belongs to the rig and to no model
+RIG = ("load_zero", "reference_delay", "voltage_delay")  # what belongs to the rig and to no model
 ALWAYS: Set = frozenset({"load_dependent_friction", "saturation", "stribeck"})
 MOST_PROPOSED = 2  # effects of a balance that are tried besides
 FORM_ERROR = 0.05  # relative change of a cost, that an effect makes by standing in for another or by luck of the search
 """On the XL330's logs, friction over the angle at any order gains 2 to 15 % beyond the others, by where a fit ends."""
+FORM_LEFT = 0.01  # of what the drive's effects take from a cost, that their forms may leave over
 COUNTS = 1.0  # of the encoder, root mean square, below which it does not matter how closely a run is followed
 LOST = 0.1  # share of the torque at the largest current, that saturation begins with
 FADES = (0.03, 0.15)  # of the fast speeds, at which friction may begin to fall
+PAIRS = 2  # effects, that are always tried together
 NAMED = 0.5
 LEAST = 0.01  # probability below which an effect is not worth telling
 FEW_RUNS = 4  # below which runs do not tell how far they lie apart
@@ -59,12 +65,14 @@ class Ladder:
     augmented: Fitted
     stds: Mapping[str, float]  # of the parameters of the augmented model
     sets: Mapping[Set, Fitted]
+    late: float  # s, by which the reference acts after its stamps
 
 
 def climb(records: Sequence[Record], held_out: Sequence[Record], model: Model, proposed: Sequence[Candidate]) -> Ladder:
-    """Fit every set of the effects that a simulation knows, and keep those that stand; by the angle of `records` alone.
+    """Fit every set of the effects that a simulation knows, and keep those that stand; by `records` alone.
 
-    What a balance of torques proposed says in which form an effect is tried; held-out runs confirm or not.
+    What the drive does to its reference and its error comes first: it is seen in all that follows. What a balance of
+    torques proposed says in which form an effect is tried; held-out runs confirm or not.
 
     Raises
     ------
@@ -73,24 +81,129 @@ def climb(records: Sequence[Record], held_out: Sequence[Record], model: Model, p
     runs = servo_runs(records, model)
     fixed = effects_of(model)
     here = {name.partition(".")[0] for name in fixed}
+    held = (*fixed, *untold(runs))
+    begin = {name: float(getattr(model, name) or 0.0) for name in OWN} | dict.fromkeys(RIG, 0.0) | fixed
+    (alone,) = fit(runs, [begin], held)
+    sets = Sets(runs, {frozenset(): alone}, held)
+    drive = drive_starts(runs, [begin, alone.parameters])
+    core = sets.grow(frozenset(), {name: starts for name, starts in drive.items() if name not in here})
     starts = {name: start for name, start in starts_of(runs, model, proposed).items() if name not in here}
     base: Set = frozenset(ALWAYS & starts.keys())
-    sets = every_set(runs, model, {name: starts[name] for name in sorted(base)}, fixed)
-    members = prune(sets, base, runs)
+    members = sets.grow(core, {name: starts[name] for name in sorted(base)})
     for effect in [name for name, _ in proposed if name in starts.keys() - ALWAYS][:MOST_PROPOSED]:
-        smaller = [frozenset(one) for size in range(len(base) + 1) for one in combinations(sorted(base), size)]
-        found = fit(runs, [sets[one].parameters | starts[effect][0] for one in smaller], tuple(fixed))
-        sets |= {one | {effect}: fitted for one, fitted in zip(smaller, found, strict=True)}
+        smaller = [core.union(one) for size in range(len(base) + 1) for one in combinations(sorted(base), size)]
+        smaller = [one for one in smaller if one in sets]  # none of more effects where fewer follow the runs
+        found = fit(runs, [sets[one].parameters | starts[effect][0] for one in smaller], held)
+        sets.update({one | {effect}: fitted for one, fitted in zip(smaller, found, strict=True)})
         # a search that ends lower by a luckier way is no gain of the effect: without it, from there, as low again?
-        again = fit(runs, [without(fitted.parameters, frozenset({effect})) for fitted in found], tuple(fixed))
-        sets |= {one: new for one, new in zip(smaller, again, strict=True) if new.cost < sets[one].cost}
-        members = base = prune(sets, base | {effect}, runs)
+        again = fit(runs, [without(fitted.parameters, frozenset({effect})) for fitted in found], held)
+        sets.update({one: new for one, new in zip(smaller, again, strict=True) if new.cost < sets[one].cost})
+        members = sets.pruned(max(smaller, key=len) | {effect})
+        base = members - core
     unseen = side_by_side(held_out, model)
+    sets.fit_missing([members - {name} for name in sorted(members)], members)
+    sets.settle(members)
     standing = standing_of(sets, members, runs, servo_runs(unseen, model) if unseen else None)
     named = frozenset(item.effect for item in standing if item.probability >= NAMED)
-    if named not in sets:
-        (sets[named],) = fit(runs, [without(sets[members].parameters, members - named)], tuple(fixed))
-    return Ladder(standing, sets[frozenset()], sets[named], errors_of(sets[named]), sets)
+    sets.fit_missing([named, frozenset()], members)
+    final = sets[named]
+    # a step of the simulation takes what it follows as if it had come half a step earlier
+    late = final.parameters["reference_delay"] - 0.5 * runs.interval / parts_of(runs, table([final.parameters]))
+    return Ladder(standing, sets[frozenset()], final, errors_of(final, runs), sets, late)
+
+
+class Sets(dict[Set, Fitted]):
+    """The best fit of every set of effects that was tried."""
+
+    def __init__(self, runs: ServoRuns, known: Mapping[Set, Fitted], held: Sequence[str]) -> None:
+        super().__init__(known)
+        self._runs, self._held = runs, tuple(held)
+
+    def grow(self, core: Set, starts: Mapping[str, Sequence[Parameters]]) -> Set:
+        """Fit every set of further effects beside a core, each from the fits of what it is made of, and prune.
+
+        What the core's profile is stays as it was found. Where a set follows the runs so closely that no further effect
+        could stand, none is tried.
+        """
+        held = (*self._held, *(PROFILE if "reference_rate_limit" in core else ()))
+        judged = DRIVE & starts.keys()
+        for size in range(len(starts)):
+            made = [m for m in self if m >= core and m - core <= starts.keys() and len(m) == size + len(core)]
+            best = min(made, key=lambda members: self[members].cost)
+            # what takes next to nothing in twos takes nothing in threes
+            hopeless = size >= PAIRS and relative(self, core, best, self._runs) < FORM_ERROR
+            if hopeless or self.followed(best, judged):
+                return self.pruned(best)
+            jobs: list[tuple[Set, str, Parameters]] = []
+            for members in made:
+                for effect in sorted(starts.keys() - members):
+                    base = dict(self[members].parameters)
+                    if effect == "load_dependent_friction":
+                        base["coulomb_friction"] *= 0.5  # of which it takes the place
+                    jobs += [(members, effect, base | start) for start in beginnings(starts, effect, size)]
+            fitted = fit(self._runs, [start for _, _, start in jobs], held)
+            for (fewer, effect, _), found in zip(jobs, fitted, strict=True):
+                # what does not act is as good as absent
+                best_found = found if acts(effect, found.parameters, self._runs) else self[fewer]
+                members = fewer | {effect}
+                if members not in self or best_found.cost < self[members].cost:
+                    self[members] = best_found
+        return self.pruned(core.union(starts))
+
+    def followed(self, members: Set, judged: Set) -> bool:
+        """Whether a set leaves so little beside what is open to all that nothing could be named for taking the rest."""
+        fitted = self[members]
+        left_open = open_cost(self, members, judged, self._runs)
+        most = math.log((fitted.cost + left_open) / left_open) if left_open else math.inf
+        return presence(height(most, fitted)) < NAMED
+
+    def fit_missing(self, wanted: Sequence[Set], largest: Set) -> None:
+        """Fit those sets that were not tried, each from a larger one."""
+        missing = [one for one in dict.fromkeys(wanted) if one not in self]
+        full = self[largest] if largest in self else self[max((m for m in self if m <= largest), key=len)]
+        starts = [without(full.parameters, largest - one) for one in missing]
+        if missing:
+            self.update(zip(missing, fit(self._runs, starts, self._held), strict=True))
+
+    def fit_back(self, members: Set) -> None:
+        """Fit every set with one member less from where the search with it ended: a luckier way is no member's gain."""
+        fewer = [members - {name} for name in sorted(members)]
+        starts = [without(self[members].parameters, members - one) for one in fewer]
+        for one, found in zip(fewer, fit(self._runs, starts, self._held), strict=True):
+            if one not in self or found.cost < self[one].cost:
+                self[one] = found
+
+    def settle(self, members: Set) -> Fitted:
+        """Fit a set once more with all that belongs to it."""
+        if members & DRIVE:
+            (self[members],) = fit(self._runs, [self[members].parameters], self._held)
+        return self[members]
+
+    def pruned(self, members: Set) -> Set:
+        """The members that stand: of all, the weakest goes first."""
+        while members:
+            self.fit_back(members)
+            heights = {
+                name: height(relative(self, members - {name}, members, self._runs), self[members]) for name in members
+            }
+            weakest = min(sorted(members), key=lambda name: heights[name])
+            if presence(heights[weakest]) >= NAMED:
+                break
+            members = members - {weakest}
+        return members
+
+
+def beginnings(starts: Mapping[str, Sequence[Parameters]], effect: str, beside: int) -> Sequence[Parameters]:
+    """Where an effect begins: a drive's with all parameters by itself, else with its own beside what was fitted."""
+    if beside == 0 or effect not in DRIVE:
+        return starts[effect]
+    return [{name: value for name, value in starts[effect][0].items() if name.startswith(f"{effect}.")}]
+
+
+def untold(runs: ServoRuns) -> tuple[str, ...]:
+    """Parameters that runs of this kind tell nothing of: without a weight all torques share one scale."""
+    none = () if runs.hangs else ("load_zero", "phase_resistance")
+    return none if runs.told.any() else (*none, "voltage_delay")
 
 
 def standing_of(
@@ -98,16 +211,19 @@ def standing_of(
 ) -> tuple[Standing, ...]:
     """How sure each effect is: what it gains where it was fitted, unless runs that nobody fitted lose as much by it."""
     fitted = sets[members]
-    stds = errors_of(fitted)
-    worse = {name: relative(sets[members - {name}], fitted, runs) for name in members}
+    stds = errors_of(fitted, runs)
+    worse = {name: relative(sets, members - {name}, members, runs) for name in members}
     lost = dict.fromkeys(members, 0.0)
-    if unseen is not None and unseen.measured.any():
-        left = unfollowed(unseen, fitted)
-        lost = {name: math.log(left / unfollowed(unseen, sets[members - {name}])) for name in members}
+    if unseen is not None and unseen.measured.any() and members:
+        names = sorted(members)
+        left, *others = unfollowed(unseen, [fitted, *(sets[members - {name}] for name in names)])
+        lost = {name: math.log(left / other) for name, other in zip(names, others, strict=True)}
     found = [
         Standing(
             name,
-            presence(height(worse[name], fitted)) * (1.0 if lost[name] < worse[name] else UNCONFIRMED),
+            is_met(name, fitted, stds, runs)
+            * presence(height(worse[name], fitted))
+            * (1.0 if lost[name] < worse[name] else UNCONFIRMED),
             worse[name] / sum(worse.values()),
             parameters_of(name, fitted, stds),
             in_place_of(sets, members, name, runs),
@@ -116,16 +232,26 @@ def standing_of(
     ]
     for more in [one for one in sets if len(one) == len(members) + 1 and one > members]:
         (name,) = more - members
-        probability = min(presence(height(relative(fitted, sets[more], runs), sets[more])), NAMED - LEAST)
+        probability = min(presence(height(relative(sets, members, more, runs), sets[more])), NAMED - LEAST)
         if probability >= LEAST:
-            found.append(Standing(name, probability, 0.0, parameters_of(name, sets[more], errors_of(sets[more]))))
+            further = parameters_of(name, sets[more], errors_of(sets[more], runs))
+            found.append(Standing(name, probability, 0.0, further))
     return tuple(sorted(found, key=lambda item: (-item.probability, -item.share)))
+
+
+def is_met(name: str, fitted: Fitted, stds: Mapping[str, float], runs: ServoRuns) -> bool:
+    """Whether an effect was found as large as it may be met, and as its drive may have it."""
+    leading = next(iter(effect_definition(name).parameters))
+    if name in DRIVE or leading not in (found := parameters_of(name, fitted, stds)):
+        return acts(name, fitted.parameters, runs)
+    size, std = found[leading]
+    return abs(size) - INTERVAL * std <= BEYOND * effect_definition(name).largest
 
 
 def in_place_of(sets: Mapping[Set, Fitted], members: Set, name: str, runs: ServoRuns) -> tuple[str, ...]:
     """Effects that follow the runs as well in the place of a member, as far as forms can tell."""
     others = {one: next(iter(one - members)) for one in sets if members - one == {name} and len(one - members) == 1}
-    return tuple(sorted(q for one, q in others.items() if relative(sets[one], sets[members], runs) < FORM_ERROR))
+    return tuple(sorted(q for one, q in others.items() if relative(sets, one, members, runs) < FORM_ERROR))
 
 
 def effects_of(model: Model) -> Parameters:
@@ -136,7 +262,7 @@ def effects_of(model: Model) -> Parameters:
         if "phase" in values:
             amplitude, phase = values.pop("amplitude"), values.pop("phase")
             values |= {"cos": amplitude * math.cos(phase), "sin": -amplitude * math.sin(phase)}
-        found |= {f"{entry.effect}.{name}": value for name, value in values.items()}
+        found |= {f"{entry.effect}.{name}": value for name, value in as_fitted(entry.effect, values).items()}
     return found
 
 
@@ -168,49 +294,29 @@ def starts_of(runs: ServoRuns, model: Model, proposed: Sequence[Candidate]) -> d
     }
 
 
-def every_set(
-    runs: ServoRuns, model: Model, starts: Mapping[str, Sequence[Parameters]], fixed: Parameters
-) -> dict[Set, Fitted]:
-    """The best fit of every set of effects, each from the fits of what it is made of."""
-    begin = {name: float(getattr(model, name) or 0.0) for name in OWN} | RIG | fixed
-    (alone,) = fit(runs, [begin], tuple(fixed))
-    best: dict[Set, Fitted] = {frozenset(): alone}
-    for size in range(len(starts)):
-        jobs: list[tuple[Set, Parameters]] = []
-        for members in [m for m in best if len(m) == size]:
-            for effect in sorted(starts.keys() - members):
-                base = dict(best[members].parameters)
-                if effect == "load_dependent_friction":
-                    base["coulomb_friction"] *= 0.5  # of which it takes the place
-                jobs += [(members | {effect}, base | start) for start in starts[effect]]
-        for (members, _), found in zip(jobs, fit(runs, [start for _, start in jobs], tuple(fixed)), strict=True):
-            if members not in best or found.cost < best[members].cost:
-                best[members] = found
-    return best
-
-
-def prune(sets: Mapping[Set, Fitted], members: Set, runs: ServoRuns) -> Set:
-    """The members that stand: of all, the weakest goes first."""
-    while members:
-        heights = {
-            name: height(relative(sets[members - {name}], sets[members], runs), sets[members]) for name in members
-        }
-        weakest = min(sorted(members), key=lambda name: heights[name])
-        if presence(heights[weakest]) >= NAMED:
-            break
-        members = members - {weakest}
-    return members
-
-
 def without(parameters: Parameters, effects: Set) -> Parameters:
     """The same but for what belongs to some effects."""
     return {name: value for name, value in parameters.items() if name.partition(".")[0] not in effects}
 
 
-def relative(without: Fitted, fitted: Fitted, runs: ServoRuns) -> float:
-    """Logarithm of how much worse a set is without a member, beside what the encoder's counts leave open."""
-    open_to_all = len(fitted.error) * (COUNTS * runs.count) ** 2
-    return math.log(max((without.cost + open_to_all) / (fitted.cost + open_to_all), 1.0))
+def relative(sets: Mapping[Set, Fitted], fewer: Set, members: Set, runs: ServoRuns) -> float:
+    """Logarithm of how much worse a set is without a member, beside what is open to all."""
+    fitted, lacking = sets[members], sets[fewer]
+    left_open = open_cost(sets, members, members - fewer, runs)
+    return math.log(max((lacking.cost + left_open) / (fitted.cost + left_open), 1.0))
+
+
+def open_cost(sets: Mapping[Set, Fitted], members: Set, judged: Set, runs: ServoRuns) -> float:
+    """Cost that the encoder's counts leave open, and that forms may leave.
+
+    What a profile or a dead band takes from the cost is most of it; what their forms leave of that is open as well,
+    but where they are judged themselves.
+    """
+    left_open = len(sets[members].error) * (COUNTS * runs.count) ** 2
+    drive = members & DRIVE
+    if drive and not judged & DRIVE and members - drive in sets:
+        left_open += FORM_LEFT * max(sets[members - drive].cost - sets[members].cost, 0.0)
+    return left_open
 
 
 def height(worse: float, fitted: Fitted) -> float:
@@ -219,17 +325,17 @@ def height(worse: float, fitted: Fitted) -> float:
     return worse / math.hypot(FORM_ERROR, math.sqrt(2.0) / independent)
 
 
-def unfollowed(runs: ServoRuns, fitted: Fitted) -> float:
-    """Cost of other runs with the parameters of a fit."""
-    return cost((replay(runs, table([fitted.parameters]))[0] - runs.angle)[runs.measured])
+def unfollowed(runs: ServoRuns, several: Sequence[Fitted]) -> list[float]:
+    """Cost of other runs with the parameters of each of several fits."""
+    return [cost(error) for error in Measured(runs).of([fitted.parameters for fitted in several])]
 
 
-def errors_of(fitted: Fitted) -> dict[str, float]:
+def errors_of(fitted: Fitted, runs: ServoRuns) -> dict[str, float]:
     """Standard errors of what was fitted: by errors that hang together, or by how far runs lie apart if that is more.
 
     The second is the sandwich of Huber (1967) over whole runs; a parameter that nothing shows has its own size.
     """
-    sizes = np.array([SCALES[name] for name in fitted.names])
+    sizes = np.array([runs.sizes[name] for name in fitted.names])
     inverse = np.linalg.pinv(fitted.information, hermitian=True)
     variance = np.diag(inverse) * fitted.cost / len(fitted.error) * rows_per_independent(fitted.error)
     count = len(fitted.scores)
@@ -248,6 +354,8 @@ def parameters_of(effect: str, fitted: Fitted, stds: Mapping[str, float]) -> dic
         for name, value in fitted.parameters.items()
         if name.startswith(f"{effect}.")
     }
+    if effect in DRIVE:
+        return as_told(effect, found)
     if "cos" not in found:
         return found
     (cosine, one), (sine, other) = found.pop("cos"), found.pop("sin")

@@ -1,14 +1,17 @@
 """Runs of position servos put side by side."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
+from leactl.gap.evidence import PRIORS
 from leactl.gap.record import Clocked, Record
 from leactl.gap.rig import drive_of, load_of
+from leactl.gap.servo.times import FORGETS, STEPS, times_of
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
@@ -16,6 +19,7 @@ Mask = npt.NDArray[np.bool_]
 FEW = 4  # samples
 MOVING = 0.1  # of the fast speeds, below which a run begins at rest
 SAME_PACE = 0.01  # relative, by which sampling intervals may differ
+FAST = 0.95  # quantile of the speeds
 
 
 @dataclass(frozen=True)
@@ -29,14 +33,27 @@ class ServoRuns:
     reference: Array
     enabled: Array
     measured: Mask
+    volts: Array  # V, that the motors got, as far as
+    told: Mask  # it is logged
     gain: Array  # V/rad
+    rate_gain: Array  # V*s/rad, on the rate of the error
     limit: Array  # V
     level: Array  # N*m, of the pendulum held out level
     inertia: Array  # kg*m^2, of the pendulum
+    sizes: Mapping[str, float]  # of each parameter that a fit may move, what it counts by
+    usual: Mapping[str, tuple[float, float]]  # of the model's own parameters: value, and how far it may be off
+    forgets: int  # samples, after which a servo of the model no longer knows where it began
+
+    @property
+    def hangs(self) -> bool:
+        """Whether something of a known weight hangs on the shaft."""
+        return bool(np.any(self.level > 0.0))
 
 
 def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
     """Put runs of position servos side by side; shorter ones wait at their last reference.
+
+    Samples that are closer than a simulation of the servo needs are thinned out.
 
     Raises
     ------
@@ -50,25 +67,90 @@ def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
     if any(abs(clock.interval / interval - 1.0) > SAME_PACE for clock in clocks):
         paces = sorted({f"{clock.interval:.4g}" for clock in clocks})
         raise InputError(f"runs sampled every {', '.join(paces)} s cannot be simulated side by side")
-    angles, references, enabled = (np.stack(c) for c in zip(*(channels(k, longest) for k in clocks), strict=True))
+    angles, references, enabled, volts = (
+        np.stack(c) for c in zip(*(channels(k, longest) for k in clocks), strict=True)
+    )
     measured = np.stack([np.arange(longest) < len(clock.time) for clock in clocks])
-    for row, clock in zip(measured, clocks, strict=True):
+    told = measured.copy()
+    for row, logged, clock in zip(measured, told, clocks, strict=True):
         row[: len(clock.time)] &= clock.all_valid(("angle", "test"), ("angle_reference", "test"))
+        logged[: len(clock.time)] &= clock.all_valid(("q_axis_voltage", "test"), ("angle_reference", "test"))
+        logged &= clock.get("q_axis_voltage") is not None
     servos = [servo for record in records if (servo := drive_of(record, model)) is not None]
     loads = [load_of(record, model) for record in records]
+    gain, inertia = np.array([servo.gain for servo in servos]), np.array([load.inertia for load in loads])
+    told &= (gain > 0.0)[:, None]
+    fast, slow = times_of(model, gain, float(np.min(inertia)), float(np.max(inertia)))
+    every = max(1, math.floor(STEPS * fast / interval))
     return ServoRuns(
-        interval,
+        interval * every,
         max(clock.counts.get(("angle", "test"), 0.0) for clock in clocks),
-        angles,
+        angles[:, ::every],
         np.array([starting_speed(one, interval) for one in angles]),
-        references,
-        enabled,
-        measured,
-        np.array([servo.gain for servo in servos]),
+        means_ahead(references, every),
+        enabled[:, ::every],
+        measured[:, ::every],
+        volts[:, ::every],
+        told[:, ::every],
+        gain,
+        np.array([servo.damping for servo in servos]),
         np.array([servo.voltage_limit for servo in servos]),
         np.array([load.level_torque for load in loads]),
-        np.array([load.inertia for load in loads]),
+        inertia,
+        sizes_of(model, angles, interval * every, interval, float(np.mean(inertia))),
+        usual_of(model),
+        math.ceil(FORGETS * slow / (interval * every)),
     )
+
+
+def sizes_of(model: Model, angles: Array, interval: float, sampled: float, load: float) -> dict[str, float]:
+    """What each parameter of a simulation counts by, from the servo's own torque, speed and time."""
+    constant, resistance = model.torque_constant or 0.0, model.phase_resistance or 1.0
+    volts = model.drive.voltage_limit if model.drive is not None else 0.0
+    stall, holding = constant * volts / resistance, constant**2 / resistance
+    mass = (model.rotor_inertia or 0.0) + load
+    turned = np.abs(np.diff(angles, axis=1)) / sampled
+    fast = max(float(np.quantile(turned, FAST)), 1e-3 * volts / max(constant, 1e-300), 1e-300)
+    response = mass / max(holding, 1e-300)
+    return {
+        "torque_constant": 0.3 * constant,
+        "phase_resistance": 0.3 * resistance,
+        "rotor_inertia": 0.015 * mass,
+        "viscous_damping": 0.025 * holding,
+        "coulomb_friction": 0.0015 * stall,
+        "load_zero": 0.1,  # rad, of where the pendulum hangs straight down
+        "reference_delay": 2.0 * interval,
+        "voltage_delay": interval,
+        "reference_rate_limit.slowness": 0.3 / fast,
+        "reference_rate_limit.sluggishness": 0.3 * response / fast,
+        "servo_dead_band.band": 0.01,  # rad
+        "saturation.loss": 1.0,
+        "load_dependent_friction.coefficient": 0.1,
+        "stribeck.breakaway_ratio": 0.1,
+        "stribeck.stribeck_velocity": 0.1 * fast,
+        "position_dependent_friction.cos": 0.1,
+        "position_dependent_friction.sin": 0.1,
+        "asymmetric_friction.asymmetry": 0.1,
+        "quadratic_drag.coefficient": 0.025 * holding / fast,
+        "dead_time.voltage": 0.015 * volts,
+        "dead_time.current": 0.05 * volts / resistance,
+    }
+
+
+def usual_of(model: Model) -> dict[str, tuple[float, float]]:
+    """What a model says of the parameters that a fit may move, with the width of their priors."""
+    names = ("torque_constant", "phase_resistance", "rotor_inertia", "viscous_damping", "coulomb_friction")
+    known = {name: float(getattr(model, name) or 0.0) for name in names}
+    return {name: (value, PRIORS[name] * value) for name, value in known.items() if value > 0.0}
+
+
+def means_ahead(values: Array, every: int) -> Array:
+    """Of every so many samples: the mean of one and of those up to the next that stays."""
+    if every == 1:
+        return values
+    short = -values.shape[1] % every
+    whole = np.pad(values, ((0, 0), (0, short)), mode="edge")
+    return np.asarray(whole.reshape(len(values), -1, every).mean(axis=2), np.float64)
 
 
 def side_by_side(records: Sequence[Record], model: Model) -> list[Record]:
@@ -81,14 +163,20 @@ def side_by_side(records: Sequence[Record], model: Model) -> list[Record]:
 def starting_speed(angle: Array, interval: float) -> float:
     """Speed at the first sample, by a parabola through a few; none where that is little beside the run's speeds."""
     speed = float(np.polynomial.Polynomial.fit(interval * np.arange(FEW), angle[:FEW], 2).deriv()(0.0))
-    fast = float(np.quantile(np.abs(np.diff(angle)), 0.95)) / interval
+    fast = float(np.quantile(np.abs(np.diff(angle)), FAST)) / interval
     return speed if abs(speed) > MOVING * fast else 0.0
 
 
-def channels(clock: Clocked, length: int) -> tuple[Array, Array, Array]:
-    """Angle, reference and whether the drive is enabled, held to a length."""
-    enabled = clock.get("drive_enabled")
+def channels(clock: Clocked, length: int) -> tuple[Array, Array, Array, Array]:
+    """Angle, reference, whether the drive is enabled, and the motor's voltage, held to a length."""
+    enabled, volts = clock.get("drive_enabled"), clock.get("q_axis_voltage")
     on = np.ones(len(clock.time)) if enabled is None else (enabled > 0.5).astype(float)
-    found = (clock.values["angle", "test"], clock.values["angle_reference", "test"], on)
-    angle, reference, on = (np.pad(values, (0, length - len(values)), mode="edge") for values in found)
-    return angle, reference, on
+    none = np.zeros(len(clock.time))
+    found = (
+        clock.values["angle", "test"],
+        clock.values["angle_reference", "test"],
+        on,
+        none if volts is None else volts,
+    )
+    angle, reference, on, volts = (np.pad(values, (0, length - len(values)), mode="edge") for values in found)
+    return angle, reference, on, volts

@@ -1,10 +1,11 @@
-"""Free runs of pendulums on position servos, many parameter sets at once.
+"""Free runs of position servos, many parameter sets at once.
 
 A free run of a servo shows what its balance of torques cannot: where it sticks. Friction is
 `(f + c |T|) (1 + r exp(-(|w| / v)^n)) (1 + s sgn(w)) (1 + p cos(m q) + u sin(m q)) + b |w| + d w^2` over the torque T
 that the motor puts into the gear; it takes what moves the axis and no more. Saturation takes a share from that torque
-that grows with a power of the current, dead time a voltage that saturates with it. All as the effects of those names
-do, whose parameters bear their names here.
+that grows with a power of the current, dead time a voltage that saturates with it; a dead band gives no output to an
+error within it, and a limited reference is followed by way of `profile`. All as the effects of those names do, whose
+parameters bear their names here.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -12,32 +13,39 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from leactl.gap.servo.profile import SLOWNESS, SLUGGISHNESS, SetPoints
 from leactl.gap.servo.runs import ServoRuns
+from leactl.gap.servo.stretches import Stretches, whole_runs
+from leactl.gap.servo.times import STEPS
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 Parameters = dict[str, float]
-FINE = 0.02  # of the time constant with which back-EMF slows an axis down, that a step may last
-FEWEST_PARTS, MOST_PARTS = 2, 20  # steps a sample
-SCALES: dict[str, float] = {
-    "torque_constant": 0.1,
-    "phase_resistance": 1.0,
-    "rotor_inertia": 1e-4,
-    "viscous_damping": 1e-3,
-    "coulomb_friction": 1e-3,
-    "load_zero": 0.1,  # rad, of where the pendulum hangs straight down
-    "reference_delay": 0.01,  # s
-    "saturation.loss": 1.0,
-    "load_dependent_friction.coefficient": 0.1,
-    "stribeck.breakaway_ratio": 0.1,
-    "stribeck.stribeck_velocity": 0.1,
-    "position_dependent_friction.cos": 0.1,
-    "position_dependent_friction.sin": 0.1,
-    "asymmetric_friction.asymmetry": 0.1,
-    "quadratic_drag.coefficient": 1e-3,
-    "dead_time.voltage": 0.1,
-    "dead_time.current": 0.1,
-}
-"""What a fit may move, with a size that its finite differences and its damping go by."""
+MOST_PARTS = 20  # steps a sample
+FREE = (
+    "torque_constant",
+    "phase_resistance",
+    "rotor_inertia",
+    "viscous_damping",
+    "coulomb_friction",
+    "load_zero",
+    "reference_delay",
+    "voltage_delay",
+    SLOWNESS,
+    SLUGGISHNESS,
+    "servo_dead_band.band",
+    "saturation.loss",
+    "load_dependent_friction.coefficient",
+    "stribeck.breakaway_ratio",
+    "stribeck.stribeck_velocity",
+    "position_dependent_friction.cos",
+    "position_dependent_friction.sin",
+    "asymmetric_friction.asymmetry",
+    "quadratic_drag.coefficient",
+    "dead_time.voltage",
+    "dead_time.current",
+)
+"""What a fit may move."""
 SHAPES = {
     "saturation.exponent": 2.0,
     "saturation.current": 25.0,
@@ -47,12 +55,14 @@ SHAPES = {
 """What is taken as it is, with its default."""
 SIGNED = (
     "load_zero",
+    "voltage_delay",
     "position_dependent_friction.cos",
     "position_dependent_friction.sin",
     "asymmetric_friction.asymmetry",
 )
 """What may be negative."""
-SLOWEST = 1e-6  # rad/s or A, over which friction or a voltage may fade
+FINEST = 1e-6  # rad, of an encoder whose counts do not show
+EDGE = 1.0  # counts of the encoder, over which a dead band ends
 
 
 def table(points: Sequence[Mapping[str, float]]) -> dict[str, Array]:
@@ -63,10 +73,18 @@ def table(points: Sequence[Mapping[str, float]]) -> dict[str, Array]:
 
 def replay(runs: ServoRuns, sets: Mapping[str, Array]) -> Array:
     """Angles (sets, runs, samples) from each run's first state on; `sets` has one value a set for each parameter."""
-    count, size = len(next(iter(sets.values()))), len(runs.gain)
+    return simulate(runs, sets, whole_runs(runs), SetPoints(runs))
+
+
+def simulate(runs: ServoRuns, sets: Mapping[str, Array], cut: Stretches, points: SetPoints) -> Array:
+    """Angles (sets, runs, samples) of stretches of runs that are replayed side by side."""
+    count, own = len(next(iter(sets.values()))), cut.run
 
     def spread(name: str) -> Array:
-        return np.repeat(sets.get(name, np.full(count, SHAPES.get(name, 0.0)))[:, None], size, axis=1)
+        return np.repeat(sets.get(name, np.full(count, SHAPES.get(name, 0.0)))[:, None], len(own), axis=1)
+
+    def of_runs(values: Array) -> Array:
+        return np.repeat(values[own][None], count, axis=0)
 
     constant, resistance, coulomb, damping, zero = (
         spread(name)
@@ -74,47 +92,85 @@ def replay(runs: ServoRuns, sets: Mapping[str, Array]) -> Array:
     )
     parts = parts_of(runs, sets)
     step = runs.interval / parts
-    per_speed = (spread("rotor_inertia") + runs.inertia) / step
+    gain, rate_gain, level = (of_runs(values) for values in (runs.gain, runs.rate_gain, runs.level))
+    rated = bool(np.any(rate_gain))
+    # half of what slows the axis down acts at the end of a step: that follows it with far longer steps
+    slowing = 0.5 * constant * (constant + rate_gain) / resistance
+    loose = (spread("rotor_inertia") + of_runs(runs.inertia)) / step + 0.5 * damping
+    per_speed = loose + slowing
     lose = _loss(*(spread(f"saturation.{name}") for name in ("loss", "exponent", "current")))
     rub = spread("load_dependent_friction.coefficient")
     fade = _fading(*(spread(f"stribeck.{name}") for name in ("breakaway_ratio", "stribeck_velocity", "shape")))
     wave = _wave(*(spread(f"position_dependent_friction.{name}") for name in ("cos", "sin", "order")))
-    rubs = bool(np.any(rub))
+    deaf = _deafness(spread("servo_dead_band.band"), max(EDGE * runs.count, FINEST))
+    rubs, hangs = bool(np.any(rub)), runs.hangs
     lopsided, drag = spread("asymmetric_friction.asymmetry"), spread("quadratic_drag.coefficient")
     leans, drags = bool(np.any(lopsided)), bool(np.any(drag))
-    dead, knee = spread("dead_time.voltage") / resistance, np.maximum(spread("dead_time.current"), SLOWEST)
+    dead, knee = spread("dead_time.voltage") / resistance, np.maximum(spread("dead_time.current"), 1e-300)
     dies = bool(np.any(dead))
-    reference = np.ascontiguousarray(np.moveaxis(late(runs, spread("reference_delay")[:, 0]), 2, 0))
-    enabled = runs.enabled.T.copy()
-    gain, level = (np.repeat(values[None], count, axis=0) for values in (runs.gain, runs.level))
-    high = np.repeat(runs.limit[None], count, axis=0)
+    high = of_runs(runs.limit)
     low = -high
-    angle = np.repeat(runs.angle[None, :, 0], count, axis=0)
-    speed = np.repeat(runs.speed[None], count, axis=0)
-    push, friction, other = (np.zeros_like(angle) for _ in range(3))
-    out = np.empty((runs.angle.shape[1], *angle.shape))
+    begins, ends, place = points.at(sets, count)
+    limited, ways = begins is not ends, [(part + 0.5) / parts for part in range(parts)]
+    at = np.minimum(cut.samples, runs.angle.shape[1] - 1)
+    # a row a sample, its lanes next to each other
+    moves = of_lanes(ends - begins, own, at, place) if limited else None
+    begins = of_lanes(begins, own, at, place)
+    enabled, switched = runs.enabled[own[:, None], at].T.copy(), bool(np.any(runs.enabled < 1.0))
+    angle = np.repeat(cut.angle[None], count, axis=0)
+    speed = np.repeat(cut.speed[None], count, axis=0)
+    push, friction, other, held, asked = (np.zeros_like(angle) for _ in range(5))
+    out = np.empty((cut.length, *angle.shape))
+    share = 1.0 / resistance
+    emf, hasty, before = constant.copy(), np.zeros_like(angle), begins[0]
     # a few hundred numbers at a time: what counts is how often numpy is called and not how much it does
-    for sample, wanted in enumerate(reference):
+    for sample in range(cut.length):
         out[sample] = angle
-        share = enabled[sample] / resistance
-        for _ in range(parts):
-            np.subtract(wanted, angle, out=push)
+        wanted = begins[sample]
+        if switched:
+            share = enabled[sample] / resistance
+            per_speed = loose + enabled[sample] * slowing
+        if rated:
+            arrives = wanted if moves is None else wanted + moves[sample]
+            np.subtract(arrives, before, out=hasty)
+            hasty *= rate_gain / runs.interval
+            before = arrives
+        if hangs:
+            np.multiply(speed, 0.5 * runs.interval, out=held)
+            held += angle
+            held += zero
+            np.sin(held, out=held)
+            held *= level
+        for part in range(parts):
+            if moves is None:
+                np.subtract(wanted, angle, out=push)
+            else:
+                np.multiply(moves[sample], ways[part], out=asked)
+                asked += wanted
+                np.subtract(asked, angle, out=push)
+            if deaf is not None:
+                deaf(push, other)
             push *= gain
+            if rated:
+                push += hasty
+                np.multiply(rate_gain, speed, out=other)
+                push -= other
             np.minimum(push, high, out=push)
             np.maximum(push, low, out=push)
-            np.multiply(constant, speed, out=other)
+            np.multiply(emf, speed, out=other)
             push -= other
             push *= share  # the current
             if dies:
-                push -= enabled[sample] * dead * np.tanh(push / knee)
+                push -= (enabled[sample] if switched else 1.0) * dead * np.tanh(push / knee)
             if lose is not None:
                 lose(push, other)
             push *= constant
-            np.copyto(friction, coulomb)
             if rubs:
-                np.abs(push, out=other)
-                other *= rub
-                friction += other
+                np.abs(push, out=friction)
+                friction *= rub
+                friction += coulomb
+            else:
+                np.copyto(friction, coulomb)
             np.abs(speed, out=other)
             if fade is not None:
                 friction *= fade(other)
@@ -126,10 +182,8 @@ def replay(runs: ServoRuns, sets: Mapping[str, Array]) -> Array:
                 friction += drag * other**2
             other *= damping
             friction += other
-            np.add(angle, zero, out=other)
-            np.sin(other, out=other)
-            other *= level
-            push -= other
+            if hangs:
+                push -= held
             np.multiply(per_speed, speed, out=other)
             other += push  # the torque that would bring the axis to rest
             np.minimum(other, friction, out=other)
@@ -140,33 +194,85 @@ def replay(runs: ServoRuns, sets: Mapping[str, Array]) -> Array:
             speed += push
             np.multiply(speed, step, out=push)
             angle += push
-    return np.moveaxis(out, 0, 2)
+    return gathered(out, cut, runs)
+
+
+def voltages(runs: ServoRuns, sets: Mapping[str, Array], points: SetPoints) -> Array:
+    """Voltages (sets, runs, samples) that a controller gives for the angles that were measured.
+
+    They ask nothing of the motor: what they leave of the logged ones tells the drive by itself.
+    """
+    count = len(next(iter(sets.values())))
+    begins, _, place = points.at(sets, count, "voltage_delay")
+    error = begins[place] - runs.angle
+    band = sets.get("servo_dead_band.band", np.zeros(count))[:, None, None]
+    deaf = _deafness(band, max(EDGE * runs.count, FINEST))
+    if deaf is not None:
+        deaf(error, np.empty_like(error))
+    volts = runs.gain[:, None] * error
+    if np.any(runs.rate_gain):
+        haste = np.gradient(begins, runs.interval, axis=2)[place] - np.gradient(runs.angle, runs.interval, axis=1)
+        volts += runs.rate_gain[:, None] * haste
+    limit = runs.limit[:, None]
+    return np.asarray(np.clip(volts, -limit, limit) * runs.enabled, np.float64)
+
+
+def of_lanes(values: Array, own: Index, at: Index, place: Index) -> Array:
+    """Values (some, runs, samples) as the lanes have them, (samples, sets, stretches)."""
+    return np.take(np.ascontiguousarray(np.moveaxis(values[:, own[:, None], at], 2, 0)), place, axis=1)
+
+
+def gathered(values: Array, cut: Stretches, runs: ServoRuns) -> Array:
+    """What counts of stretches (samples, sets, stretches), as whole runs (sets, runs, samples)."""
+    moved = np.moveaxis(values, 0, 2)
+    samples = runs.angle.shape[1]
+    if cut.length == samples:
+        return moved
+    whole = np.empty((moved.shape[0], len(runs.gain), samples))
+    for stretch, (run, first, counts) in enumerate(zip(cut.run, cut.first, cut.counts, strict=True)):
+        end = min(first + cut.length, samples)
+        whole[:, run, counts:end] = moved[:, stretch, counts - first : end - first]
+    return whole
 
 
 def parts_of(runs: ServoRuns, sets: Mapping[str, Array]) -> int:
-    """Steps a sample that follow how back-EMF slows the lightest axis down."""
+    """Steps a sample that follow how fast the lightest axis answers."""
+    constant, resistance = sets["torque_constant"], sets["phase_resistance"]
     lightest = sets["rotor_inertia"] + float(np.min(runs.inertia))
-    rate = sets["torque_constant"] ** 2 / (sets["phase_resistance"] * lightest)
-    needed = runs.interval * float(np.quantile(rate, 0.5)) / FINE
-    return int(np.clip(np.ceil(needed), FEWEST_PARTS, MOST_PARTS)) if np.isfinite(needed) else FEWEST_PARTS
+    slowing = constant * (constant + float(np.max(runs.rate_gain))) / (resistance * lightest)
+    swinging = np.sqrt(float(np.max(runs.gain)) * constant / (resistance * lightest))
+    needed = runs.interval * float(np.quantile(np.maximum(slowing, swinging), 0.5)) / STEPS
+    return int(np.clip(np.ceil(needed), 1, MOST_PARTS)) if np.isfinite(needed) else 1
 
 
-def late(runs: ServoRuns, delays: Array) -> Array:
-    """References (sets, runs, samples) as they arrive."""
-    at = np.arange(runs.angle.shape[1]) * runs.interval
-    return np.stack([[np.interp(at - delay, at, one) for one in runs.reference] for delay in delays])
+def _deafness(band: Array, edge: float) -> Callable[[Array, Array], None] | None:
+    """Takes from errors those within a band, whose end is an edge wide; None where there is no band."""
+    if not np.any(band):
+        return None
+    begins = np.where(band > 0.0, band / edge - 0.5, -np.inf)
+
+    def deafen(error: Array, other: Array) -> None:
+        np.abs(error, out=other)
+        other /= edge
+        other -= begins
+        np.clip(other, 0.0, 1.0, out=other)
+        error *= other
+
+    return deafen
 
 
 def _loss(loss: Array, exponent: Array, full: Array) -> Callable[[Array, Array], None] | None:
     """Takes from currents what saturation takes; None where nothing is lost."""
     if not np.any(loss):
         return None
-    bent = bool(np.any(exponent != 1.0))
+    bent, squared = bool(np.any(exponent != 1.0)), bool(np.all(exponent == 2.0))
 
     def lose(current: Array, other: Array) -> None:
         np.abs(current, out=other)
         other /= full
-        if bent:
+        if squared:
+            np.multiply(other, other, out=other)
+        elif bent:
             np.power(other, exponent, out=other)
         other *= loss
         np.subtract(1.0, other, out=other)
@@ -180,11 +286,14 @@ def _fading(ratio: Array, velocity: Array, shape: Array) -> Callable[[Array], Ar
     """Factor on friction at a speed; None where it is one everywhere."""
     if not np.any(ratio):
         return None
-    per_speed, bent = 1.0 / np.maximum(velocity, SLOWEST), bool(np.any(shape != 1.0))
+    per_speed = 1.0 / np.maximum(velocity, 1e-300)
+    bent, squared = bool(np.any(shape != 1.0)), bool(np.all(shape == 2.0))
 
     def fade(speed: Array) -> Array:
         over = speed * per_speed
-        if bent:
+        if squared:
+            np.multiply(over, over, out=over)
+        elif bent:
             np.power(over, shape, out=over)
         np.negative(over, out=over)
         np.exp(over, out=over)

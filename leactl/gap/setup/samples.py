@@ -143,9 +143,14 @@ def longest_run(mask: Mask) -> tuple[int, int]:
     return int(begin), int(end)
 
 
-def repeated(records: Sequence[Record], _: Model) -> SetUpFault | None:
+def measured_by(model: Model) -> tuple[str, ...]:
+    """Quantities that are measured and no drive works out: a servo's voltage follows from counts, and rests."""
+    return MEASURED if model.drive is None else tuple(name for name in MEASURED if name != "q_axis_voltage")
+
+
+def repeated(records: Sequence[Record], model: Model) -> SetUpFault | None:
     """A measured channel of which many samples are the one before them once more."""
-    for key, clocks in channels_of(records, MEASURED):
+    for key, clocks in channels_of(records, measured_by(model)):
         shares = [float(again(clock, key).mean()) for clock in clocks.values()]
         if float(np.median(shares)) > REPEATED:
             evidence = f"repeats {100.0 * float(np.median(shares)):.0f} % of its samples"
@@ -173,9 +178,9 @@ def again(clock: Clocked, key: Key) -> Mask:
     return found
 
 
-def clipped(records: Sequence[Record], _: Model) -> SetUpFault | None:
+def clipped(records: Sequence[Record], model: Model) -> SetUpFault | None:
     """A measured channel that stands at an end of its range, sample after sample, where noise should move it."""
-    for key, clocks in channels_of(records, MEASURED):
+    for key, clocks in channels_of(records, measured_by(model)):
         topped = {name: top for name, clock in clocks.items() if (top := at_ends(clock, key)).any()}
         if topped:
             level = max(float(np.max(np.abs(clocks[name].values[key]))) for name in topped)

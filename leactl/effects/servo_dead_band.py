@@ -1,0 +1,33 @@
+"""Dead band of a servo: an error within it gives no output."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
+from leactl.model.nominal import Model
+
+
+class ServoDeadBand(Effect):
+    """A controller that leaves small errors alone; judged by free runs, not by equations."""
+
+    name = "servo_dead_band"
+    one_sided = True
+
+    def applies(self, model: Model) -> bool:
+        """A servo's alone."""
+        return model.drive is not None
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """Nothing: what a controller does to its error shows where runs are simulated."""
+        return {}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Band."""
+        return {"band": found["band"]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """Errors within the band count as none."""
+        band = parameters["band"]
+        plant.servo_error.append(lambda error: np.where(np.abs(error) < band, 0.0, error))

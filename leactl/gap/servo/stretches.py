@@ -1,0 +1,56 @@
+"""Runs of a servo cut into stretches that are simulated side by side.
+
+A servo forgets where it began within a few of its own time constants, unless it is let go. A stretch begins from the
+measured state that much earlier, and only what follows counts; where runs are not much longer than that, each is one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.gap.servo.runs import ServoRuns
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+REACH = 4  # samples, that a speed is taken over
+COUNTS = 2.0  # times as long as it takes to forget, that a stretch counts
+
+
+@dataclass(frozen=True, eq=False)
+class Stretches:
+    """Which run each stretch is of, where it begins and from where on it counts."""
+
+    run: Index
+    first: Index  # sample that it begins at
+    counts: Index  # sample from which on it counts
+    length: int  # samples, of each
+    angle: Array  # rad, where it begins
+    speed: Array  # rad/s
+
+    @property
+    def samples(self) -> Index:
+        """The sample that each stretch is at, (stretches, samples); those that run on beyond the end stay there."""
+        return self.first[:, None] + np.arange(self.length)
+
+
+def whole_runs(runs: ServoRuns) -> Stretches:
+    """Each run as one stretch."""
+    none = np.zeros(len(runs.gain), np.intp)
+    return Stretches(np.arange(len(none)), none, none, runs.angle.shape[1], runs.angle[:, 0], runs.speed)
+
+
+def cut(runs: ServoRuns) -> Stretches:
+    """Runs as stretches that are as long as pays."""
+    samples, forgets = runs.angle.shape[1], runs.forgets
+    count = int(samples / (COUNTS * forgets))
+    if count < 2 or bool(np.any(runs.enabled < 1.0)):
+        return whole_runs(runs)
+    long = -(-samples // count)
+    counts = np.tile(long * np.arange(count), len(runs.gain))
+    run = np.repeat(np.arange(len(runs.gain)), count)
+    first = np.maximum(counts - forgets, 0)
+    ends = np.minimum(first + REACH, samples - 1)
+    angle, speed = runs.angle[run, first], (runs.angle[run, ends] - runs.angle[run, first]) / (REACH * runs.interval)
+    begin = first == 0
+    return Stretches(run, first, counts, long + forgets, angle, np.where(begin, runs.speed[run], speed))
