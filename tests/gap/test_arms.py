@@ -1,6 +1,7 @@
 """Motors that are fed with a voltage and log no current: arms, springs and drags in volts, and real arms of WPILib."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ WINDING = {
     "viscous_damping": 0.8,
     "coulomb_friction": 0.2,
 }
+VOLTS_OF_TEST = ("q_axis_voltage", "test")
 FILES = Path(__file__).parent / "foreign"
 PUBLISHED = {
     "elbow_sysid_data20230222-162953": 0.61,
@@ -148,6 +150,19 @@ def test_a_run_s_own_mass_replaces_the_model_s(tmp_path):
     heavier = Model.model_validate(WINDING | {"load": load | {"mass": 0.4}})
     (other,) = [e for e in equations(run, heavier) if e.name == "axis_torque"]
     np.testing.assert_array_equal(own.left_over, other.left_over)
+
+
+def test_a_turned_voltage_is_the_set_up_s_fault(weighed):
+    turned = [
+        replace(
+            record,
+            fast=replace(record.fast, values=record.fast.values | {VOLTS_OF_TEST: -record.fast.get(*VOLTS_OF_TEST)}),
+        )
+        for record in weighed
+    ]
+    found = diagnose(case_of(turned, Model.model_validate(VOLTS)))
+    assert named(found) == ["channel_sign", "gravity_load", "unbalance"]
+    assert "q_axis_voltage" in found.causes[0].change
 
 
 def test_where_the_arm_makes_whole_turns_an_unbalance_stands_first(tmp_path):
