@@ -107,9 +107,9 @@ def untold(model: Model, parameter: str) -> list[CalibratedParameter]:
 def at_bound(item: CalibratedParameter) -> bool:
     """Whether a fit went as far as it may: the data want more than this parameter can give.
 
-    A feedforward is a fit itself, whose kS may hold all that it left out: no share of it is a bound.
+    A feedforward is a fit itself, whose kS and kA may hold all that it left out: no share of these is a bound.
     """
-    if item.parameter == "ambient_offset" or item.parameter.startswith("feedforward.") or not item.nominal:
+    if item.parameter in ("ambient_offset", "feedforward.kS", "feedforward.kA") or not item.nominal:
         return False
     factor = item.fitted / item.nominal
     return not SMALLEST * (1.0 + 1e-9) < factor < (1.0 - 1e-9) / SMALLEST

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from leactl.gap.diagnosis import EffectParameter
 from leactl.gap.record import Key, Record
+from leactl.gap.rig import fed_by_voltage
 from leactl.gap.setup.contract import SetUpFault, with_values
 from leactl.gap.signals import fast_signals
 from leactl.gap.smoothing import smooth
@@ -119,6 +120,13 @@ def pairs_of(record: Record, model: Model) -> Iterator[Pair]:
         volts = model.phase_resistance * s.current + constant * s.velocity
         valid = clock.all_valid(("q_axis_voltage", "test"), ("q_axis_current", "test"), ("angle", "test"))
         yield Pair(("q_axis_voltage", "test"), "current and speed", MODELLED, s.voltage[valid], volts[valid])
+    if (fed := fed_by_voltage(record, model)) is not None and s.voltage is not None and s.velocity is not None:
+        # how many volts a speed takes is what such runs are to tell: only their sense says something
+        volts = (fed.damping * s.velocity + (model.coulomb_friction or 0.0) * np.sign(s.velocity)) / fed.gain
+        valid = clock.all_valid(("q_axis_voltage", "test"), ("angle", "test"), ("velocity", "test"))
+        # each with its mirror image: a step holds one voltage, whose sense is in its mean
+        reads, takes = (np.concatenate([values[valid], -values[valid]]) for values in (s.voltage, volts))
+        yield Pair(("q_axis_voltage", "test"), "the motion", math.inf, reads, takes)
     if s.mechanical == "free" and s.current is not None and s.velocity is not None and model.load.type == "none":
         parts = (model.rotor_inertia, model.viscous_damping, model.coulomb_friction)
         if model.torque_constant and None not in parts and s.acceleration is not None and s.sliding is not None:
@@ -138,7 +146,9 @@ def common_factor(group: Sequence[Pair]) -> tuple[float, float] | None:
         return None
     sizes = np.log(np.abs(known))
     middle = float(np.median(sizes))
-    if float(np.ptp(sizes)) > 2.0 * ALIKE or (known[0] > 0.0 and abs(middle) <= group[0].usual):
+    if known[0] > 0.0 and abs(middle) <= group[0].usual:
+        return None
+    if math.isfinite(group[0].usual) and float(np.ptp(sizes)) > 2.0 * ALIKE:  # else the sense alone says something
         return None
     factor = math.copysign(math.exp(middle), float(known[0]))
     explained = float(np.median([pair.explained(factor) for pair in group if math.isfinite(pair.factor)]))
