@@ -14,9 +14,9 @@ from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from leactl.effects.contract import Signals
 from leactl.effects.shapes import play
-from leactl.gap.noise import quantum_of
-from leactl.gap.record import Clocked, Record
-from leactl.gap.smoothing import middle, slope, smooth
+from leactl.gap.noise import noise_of, quantum_of
+from leactl.gap.record import Clocked, Record, smallest_step
+from leactl.gap.smoothing import middle, sharp_senses, slope, smooth
 from leactl.model.nominal import BenchModel, Model
 from leactl.model.sheet import Thermal
 from leactl.model.thermal_network import ThermalNetwork
@@ -69,11 +69,11 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
         s.angle = smooth(middle(angle))
         s.velocity = smooth(speed)
         s.acceleration = slope(s.velocity, dt)
+        s.sliding = smooth(sharp_senses(speed, smallest_step(angle) / dt))
     elif (velocity := clock.get("velocity")) is not None:
         s.velocity = smooth(middle(velocity))
         s.acceleration = slope(s.velocity, dt)
-    if s.velocity is not None:
-        s.sliding = smooth(np.sign(s.velocity))
+        s.sliding = smooth(sharp_senses(middle(velocity), noise_of(velocity)))
     temperatures(s, slow, clock.time)
     s.torque = transmitted(s)
     if s.torque is not None:

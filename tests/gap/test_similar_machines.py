@@ -55,7 +55,7 @@ def thinned(channel, divide):
     """Every so many samples one; means over them for means, as `sampling` says or as every drive has its current."""
     rows = len(channel.time) // divide * divide
     values = channel.values[divide - 1 : rows : divide]
-    if channel.quantity == "q_axis_current":
+    if channel.sampling == "mean" or channel.quantity == "q_axis_current":
         values = channel.values[:rows].reshape(-1, divide).mean(axis=1)
     return replace(channel, time=channel.time[divide - 1 : rows : divide], values=values)
 

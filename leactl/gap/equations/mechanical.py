@@ -6,9 +6,10 @@ import numpy.typing as npt
 from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import STAMPED, Equation, Mask, Place
 from leactl.gap.equations.motion import LOAD_LAG_S
+from leactl.gap.noise import noise_of
 from leactl.gap.record import Clocked, Record
 from leactl.gap.signals import averaged, held
-from leactl.gap.smoothing import middle, slope, smooth
+from leactl.gap.smoothing import middle, sharp_senses, slope, smooth
 from leactl.gap.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
@@ -21,7 +22,7 @@ def moving(s: Signals, velocity: Array, reach: float) -> Mask:
     """Samples around which the shaft turns one way, by half a count of the encoder a sample or more."""
     speed = np.abs(velocity)
     slowest = max(0.5 * s.count / s.interval, SLOW_SHARE * float(np.quantile(speed, 0.999)))
-    return np.asarray(smooth((speed < slowest).astype(float), reach) < 1e-3)
+    return np.asarray(smooth((speed <= slowest).astype(float), reach) < 1e-3)
 
 
 def swings(s: Signals, change: Array) -> Mask:
@@ -85,7 +86,7 @@ def both(record: Record, s: Signals) -> Equation | None:
     load_drive = constant * smooth(load_current)
     inertia = (model.rotor_inertia or 0.0) * acceleration
     damping = (model.viscous_damping or 0.0) * measured
-    friction = (model.coulomb_friction or 0.0) * smooth(np.sign(measured))
+    friction = (model.coulomb_friction or 0.0) * smooth(sharp_senses(middle(load_velocity), noise_of(load_velocity)))
     resisted = sum(c for name, c in calibration.items() if name != "torque_constant")
     left = drive + load_drive - resisted - inertia - damping - friction
     calibration = dict(calibration)
