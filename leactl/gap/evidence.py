@@ -76,7 +76,7 @@ class Null:
     """What sound machines show in the place of effects and model errors."""
 
     unrest: Mapping[tuple[str, str], float]  # by equation and kind of run
-    floors: Mapping[str, float]  # size of each effect, in units of its leading parameter
+    floors: Mapping[str, Sequence[float]]  # sizes of each effect in its forms, in units of its leading parameter
     lines: Mapping[tuple[str, str, str], float]  # height of the highest line in what each channel leaves over
     moved: Mapping[str, tuple[float, float]]  # of each parameter: mean and scatter of its relative change
     untold: tuple[str, ...]  # parameters that they move by themselves: these runs cannot tell them,
@@ -97,6 +97,7 @@ class Evidence:
         self.model, self.records = model, list(records)
         self.sound: Mapping[tuple[str, str], float] = {}
         self.floors = floors(records, model)  # size of each effect below which it is model error
+        self.by_form: Mapping[str, Sequence[float]] = {}  # the same in each form, as sound machines show it
         self.moved: Mapping[str, tuple[float, float]] = {}
         self.lines: Mapping[tuple[str, str, str], float] = {}
         self.kept, self.untold = tuple(kept), tuple[str, ...]()  # parameters that stay as the model has them
@@ -136,8 +137,7 @@ class Evidence:
     def compare_with(self, null: Null) -> None:
         """Take what sound machines show in these runs; a parameter that these cannot tell is not told."""
         self.sound, self.moved, self.lines = null.unrest, null.moved, null.lines
-        for effect, size in null.floors.items():
-            self.floors[effect] = max(self.floors.get(effect, 0.0), size)
+        self.by_form = null.floors
         self.kept, self.untold = null.kept, null.untold
         self.priors.update(dict.fromkeys(self.kept, PINNED))
         self.stack = stack([rows for _, rows in self._made], self.priors)
@@ -147,6 +147,14 @@ class Evidence:
         """The unrest that a sound machine shows in some rows: as measured on the case, at least as others have it."""
         usual = table()["unrest"].get(rows.equation, UNKNOWN_UNREST)
         return max(self.sound.get((rows.equation, rows.kind), 0.0), usual)
+
+    def floor(self, candidate: Candidate) -> float:
+        """Size below which one form of an effect is model error: as sound machines show it in the form next to it."""
+        effect, form = candidate
+        shown, usual = self.by_form.get(effect), self.floors.get(effect, 0.0)
+        if not shown:
+            return usual
+        return max(usual, shown[nearest(self.forms[effect], form) if len(shown) > 1 else 0])
 
     def add(self, candidates: Sequence[Candidate]) -> None:
         """Take further forms of effects into the regression."""
@@ -262,6 +270,14 @@ def forms_here(records: Sequence[Record], model: Model) -> dict[str, list[Form]]
     """Forms of every effect that a model of this kind can lack, at the scales of the machine and these runs."""
     own = form_scales(records, model)
     return {effect.name: effect.forms_at(own) for effect in library().values() if effect.applies(model)}
+
+
+def nearest(forms: Sequence[Form], form: Form) -> int:
+    """Which of several forms lies next to one, by the ratios of their numbers."""
+    apart = [
+        sum(abs(a - b) / max(abs(a) + abs(b), 1e-300) for a, b in zip(other, form, strict=True)) for other in forms
+    ]
+    return int(np.argmin(apart))
 
 
 def every_form(forms: Mapping[str, Sequence[Form]]) -> list[Candidate]:

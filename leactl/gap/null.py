@@ -55,7 +55,7 @@ def measure(records: Sequence[Record], model: Model, seed: int = 0) -> Null:
         moved = shown.parameters() | {SCALE: moved[SCALE]}
     return Null(
         {key: float(np.mean(values)) for key, values in shown.unrest.items()},
-        {effect: float(np.sqrt(np.mean(np.square(sizes)))) for effect, sizes in shown.sizes.items()},
+        {effect: np.sqrt(np.mean(np.square(sizes), axis=0)).tolist() for effect, sizes in shown.sizes.items()},
         {channel: float(np.mean(heights)) for channel, heights in shown.lines.items()},
         moved,
         kept + tuple(name for name in shown.untold() if name not in kept),
@@ -76,7 +76,7 @@ class Shown:
     """What sound machines show, one value for each of them."""
 
     unrest: dict[tuple[str, str], list[float]] = field(default_factory=dict)
-    sizes: dict[str, list[float]] = field(default_factory=dict)
+    sizes: dict[str, list[list[float]]] = field(default_factory=dict)  # of each effect in each of its forms
     lines: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
     moved: dict[str, list[float]] = field(default_factory=dict)
     priors: dict[str, float] = field(default_factory=dict)
@@ -89,8 +89,8 @@ class Shown:
         self.priors = evidence.priors
         for key, value in evidence.unrest().items():
             self.unrest.setdefault(key, []).append(value)
-        for effect, size in sizes_by_chance(evidence).items():
-            self.sizes.setdefault(effect, []).append(size)
+        for effect, sizes in sizes_by_chance(evidence).items():
+            self.sizes.setdefault(effect, []).append(sizes)
         for channel, line in ringing(evidence, fit, [True] * len(evidence.stack.rows)).items():
             self.lines.setdefault(channel, []).append(line.height)
         for place, value in zip(fit.columns, fit.values, strict=True):
