@@ -30,7 +30,7 @@ FARTHEST = 1.5  # e-folds of a parameter
 FOLLOWED = 8  # rounds at most
 CALM = 5.0  # samples
 SWING_DAMPING = 0.03  # of critical, as shafts without a damper have it
-RINGS_S = 0.05  # how long a locked rotor may swing on its shaft
+RINGS = 2.4  # time constants of its decay, for which a locked rotor may swing on its shaft
 STICKS, SLIDES = 0.5, 1.0  # swings, in its friction, that leave open where a rotor sticks, and how it slides
 STICKY = 0.01  # of the largest torque, friction below which it hardly matters where a rotor sticks
 DIFFERENCED = 70.0  # variance of a fourth difference, over that of a sample
@@ -168,7 +168,7 @@ def settled(s: Signals, swing: float) -> Mask:
     swung = lfilter(above[0], below, force, zi=lfilter_zi(above[0], below) * force[0])[0]  # without friction
     leaps = np.flatnonzero(np.abs(swung - force) > swing * friction)
     for leap, following in zip(leaps, np.append(leaps, len(force))[1:], strict=True):
-        rings = leap + round(RINGS_S / s.interval)
+        rings = leap + round(RINGS / (SWING_DAMPING * rate * s.interval))
         after = force[rings:following]
         gone = np.maximum(after - np.minimum.accumulate(after), np.maximum.accumulate(after) - after)
         again = np.flatnonzero(gone > 2.0 * friction)

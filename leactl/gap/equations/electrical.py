@@ -17,6 +17,7 @@ from leactl.gap.stamps import TAPS, neighbour, stamp_columns
 SWIFT = 5.0  # standard deviations of a current's noise, by which a servo may move it between two samples
 BEGINS = 8.0  # time constants of a current loop, after which it has forgotten what was asked before the run
 BEFORE = 0.25  # of an interval, for which the setpoint before still holds: none of one setpoint, half of very many
+BUS_ZERO = 1.0 / 60.0  # of the model's bus voltage, that a supply may be set off it
 RECOVERS = 8.0  # samples around the voltage ceiling in which a current loop is still on its way back
 
 
@@ -154,7 +155,7 @@ def bus(record: Record, s: Signals) -> Equation | None:
         record.fast.all_valid(("bus_voltage", "bench")),
         {"bus_voltage": lambda c: c},
         {},
-        nuisance={"bus_zero": (np.ones_like(s.time), 0.5)},
+        nuisance={"bus_zero": (np.ones_like(s.time), BUS_ZERO * s.model.bench.bus_voltage)},
         width=8.0,
         step=16,
     )

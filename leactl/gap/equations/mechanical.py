@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import STAMPED, Equation, Mask, Place
-from leactl.gap.equations.motion import LOAD_LAG_S
+from leactl.gap.equations.motion import load_lag
 from leactl.gap.noise import noise_of
 from leactl.gap.record import Clocked, Record
 from leactl.gap.signals import averaged, held
@@ -106,7 +106,7 @@ def both(record: Record, s: Signals) -> Equation | None:
         mask,
         places,
         calibration,
-        {"load_velocity_lag_s": (slope(inertia + damping, s.interval), LOAD_LAG_S)},
+        {"load_velocity_lag_s": (slope(inertia + damping, s.interval), load_lag(s))},
         stamp_columns("both_torque", clock, keys, -drive) | stamp_columns("load_torque", clock, keys, -load_drive),
     )
 
