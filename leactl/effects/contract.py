@@ -104,7 +104,6 @@ class Effect:
     one_sided: ClassVar[bool] = False  # whether its coefficient makes sense above zero only
     continuous: ClassVar[bool] = True  # whether values between those of its forms make sense
     shaped: ClassVar[bool] = False  # whether its coefficient is the share of a shape that is whole at one
-    bounds: ClassVar[bool] = False  # whether its form is a bound, beyond which nothing may be left to act on
     explains: ClassVar[float] = 0.82  # share of what it does to the channels it touches that its columns must explain
     periodic: ClassVar[str] = ""  # the place whose column repeats over the angle, where orders are searched for
     orders: ClassVar[tuple[int, int]] = (0, 0)  # the orders that are searched

@@ -25,6 +25,7 @@ from leactl.gap.separating import separating_experiment
 from leactl.gap.servo import answer as servo_answer
 from leactl.gap.servo.ladder import climb
 from leactl.gap.servo.runs import side_by_side
+from leactl.gap.setpoints import marked, setpoint_notes
 from leactl.gap.setup import mended
 from leactl.gap.shrinkage import shrinkage
 from leactl.gap.stamps import stamp_notes, stamped
@@ -150,6 +151,8 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     InputError : the runs hold nothing that any equation of the model can be checked with.
     """
     progress("reading equations")
+    every = marked([*case.fitted, *case.held_out], case.model)
+    case = Case(case.model, every[: len(case.fitted)], every[len(case.fitted) :])
     evidence = Evidence(case.fitted, case.model)
     if not evidence.stack.rows:
         raise InputError(
@@ -239,6 +242,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
                 + applied.notes
                 + notes
                 + stamp_notes(stamps)
+                + setpoint_notes(case.fitted)
                 + beyond_null(evidence, null)
                 + shrunk.notes
                 + questions(case.model, case.fitted, evidence, by_runs)

@@ -81,8 +81,7 @@ class Null:
     """What sound machines show in the place of effects and model errors."""
 
     unrest: Mapping[tuple[str, str], float]  # by equation and kind of run
-    floors: Mapping[str, float]  # size of each effect, in units of its leading parameter
-    bounds: Mapping[str, tuple[float, ...]]  # strength of each effect that is a bound, form by form
+    floors: Mapping[str, Sequence[float]]  # sizes of each effect in its forms, in units of its leading parameter
     lines: Mapping[tuple[str, str, str], float]  # height of the highest line in what each channel leaves over
     moved: Mapping[str, tuple[float, float]]  # of each parameter: mean and scatter of its relative change
     untold: tuple[str, ...]  # parameters that they move by themselves: these runs cannot tell them,
@@ -103,7 +102,7 @@ class Evidence:
         self.model, self.records = model, list(records)
         self.sound: Mapping[tuple[str, str], float] = {}
         self.floors = floors(records, model)  # size of each effect below which it is model error
-        self.bounds: Mapping[str, tuple[float, ...]] = {}
+        self.by_form: Mapping[str, Sequence[float]] = {}  # the same in each form, as sound machines show it
         self.moved: Mapping[str, tuple[float, float]] = {}
         self.lines: Mapping[tuple[str, str, str], float] = {}
         self.kept, self.untold = tuple(kept), tuple[str, ...]()  # parameters that stay as the model has them
@@ -142,9 +141,8 @@ class Evidence:
 
     def compare_with(self, null: Null) -> None:
         """Take what sound machines show in these runs; a parameter that these cannot tell is not told."""
-        self.sound, self.moved, self.lines, self.bounds = null.unrest, null.moved, null.lines, null.bounds
-        for effect, size in null.floors.items():
-            self.floors[effect] = max(self.floors.get(effect, 0.0), size)
+        self.sound, self.moved, self.lines = null.unrest, null.moved, null.lines
+        self.by_form = null.floors
         self.kept, self.untold = null.kept, null.untold
         self.priors.update(dict.fromkeys(self.kept, PINNED))
         self.stack = stack(self._rows(), self.priors)
@@ -160,12 +158,12 @@ class Evidence:
         return parameter in self.untold or self.priors.get(parameter) == PINNED
 
     def floor(self, candidate: Candidate) -> float:
-        """Size below which an effect is model error; of a bound, at the nearest of its forms."""
-        name, form = candidate
-        if name not in self.bounds:
-            return self.floors.get(name, 0.0)
-        tried = np.array([other[0] for other in self.forms[name]])
-        return self.bounds[name][int(np.argmin(np.abs(np.log(form[0] / tried))))]
+        """Size below which one form of an effect is model error: as sound machines show it in the form next to it."""
+        effect, form = candidate
+        shown, usual = self.by_form.get(effect), self.floors.get(effect, 0.0)
+        if not shown:
+            return usual
+        return max(usual, shown[nearest(self.forms[effect], form) if len(shown) > 1 else 0])
 
     def add(self, candidates: Sequence[Candidate]) -> None:
         """Take further forms of effects into the regression."""
@@ -282,6 +280,14 @@ def forms_here(records: Sequence[Record], model: Model) -> dict[str, list[Form]]
     """Forms of every effect that a model of this kind can lack, at the scales of the machine and these runs."""
     own = form_scales(records, model)
     return {effect.name: effect.forms_at(own) for effect in library().values() if effect.applies(model)}
+
+
+def nearest(forms: Sequence[Form], form: Form) -> int:
+    """Which of several forms lies next to one, by the ratios of their numbers."""
+    apart = [
+        sum(abs(a - b) / max(abs(a) + abs(b), 1e-300) for a, b in zip(other, form, strict=True)) for other in forms
+    ]
+    return int(np.argmin(apart))
 
 
 def every_form(forms: Mapping[str, Sequence[Form]]) -> list[Candidate]:

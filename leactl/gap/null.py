@@ -29,7 +29,7 @@ from leactl.gap.replay.plants import plant_of
 from leactl.gap.replay.readings import angle, current, velocity
 from leactl.gap.rig import fed_by_voltage
 from leactl.gap.ringing import ringing
-from leactl.gap.search import sizes_by_chance, strengths_by_chance
+from leactl.gap.search import sizes_by_chance
 from leactl.gap.signals import moved_by_a_servo
 from leactl.gap.smoothing import BASE, smooth
 from leactl.model.nominal import Model
@@ -56,11 +56,7 @@ def measure(records: Sequence[Record], model: Model, seed: int = 0) -> Null:
         moved = shown.parameters() | {SCALE: moved[SCALE]}
     return Null(
         {key: float(np.mean(values)) for key, values in shown.unrest.items()},
-        {effect: float(np.sqrt(np.mean(np.square(sizes)))) for effect, sizes in shown.sizes.items()},
-        {
-            effect: tuple(np.sqrt(np.mean(np.square(sizes), axis=0)).tolist())
-            for effect, sizes in shown.strengths.items()
-        },
+        {effect: np.sqrt(np.mean(np.square(sizes), axis=0)).tolist() for effect, sizes in shown.sizes.items()},
         {channel: float(np.mean(heights)) for channel, heights in shown.lines.items()},
         moved,
         kept + tuple(name for name in shown.untold() if name not in kept),
@@ -81,8 +77,7 @@ class Shown:
     """What sound machines show, one value for each of them."""
 
     unrest: dict[tuple[str, str], list[float]] = field(default_factory=dict)
-    sizes: dict[str, list[float]] = field(default_factory=dict)
-    strengths: dict[str, list[list[float]]] = field(default_factory=dict)
+    sizes: dict[str, list[list[float]]] = field(default_factory=dict)  # of each effect in each of its forms
     lines: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
     moved: dict[str, list[float]] = field(default_factory=dict)
     priors: dict[str, float] = field(default_factory=dict)
@@ -95,10 +90,8 @@ class Shown:
         self.priors = evidence.priors
         for key, value in evidence.unrest().items():
             self.unrest.setdefault(key, []).append(value)
-        for effect, size in sizes_by_chance(evidence).items():
-            self.sizes.setdefault(effect, []).append(size)
-        for effect, strengths in strengths_by_chance(evidence).items():
-            self.strengths.setdefault(effect, []).append(strengths)
+        for effect, sizes in sizes_by_chance(evidence).items():
+            self.sizes.setdefault(effect, []).append(sizes)
         for channel, line in ringing(evidence, fit, [True] * len(evidence.stack.rows)).items():
             self.lines.setdefault(channel, []).append(line.height)
         for place, value in zip(fit.columns, fit.values, strict=True):

@@ -149,4 +149,4 @@ def in_motion(s: Signals, count: float) -> Mask:
         return np.asarray(np.abs(s.extra["creep"]) > 0.9)
     speed = np.abs(s.velocity)
     slowest = max(0.2 * count / s.interval, SLOW_SHARE * max(s.fastest, float(np.quantile(speed, 0.95))))
-    return np.asarray(smooth((speed < slowest).astype(float), STILL_REACH) < 1e-3)
+    return np.asarray(smooth((speed <= slowest).astype(float), STILL_REACH) < 1e-3)

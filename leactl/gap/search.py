@@ -102,37 +102,32 @@ def finding(
     return result if whole or free or is_possible(evidence, result) else None
 
 
-def sizes_by_chance(evidence: Evidence) -> dict[str, float]:
-    """Size of every effect by itself, in the form that takes most away, whatever its sign, beyond what noise explains.
+def sizes_by_chance(evidence: Evidence) -> dict[str, list[float]]:
+    """Size of every effect by itself, whatever its sign, beyond what noise explains, in each form that is tried.
 
-    The best of many forms is larger by noise than one: the largest of n squares of unit variance is about 1 + 2 ln n.
+    It is measured in the form that takes most away and told in the others by their standard errors: a form that the
+    runs hardly show is large where one that they show well is small. Of a periodic effect the best order stands for
+    all. The best of many forms is larger by noise than one: the largest of n squares of unit variance is about
+    1 + 2 ln n.
     """
     normal = evidence.normal()
     base = evidence.stack.columns_of([])
-    best: dict[str, tuple[float, float, float]] = {}
+    tried: dict[str, list[Finding | None]] = {}
     for candidate in evidence.candidates:
-        item = finding(evidence, normal, base, candidate, free=True)
-        if item is not None and item.gain > best.get(item.effect, (0.0,))[0]:
-            best[item.effect] = item.gain, item.size, item.std
+        tried.setdefault(candidate[0], []).append(finding(evidence, normal, base, candidate, free=True))
     found = {}
-    for name, (_, size, std) in best.items():
-        effect = library()[name]
-        tried = effect.orders[1] - effect.orders[0] + 1 if effect.periodic else len(effect.forms)
-        beyond = math.sqrt(max(size**2 - std**2 * (1.0 + 2.0 * math.log(tried)), 0.0))
-        found[name] = min(beyond, BEYOND * effect_definition(name).largest)
+    for name, items in tried.items():
+        effect, shown = library()[name], [item for item in items if item is not None]
+        best = max(shown, key=lambda item: item.gain, default=None)
+        if best is None or best.gain <= 0.0:
+            continue
+        count = effect.orders[1] - effect.orders[0] + 1 if effect.periodic else len(effect.forms)
+        beyond = math.sqrt(max(best.size**2 - best.std**2 * (1.0 + 2.0 * math.log(count)), 0.0))
+        stds = [best.std if item is None or effect.periodic else item.std for item in items]
+        most = BEYOND * effect_definition(name).largest
+        sizes = [min(beyond * std / best.std, most) for std in stds]
+        found[name] = sizes[:1] if effect.periodic else sizes
     return found
-
-
-def strengths_by_chance(evidence: Evidence) -> dict[str, list[float]]:
-    """Strength of every effect that is a bound, form by form, whatever its sign, beyond what noise explains."""
-    normal = evidence.normal()
-    base = evidence.stack.columns_of([])
-    sizes: dict[str, list[float]] = {}
-    for name, forms in evidence.forms.items():
-        if library()[name].bounds:
-            found = [finding(evidence, normal, base, (name, form), free=True) for form in forms]
-            sizes[name] = [math.sqrt(max(item.size**2 - item.std**2, 0.0)) if item else 0.0 for item in found]
-    return sizes
 
 
 def is_possible(evidence: Evidence, item: Finding) -> bool:

@@ -14,9 +14,9 @@ from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from leactl.effects.contract import Signals
 from leactl.effects.shapes import play
-from leactl.gap.noise import quantum_of
-from leactl.gap.record import Clocked, Record
-from leactl.gap.smoothing import middle, slope, smooth
+from leactl.gap.noise import noise_of, quantum_of
+from leactl.gap.record import Clocked, Record, smallest_step
+from leactl.gap.smoothing import middle, sharp_senses, slope, smooth
 from leactl.model.nominal import BenchModel, Model
 from leactl.model.sheet import Thermal
 from leactl.model.thermal_network import ThermalNetwork
@@ -30,7 +30,7 @@ FARTHEST = 1.5  # e-folds of a parameter
 FOLLOWED = 8  # rounds at most
 CALM = 5.0  # samples
 SWING_DAMPING = 0.03  # of critical, as shafts without a damper have it
-RINGS_S = 0.05  # how long a locked rotor may swing on its shaft
+RINGS = 2.4  # time constants of its decay, for which a locked rotor may swing on its shaft
 STICKS, SLIDES = 0.5, 1.0  # swings, in its friction, that leave open where a rotor sticks, and how it slides
 STICKY = 0.01  # of the largest torque, friction below which it hardly matters where a rotor sticks
 DIFFERENCED = 70.0  # variance of a fourth difference, over that of a sample
@@ -69,11 +69,11 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
         s.angle = smooth(middle(angle))
         s.velocity = smooth(speed)
         s.acceleration = slope(s.velocity, dt)
+        s.sliding = smooth(sharp_senses(speed, smallest_step(angle) / dt))
     elif (velocity := clock.get("velocity")) is not None:
         s.velocity = smooth(middle(velocity))
         s.acceleration = slope(s.velocity, dt)
-    if s.velocity is not None:
-        s.sliding = smooth(np.sign(s.velocity))
+        s.sliding = smooth(sharp_senses(middle(velocity), noise_of(velocity)))
     temperatures(s, slow, clock.time)
     s.torque = transmitted(s)
     if s.torque is not None:
@@ -170,7 +170,7 @@ def settled(s: Signals, swing: float) -> Mask:
     if s.time[0] > 0.0:  # of a stretch of a run nothing says where it stuck before
         leaps = np.union1d(0, leaps)
     for leap, following in zip(leaps, np.append(leaps, len(force))[1:], strict=True):
-        rings = leap + round(RINGS_S / s.interval)
+        rings = leap + round(RINGS / (SWING_DAMPING * rate * s.interval))
         after = force[rings:following]
         gone = np.maximum(after - np.minimum.accumulate(after), np.maximum.accumulate(after) - after)
         again = np.flatnonzero(gone > 2.0 * friction)

@@ -8,6 +8,7 @@ from scipy.signal import upfirdn
 Array = npt.NDArray[np.float64]
 BASE = 2.0  # samples, standard deviation of the smoothing that every mechanical signal gets
 REACH = 4.0  # standard deviations to either side
+SWIFT = 4.0  # times the noise of a speed, that it has on either side of where it turns back fast
 
 
 def smooth(values: Array, width: float = BASE) -> Array:
@@ -30,6 +31,36 @@ def middle(values: Array) -> Array:
     if len(values) >= 4:
         out[2:-1] = (13.0 * (values[1:-2] + values[2:-1]) - values[:-3] - values[3:]) / 24.0
     return out
+
+
+def senses(speeds: Array) -> Array:
+    """Which way something goes, -1 to 1, as a mean over the interval that ends at each sample, as the speeds are.
+
+    Where it turns back within an interval, its speed is taken to change evenly there.
+    """
+    if len(speeds) < 2:
+        return np.sign(speeds)
+    between = 0.5 * (speeds[1:] + speeds[:-1])
+    ends = np.concatenate([[2.0 * speeds[0] - between[0]], between, [2.0 * speeds[-1] - between[-1]]])
+    change, distance = np.diff(ends), np.diff(np.abs(ends))
+    turns = ends[1:] * ends[:-1] < 0.0
+    return np.where(turns, distance / np.where(turns, change, 1.0), np.sign(speeds))
+
+
+def sharp_senses(speeds: Array, noise: float) -> Array:
+    """The same of noisy speeds: as smoothed ones have it, but where they turn back so fast that noise hardly matters.
+
+    Friction bends a speed where it turns back, and a smoothed one is zero at another time.
+    """
+    even = smooth(speeds)
+    found, reach = senses(even), int(REACH * BASE)
+    if len(even) <= 2 * reach:
+        return found
+    before, after = even[: -2 * reach], even[2 * reach :]
+    swift = (before * after < 0.0) & (np.minimum(np.abs(before), np.abs(after)) > SWIFT * noise)
+    turning = np.zeros(len(even), np.bool_)
+    turning[reach:-reach] = swift
+    return np.where(turning, senses(speeds), found)
 
 
 def kernel(width: float) -> Array:

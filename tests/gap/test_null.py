@@ -1,5 +1,6 @@
 """Sound machines in the place of a case: what they leave over, and in which units what they leave is counted."""
 
+import importlib
 import re
 from pathlib import Path
 
@@ -165,3 +166,11 @@ def test_the_pages_have_the_numbers_of_the_code():
     assert f"a time constant of {TRACKED:.0f} samples" in decision
     assert f"over stretches of {SEGMENT} samples" in decision
     assert f"{100.0 * table()['floors']['third_thermal_node']:.2g} % of the housing" in decision
+
+
+def test_the_table_of_thresholds_is_that_of_the_code():
+    page = (DOCS / "gap.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| [^|]+ \| ([0-9.]+) \| `(\w+)\.(\w+)` \|$", page, re.MULTILINE)
+    assert len(rows) > 15
+    for number, module, name in rows:
+        assert float(number) == getattr(importlib.import_module(f"leactl.gap.{module}"), name), name

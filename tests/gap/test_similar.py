@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from leactl.emulation.blind.make import make
 from leactl.gap.diagnose import Case, diagnose, read_case
+from leactl.gap.equations import equations
 from leactl.gap.record import smallest_step
 
 SIZES = [(20.0, 2.0, 1.6), (0.02, 0.4, 0.5)]  # torque, current and time over those of the bench
@@ -126,6 +128,25 @@ def test_a_sound_bench_of_another_size_is_sound(sound):
 
 def test_a_sound_bench_at_half_the_rate_is_sound(sound):
     assert named(thinned(sound)) == ("calibration", set())
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_what_an_equation_leaves_to_chance_scales_with_the_machine(sound, size):
+    """Stamps, lags, swings and zeros, each as large as its prior has it, in the units of the equation."""
+    other = rescaled(sound, *size)
+    for one, alike in zip(sound.fitted, other.fitted, strict=True):
+        pairs = zip(
+            equations(replace(one, slow=None), sound.model),
+            equations(replace(alike, slow=None), other.model),
+            strict=True,
+        )
+        for first, second in pairs:
+            by = factor(first.units, *size)
+            np.testing.assert_array_equal(second.mask, first.mask, err_msg=first.name)
+            for name, (column, prior) in (first.nuisance | first.shared).items():
+                again, own = (second.nuisance | second.shared)[name]
+                tiny = 1e-6 * prior * float(np.max(np.abs(column)))
+                np.testing.assert_allclose(own * again / by, prior * column, atol=tiny, err_msg=name)
 
 
 @pytest.mark.long

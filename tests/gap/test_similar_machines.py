@@ -55,7 +55,7 @@ def thinned(channel, divide):
     """Every so many samples one; means over them for means, as `sampling` says or as every drive has its current."""
     rows = len(channel.time) // divide * divide
     values = channel.values[divide - 1 : rows : divide]
-    if channel.quantity == "q_axis_current":
+    if channel.sampling == "mean" or channel.quantity == "q_axis_current":
         values = channel.values[:rows].reshape(-1, divide).mean(axis=1)
     return replace(channel, time=channel.time[divide - 1 : rows : divide], values=values)
 
@@ -116,7 +116,7 @@ def test_a_drawn_machine_of_another_size_gets_the_same_answer(cases, before, cha
 
 @pytest.mark.long
 @pytest.mark.xfail(
-    reason="34 of 44 stay: a setpoint that changes between two stamps is taken for a late drive or a rest unexplained"
+    reason="of 60 cases, 41 of 43 and 39 of 43 stay: faint effects end in the noise, reversals in few samples"
 )
 @pytest.mark.parametrize("divide", [2, 4])
 def test_a_drawn_machine_at_a_lower_rate_gets_the_same_answer(cases, before, divide):

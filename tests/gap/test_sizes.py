@@ -8,6 +8,8 @@ import pytest
 from leactl.effects import library
 from leactl.effects.contract import SCALES
 from leactl.gap.diagnose import diagnose
+from leactl.gap.evidence import Evidence
+from leactl.gap.null import measure
 from leactl.gap.scales import form_scales
 from leactl.model.nominal import Model
 from tests.gap.joints import Effect, Log, case, drawn_joint
@@ -71,3 +73,15 @@ def test_a_loop_without_a_bandwidth_counts_as_slow_as_a_sample():
     assert unknown["highest rate"] == pytest.approx(unknown["highest current"] * joint.rate, rel=1e-6)
     assert "friction" not in unknown
     assert "housing" not in here
+
+
+def test_a_form_that_runs_hardly_show_has_a_higher_floor_than_one_that_they_show_well():
+    """Drags that fade within a hundredth of the speed, where next to no sample lies, and within a tenth."""
+    random = np.random.default_rng(22)
+    drawn = case(drawn_joint(random), Log(), random)
+    evidence = Evidence(drawn.fitted, drawn.model)
+    evidence.compare_with(measure(drawn.fitted, drawn.model))
+    quick, slow = min(evidence.forms["stribeck"]), max(evidence.forms["stribeck"])
+    assert evidence.floor(("stribeck", quick)) >= evidence.floor(("stribeck", slow))
+    between = (1.01 * slow[0], slow[1])
+    assert evidence.floor(("stribeck", between)) == evidence.floor(("stribeck", slow))

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leactl.effects.shapes import bristle, delayed, lagged, play, rate_limited
-from leactl.gap.smoothing import middle, slope, thinned, thinned_index
+from leactl.gap.smoothing import middle, senses, sharp_senses, slope, thinned, thinned_index
 
 COEFFICIENTS = st.lists(st.floats(-3, 3), min_size=4, max_size=4)
 INTERVAL = 0.01
@@ -77,3 +77,30 @@ def test_bristle_friction_is_bounded_and_opposes_the_last_long_slide(angle, disp
 def test_a_rate_limit_holds(values, step):
     out = rate_limited(values, step)
     assert np.all(np.abs(np.diff(out)) <= step + 1e-9)
+
+
+@given(st.floats(0.1, 5.0), st.floats(5.0, 15.0))
+def test_which_way_is_a_mean_over_the_interval_in_which_a_speed_turns_back(rate, turns_at):
+    at = np.arange(20.0)
+    speeds = rate * (at - 0.5 - turns_at)  # means over the intervals that end at each sample
+    fine = np.linspace(0.0, 19.0, 19001)
+    which = np.sign(fine - turns_at)
+    means = [np.mean(which[(fine > end - 1.0) & (fine <= end)]) for end in at[1:]]
+    np.testing.assert_allclose(senses(speeds)[1:], means, atol=2e-3)
+
+
+def test_friction_turns_round_when_the_speed_does_and_not_when_its_smoothed_one_does():
+    """Friction halves the deceleration at the turn, which smoothing moves by more than half a sample."""
+    at = np.arange(100.0)
+    turns_at = 50.4
+    speed = np.where(at < turns_at, 2.0, 1.0) * (turns_at - at)  # at the ends of the intervals
+    means = middle(speed)
+    after = [np.sum(0.5 * (1.0 - sharp_senses(means, noise))) for noise in (0.01, 100.0)]  # as told, and as smoothed
+    told, smoothed = np.abs(np.array(after) - (99.0 - turns_at))
+    assert told < 0.3 < 0.5 < smoothed
+
+
+def test_a_slow_turn_keeps_the_smoothed_sense():
+    random = np.random.default_rng(1)
+    speeds = 0.002 * np.arange(-100.0, 100.0) + 0.05 * random.standard_normal(200)
+    assert np.all(np.diff(np.sign(sharp_senses(speeds, 0.05))) >= 0.0)

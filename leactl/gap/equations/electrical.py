@@ -9,12 +9,15 @@ from leactl.gap.ceiling import at_ceiling
 from leactl.gap.equations.contract import STAMPED, Equation
 from leactl.gap.noise import noise_of, quantum_of
 from leactl.gap.record import Record
+from leactl.gap.setpoints import after_leaps
 from leactl.gap.signals import moved_by_a_servo
 from leactl.gap.smoothing import slope, smooth
-from leactl.gap.stamps import TAPS, stamp_columns
+from leactl.gap.stamps import TAPS, neighbour, stamp_columns
 
 SWIFT = 5.0  # standard deviations of a current's noise, by which a servo may move it between two samples
 BEGINS = 8.0  # time constants of a current loop, after which it has forgotten what was asked before the run
+BEFORE = 0.25  # of an interval, for which the setpoint before still holds: none of one setpoint, half of very many
+BUS_ZERO = 1.0 / 60.0  # of the model's bus voltage, that a supply may be set off it
 RECOVERS = 8.0  # samples around the voltage ceiling in which a current loop is still on its way back
 
 
@@ -111,20 +114,28 @@ def current(record: Record, s: Signals) -> Equation | None:
         mask &= smooth(swift.astype(float), RECOVERS) < 1e-3
         # the drive's own servo moves the reference between samples: when in the interval is not recorded
         nuisance["reference_sampling_s"] = (-change, 0.5 * s.interval)
+    shared = stamp_columns(
+        "current", clock, [(f"q_axis_current{suffix}", "test") for suffix in ("", "_reference")], s.following
+    )
+    following = s.following
+    if clock.setpoints_between and not moved_by_a_servo(clock):
+        earlier = neighbour(s.following, -1) - s.following
+        following = s.following + BEFORE * earlier
+        shared["setpoint_before"] = earlier, BEFORE
+        reference = clock.values["q_axis_current_reference", "test"]
+        mask &= ~after_leaps(reference, noise_of(measured), settles, s.interval)
     return Equation(
         "current",
         "q_axis_current",
         "test",
         "A",
-        measured - s.following,
+        measured - following,
         s,
         mask,
         {"current_following": lambda c: c},
         {},
         nuisance,
-        stamp_columns(
-            "current", clock, [(f"q_axis_current{suffix}", "test") for suffix in ("", "_reference")], s.following
-        ),
+        shared,
         width=0.0,
         step=2,
     )
@@ -144,7 +155,7 @@ def bus(record: Record, s: Signals) -> Equation | None:
         record.fast.all_valid(("bus_voltage", "bench")),
         {"bus_voltage": lambda c: c},
         {},
-        nuisance={"bus_zero": (np.ones_like(s.time), 0.5)},
+        nuisance={"bus_zero": (np.ones_like(s.time), BUS_ZERO * s.model.bench.bus_voltage)},
         width=8.0,
         step=16,
     )

@@ -5,10 +5,11 @@ import numpy.typing as npt
 
 from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import STAMPED, Equation, Mask, Place
-from leactl.gap.equations.motion import LOAD_LAG_S
+from leactl.gap.equations.motion import load_lag
+from leactl.gap.noise import noise_of
 from leactl.gap.record import Clocked, Record
 from leactl.gap.signals import averaged, held
-from leactl.gap.smoothing import middle, slope, smooth
+from leactl.gap.smoothing import middle, sharp_senses, slope, smooth
 from leactl.gap.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
@@ -22,7 +23,7 @@ def moving(s: Signals, velocity: Array, reach: float) -> Mask:
     speed = np.abs(velocity)
     fastest = max(s.fastest, float(np.quantile(speed, 0.999)))
     slowest = max(0.5 * s.count / s.interval, SLOW_SHARE * fastest)
-    return np.asarray(smooth((speed < slowest).astype(float), reach) < 1e-3)
+    return np.asarray(smooth((speed <= slowest).astype(float), reach) < 1e-3)
 
 
 def swings(s: Signals, change: Array) -> Mask:
@@ -86,7 +87,7 @@ def both(record: Record, s: Signals) -> Equation | None:
     load_drive = constant * smooth(load_current)
     inertia = (model.rotor_inertia or 0.0) * acceleration
     damping = (model.viscous_damping or 0.0) * measured
-    friction = (model.coulomb_friction or 0.0) * smooth(np.sign(measured))
+    friction = (model.coulomb_friction or 0.0) * smooth(sharp_senses(middle(load_velocity), noise_of(load_velocity)))
     resisted = sum(c for name, c in calibration.items() if name != "torque_constant")
     left = drive + load_drive - resisted - inertia - damping - friction
     calibration = dict(calibration)
@@ -106,7 +107,7 @@ def both(record: Record, s: Signals) -> Equation | None:
         mask,
         places,
         calibration,
-        {"load_velocity_lag_s": (slope(inertia + damping, s.interval), LOAD_LAG_S)},
+        {"load_velocity_lag_s": (slope(inertia + damping, s.interval), load_lag(s))},
         stamp_columns("both_torque", clock, keys, -drive) | stamp_columns("load_torque", clock, keys, -load_drive),
     )
 

@@ -13,7 +13,6 @@ from leactl.gap.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
 VELOCITY_WIDTH = 4.0
-LOAD_LAG_S = 1e-3  # the model says nothing of the load's own velocity filter
 
 
 def velocity(record: Record, s: Signals) -> Equation | None:
@@ -54,6 +53,11 @@ def filter_constant(s: Signals) -> float:
     return 1 / (2 * np.pi * (s.model.bench.velocity_filter_bandwidth or np.inf))
 
 
+def load_lag(s: Signals) -> float:
+    """How late the load's velocity may be [s]: of its own filter the model says nothing, so it is as the test's."""
+    return max(s.interval, filter_constant(s))
+
+
 def shaft(record: Record, s: Signals) -> Equation | None:
     """Speed of one end against the other = change of the twist, torque / k."""
     clock, stiffness = record.fast, s.model.bench.shaft_stiffness
@@ -78,7 +82,7 @@ def shaft(record: Record, s: Signals) -> Equation | None:
             "velocity_reading": lambda c: c,
         },
         {"bench.shaft_stiffness": -twisting},
-        {"load_velocity_lag_s": (slope(smooth(load), s.interval), LOAD_LAG_S)},
+        {"load_velocity_lag_s": (slope(smooth(load), s.interval), load_lag(s))},
         stamp_columns("shaft", clock, keys, -smooth(load)),
         width=2.0,
         step=4,

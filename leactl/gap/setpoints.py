@@ -1,0 +1,97 @@
+"""Whether a drive's setpoints change between the rows of a log, as they do where a log is slower than what sets them.
+
+A row that keeps its setpoint over its interval, as `sampling` promises, tells all that the drive follows: a linear
+drive's current is then the same sum of its neighbours at every row. Where setpoints come into force somewhere inside
+their intervals, that sum misses where the reference leaps.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import maximum_filter1d
+
+from leactl.gap.ceiling import at_ceiling
+from leactl.gap.record import Record
+from leactl.gap.signals import led, loop, moved_by_a_servo
+from leactl.gap.stamps import TAPS, neighbour
+from leactl.model.nominal import Model
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+CURRENT, REFERENCE = ("q_axis_current", "test"), ("q_axis_current_reference", "test")
+LEAP, NEAR = 0.7, 3  # of the largest change so many rows near, by which a reference bends where it leaps
+TELLING = 20.0  # standard deviations of what is missed elsewhere, from which on a leap tells
+MISSED, FEWEST = 5.0, 3  # of these deviations, and how many rows have to be missed by more
+SHARE = 2e-3  # of the leaps' squares; rows that keep their setpoint miss 1e-5, every second or fourth one 0.01 to 0.1
+SETTLES = 8.0  # time constants of a current loop, after which a leap is forgotten
+
+
+def marked(records: Sequence[Record], model: Model) -> list[Record]:
+    """The runs, all marked where one shows that its setpoints change between rows: they are of one log."""
+    found = [pair for record in records if (pair := missed_and_leaps(record, model)) is not None]
+    if not any(changes_between(missed, leaping) for missed, leaping in found):
+        return list(records)
+    return [
+        replace(record, fast=replace(record.fast, setpoints_between=True)) if record.fast is not None else record
+        for record in records
+    ]
+
+
+def changes_between(missed: Array, leaping: Array) -> bool:
+    """Whether what is missed goes with the leaps of a reference, in squares, beyond what noise and rounding make.
+
+    missed, leaping : of each row, in standard deviations of what is missed.
+    """
+    telling = leaping > TELLING
+    beyond = int(np.sum(np.abs(missed[telling]) > MISSED))
+    return beyond >= FEWEST and float(np.sum(missed[telling] ** 2)) > SHARE * float(np.sum(leaping[telling] ** 2))
+
+
+def missed_and_leaps(record: Record, model: Model) -> tuple[Array, Array] | None:
+    """By how much the best sum of neighbours misses a current, and how far its reference leaps, in the former's noise.
+
+    None where a run has no such pair, where stamps are not told, and where a servo inside the drive is known to move
+    the reference between rows.
+    """
+    clock, bandwidth = record.fast, model.bench.current_loop_bandwidth
+    if clock is None or not bandwidth or not {CURRENT, REFERENCE} <= clock.values.keys():
+        return None
+    if {CURRENT, REFERENCE} & clock.unstamped or moved_by_a_servo(clock):
+        return None
+    reference = clock.values[REFERENCE]
+    ends, means = loop(led(reference, model.bench, clock.interval), bandwidth, clock.interval)
+    following = means if CURRENT in clock.means else ends
+    use = clock.all_valid(CURRENT, REFERENCE) & ~at_ceiling(clock, model)
+    use[: TAPS[-1]] = use[TAPS[0] :] = False
+    sums = np.column_stack([np.ones_like(following), following, *(neighbour(following, by) for by in TAPS.tolist())])
+    if int(use.sum()) < 2 * sums.shape[1]:
+        return None
+    weights = np.linalg.lstsq(sums[use], clock.values[CURRENT][use], rcond=None)[0]
+    missed = (clock.values[CURRENT] - sums @ weights)[use]
+    noise = float(np.median(np.abs(missed))) / 0.6745
+    return (missed / noise, leaps(reference)[use] / noise) if noise > 0.0 else None
+
+
+def leaps(reference: Array) -> Array:
+    """How far a reference bends at each row, zero where that is no more than a wave does that its rows show."""
+    change = np.diff(reference)
+    near = maximum_filter1d(np.abs(change), 2 * NEAR)[1:]
+    bends = np.abs(np.diff(change))
+    return np.concatenate([[0.0], np.where(bends > LEAP * near, bends, 0.0), [0.0]])
+
+
+def after_leaps(reference: Array, noise: float, settling: float, interval: float) -> Mask:
+    """Rows at which a current depends on when inside its interval a leap came into force; a loop settles meanwhile."""
+    rows = 2 + math.ceil(SETTLES * settling / interval)
+    leaping = leaps(reference) > TELLING * noise
+    return np.asarray(np.convolve(leaping, np.ones(rows))[: len(leaping)] > 0.5, np.bool_)
+
+
+def setpoint_notes(records: Sequence[Record]) -> tuple[str, ...]:
+    """What a log that is slower than its setpoints leaves open; nothing where it keeps up with them."""
+    if not any(record.fast is not None and record.fast.setpoints_between for record in records):
+        return ()
+    return ("setpoints change between the rows of the log: a delay of less than an interval of it cannot be told",)

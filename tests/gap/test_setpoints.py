@@ -1,0 +1,70 @@
+"""A log that is slower than what sets its setpoints makes no machine late; one that keeps up with them shows delays."""
+
+import numpy as np
+import pytest
+
+from leactl.gap.diagnose import diagnose
+from leactl.gap.setpoints import leaps, marked
+from tests.gap import joints
+from tests.gap.joints import Effect, Log, case, drawn_joint
+from tests.gap.test_similar import thinned
+
+
+@pytest.fixture(autouse=True)
+def setpoints_at_any_sample(monkeypatch):
+    """Steps that begin at any sample of a run, and not at every so manieth one."""
+    even = joints.reference
+
+    def uneven(kind, top, time, seconds, random):
+        asked = even(kind, top, time, seconds, random)
+        if kind in ("multisine", "ramp"):
+            return asked
+        begins = np.arange(1, 8) * len(time) // 8 + random.integers(-20, 20, 7)
+        return asked[np.searchsorted(begins, np.arange(len(time)), side="right") * len(time) // 8 + 20]
+
+    monkeypatch.setattr(joints, "reference", uneven)
+
+
+def joint_case(seed, effect=joints.SOUND, times_thinned=0):
+    random = np.random.default_rng(seed)
+    drawn = case(drawn_joint(random), Log(), random, effect)
+    for _ in range(times_thinned):
+        drawn = thinned(drawn)
+    return drawn
+
+
+def changes_setpoints_between_rows(drawn):
+    runs = marked([*drawn.fitted, *drawn.held_out], drawn.model)
+    found = {record.fast.setpoints_between for record in runs}
+    assert len(found) == 1, "all runs are of one log"
+    return found.pop()
+
+
+@pytest.mark.parametrize("seed", [6])
+def test_a_thinned_log_shows_that_setpoints_change_between_its_rows(seed):
+    shown = [changes_setpoints_between_rows(joint_case(seed, times_thinned=times)) for times in range(3)]
+    assert shown == [False, True, True]
+
+
+@pytest.mark.parametrize("delay", [1, 2])
+def test_a_late_drive_is_no_sign_of_setpoints_between_rows(delay):
+    assert not changes_setpoints_between_rows(joint_case(6, Effect(delay=delay)))
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_sound_joint_is_not_late_in_a_thinned_log(times):
+    found = diagnose(joint_case(6, times_thinned=times))
+    assert found.verdict == "calibration"
+    assert not [cause for cause in found.causes if cause.probability >= 0.5]
+    assert any(note.startswith("setpoints change between the rows") for note in found.notes)
+
+
+def test_a_late_drive_is_named_in_a_thinned_log():
+    found = diagnose(joint_case(6, Effect(delay=6), times_thinned=1))
+    assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["transport_delay"]
+
+
+def test_a_wave_that_its_rows_show_does_not_leap():
+    rows = np.arange(200)
+    assert not leaps(np.sin(2.0 * np.pi * rows / 11.0)).any()
+    assert np.flatnonzero(leaps((rows > 99).astype(float))).tolist() == [99, 100]
