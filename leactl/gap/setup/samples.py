@@ -24,6 +24,7 @@ MOVES = 0.2  # of its usual deviation, that a companion has to have meanwhile
 LONGEST_REST = 100  # samples
 FINE = 200  # levels, from which two equal samples in a row are no rounding
 REPEATED = 0.3  # of a channel's samples
+CLEAN = 0.1  # of its reference's noise, below which a channel is no measured one
 TOPPED, IN_A_ROW = 0.01, 4  # of a channel's samples at its end, and how many of them stand together
 COMPANIONS = {
     "velocity": "angle",
@@ -164,7 +165,9 @@ def again(clock: Clocked, key: Key) -> Mask:
 def clipped(records: Sequence[Record], _: Model) -> SetUpFault | None:
     """A measured channel that stands at an end of its range, sample after sample, where noise should move it."""
     for key, clocks in channels_of(records, MEASURED):
-        topped = {path: top for path, clock in clocks.items() if (top := at_ends(clock, key)).any()}
+        topped = {
+            path: top for path, clock in clocks.items() if noisy(clock, key) and (top := at_ends(clock, key)).any()
+        }
         if topped:
             level = max(float(np.max(np.abs(clocks[path].values[key]))) for path in topped)
             evidence = f"stands at {level:.6g} over {share_of(topped.values())} of the samples of {len(topped)} runs"
@@ -173,6 +176,12 @@ def clipped(records: Sequence[Record], _: Model) -> SetUpFault | None:
             change = "widen its range; these samples are left out"
             return SetUpFault("clipped_channel", key, SEEN, evidence, change, mend, parameters)
     return None
+
+
+def noisy(clock: Clocked, key: Key) -> bool:
+    """Whether noise moves a channel, as far as its reference tells: a setpoint may well stand at a limit."""
+    reference = clock.get(f"{key[0]}_reference", key[1])
+    return reference is None or noise_of(clock.values[key], 0.0) >= CLEAN * noise_of(reference, 0.0)
 
 
 def at_ends(clock: Clocked, key: Key) -> Mask:
