@@ -163,7 +163,7 @@ def plants(case, random):
             names = {("channel_swap", first[0]), ("channel_swap", second[0])}
             add("channel_swap", (f"{first[0]}/{second[0]}", ""), "", names, swapped(first, second))
     for factor in (float(random.choice([1000.0, 1e-3])), float(random.choice([2.0, 0.5, 4.0, 10.0]))):
-        add("time_base", None, f"{factor:.4g}", {("time_base", "")}, retimed(factor))
+        add("time_base", None, f"{factor:.4g}", {("time_base", "time")}, retimed(factor))
     for key in (TORQUE, VELOCITY, CURRENT):
         if key in there:
             off, total = random.uniform(-4.0, 4.0), random.choice([-1.0, 1.0]) * 10.0 ** random.uniform(0.7, 1.5)

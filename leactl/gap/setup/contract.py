@@ -27,6 +27,7 @@ class SetUpFault:
     mend: Callable[[Record], Record]
     parameters: tuple[EffectParameter, ...] = ()
     peers: tuple[str, ...] = ()  # of the vocabulary, that these runs cannot tell from it
+    shrinks: bool = True  # whether mending it has to shrink the gap; else samples are left out, or names exchanged
     share: float | None = None  # of what the channel is off by on held-out runs, that goes once the fault is mended
     picture: Picture | None = None  # of that
 

@@ -71,8 +71,9 @@ def out_of_time(records: Sequence[Record], model: Model) -> SetUpFault | None:
                 told.setdefault(pair.key, []).append((record, pair, stretches))
     for key, group in told.items():
         leaps = {record.path: course for record, pair, one in group if (course := leaping(record, pair, one))}
-        # a clock that runs off does so in every run, and shows in most
-        if found := leaps or (drifting(group) if 2 * len(group) >= asked[key] else {}):
+        # a clock that runs off does so in every run, and shows in most; samples may be lost in one
+        runs_off = drifting(group) if 2 * len(leaps) < len(group) and 2 * len(group) >= asked[key] else {}
+        if found := runs_off or leaps:
             courses[key] = found
     if not courses:
         return None
@@ -96,7 +97,6 @@ def in_time(pair: Pair) -> bool:
 def drifting(group: Sequence[tuple[Record, Pair, Lateness]]) -> dict[Path, Course]:
     """Courses of runs in which a channel drifts alike, or is early; empty where it does neither."""
     lines = {record.path: line(one) for record, _, one in group}
-    intervals = {record.path: record.fast.interval for record, _, _ in group if record.fast is not None}
     known = {
         path: course for path, (course, error, scatter, count) in lines.items() if drifts(course, error, scatter, count)
     }
@@ -115,13 +115,14 @@ def drifting(group: Sequence[tuple[Record, Pair, Lateness]]) -> dict[Path, Cours
         }
         return found if mends(group, found) else {}
     offsets = {record.path: (one.mean(), pair, record) for record, pair, one in group}
-    early = [
-        mean - pair.filtered + STEADY * error < -(SAMPLE + (SAMPLE if set(pair.keys) & unstamped(record) else 0.0))
-        for (mean, error), pair, record in offsets.values()
-    ]
-    if early and all(early) and intervals:
+    early, late = 0, 0
+    for (mean, error), pair, record in offsets.values():
+        allowed = SAMPLE * (2.0 if set(pair.keys) & unstamped(record) else 1.0)
+        early += mean - pair.filtered + STEADY * error < -allowed
+        late += mean - pair.filtered - STEADY * error > -allowed
+    if 2 * early > len(offsets) and not late:
         found = {path: Course(mean - pair.filtered, 0.0) for path, ((mean, _), pair, _) in offsets.items()}
-        return found if mends(group, found) else {}
+        return found if mends(group, found, steady=False) else {}
     return {}
 
 
@@ -215,16 +216,17 @@ def refined(
     return tuple(found)
 
 
-def mends(group: Sequence[tuple[Record, Pair, Lateness]], courses: Mapping[Path, Course]) -> bool:
+def mends(group: Sequence[tuple[Record, Pair, Lateness]], courses: Mapping[Path, Course], steady: bool = True) -> bool:
     """Whether channels go along with their companions once their clock is put right."""
-    return float(np.median([gain_of(pair, courses[record.path]) for record, pair, _ in group])) >= MENDS
+    return float(np.median([gain_of(pair, courses[record.path], steady) for record, pair, _ in group])) >= MENDS
 
 
-def gain_of(pair: Pair, course: Course) -> float:
-    """Share of what a channel is off by that goes with its clock put right, a steady lag beside both."""
+def gain_of(pair: Pair, course: Course, steady: bool) -> float:
+    """Share of what a channel is off by that goes with its clock put right; beside both a steady lag, if allowed."""
     width = width_of(pair.expected)
     expected = smooth(pair.expected, width)
-    columns = np.stack([expected, slope(expected, 1.0), np.ones(len(expected))], axis=1)
+    beside = [slope(expected, 1.0)] if steady else []
+    columns = np.stack([expected, *beside, np.ones(len(expected))], axis=1)
 
     def left(reads: Array) -> float:
         reads = smooth(reads, width)

@@ -22,6 +22,7 @@ RIVAL = 9.0  # squares of standard deviations, by which another may fit worse an
 WRONG_PARAMETER = math.log(2.0)  # deviation of the logarithm of a parameter that is wrong in the model file
 AGREE = 0.2  # logarithm, by which the factors of runs with one fault may differ
 EXACT = 0.004  # logarithm, to which two channels that say the same tell a factor
+HEATED = {"resistance": 0.4}  # logarithm, by which warm and cold runs may differ beyond that
 OFF = 3.0  # standard deviations, beyond which a factor is not usual
 EXPLAINS = 0.8  # of what a channel is off by
 TIME: Key = ("time", "")
@@ -123,7 +124,7 @@ def pooled(runs: Sequence[Mapping[str, Factor]]) -> dict[str, Pooled]:
         sizes = np.log(np.abs([one.value for one in factors]))
         errors = float(np.median([one.error for one in factors]))
         spread = float(np.std(sizes))
-        if (signs != signs[0]).any() or float(np.ptp(sizes)) > 2.0 * (AGREE + USUAL[name]) + 4.0 * errors:
+        if (signs != signs[0]).any() or float(np.ptp(sizes)) > 2.0 * AGREE + HEATED.get(name, 0.0) + 4.0 * errors:
             continue
         error = math.hypot(errors, spread / math.sqrt(len(factors)))
         explained = float(np.median([one.explained for one in factors]))
@@ -195,5 +196,10 @@ def spoken_for(factors: Mapping[str, Pooled], channels: Iterable[Key]) -> list[S
 
 
 def shown(names: Sequence[str], powers: Array, factors: Mapping[str, Pooled]) -> bool:
-    """Whether a factor that a signature scales explains nearly all of what its channel is off by."""
-    return any(factors[name].explained >= EXPLAINS for name, power in zip(names, powers, strict=True) if power)
+    """Whether the factors that a signature scales explain nearly all of what their channels are off by.
+
+    Two channels that say the same have to agree once the factor is undone; of other relations one has to.
+    """
+    scaled = [name for name, power in zip(names, powers, strict=True) if power]
+    tight = [name for name in scaled if USUAL[name] <= TIGHT]
+    return (all if tight else any)(factors[name].explained >= EXPLAINS for name in tight or scaled)

@@ -17,7 +17,6 @@ from leactl.quantities import UNITS
 from leactl.vocabulary.variable import VARIABLES, Variable
 
 Array = npt.NDArray[np.float64]
-LEAST = 0.05  # of what a channel is off by, that has to go for a picture to show anything
 OVER_TIME = {"clock_drift", "dropped_samples", "frozen_channel", "repeated_samples", "clipped_channel"}
 
 
@@ -48,7 +47,7 @@ def mended_picture(
             if (rows := rows_of(logged, mended, pairs.get((pair.key, pair.against)), pair)) is not None:
                 groups.setdefault((pair.key[0], pair.against, mended.mechanical), []).append(rows)
     shares = {key: share_of(group) for key, group in groups.items()}
-    if not shares or max(shares.values()) < LEAST:
+    if not shares:
         return None
     best = max(shares, key=lambda key: shares[key])
     role = groups[best][0].pair.key[1]

@@ -89,7 +89,8 @@ def frozen(records: Sequence[Record], _: Model) -> SetUpFault | None:
         if still:
             evidence = f"stands still over {share_of(rests.values())} of its samples while {COMPANIONS[key[0]]} moves"
             change = "look at its wire and its column; these samples are left out"
-            return SetUpFault("frozen_channel", key, SEEN, evidence, change, partial(left_out, key=key, masks=still))
+            mend = partial(left_out, key=key, masks=still)
+            return SetUpFault("frozen_channel", key, SEEN, evidence, change, mend, shrinks=False)
     return None
 
 
@@ -139,7 +140,8 @@ def repeated(records: Sequence[Record], _: Model) -> SetUpFault | None:
         if float(np.median(shares)) > REPEATED:
             evidence = f"repeats {100.0 * float(np.median(shares)):.0f} % of its samples"
             change = "it is sampled slower than it is logged: log it at its own rate, in a stream of its own"
-            return SetUpFault("repeated_samples", key, SEEN, evidence, change, partial(taken_between, key=key))
+            mend = partial(taken_between, key=key)
+            return SetUpFault("repeated_samples", key, SEEN, evidence, change, mend, shrinks=False)
     return None
 
 
@@ -174,14 +176,15 @@ def clipped(records: Sequence[Record], _: Model) -> SetUpFault | None:
             parameters = (EffectParameter("level", level, 0.0, next(iter(clocks.values())).units.get(key, "")),)
             mend = partial(left_out, key=key, masks=topped)
             change = "widen its range; these samples are left out"
-            return SetUpFault("clipped_channel", key, SEEN, evidence, change, mend, parameters)
+            return SetUpFault("clipped_channel", key, SEEN, evidence, change, mend, parameters, shrinks=False)
     return None
 
 
 def noisy(clock: Clocked, key: Key) -> bool:
     """Whether noise moves a channel, as far as its reference tells: a setpoint may well stand at a limit."""
-    reference = clock.get(f"{key[0]}_reference", key[1])
-    return reference is None or noise_of(clock.values[key], 0.0) >= CLEAN * noise_of(reference, 0.0)
+    reference, values = clock.get(f"{key[0]}_reference", key[1]), clock.values[key]
+    moving = values[np.diff(values, prepend=np.nan) != 0.0]  # a channel that mostly stands at its ends shows none
+    return reference is None or noise_of(moving, 0.0) >= CLEAN * noise_of(reference, 0.0)
 
 
 def at_ends(clock: Clocked, key: Key) -> Mask:

@@ -15,11 +15,14 @@ from leactl.gap.record import Clocked, Key, Record
 from leactl.gap.setup.contract import SetUpFault, with_values
 from leactl.gap.setup.conventions import CURRENTS, NEAR, UNITS, convention, step_of_time, whole
 from leactl.gap.setup.hypotheses import ANGLE, TIME, Spoken, pooled, spoken_for, usual
-from leactl.gap.setup.relations import Factor, factors_of
+from leactl.gap.setup.relations import TIGHT, USUAL, Factor, factors_of
 from leactl.model.nominal import Model
 
 SIGN, SCALE, COUNTS, POLES, TIME_BASE = "channel_sign", "channel_scale", "encoder_counts", "pole_pairs", "time_base"
+BETWEEN = 0.25  # of two whole numbers, an error from which on one of them may be meant
 SEEN = 0.99  # probability of what all relations agree on, its class counted together
+ODD = 4.0  # squares of standard deviations, that a factor without a convention counts for less
+CLEARLY = 0.25  # of how far a factor is from a whole number, that it may be from a unit which is meant
 CONSTANTS = {"torque_constant"}  # of the model, that a scaled channel may be taken for
 THOUSANDS = ("1000", "1/1000")
 ELECTRICAL = {"q_axis_current", "q_axis_current_reference", "q_axis_voltage"}
@@ -34,8 +37,8 @@ def misscaled(records: Sequence[Record], model: Model) -> SetUpFault | None:
     odd = {path: factors for path, factors in told.items() if not all(map(usual, factors.values()))}
     for group in (told, odd):
         spoken = named(spoken_for(pooled(list(group.values())), keys)) if group else []
-        # what is off in a few runs only is their fault if it has a name, and else an effect that only they show
-        if spoken and (2 * len(group) > len(told) or usual_convention(spoken[0])):
+        # what is off in some runs only is another machine or an effect, unless two channels that say the same disagree
+        if spoken and (group is told or (disagreeing(spoken[0]) and usual_convention(spoken[0]))):
             # a run that tells nothing of the factor is taken to have it as well
             sound = {path for path, factors in told.items() if path not in group and shows(factors, spoken[0])}
             return fault_of(spoken, {record.path for record in records} - sound, len(records), model)
@@ -48,12 +51,18 @@ def shows(factors: Factors, spoken: Spoken) -> bool:
 
 
 def named(spoken: Sequence[Spoken]) -> list[Spoken]:
-    """Faults that factors speak for, one with a convention first; none where a wrong parameter would do as well."""
+    """Faults that factors speak for, best first; none where a wrong parameter would do as well."""
     if any(one.signature.parameter not in {"", *CONSTANTS} for one in spoken):
         return []
     faults = [one for one in spoken if one.signature.keys]
-    # of two that fit alike, one with a convention goes first, and stamps of an odd rate last
-    return sorted(faults, key=lambda one: (not usual_convention(one), one.signature.keys == (TIME,)))
+    return sorted(
+        faults, key=lambda one: (one.misfit + (0.0 if usual_convention(one) else ODD), one.signature.keys == (TIME,))
+    )
+
+
+def disagreeing(spoken: Spoken) -> bool:
+    """Whether a fault makes two channels disagree that say the same, or turns one."""
+    return spoken.sign < 0.0 or any(USUAL[name] <= TIGHT for name in spoken.signature.powers)
 
 
 def usual_convention(spoken: Spoken) -> bool:
@@ -98,7 +107,7 @@ def names_of(spoken: Spoken) -> tuple[str, ...]:
     if spoken.sign < 0.0 and spoken.size == 0.0:
         return (SIGN,)
     if spoken.signature.keys[0] == ANGLE and not convention(math.exp(spoken.size), spoken.error):
-        return (COUNTS, POLES) if whole(math.exp(spoken.size), spoken.error) else (COUNTS,)
+        return (COUNTS, POLES) if may_be_whole(spoken) else (COUNTS,)
     return (SCALE,)
 
 
@@ -145,17 +154,24 @@ def counted(best: Spoken, within: str, paths: set[Path], model: Model) -> SetUpF
     size, fault = math.exp(best.size), scaled(best, within, paths)
     number, unit = whole(size, best.error), convention(size, best.error)
     if unit in UNITS and not (number and off(size, number) < off(size, UNITS[unit])):
-        return replace(fault, peers=() if best.error < NEAR and not number else (POLES, COUNTS))
+        sure = best.error < NEAR and (number is None or off(size, UNITS[unit]) < CLEARLY * off(size, number))
+        return replace(fault, peers=() if sure else (POLES, COUNTS))
     if number is None:
         change = (
             f"{fault.change}: a turn has {size:.4g} times the counts that were set, or a gear of that ratio is between"
         )
-        return replace(fault, name=COUNTS, change=change, peers=(SCALE,))
+        return replace(fault, name=COUNTS, change=change, peers=(POLES, SCALE) if may_be_whole(best) else (SCALE,))
     change = f"{fault.change}: {number} pole pairs, a gear of {number}, or counts a turn that are off by {number}"
     known = number == model.pole_pairs
     if number in (2, 4) and not known:  # as edges of two tracks are counted
         return replace(fault, name=COUNTS, change=change, peers=(POLES, SCALE))
     return replace(fault, name=POLES, change=change, peers=() if known else (COUNTS, SCALE))
+
+
+def may_be_whole(spoken: Spoken) -> bool:
+    """Whether a factor equals a whole number, or is not told well enough to say that it does not."""
+    larger = math.exp(abs(spoken.size))
+    return bool(whole(larger, spoken.error)) or (larger > 1.5 and spoken.error * larger > BETWEEN)
 
 
 def off(size: float, number: float) -> float:

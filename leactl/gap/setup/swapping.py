@@ -80,7 +80,8 @@ def of_current(records: Sequence[Record]) -> SetUpFault | None:
     told = [one for one in early if one is not None]
     if not told or not all(told):
         return None
-    return fault_of(CURRENT, REFERENCE, "the current goes ahead of its reference, and the reference has the noise")
+    fault = fault_of(CURRENT, REFERENCE, "the current goes ahead of its reference, and the reference has the noise")
+    return replace(fault, shrinks=False)
 
 
 def early_of(record: Record) -> bool | None:
@@ -96,7 +97,7 @@ def early_of(record: Record) -> bool | None:
         return None
     # a loop slow enough to take that much noise away would be late by more than a stamp may be off
     late, error = stretches.mean()
-    return late < -BEFORE - ERRORS * error
+    return late < -BEFORE if abs(late) > BEFORE + ERRORS * error else None
 
 
 def fault_of(first: Key, second: Key, evidence: str) -> SetUpFault:
