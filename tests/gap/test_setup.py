@@ -136,4 +136,4 @@ def test_the_page_has_the_numbers_of_the_code():
     assert words.format(*told).replace("%", " %") in page
     assert usual["inertia"] == usual["resistance"]
     assert f"later, or earlier, by {2 * drifting.SAMPLE:.0f} samples or more" in page
-    assert (swapping.MOST, swapping.CLEANER, drifting.MOST_LEAPS) == (0.75, 0.1, 4)
+    assert (swapping.MOST, swapping.CLEANER, drifting.MOST_LEAPS) == (0.5, 0.1, 4)
