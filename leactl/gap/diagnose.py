@@ -129,7 +129,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     InputError : the runs hold nothing that any equation of the model can be checked with.
     """
     progress("looking for faults of the set-up")
-    faults, records = mended([*case.fitted, *case.held_out], case.model)
+    faults, records = mended([*case.fitted, *case.held_out], case.model, len(case.held_out))
     if not faults:
         return diagnose_effects(case, progress)
     again = Case(case.model, records[: len(case.fitted)], records[len(case.fitted) :])

@@ -25,6 +25,7 @@ SHOWN = 5  # channels
 MODELS = ("nominal", "calibrated", "augmented")
 PICTURE = "Mean residual in each bin with its 95 % interval, on held-out runs"
 WITHOUT_AND_WITH = ("before: calibrated without it", "after: with it")
+LOGGED_AND_MENDED = ("before: as logged", "after: mended")
 LEFT_AND_CLOSED = ("what is left", "beyond a free function of the state")
 
 
@@ -55,7 +56,9 @@ def pictures(answer: Diagnosis) -> list[Html]:
     """A card for each effect that is in the augmented model: what is left over, over the variable that it acts in."""
     drawn = [(cause, cause.picture) for cause in answer.causes if cause.picture is not None]
     return [
-        picture_card(cause.effect, picture, WITHOUT_AND_WITH, f"{PICTURE} where the effect acts")
+        picture_card(cause.effect, picture, LOGGED_AND_MENDED, f"{PICTURE}, against what the channel should read")
+        if cause.family == "setup"
+        else picture_card(cause.effect, picture, WITHOUT_AND_WITH, f"{PICTURE} where the effect acts")
         for cause, picture in drawn
     ]
 

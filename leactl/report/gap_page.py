@@ -120,7 +120,9 @@ def cause(item: Cause, closes_no_gap: bool) -> Html:
         said.append(tag("p", words))
     if item.parameters:
         said.append(tag("dl", *(p for q in item.parameters for p in (tag("dt", q.name), tag("dd", parameter_text(q))))))
-    if item.share > 0.0:
+    if item.share > 0.0 and item.family == "setup":
+        said.append(tag("p", f"Mended, {percent(item.share)} of what the channel is off by is gone, on held-out runs."))
+    elif item.share > 0.0:
         said.append(tag("p", f"Its share of what all causes explain: {percent(item.share)}."))
     if item.indistinguishable_from:
         said.append(tag("p", f"Cannot be told from {listed(item.indistinguishable_from)} with these runs."))

@@ -95,7 +95,8 @@ def closed_by_calibration(items: Sequence[Shrinkage]) -> list[Shrinkage]:
 def closes_nothing(answer: Diagnosis) -> bool:
     """Whether effects are claimed, and no gap of held-out runs shrinks with them beyond chance."""
     shrinks = any(item.closed_low is not None and item.closed_low > 0.0 for item in answer.shrinkage)
-    return bool(claims(answer.causes)) and bool(answer.shrinkage) and not shrinks
+    effects = claims([cause for cause in answer.causes if cause.family != "setup"])  # faults are mended before
+    return bool(effects) and bool(answer.shrinkage) and not shrinks
 
 
 def counted(items: Sequence[Shrinkage]) -> str:

@@ -1,6 +1,5 @@
 """Faults of a set-up are named before any effect, with what undoes them; sound channels are left alone."""
 
-import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -10,9 +9,9 @@ import pytest
 
 from leactl.gap.diagnose import diagnose
 from leactl.gap.record import Clocked
-from leactl.gap.setup import mended, samples, scaling
+from leactl.gap.setup import conventions, drifting, hypotheses, mended, relations, samples, swapping
+from leactl.gap.setup.conventions import convention
 from leactl.gap.setup.samples import at_ends, period_of
-from leactl.gap.setup.scaling import convention
 from tests.gap.joints import Log, case, drawn_joint
 
 VELOCITY = ("velocity", "test")
@@ -76,7 +75,7 @@ def test_a_fault_is_named_by_itself_and_mended(cases, name):
     for joint, given in cases:
         faults, records = mended([*(bad := spoilt(given, joint, quantities, spoil)).fitted, *bad.held_out], given.model)
         assert [(fault.name, fault.key[0]) for fault in faults] == [expected]
-        assert faults[0].explained > 0.9
+        assert faults[0].probability > 0.9
         assert mended(records, given.model)[0] == []
 
 
@@ -154,6 +153,18 @@ def test_the_page_has_the_numbers_of_the_code():
     assert f"stands still over {100 * samples.FROZEN:.0f} % of a run" in page
     assert f"| {100 * samples.REPEATED:.0f} % of a measured channel" in page
     assert f"| {100 * samples.TOPPED:.0f} % of a measured channel stands at its end" in page
-    assert f"beyond {100 * math.expm1(scaling.MEASURED):.0f} % (velocity" in page
-    assert f"or {100 * math.expm1(scaling.MODELLED):.0f} % (torque" in page
-    assert f"explains {100 * scaling.EXPLAINS:.0f} % of" in page
+    assert f"explains {hypotheses.SURPRISE:.0f} squares of standard deviations" in page
+    assert f"and {100 * hypotheses.EXPLAINS:.0f} % of what a channel is off by" in page
+    assert f"leaves no factor beyond {hypotheses.LEFT:.0f} of them" in page
+    assert f"within {hypotheses.RIVAL:.0f} of the best" in page
+    assert f"whole number up to {conventions.MOST_POLES}" in page
+    usual = relations.USUAL
+    told = (relations.TIGHT, relations.CONSTANT, usual["inertia"], usual["friction"], usual["damping"])
+    words = (
+        "Usual are {:.0%} between two channels that say the same, {:.0%} of the torque constant, {:.0%} of inertia and"
+    )
+    words += " resistance, {:.0%} of friction, {:.0%} of damping"
+    assert words.format(*told).replace("%", " %") in page
+    assert usual["inertia"] == usual["resistance"]
+    assert f"later, or earlier, by {2 * drifting.SAMPLE:.0f} samples or more" in page
+    assert (swapping.MOST, swapping.CLEANER, drifting.MOST_LEAPS) == (0.5, 0.1, 4)

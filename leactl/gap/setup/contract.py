@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import maximum_filter1d
 
-from leactl.gap.diagnosis import Cause, EffectParameter
-from leactl.gap.record import Key, Record
+from leactl.gap.diagnosis import Cause, EffectParameter, Picture
+from leactl.gap.record import SMOOTHED, Key, Record
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -19,23 +20,34 @@ class SetUpFault:
 
     name: str  # of the vocabulary's family `setup`
     key: Key
-    explained: float  # share of the channel's gap that goes once the fault is mended, or of its samples at fault
+    probability: float
     evidence: str
     change: str  # the line that undoes it where the run was imported or recorded
     mend: Callable[[Record], Record]
     parameters: tuple[EffectParameter, ...] = ()
     peers: tuple[str, ...] = ()  # of the vocabulary, that these runs cannot tell from it
+    shrinks: bool = True  # whether mending it has to shrink the gap; else samples are left out, or names exchanged
+    share: float | None = None  # of what the channel is off by on held-out runs, that goes once the fault is mended
+    picture: Picture | None = None  # of that
 
     def as_cause(self) -> Cause:
         """The fault among the causes of a diagnosis."""
         return Cause(
-            self.name, self.explained, self.explained, self.parameters, self.peers, family="setup", change=self.change
+            self.name,
+            self.probability,
+            self.share or 0.0,
+            self.parameters,
+            self.peers,
+            family="setup",
+            change=self.change,
+            picture=self.picture,
         )
 
     def note(self) -> str:
         """The evidence and the change, in one line."""
         quantity, role = self.key
-        return f"{self.name}: {quantity} of {role} {self.evidence}; {self.change}"
+        gone = "" if self.share is None else f"; mended, {100.0 * self.share:.3g} % of what it is off by is gone"
+        return f"{self.name}: {quantity}{f' of {role}' if role else ''} {self.evidence}{gone}; {self.change}"
 
 
 def with_values(record: Record, key: Key, values: Array) -> Record:
@@ -53,6 +65,7 @@ def left_out(record: Record, key: Key, masks: Mapping[str, Mask]) -> Record:
     if clock is None or out is None or key not in clock.values:
         return record
     if not out.all():
-        return replace(record, fast=replace(clock, valid=clock.valid | {key: clock.valid[key] & ~out}))
+        around = maximum_filter1d(out, 2 * SMOOTHED + 1)  # noise at an end of a range is cut on one side
+        return replace(record, fast=replace(clock, valid=clock.valid | {key: clock.valid[key] & ~around}))
     kept = {other: values for other, values in clock.values.items() if other != key}
     return replace(record, fast=replace(clock, values=kept))

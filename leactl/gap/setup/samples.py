@@ -24,6 +24,7 @@ MOVES = 0.2  # of its usual deviation, that a companion has to have meanwhile
 LONGEST_REST = 100  # samples
 FINE = 200  # levels, from which two equal samples in a row are no rounding
 REPEATED = 0.3  # of a channel's samples
+CLEAN = 0.1  # of its reference's noise, below which a channel is no measured one
 TOPPED, IN_A_ROW = 0.01, 4  # of a channel's samples at its end, and how many of them stand together
 COMPANIONS = {
     "velocity": "angle",
@@ -88,7 +89,8 @@ def frozen(records: Sequence[Record], _: Model) -> SetUpFault | None:
         if still:
             evidence = f"stands still over {share_of(rests.values())} of its samples while {COMPANIONS[key[0]]} moves"
             change = "look at its wire and its column; these samples are left out"
-            return SetUpFault("frozen_channel", key, SEEN, evidence, change, partial(left_out, key=key, masks=still))
+            mend = partial(left_out, key=key, masks=still)
+            return SetUpFault("frozen_channel", key, SEEN, evidence, change, mend, shrinks=False)
     return None
 
 
@@ -144,8 +146,12 @@ def longest_run(mask: Mask) -> tuple[int, int]:
 
 
 def measured_by(model: Model) -> tuple[str, ...]:
-    """Quantities that are measured and no drive works out: a servo's voltage follows from counts, and rests."""
-    return MEASURED if model.drive is None else tuple(name for name in MEASURED if name != "q_axis_voltage")
+    """Quantities that are measured and no drive works out: a voltage that a servo counts, or a test asks for, rests."""
+    return (
+        MEASURED
+        if model.drive is None and model.feedforward is None
+        else tuple(name for name in MEASURED if name != "q_axis_voltage")
+    )
 
 
 def repeated(records: Sequence[Record], model: Model) -> SetUpFault | None:
@@ -155,7 +161,8 @@ def repeated(records: Sequence[Record], model: Model) -> SetUpFault | None:
         if float(np.median(shares)) > REPEATED:
             evidence = f"repeats {100.0 * float(np.median(shares)):.0f} % of its samples"
             change = "it is sampled slower than it is logged: log it at its own rate, in a stream of its own"
-            return SetUpFault("repeated_samples", key, SEEN, evidence, change, partial(taken_between, key=key))
+            mend = partial(taken_between, key=key)
+            return SetUpFault("repeated_samples", key, SEEN, evidence, change, mend, shrinks=False)
     return None
 
 
@@ -181,7 +188,9 @@ def again(clock: Clocked, key: Key) -> Mask:
 def clipped(records: Sequence[Record], model: Model) -> SetUpFault | None:
     """A measured channel that stands at an end of its range, sample after sample, where noise should move it."""
     for key, clocks in channels_of(records, measured_by(model)):
-        topped = {name: top for name, clock in clocks.items() if (top := at_ends(clock, key)).any()}
+        topped = {
+            name: top for name, clock in clocks.items() if noisy(clock, key) and (top := at_ends(clock, key)).any()
+        }
         if topped:
             level = max(float(np.max(np.abs(clocks[name].values[key]))) for name in topped)
             runs = len({record.run for record in records if record.name in topped})
@@ -189,13 +198,20 @@ def clipped(records: Sequence[Record], model: Model) -> SetUpFault | None:
             parameters = (EffectParameter("level", level, 0.0, next(iter(clocks.values())).units.get(key, "")),)
             mend = partial(left_out, key=key, masks=topped)
             change = "widen its range; these samples are left out"
-            return SetUpFault("clipped_channel", key, SEEN, evidence, change, mend, parameters)
+            return SetUpFault("clipped_channel", key, SEEN, evidence, change, mend, parameters, shrinks=False)
     return None
 
 
 def begins_at_rest(values: Array) -> slice:
     """Samples at zero before a channel first moves: a run to one side begins at an end of its range."""
     return slice(0, int(np.argmax(values != 0.0)))
+
+
+def noisy(clock: Clocked, key: Key) -> bool:
+    """Whether noise moves a channel, as far as its reference tells: a setpoint may well stand at a limit."""
+    reference, values = clock.get(f"{key[0]}_reference", key[1]), clock.values[key]
+    moving = values[np.diff(values, prepend=np.nan) != 0.0]  # a channel that mostly stands at its ends shows none
+    return reference is None or noise_of(moving, 0.0) >= CLEAN * noise_of(reference, 0.0)
 
 
 def at_ends(clock: Clocked, key: Key) -> Mask:

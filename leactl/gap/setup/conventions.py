@@ -1,0 +1,57 @@
+"""Factors that have a name: conventions of transformations, units taken for one another, small whole numbers."""
+
+import math
+from fractions import Fraction
+
+CURRENTS = {
+    "2/3": 2.0 / 3.0,
+    "3/2": 1.5,
+    "sqrt(3/2)": math.sqrt(1.5),
+    "sqrt(2/3)": math.sqrt(2.0 / 3.0),
+    "sqrt(2)": math.sqrt(2.0),
+    "1/sqrt(2)": math.sqrt(0.5),
+    "sqrt(3)": math.sqrt(3.0),
+    "1/sqrt(3)": math.sqrt(1.0 / 3.0),
+}
+"""Of currents, voltages and torque constants: power or amplitude, peak or effective value, line or phase."""
+UNITS = {
+    "1000": 1000.0,
+    "1/1000": 1e-3,
+    "pi/180": math.pi / 180.0,
+    "180/pi": 180.0 / math.pi,
+    "60/(2 pi)": 30.0 / math.pi,
+    "2 pi/60": math.pi / 30.0,
+    "1/(2 pi)": 0.5 / math.pi,
+    "2 pi": 2.0 * math.pi,
+}
+NAMED = CURRENTS | UNITS
+STEPS_OF_TIME = {"1000": 1000.0, "1/1000": 1e-3, "1000000": 1e6, "1/1000000": 1e-6, "60": 60.0, "1/60": 1.0 / 60.0}
+NEAR = 0.06  # logarithm, by which a factor may miss its convention
+MOST_RATE, MOST_POLES, WHOLE = 10, 64, 0.25
+
+
+def convention(factor: float, error: float = 0.0) -> str:
+    """The convention that a factor equals within its error; empty where none does."""
+    size = abs(factor)
+    near = min(NAMED, key=lambda name: abs(math.log(size / NAMED[name])))
+    return ("-" if factor < 0.0 else "") + near if abs(math.log(size / NAMED[near])) < NEAR + error else ""
+
+
+def step_of_time(factor: float, error: float) -> str:
+    """The unit or the ratio of two rates that a factor of time equals; empty where it is neither."""
+    near = min(STEPS_OF_TIME, key=lambda name: abs(math.log(factor / STEPS_OF_TIME[name])))
+    if abs(math.log(factor / STEPS_OF_TIME[near])) < NEAR + error:
+        return near
+    ratio = Fraction(factor).limit_denominator(MOST_RATE)
+    if 1 in (ratio.numerator, ratio.denominator) and ratio and abs(math.log(factor / float(ratio))) < NEAR + error:
+        return str(ratio)
+    return ""
+
+
+def whole(factor: float, error: float) -> int | None:
+    """The whole number that a factor, or its inverse, equals; None beyond what machines have as pole pairs."""
+    larger = max(factor, 1.0 / factor)
+    number = round(larger)
+    between = WHOLE / max(number, 1)  # half-way to the next whole number, and half of that again
+    told = 2 <= number <= MOST_POLES and error < between
+    return number if told and abs(math.log(larger / number)) < between + error else None

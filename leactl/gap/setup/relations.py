@@ -1,0 +1,276 @@
+"""What a run's channels make of each other and of the model: factors that are one where a set-up is sound.
+
+Each relation is a regression of one channel on what it should follow, with what lags and offsets do beside it. Sides
+that are differentiated are smoothed until the encoder's noise no longer shows in the acceleration.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import binary_opening, maximum_filter1d
+
+from leactl.effects.shapes import play
+from leactl.gap.noise import noise_of
+from leactl.gap.record import Clocked, Record
+from leactl.gap.rig import fed_by_voltage
+from leactl.gap.smoothing import BASE, slope, smooth
+from leactl.model.nominal import Model
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+WIDEST = 64.0  # samples of smoothing, beyond which an encoder is too coarse for an acceleration
+NOISY = 0.1  # of an acceleration's deviation, that its noise may be
+CURVES = 0.46  # deviation of a second difference per deviation of the angle, at a width of one sample
+FITS = 0.8  # of a channel's variance, that what it should follow has to explain
+FEWEST = 50  # samples
+BRIDGED = 1  # sample that is missing, and taken in between its neighbours
+KNOWN = 4.0  # standard errors, from which a factor is told at all
+MISFIT = 3.0  # by which a residual that is no noise widens an error
+TIGHT = 0.02
+USUAL = {
+    "velocity test": TIGHT,
+    "velocity load": TIGHT,
+    "current test": TIGHT,
+    "current load": TIGHT,
+    "angle to its reference": 0.3,
+    "velocity to its reference": 0.3,
+    "torque": 0.07,
+    "resistance": 0.2,
+    "back_emf": 0.03,
+    "feeding": 1.0,
+    "inertia": 0.2,
+    "damping": 0.5,
+    "friction": 0.4,
+}
+"""Standard deviation of each factor's logarithm on sound machines, but for that of the torque constant."""
+CONSTANT = 0.08
+OF_CONSTANT = {"torque": 1.0, "back_emf": 1.0, "inertia": -1.0, "damping": -1.0, "friction": -1.0}
+"""How each factor goes with the torque constant, and its deviation."""
+
+
+@dataclass(frozen=True)
+class Factor:
+    """One factor of one run: what is logged over what is expected."""
+
+    relation: str
+    value: float
+    error: float  # of its logarithm
+    fits: float  # share of the channel's variance that is explained
+    explained: float  # share of what the channel is off by that goes with the factor
+
+    @property
+    def holds(self) -> bool:
+        """Whether the channel follows at all."""
+        return self.fits >= FITS
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Speed, acceleration and way of a run, alike smoothed."""
+
+    angle: Array | None
+    velocity: Array
+    acceleration: Array
+    width: float
+
+
+def factors_of(record: Record, model: Model) -> Iterator[Factor]:
+    """Every factor that a run tells, and every relation that does not hold."""
+    clock = record.fast
+    if clock is None or len(clock.time) < FEWEST:
+        return
+    for role in ("test", "load"):
+        yield from followed(clock, role, record.mechanical)
+    moved = motion_of(clock)
+    yield from of_torque(clock, model, record.mechanical, moved)
+    if moved is not None:
+        yield from of_voltage(clock, model, record.mechanical, moved)
+        if record.mechanical == "free":
+            yield from of_feeding(record, clock, model, moved)
+            yield from of_motion(record, clock, model, moved)
+
+
+def motion_of(clock: Clocked, role: str = "test") -> Motion | None:
+    """Motion from the angle, else from the velocity; None where neither is logged or all of it is noise."""
+    angle, velocity = clock.get("angle", role), clock.get("velocity", role)
+    if angle is None and velocity is None:
+        return None
+    width = BASE
+    while width <= WIDEST:
+        if angle is not None:
+            speed = smooth(np.gradient(angle, clock.interval), width)
+            noise = noise_of(angle) * CURVES / width**2.5 / clock.interval**2
+        else:
+            speed = smooth(np.asarray(velocity), width)
+            noise = noise_of(np.asarray(velocity)) * CURVES / width**1.5 / clock.interval
+        acceleration = slope(speed, clock.interval)
+        if noise <= NOISY * float(np.std(acceleration)):
+            return Motion(None if angle is None else smooth(angle, width), speed, acceleration, width)
+        width *= math.sqrt(2.0)
+    return None
+
+
+def followed(clock: Clocked, role: str, mechanical: str) -> Iterator[Factor]:
+    """Channels that say the same as another, or follow their reference."""
+    angle = "angle", role if clock.get("angle", role) is not None or mechanical != "coupled" else "test"
+    pairs = [
+        (f"velocity {role}", ("velocity", role), angle),
+        (f"current {role}", ("q_axis_current", role), ("q_axis_current_reference", role)),
+    ]
+    if role == "test":
+        pairs += [
+            ("angle to its reference", ("angle", role), ("angle_reference", role)),
+            ("velocity to its reference", ("velocity", role), ("velocity_reference", role)),
+        ]
+    for name, key, other in pairs:
+        reads, expected = clock.get(*key), clock.get(*other)
+        if reads is None or expected is None or (mechanical == "locked" and key[0] != "q_axis_current"):
+            continue
+        if key[0] == "velocity" and other[0] == "angle":
+            expected = np.gradient(expected, clock.interval)
+        width = width_for(expected)
+        expected = smooth(expected, width)
+        valid = clock.all_valid(key, other)
+        yield from factor(name, smooth(reads, width), expected, [slope(expected, 1.0)], valid, width)
+
+
+def width_for(values: Array) -> float:
+    """Smoothing after which noise is a tenth of what a channel does; the widest where it never is."""
+    width = BASE
+    while width < WIDEST and noise_of(values) / math.sqrt(3.5 * width) > NOISY * float(np.std(smooth(values, width))):
+        width *= math.sqrt(2.0)
+    return width
+
+
+def of_torque(clock: Clocked, model: Model, mechanical: str, moved: Motion | None) -> Iterator[Factor]:
+    """The torque on the shaft over what the current and the motion make of it."""
+    torque, force = clock.get("torque"), driving(clock, model, mechanical)
+    if torque is None or force is None:
+        return
+    valid = clock.all_valid(("torque", "test"), ("q_axis_current", "test"))
+    width, beside = BASE, list[Array]()
+    if mechanical == "coupled" and moved is not None:
+        width, valid = moved.width, valid & clock.all_valid(("angle", "test"))
+        beside = [moved.acceleration, moved.velocity, smooth(np.sign(moved.velocity), width)]
+    force = smooth(force, width)
+    yield from factor("torque", smooth(torque, width), force, [slope(force, 1.0), *beside], valid, width)
+
+
+def driving(clock: Clocked, model: Model, mechanical: str) -> Array | None:
+    """The torque that a current makes, less what friction holds of it where the rotor is locked."""
+    current = clock.get("q_axis_current")
+    if current is None or not model.torque_constant or mechanical not in ("locked", "coupled"):
+        return None
+    force = model.torque_constant * current
+    return play(force, model.coulomb_friction or 0.0) if mechanical == "locked" else force
+
+
+def of_voltage(clock: Clocked, model: Model, mechanical: str, moved: Motion) -> Iterator[Factor]:
+    """What current and speed take of the voltage."""
+    voltage, current = clock.get("q_axis_voltage"), clock.get("q_axis_current")
+    if voltage is None or current is None:
+        return
+    constant = model.back_emf_constant or model.torque_constant
+    current = smooth(current, moved.width)
+    sign = np.tanh(4.0 * current / (float(np.std(current)) or 1.0))  # along which a drive's dead time acts
+    columns = [current, moved.velocity, slope(current, 1.0), sign]
+    nominal = {"resistance": model.phase_resistance, "back_emf": constant}
+    if mechanical == "locked":
+        del nominal["back_emf"], columns[1]
+    valid = clock.all_valid(("q_axis_voltage", "test"), ("q_axis_current", "test"), ("angle", "test"))
+    yield from several(nominal, smooth(voltage, moved.width), columns, valid, moved.width)
+
+
+def of_feeding(record: Record, clock: Clocked, model: Model, moved: Motion) -> Iterator[Factor]:
+    """The voltage that feeds a motor over what its motion takes: its sense, for how much is what such runs are to tell.
+
+    Each with its mirror image: a step holds one voltage, whose sense is in its mean.
+    """
+    takes, voltage = taken_of_voltage(record, model, moved), clock.get("q_axis_voltage")
+    if takes is None or voltage is None:
+        return
+    reads, takes = smooth(voltage, moved.width), smooth(takes, moved.width)
+    valid = clock.all_valid(("q_axis_voltage", "test"), ("angle", "test"))
+    reads, takes = (np.concatenate([values, -values[::-1]]) for values in (reads, takes))
+    yield from factor("feeding", reads, takes, [], np.concatenate([valid, valid[::-1]]), moved.width)
+
+
+def taken_of_voltage(record: Record, model: Model, moved: Motion) -> Array | None:
+    """What back-EMF and friction of a motor that is fed with a voltage take of it [V]; None where none feeds it."""
+    fed = fed_by_voltage(record, model)
+    if fed is None:
+        return None
+    friction = (model.coulomb_friction or 0.0) * np.sign(moved.velocity)
+    return np.asarray((fed.damping * moved.velocity + friction) / fed.gain, np.float64)
+
+
+def of_motion(record: Record, clock: Clocked, model: Model, moved: Motion) -> Iterator[Factor]:
+    """What inertia, damping and friction take of the current of a free run, in currents; gravity stands beside."""
+    current = clock.get("q_axis_current")
+    if current is None or not model.torque_constant:
+        return
+    constant, load = model.torque_constant, model.load
+    mass, length = record.setup.get("load_mass", load.mass), record.setup.get("load_length", load.length)
+    arm = record.setup.get("load_arm_mass", load.arm_mass)
+    inertia = None if model.rotor_inertia is None else model.rotor_inertia + (mass + arm / 3.0) * length**2
+    taken = {"inertia": inertia, "damping": model.viscous_damping, "friction": model.coulomb_friction}
+    nominal = {name: value / constant if value else None for name, value in taken.items()}
+    columns = [moved.acceleration, moved.velocity, smooth(np.sign(moved.velocity), moved.width)]
+    if moved.angle is not None and load.type != "none":
+        columns += [np.sin(moved.angle), np.cos(moved.angle)]
+    valid = clock.all_valid(("q_axis_current", "test"), ("angle", "test"))
+    yield from several(nominal, smooth(current, moved.width), columns, valid, moved.width)
+
+
+def factor(
+    name: str, reads: Array, expected: Array, beside: list[Array], valid: Mask, width: float
+) -> Iterator[Factor]:
+    """The factor of one relation, if it holds."""
+    yield from several({name: 1.0}, reads, [expected, *beside], valid, width)
+
+
+def several(
+    nominal: dict[str, float | None], reads: Array, columns: list[Array], valid: Mask, width: float
+) -> Iterator[Factor]:
+    """Factors of the first columns' coefficients over nominal ones; the other columns and an offset stand beside."""
+    valid = unsmeared(valid, width)
+    rows = np.stack([column[valid] for column in columns], axis=1)
+    values = reads[valid]
+    independent = len(values) / (math.sqrt(4.0 * math.pi) * width)
+    if len(values) < FEWEST or independent < 2 * rows.shape[1] or float(np.ptp(values)) == 0.0:
+        return
+    rows, values = rows - rows.mean(axis=0), values - values.mean()
+    sizes = np.sqrt(np.mean(rows**2, axis=0))
+    kept = sizes > 0.0
+    solved, covariance = np.zeros(len(sizes)), np.full(len(sizes), np.inf)
+    scaled = rows[:, kept] / sizes[kept]
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10)
+    solved[kept] = inverse @ (scaled.T @ values) / sizes[kept]
+    left = values - rows @ solved
+    noise = float(left @ left) / max(independent - int(kept.sum()), 1.0) * independent / len(values)
+    covariance[kept] = np.diag(inverse) * len(values) / independent * noise / sizes[kept] ** 2
+    fits = 1.0 - float(left @ left) / float(values @ values)
+    known = np.asarray([value or 0.0 for value in nominal.values()])
+    nominally = values - rows[:, : len(known)] @ known
+    others = rows[:, len(known) :]
+    if others.shape[1]:
+        nominally = nominally - others @ np.linalg.lstsq(others, nominally, rcond=1e-10)[0]
+    off = float(nominally @ nominally)
+    explained = 1.0 - float(left @ left) / off if off > 0.0 else 0.0
+    for index, (name, value) in enumerate(nominal.items()):
+        error = MISFIT * math.sqrt(covariance[index])
+        told = math.isfinite(error) and abs(solved[index]) > KNOWN * error
+        if value and (told or fits < FITS):
+            size = abs(float(solved[index])) or 1e-300
+            yield Factor(name, float(solved[index]) / value, error / size, fits, explained)
+
+
+def unsmeared(valid: Mask, width: float) -> Mask:
+    """Valid samples, without those into which smoothing carries several that are not; one alone is bridged well."""
+    if valid.all():
+        return valid
+    gaps = binary_opening(~valid, np.ones(BRIDGED + 1))
+    return np.asarray(valid & ~maximum_filter1d(gaps, 2 * int(2.0 * width) + 1), np.bool_)
