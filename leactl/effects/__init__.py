@@ -1,6 +1,7 @@
 """The effect library: what a nominal model may lack, as equations for diagnosis and simulation, one file per effect.
 
-Adding an effect adds a file here and its definition in `leactl/vocabulary/effects`; nothing else is edited.
+Adding an effect adds a file here and its definition in `leactl/vocabulary/effects`; nothing else is edited. Another
+package adds one by an entry point `leactl.effects` that names its module, with `NAME.yaml` beside that.
 """
 
 import importlib
@@ -8,16 +9,30 @@ import pkgutil
 from functools import cache
 
 from leactl.effects.contract import Effect
+from leactl.errors import InputError
+from leactl.vocabulary.effect import definition_file, effect_names, modules_of_others
 
 
 @cache
 def library() -> dict[str, Effect]:
-    """Every effect by its name, sorted."""
+    """Every effect by its name, sorted.
+
+    Raises
+    ------
+    InputError : an effect has a form and no definition, or a definition and no form; the missing file is named.
+    """
     found: dict[str, Effect] = {}
-    for entry in pkgutil.iter_modules(__path__):
-        module = importlib.import_module(f"{__name__}.{entry.name}")
+    modules = [f"{__name__}.{entry.name}" for entry in pkgutil.iter_modules(__path__)]
+    for name in (*modules, *modules_of_others().values()):
+        module = importlib.import_module(name)
         for thing in vars(module).values():
             own = isinstance(thing, type) and thing.__module__ == module.__name__
             if own and issubclass(thing, Effect) and hasattr(thing, "name"):
                 found[thing.name] = thing()
+    known = set(effect_names())
+    undefined = [f"{definition_file(name)}: is missing; it defines effect {name}" for name in set(found) - known]
+    homes = {name: modules_of_others().get(name, f"leactl/effects/{name}.py") for name in known - set(found)}
+    unformed = [f"{home}: no class of effect {name} is there" for name, home in homes.items()]
+    if undefined or unformed:
+        raise InputError(sorted(undefined + unformed))
     return dict(sorted(found.items()))

@@ -15,6 +15,7 @@ class CommandSlewLimit(Effect):
     one_sided = True
     explains = 0.75  # where in the loop the limit sits is not known
     shaped = True
+    bounds = True
     forms = ((0.0015,), (0.004,), (0.012,), (0.03,), (0.07,))
     form_scales = ("highest rate",)
 

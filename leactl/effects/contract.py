@@ -43,12 +43,14 @@ SCALES = (
     "1",
     "highest speed",  # rad/s, that the runs reach
     "highest current",  # A, that the runs reach
+    "highest power",  # W, of torque and speed, that the runs reach or ask for
     "longest run",  # s, of those that turn
     "loop",  # s, time constant of the model's current loop
     "velocity filter",  # s, time constant
     "torque filter",  # s, time constant
     "highest rate",  # A/s, of the highest current through the loop
     "friction",  # N*m, Coulomb friction
+    "sampling rate",  # Hz, the finest
     "housing",  # s, time constant with which it cools
 )
 """A machine's own scales, in which forms of effects are told, so that similar machines have similar forms."""
@@ -100,6 +102,7 @@ class Effect:
     one_sided: ClassVar[bool] = False  # whether its coefficient makes sense above zero only
     continuous: ClassVar[bool] = True  # whether values between those of its forms make sense
     shaped: ClassVar[bool] = False  # whether its coefficient is the share of a shape that is whole at one
+    bounds: ClassVar[bool] = False  # whether its form is a bound, beyond which nothing may be left to act on
     explains: ClassVar[float] = 0.82  # share of what it does to the channels it touches that its columns must explain
     periodic: ClassVar[str] = ""  # the place whose column repeats over the angle, where orders are searched for
     orders: ClassVar[tuple[int, int]] = (0, 0)  # the orders that are searched

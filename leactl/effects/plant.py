@@ -7,7 +7,7 @@ functions see many stretches of runs at once (`Moment`), the others a whole run 
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -44,6 +44,14 @@ Becomes = Callable[[Array, float], Array]  # values and their interval
 Reads = Callable[[Course, Array], Array]  # a run, and the reading so far
 
 
+class ElasticLoad(NamedTuple):
+    """A part of a rotor's inertia that follows by a spring and a damper."""
+
+    share: float  # of the whole inertia
+    frequency: float  # Hz, of its swing while the rest stands
+    damping_ratio: float
+
+
 @dataclass
 class Plant:
     """One bench to simulate; every list is empty where no effect acts."""
@@ -52,6 +60,7 @@ class Plant:
     stiffness: float | None  # N*m/rad, of the shaft
     resistance_coefficient: float  # 1/K
     play: float = 0.0  # rad, whole width between actuator and shaft
+    elastic_load: ElasticLoad | None = None  # on a free rotor
     bristle: float = 0.0  # rad, over which friction builds up by an effect
     give: float = GIVE  # rad, over which it builds up in any bearing
     current_gain: float = 1.0  # measured current over current
@@ -61,6 +70,7 @@ class Plant:
     further_node: tuple[float, float] | None = None  # J/K and K/W of a body behind the housing
 
     command: list[Becomes] = field(default_factory=list)  # A, what the current loop follows
+    command_at_speed: list[Callable[[Array, Array], Array]] = field(default_factory=list)  # the same at a speed [rad/s]
     loop_answer: list[Becomes] = field(default_factory=list)  # A, what becomes of the loop's answer
     set_point: list[Becomes] = field(default_factory=list)  # rad, what a position servo follows
     servo_error: list[Callable[[Array], Array]] = field(default_factory=list)  # rad, what it answers of an error [rad]

@@ -109,6 +109,11 @@ class SteppedPlant:
     def advance(self, reference: Value) -> None:
         """Go on by a millisecond with these q-axis current references [A] for both actuators."""
         self._reference[:] = reference
+        for own in self._bound["bounded_reference"]:
+            allowed = own.effect.bounded_reference
+            own.of(self._reference)[:] = allowed(
+                own.of(self._reference), own.of(self._torque_constant), own.of(self.velocity)
+            )
         np.divide(self._reference - self.current_offset, self.current_gain, out=self._target)
         self._refresh()
         start, before = self.current.copy(), self.angle.copy()

@@ -40,8 +40,9 @@ class CalibratedParameter:
     parameter: str
     nominal: float
     fitted: float
-    std: float
+    std: float  # of one that these runs do not tell, that of what is usual
     units: str
+    not_told_by_these_runs: bool = False  # it stays at its nominal value
 
 
 @dataclass(frozen=True)

@@ -77,6 +77,7 @@ class Null:
 
     unrest: Mapping[tuple[str, str], float]  # by equation and kind of run
     floors: Mapping[str, float]  # size of each effect, in units of its leading parameter
+    bounds: Mapping[str, tuple[float, ...]]  # strength of each effect that is a bound, form by form
     lines: Mapping[tuple[str, str, str], float]  # height of the highest line in what each channel leaves over
     moved: Mapping[str, tuple[float, float]]  # of each parameter: mean and scatter of its relative change
     untold: tuple[str, ...]  # parameters that they move by themselves: these runs cannot tell them,
@@ -97,6 +98,7 @@ class Evidence:
         self.model, self.records = model, list(records)
         self.sound: Mapping[tuple[str, str], float] = {}
         self.floors = floors(records, model)  # size of each effect below which it is model error
+        self.bounds: Mapping[str, tuple[float, ...]] = {}
         self.moved: Mapping[str, tuple[float, float]] = {}
         self.lines: Mapping[tuple[str, str, str], float] = {}
         self.kept, self.untold = tuple(kept), tuple[str, ...]()  # parameters that stay as the model has them
@@ -135,7 +137,7 @@ class Evidence:
 
     def compare_with(self, null: Null) -> None:
         """Take what sound machines show in these runs; a parameter that these cannot tell is not told."""
-        self.sound, self.moved, self.lines = null.unrest, null.moved, null.lines
+        self.sound, self.moved, self.lines, self.bounds = null.unrest, null.moved, null.lines, null.bounds
         for effect, size in null.floors.items():
             self.floors[effect] = max(self.floors.get(effect, 0.0), size)
         self.kept, self.untold = null.kept, null.untold
@@ -147,6 +149,18 @@ class Evidence:
         """The unrest that a sound machine shows in some rows: as measured on the case, at least as others have it."""
         usual = table()["unrest"].get(rows.equation, UNKNOWN_UNREST)
         return max(self.sound.get((rows.equation, rows.kind), 0.0), usual)
+
+    def tells_nothing_of(self, parameter: str) -> bool:
+        """Whether these runs cannot tell a parameter of the model: sound machines move it, or no fit may."""
+        return parameter in self.untold or self.priors.get(parameter) == PINNED
+
+    def floor(self, candidate: Candidate) -> float:
+        """Size below which an effect is model error; of a bound, at the nearest of its forms."""
+        name, form = candidate
+        if name not in self.bounds:
+            return self.floors.get(name, 0.0)
+        tried = np.array([other[0] for other in self.forms[name]])
+        return self.bounds[name][int(np.argmin(np.abs(np.log(form[0] / tried))))]
 
     def add(self, candidates: Sequence[Candidate]) -> None:
         """Take further forms of effects into the regression."""

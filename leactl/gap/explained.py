@@ -26,6 +26,7 @@ def explained(name: str) -> dict[str, Any]:
         "meaning": definition.meaning,
         "equation": equation(name),
         "acts_over": [VARIABLES[variable].label for variable in definition.acts_over],
+        "shown_on": list(definition.shown_on),
         "shows_in": definition.shows_in,
         "confused_with": definition.confused_with,
         "shown_by": definition.shown_by,

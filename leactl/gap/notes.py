@@ -28,7 +28,9 @@ def questions(model: Model, records: Sequence[Record], evidence: Evidence, by_ru
             notes.append(f"not answered: {question}; it needs {need}")
     if model.drive is None and any(has(record, "angle_reference", "test") for record in records):
         notes.append("not answered: limits and dead band of the servo; they need its `drive:` in the model")
-    hidden = [name for name in invisible(model, evidence) if not (by_runs and effect_definition(name).rig == "servo")]
+    hidden = [
+        name for name in invisible(model, evidence) if not (by_runs and effect_definition(name).shown_on == ("servo",))
+    ]
     if hidden:
         notes.append(f"invisible in these runs: {', '.join(hidden)}")
     return tuple(notes)

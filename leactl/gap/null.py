@@ -28,7 +28,7 @@ from leactl.gap.replay.job import Job
 from leactl.gap.replay.plants import plant_of
 from leactl.gap.replay.readings import angle, current, velocity
 from leactl.gap.ringing import ringing
-from leactl.gap.search import sizes_by_chance
+from leactl.gap.search import sizes_by_chance, strengths_by_chance
 from leactl.gap.signals import moved_by_a_servo
 from leactl.gap.smoothing import BASE, smooth
 from leactl.model.nominal import Model
@@ -56,6 +56,10 @@ def measure(records: Sequence[Record], model: Model, seed: int = 0) -> Null:
     return Null(
         {key: float(np.mean(values)) for key, values in shown.unrest.items()},
         {effect: float(np.sqrt(np.mean(np.square(sizes)))) for effect, sizes in shown.sizes.items()},
+        {
+            effect: tuple(np.sqrt(np.mean(np.square(sizes), axis=0)).tolist())
+            for effect, sizes in shown.strengths.items()
+        },
         {channel: float(np.mean(heights)) for channel, heights in shown.lines.items()},
         moved,
         kept + tuple(name for name in shown.untold() if name not in kept),
@@ -77,6 +81,7 @@ class Shown:
 
     unrest: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     sizes: dict[str, list[float]] = field(default_factory=dict)
+    strengths: dict[str, list[list[float]]] = field(default_factory=dict)
     lines: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
     moved: dict[str, list[float]] = field(default_factory=dict)
     priors: dict[str, float] = field(default_factory=dict)
@@ -91,6 +96,8 @@ class Shown:
             self.unrest.setdefault(key, []).append(value)
         for effect, size in sizes_by_chance(evidence).items():
             self.sizes.setdefault(effect, []).append(size)
+        for effect, strengths in strengths_by_chance(evidence).items():
+            self.strengths.setdefault(effect, []).append(strengths)
         for channel, line in ringing(evidence, fit, [True] * len(evidence.stack.rows)).items():
             self.lines.setdefault(channel, []).append(line.height)
         for place, value in zip(fit.columns, fit.values, strict=True):

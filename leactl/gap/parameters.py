@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from leactl.effects import library
 from leactl.gap.diagnosis import CalibratedParameter, EffectParameter
-from leactl.gap.evidence import Evidence
+from leactl.gap.evidence import PRIORS, Evidence
 from leactl.gap.regression import Candidate, Fit, disagreement
 from leactl.model.nominal import EffectEntry, Model, as_mapping
 from leactl.vocabulary.effect import effect_definition
@@ -67,7 +67,8 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
         if name[0] != "calibration":
             continue
         parameter, change = name[1], float(fit.values[index])
-        if parameter in evidence.untold:
+        if evidence.tells_nothing_of(parameter):
+            found += untold(evidence.model, parameter)
             continue
         std = math.sqrt(max(float(fit.covariance[index, index]), 0.0)) * disagreement(normal, fit, index)
         std = math.hypot(std, *evidence.moved.get(parameter, (0.0, 0.0)))
@@ -87,6 +88,17 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
             other = "back_emf_constant"
             found.append(CalibratedParameter(other, constant, constant * factor, constant * std, UNITS[other]))
     return tuple(found)
+
+
+def untold(model: Model, parameter: str) -> list[CalibratedParameter]:
+    """A parameter that no run tells, as the model has it, with the error that is usual; a back-EMF constant with it."""
+    names = [parameter, *(["back_emf_constant"] if parameter == "torque_constant" else [])]
+    values = [(name, nominal_value(model, name)) for name in names]
+    return [
+        CalibratedParameter(name, value, value, PRIORS[parameter] * abs(value), UNITS.get(name, ""), True)
+        for name, value in values
+        if value is not None and parameter != "ambient_offset"
+    ]
 
 
 def at_bound(item: CalibratedParameter) -> bool:

@@ -63,6 +63,7 @@ def form_scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     if not clocks:
         return found
     bench = model.bench
+    found["sampling rate"] = 1.0 / min(clock.interval for clock in clocks)
     found["loop"] = time_constant(bench.current_loop_bandwidth, min(clock.interval for clock in clocks))
     found["velocity filter"] = time_constant(bench.velocity_filter_bandwidth, found["loop"])
     found["torque filter"] = time_constant(bench.torque_filter_bandwidth, found["loop"])
@@ -74,6 +75,8 @@ def form_scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     if (top := max(currents)) > 0.0:
         found["highest current"] = top
         found["highest rate"] = top / found["loop"]
+    if model.torque_constant and (asked := max(currents_at_speed(clocks), default=0.0)) > 0.0:
+        found["highest power"] = model.torque_constant * asked
     return found
 
 
@@ -88,6 +91,16 @@ def speeds(clock: Clocked) -> Iterator[Array]:
         yield np.abs(velocity)
     elif (angle := clock.get("angle")) is not None:
         yield np.abs(np.diff(angle)) / clock.interval
+
+
+def currents_at_speed(clocks: Sequence[Clocked]) -> Iterator[float]:
+    """Largest products of a current that was asked for and the absolute speed [A*rad/s], but for outliers."""
+    for clock in clocks:
+        reference = clock.get("q_axis_current_reference")
+        if reference is None:
+            continue
+        for speed in speeds(clock):
+            yield float(np.quantile(np.abs(reference[-len(speed) :]) * speed, TOP))
 
 
 def highest(clock: Clocked, quantity: str) -> float:

@@ -93,7 +93,7 @@ def finding(
         return None
     direction = own / length
     std = size / length * math.sqrt(max(float(direction @ spread @ direction), 0.0))
-    floor = evidence.floors.get(candidate[0], 0.0)
+    floor = evidence.floor(candidate)
     result = Finding(candidate, gain, size, std, tuple(values.tolist()), names, covariance, floor)
     return result if whole or free or is_possible(evidence, result) else None
 
@@ -117,6 +117,18 @@ def sizes_by_chance(evidence: Evidence) -> dict[str, float]:
         beyond = math.sqrt(max(size**2 - std**2 * (1.0 + 2.0 * math.log(tried)), 0.0))
         found[name] = min(beyond, BEYOND * effect_definition(name).largest)
     return found
+
+
+def strengths_by_chance(evidence: Evidence) -> dict[str, list[float]]:
+    """Strength of every effect that is a bound, form by form, whatever its sign, beyond what noise explains."""
+    normal = evidence.normal()
+    base = evidence.stack.columns_of([])
+    sizes: dict[str, list[float]] = {}
+    for name, forms in evidence.forms.items():
+        if library()[name].bounds:
+            found = [finding(evidence, normal, base, (name, form), free=True) for form in forms]
+            sizes[name] = [math.sqrt(max(item.size**2 - item.std**2, 0.0)) if item else 0.0 for item in found]
+    return sizes
 
 
 def is_possible(evidence: Evidence, item: Finding) -> bool:

@@ -57,11 +57,6 @@ class Growth:
     closed_alike: bool | None  # whether they do so over all its blocks together and block by block as well
 
     @property
-    def calibration_worse(self) -> bool:
-        """Whether calibration makes the gap grow beyond what chance explains."""
-        return self.by_calibration[1] > 0.0
-
-    @property
     def effects_worse(self) -> bool:
         """Whether the effects make the gap grow beyond what chance explains."""
         return self.by_effects[1] > 0.0

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from leactl.gap.diagnosis import CalibratedParameter, Cause, Near
 from leactl.gap.parameters import at_bound, with_calibration, with_effects
-from leactl.gap.shrinkage import Shrunk
+from leactl.gap.shrinkage import NEAR_FLOOR, Shrunk
 from leactl.model.nominal import Model
 
 Simulate = Callable[[Model, Model], Shrunk]
@@ -73,15 +73,32 @@ def apply(
     notes = [f"not named though it fits: {name}; {why}" for name, why in zip(names, refusals, strict=True)]
     refused = tuple(Near(cause.effect, why) for stage, why in zip(waiting, refusals, strict=True) for cause in stage)
     if shrunk is not None:
-        return Applied(calibrated, augmented, fitted, shrunk, False, tuple(notes), refused)
+        worse = calibration_worse(shrunk)
+        if worse:
+            notes.append("calibration alone is not applied: it takes up what the effects do, and the gap grows with it")
+            calibrated, shrunk = model, simulate(model, augmented)
+        return Applied(calibrated, augmented, fitted, shrunk, worse, tuple(notes), refused)
     bounded = at_bounds(alone) if bounded_fit else []
     if not bounded:
         shrunk = simulate(calibrated, calibrated)
-        if not shrunk.growth.calibration_worse:
+        if not calibration_worse(shrunk):
             return Applied(calibrated, calibrated, fitted, shrunk, False, tuple(notes), refused)
     reason = f"{', '.join(bounded)} ended at a bound" if bounded else "with it the gap of held-out runs grows"
     notes.append(f"calibration is not applied: {reason}; the model stays as it was given")
     return Applied(model, model, Fitted((), ()), simulate(model, model), True, tuple(notes), refused)
+
+
+def calibration_worse(shrunk: Shrunk) -> bool:
+    """Whether the calibrated model is farther from held-out runs than the nominal one, by ratios or by squares.
+
+    It does not need to be beyond chance: a model that was given stays where nothing is gained.
+    """
+    lines = [line for line in shrunk.shrinkage if line.floor_rms > 0.0]
+    nominal, calibrated = (
+        sum(max(getattr(line, name) / line.floor_rms, NEAR_FLOOR) ** 2 for line in lines)
+        for name in ("nominal_rms", "calibrated_rms")
+    )
+    return shrunk.growth.by_calibration[0] > 0.0 or calibrated > nominal
 
 
 def refusal(shrunk: Shrunk, bounded: Sequence[str], beside_others: bool) -> str:

@@ -26,7 +26,6 @@ LOAD = """<body><joint name="load" type="hinge" axis="0 0 1" stiffness="{stiffne
 <inertial pos="0 0 0" mass="{inertia:.9g}" diaginertia="{inertia:.9g} {inertia:.9g} {inertia:.9g}"/></body>"""
 BURST_SHARE = 0.6  # of a sine's height: above it, a burst rubs
 MISSING = "simulator 'mujoco' needs MuJoCo: pip install 'leactl[mujoco]'"
-LOSSES = 0.1  # of the load's spring, twice its damping ratio
 
 
 def simulate(runs: Sequence[Run]) -> list[Signals]:
@@ -46,12 +45,12 @@ def simulate(runs: Sequence[Run]) -> list[Signals]:
 def model_text(run: Run) -> str:
     """The joint as an MJCF model."""
     specimen, load = run.specimen, ""
-    share, rotor = run.parameter("elastic_load", "share"), specimen.rotor_inertia
+    share, rotor = run.parameter("joint_elasticity", "share"), specimen.rotor_inertia
     if share:
-        frequency = run.parameter("elastic_load", "resonance") / run.parameter("elastic_load", "slowness")
-        both = rotor * share * (1.0 - share)  # inertia that swings on the spring
-        turn = 2.0 * math.pi * frequency
-        load = LOAD.format(stiffness=both * turn**2, damping=LOSSES * both * turn, inertia=rotor * share)
+        turn = 2.0 * math.pi * run.parameter("joint_elasticity", "frequency")
+        losses = 2.0 * run.parameter("joint_elasticity", "damping_ratio")
+        swinging = rotor * share
+        load = LOAD.format(stiffness=swinging * turn**2, damping=losses * swinging * turn, inertia=swinging)
     step = 1.0 / specimen.machine.rate / PARTS
     return JOINT.format(
         step=step,
@@ -73,7 +72,7 @@ def _simulate(mujoco: Any, run: Run) -> Signals:
     ):
         reference = drive.reference(current, velocity)
         for part in range(PARTS):
-            flowing = drive.step(reference, part)
+            flowing = drive.step(reference, part, abs(state.qvel[0]))
             angle, speed = state.qpos[0], state.qvel[0]
             model.dof_frictionloss[0] = effects.friction(angle, speed, state.time)
             model.dof_damping[0] = effects.damping(state.time)
@@ -100,6 +99,8 @@ class _Drive:
         self._lag = 1.0 - math.exp(-step / lag) if lag else 1.0
         self._offset = run.parameter("current_sensor_offset", "offset")
         self._slew = run.parameter("command_slew_limit", "rate", math.inf) * step
+        self._bound = run.parameter("torque_limit", "current", math.inf)
+        self._folds = run.parameter("power_foldback", "power", math.inf) / run.specimen.torque_constant
         late = round(run.parameter("transport_delay", "delay") / step)
         self._waiting = deque([0.0] * late)
         self._commanded = self._current = self._velocity = self._lagging = self._sum = self._held = 0.0
@@ -116,12 +117,14 @@ class _Drive:
         self._held += self._reset * error
         return wanted
 
-    def step(self, reference: float, part: int) -> float:
-        """Current that flows [A]."""
+    def step(self, reference: float, part: int, speed: float) -> float:
+        """Current that flows [A] at an absolute speed."""
         if not self._log.holds:
             reference = self.before + (reference - self.before) * (part + 1) / PARTS
         self._waiting.append(reference)
         due = self._waiting.popleft()
+        most = min(self._bound, self._folds / speed) if speed > 0.0 else self._bound
+        due = max(min(due, most), -most)
         self._commanded += max(min(due - self._commanded, self._slew), -self._slew)
         self._current += self._loop * (self._commanded - (self._current + self._offset))
         self._sum += self._current + self._offset

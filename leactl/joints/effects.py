@@ -11,6 +11,7 @@ from leactl.joints.machine import Generator, Machine, declared
 STRENGTHS = ("faint", "plain", "strong")
 SIZE_SPREAD = 0.15  # by which a size is drawn around its strength's
 SLOWEST_LEVEL = 0.03  # of the highest speed, the slowest that the levels hold
+SWINGS = (0.01, 0.04)  # of the sampling rate, at which a load swings
 SAMPLES_A_PERIOD = 4.0  # that a periodic effect needs at that speed
 
 
@@ -78,6 +79,10 @@ def others(draw: Generator, machine: Machine, name: str) -> dict[str, float]:
         return {"period": machine.seconds * float(draw.uniform(0.03, 0.12)), **phase}
     if name == "restoring_cable":
         return {"reach": machine.speed * machine.seconds * float(draw.uniform(0.02, 0.1))}
-    if name == "elastic_load":
-        return {"share": float(draw.uniform(0.3, 0.7)), "resonance": 0.12 * machine.rate}
+    if name == "joint_elasticity":
+        lowest, highest = (share * machine.rate for share in SWINGS)
+        return {
+            "frequency": float(np.exp(draw.uniform(np.log(lowest), np.log(highest)))),
+            "damping_ratio": float(draw.uniform(0.02, 0.1)),
+        }
     return {}

@@ -56,6 +56,7 @@ class Machine:
             "current": self.current,
             "interval": 1.0 / self.rate,
             "lag": 1.0 / (2.0 * np.pi * self.filter),
+            "power": self.torque_constant * self.current * self.speed,
             "rate": 2.0 * np.pi * self.current,
         }
         return float(scales[name])

@@ -9,8 +9,8 @@ from leactl.joints.run import PARTS, Array, Run, Signals
 
 Column = Callable[[Callable[[Run], float]], Array]  # one number of every lane
 Parameter = Callable[..., Array]  # effect, parameter and what does nothing, of every lane
+TINY = 1e-9  # V, back-EMF below which no power folds a current back
 BURST = 0.6  # of a sine, above which a burst rubs
-SPRING_DAMPING = 0.05  # of critical
 
 
 def simulate(runs: Sequence[Run]) -> list[Signals]:
@@ -57,12 +57,11 @@ class Lanes:
         self._drive(runs, column, effect, nominal)
         self._torques(effect)
         self._frictions(effect)
-        share, inertia = effect("elastic_load", "share"), true("rotor_inertia")
+        share, inertia = effect("joint_elasticity", "share"), true("rotor_inertia")
         self.inertia, self.load = inertia * (1.0 - share), np.maximum(inertia * share, 1e-300)
-        resonance = effect("elastic_load", "resonance") / effect("elastic_load", "slowness", 1.0)
-        pulsation = 2.0 * np.pi * resonance
-        self.stiffness = inertia * share * (1.0 - share) * pulsation**2
-        self.spring_damping = 2.0 * SPRING_DAMPING * inertia * share * (1.0 - share) * pulsation
+        pulsation = 2.0 * np.pi * effect("joint_elasticity", "frequency")
+        self.stiffness = inertia * share * pulsation**2
+        self.spring_damping = 2.0 * effect("joint_elasticity", "damping_ratio") * inertia * share * pulsation
         self.eccentric, self.eccentric_phase = (effect("encoder_eccentricity", name) for name in ("amplitude", "phase"))
         lag = effect("velocity_filter_lag", "time_constant")
         self.filters = -np.expm1(-2.0 * np.pi * nominal("filter") * self.step)
@@ -83,6 +82,8 @@ class Lanes:
         self.follows = -np.expm1(-2.0 * np.pi * nominal("loop") * self.step)
         self.offset = effect("current_sensor_offset", "offset")
         self.slew = effect("command_slew_limit", "rate", np.inf) * self.step
+        self.bound = effect("torque_limit", "current", np.inf)
+        self.power = effect("power_foldback", "power", np.inf)
         self.delay = np.rint(effect("transport_delay", "delay") / self.step).astype(int)
         self.queue = np.zeros((int(self.delay.max()) + 1, len(runs)))
         self.lane = np.arange(len(runs))
@@ -142,6 +143,8 @@ class Lanes:
         depth = len(self.queue)
         self.queue[self.steps % depth] = reference
         late = self.queue[(self.steps - self.delay) % depth, self.lane]
+        fast = np.maximum(np.abs(self.speed) * self.constant, TINY)
+        late = np.clip(late, -np.minimum(self.bound, self.power / fast), np.minimum(self.bound, self.power / fast))
         self.limited = self.limited + np.clip(late - self.limited, -self.slew, self.slew)
         self.current = self.current + self.follows * (self.limited - self.current - self.offset)
         self.steps += 1

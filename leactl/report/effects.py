@@ -23,8 +23,8 @@ def one_effect(name: str) -> str:
     InputError : no such effect; the known ones are named.
     """
     about = explained(name)
-    keys = ("equation", "acts_over", "shows_in", "confused_with", "shown_by")
-    texts = about | ({"acts_over": " or ".join(about["acts_over"])} if "acts_over" in about else {})
+    keys = ("equation", "acts_over", "shown_on", "shows_in", "confused_with", "shown_by")
+    texts = about | {key: " or ".join(about[key]) for key in ("acts_over", "shown_on") if key in about}
     rows = [(key.replace("_", " "), texts[key]) for key in keys if key in texts]
     for item in about.get("parameters", ()):
         rest = f", by default {item['default']:g}" if item.get("default") is not None else ""

@@ -138,6 +138,8 @@ def parameter_text(parameter: EffectParameter) -> str:
 
 def change(item: CalibratedParameter) -> str:
     """What calibration changed, in percent; an offset from zero has none."""
+    if item.not_told_by_these_runs:
+        return "not told by these runs"
     if item.nominal == 0.0 or not math.isfinite(item.fitted):
         return ""
     return f"{100.0 * (item.fitted / item.nominal - 1.0):+.2f} %"

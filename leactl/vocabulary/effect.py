@@ -3,6 +3,8 @@
 import math
 from functools import cache
 from importlib import resources
+from importlib.metadata import entry_points
+from importlib.resources.abc import Traversable
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -11,6 +13,7 @@ from leactl import yamlfile
 from leactl.errors import InputError
 from leactl.vocabulary.variable import Variable
 
+GROUP = "leactl.effects"  # entry points, each a module with one subclass of `leactl.effects.contract.Effect`
 STRICT = ConfigDict(frozen=True, extra="forbid")
 
 
@@ -25,8 +28,6 @@ class ParameterDefinition(BaseModel):
     default: float | None = None  # of a shape that may be left out
 
 
-Rig = Literal["bench", "servo"]
-"""The bench and what is alike, whose drives follow a current or speed; a servo that keeps its position by itself."""
 DIMENSIONLESS = ("1", "rad", "share of the limit")
 """Units of parameters whose range holds for a machine of any size."""
 
@@ -39,16 +40,20 @@ class Size(BaseModel):
     units: str
 
 
+Rig = Literal["bench", "joint", "servo"]
+"""Two actuators on a torque sensor's shaft, one joint that logs its own drive, and one behind a position servo."""
+
+
 class EffectDefinition(BaseModel):
     """What an effect is, where it shows, what it is taken for, and which experiment shows it."""
 
     model_config = STRICT
     effect: str
     family: Literal["machine", "sensor", "drive", "thermal"]
-    rig: Rig = "bench"  # that can show it
     meaning: str
     parameters: dict[str, ParameterDefinition]
     acts_over: tuple[Variable, ...] = Field(min_length=1)  # of several, that which its own part in a channel follows
+    shown_on: tuple[Rig, ...] = Field(min_length=1)
     shows_in: str
     confused_with: str
     shown_by: str
@@ -70,14 +75,38 @@ class EffectDefinition(BaseModel):
 @cache
 def effect_names() -> tuple[str, ...]:
     """Identifiers of all effects, sorted."""
+    return tuple(sorted({*shipped(), *modules_of_others()}))
+
+
+@cache
+def shipped() -> tuple[str, ...]:
+    """Identifiers of the effects that leactl brings, sorted."""
     folder = resources.files("leactl.vocabulary") / "effects"
     return tuple(sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml")))
 
 
 @cache
+def modules_of_others() -> dict[str, str]:
+    """Modules of effects that other packages bring, by identifier; none takes the place of a shipped one."""
+    return {point.name: point.module for point in entry_points(group=GROUP) if point.name not in shipped()}
+
+
+def definition_file(name: str) -> Traversable:
+    """The file that defines an effect: of another package's, `NAME.yaml` beside its module."""
+    module = modules_of_others().get(name)
+    folder = resources.files("leactl.vocabulary") / "effects" if module is None else resources.files(package_of(module))
+    return folder / f"{name}.yaml"
+
+
+def package_of(module: str) -> str:
+    """The package that a module lies in; the module itself where it lies in none."""
+    return module.rpartition(".")[0] or module
+
+
+@cache
 def effects_on(rig: Rig) -> tuple[str, ...]:
-    """Identifiers of the effects that a rig can show, sorted."""
-    return tuple(name for name in effect_names() if effect_definition(name).rig == rig)
+    """Identifiers of the effects that a kind of rig can show, sorted."""
+    return tuple(name for name in effect_names() if rig in effect_definition(name).shown_on)
 
 
 @cache
@@ -86,9 +115,11 @@ def effect_definition(name: str) -> EffectDefinition:
 
     Raises
     ------
-    InputError : no such effect; the known ones are named.
+    InputError : no such effect; the known ones are named. Or its file is missing, or has a fault.
     """
     if name not in effect_names():
         raise InputError(f"effect '{name}' is not known; known: {', '.join(effect_names())}")
-    text = (resources.files("leactl.vocabulary") / "effects" / f"{name}.yaml").read_text(encoding="utf-8")
-    return yamlfile.parse(text, f"{name}.yaml").validate(EffectDefinition)
+    file = definition_file(name)
+    if not file.is_file():
+        raise InputError(f"{file}: is missing; it defines effect {name}, whose module is {modules_of_others()[name]}")
+    return yamlfile.parse(file.read_text(encoding="utf-8"), f"{name}.yaml").validate(EffectDefinition)

@@ -21,6 +21,7 @@ PLACE = {"quantity": str, "role": str, "mechanical": str, "units": str}
 WHERE = PLACE | {key: NUMBER for key in ("nominal_rms", "calibrated_rms", "floor_rms", "share")}
 SHRINKAGE = PLACE | {key: NUMBER for key in ("nominal_rms", "calibrated_rms", "augmented_rms", "floor_rms")}
 CALIBRATION = {"parameter": str, "nominal": NUMBER, "fitted": NUMBER, "std": NUMBER, "units": str}
+CALIBRATION |= {"not_told_by_these_runs": bool}
 CAUSE = {"effect": str, "family": str, "probability": NUMBER, "share": NUMBER}
 CAUSE |= {"indistinguishable_from": list, "parameters": list}
 PARAMETER = {"name": str, "value": NUMBER, "std": NUMBER, "units": str}

@@ -1,4 +1,4 @@
-"""Each effect of the bench does in the stepped plant what its definition says, whatever form it has there."""
+"""Each effect that a bench can show does in the stepped plant what its definition says, whatever form it has there."""
 
 import math
 from dataclasses import replace
@@ -278,6 +278,22 @@ def command_slew_limit():
     rates = np.diff(slow.current) / TICK
     assert rates.max() == pytest.approx(200.0, rel=0.02)
     assert slow.current[-1] == pytest.approx(10.0, rel=1e-3)
+
+
+def torque_limit():
+    limited = Record(
+        "locked", [make_effect("torque_limit", {"current": 4.0})], current=lambda t: 40.0 * t - 10.0, seconds=0.5
+    )
+    plain = Record("locked", current=lambda t: 40.0 * t - 10.0, seconds=0.5)
+    np.testing.assert_allclose(np.clip(plain.current, -4.0, 4.0), limited.current, atol=0.06)
+    assert np.ptp(limited.current) == pytest.approx(8.0, rel=1e-3)
+
+
+def power_foldback():
+    on, off = turning("power_foldback", {"power": 60.0}, speed=20.0, current=15.0, seconds=0.1)
+    assert on.current[-1] * KT * 20.0 == pytest.approx(60.0, rel=0.01)
+    slow, _ = turning("power_foldback", {"power": 60.0}, speed=5.0, current=15.0, seconds=0.1)
+    assert slow.current[-1] == pytest.approx(off.current[-1], rel=1e-6)
 
 
 def torque_sensor_gain():

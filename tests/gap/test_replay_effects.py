@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.replay import replay
-from leactl.vocabulary.effect import effects_on
+from leactl.vocabulary.effect import effect_definition, effect_names
 from tests.gap.synthetic import INTERVAL_S, model, record
 
 CURRENT = ("q_axis_current", "test")
@@ -36,10 +36,12 @@ CASES = [
     ("forced_convection", {"coefficient": 0.05}, "coupled", {HOUSING, WINDING}),
     ("friction_run_in", {"excess": 0.4, "time_constant": 3.0}, "free", {VELOCITY, VOLTAGE}),
     ("friction_temperature", {"coefficient": -0.01}, "free", {VELOCITY, VOLTAGE}),
+    ("joint_elasticity", {"share": 0.4, "frequency": 20.0}, "free", {VELOCITY, VOLTAGE}),
     ("load_dependent_friction", {"coefficient": 0.1}, "coupled", TURNING),
     ("magnet_temperature", {"coefficient": 0.002}, "locked", SHAKEN),
     ("nonlinear_convection", {"coefficient": 0.01}, "heated", WARM | {LINE}),
     ("position_dependent_friction", {"amplitude": 0.4, "order": 3.0, "phase": 0.1}, "free", {VELOCITY, VOLTAGE}),
+    ("power_foldback", {"power": 12.0}, "coupled", TURNING | {CURRENT} | WARM),
     ("presliding", {"displacement": 0.01}, "free", {VELOCITY, VOLTAGE}),
     ("quadratic_drag", {"coefficient": 5e-4}, "free", {VELOCITY, VOLTAGE}),
     ("resistance_temperature", {"coefficient": 0.003}, "locked", {VOLTAGE, WINDING, HOUSING}),
@@ -49,6 +51,7 @@ CASES = [
     ("stribeck", {"breakaway_ratio": 0.4, "stribeck_velocity": 1.0}, "free", {VELOCITY, VOLTAGE}),
     ("third_thermal_node", {"capacitance": 800.0, "resistance": 2.0}, "heated", WARM | {LINE}),
     ("time_skew", {"delay": 0.005}, "locked", {TORQUE}),
+    ("torque_limit", {"current": 10.0}, "locked", SHAKEN | {CURRENT} | WARM),
     ("torque_ripple", {"amplitude": 0.1, "order": 12.0, "phase": 0.0}, "coupled", TURNING),
     ("torque_sensor_crosstalk", {"amplitude": 0.1, "phase": 0.4}, "coupled", {TORQUE}),
     ("torque_sensor_drift", {"rate": 0.02}, "locked", {TORQUE}),
@@ -106,7 +109,8 @@ def test_an_effect_moves_what_it_says_and_nothing_else(effect, parameters, mecha
 
 
 def test_every_effect_of_the_library_has_a_case():
-    assert [case[0] for case in CASES] == list(effects_on("bench"))  # servos have theirs in test_servo_limits
+    servos = {name for name in effect_names() if effect_definition(name).shown_on == ("servo",)}  # test_servo_limits
+    assert [case[0] for case in CASES] == [name for name in effect_names() if name not in servos]
 
 
 def test_faults_of_one_sensor_follow_each_other():

@@ -1,4 +1,4 @@
-"""What a servo's drive does to its reference and its error is found in logs of position and goal, with or without duty."""
+"""What a servo's drive does to its reference and error is found in logs of position and goal, with duty or without."""
 
 from dataclasses import replace
 
@@ -90,7 +90,7 @@ def test_a_servo_s_voltage_that_rests_or_stands_at_its_limit_is_no_fault_of_the_
 
 def test_a_set_point_goes_no_faster_than_its_limits_and_arrives():
     reference = np.repeat([[0.0, 1.0, -0.5]], 400, axis=1)
-    begins, ends = profile(reference, 0.01, np.array([[0.5]]), np.array([[0.2]]))
+    _, ends = profile(reference, 0.01, np.array([[0.5]]), np.array([[0.2]]))
     pace = np.diff(ends[0, 0]) / 0.01
     assert np.abs(pace).max() <= 2.0 + 1e-9
     assert np.abs(np.diff(pace)).max() / 0.01 <= 5.0 + 1e-6

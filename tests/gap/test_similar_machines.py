@@ -27,7 +27,7 @@ BEYOND_HALF_THE_RATE = {
     "command_slew_limit",
     "cogging",
     "torque_ripple",
-    "elastic_load",
+    "joint_elasticity",
 }
 
 

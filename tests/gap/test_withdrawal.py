@@ -116,6 +116,13 @@ def test_calibration_with_which_the_gap_grows_leaves_the_model_as_it_was(model):
     assert "calibration is not applied: with it the gap of held-out runs grows" in applied.notes[0]
 
 
+def test_calibration_alone_that_takes_up_an_effect_is_not_applied_beside_it(model):
+    applied = apply(model, [SOUND], [[SATURATION]], beside(SOUND), simulated(0.2, -1.0))
+    assert applied.calibrated == model
+    assert [entry.effect for entry in applied.augmented.effects] == ["saturation"]
+    assert applied.notes[0].startswith("calibration alone is not applied")
+
+
 def test_a_parameter_at_its_bound_is_told_and_not_applied(model):
     applied = apply(model, [SOUND, BOUNDED], [[SATURATION]], beside(SOUND, BOUNDED), simulated(-1.0, -1.0))
     assert applied.augmented == model

@@ -69,6 +69,9 @@ def test_both_simulators_agree_on_every_effect():
         assert distance(by_mujoco.simulate(runs), first, runs[0].specimen.machine) < ALIKE, name
 
 
+BOUNDS = ("command_slew_limit", "torque_limit", "power_foldback")  # the lower, the more they take
+
+
 def most(name):
     """The largest size that the vocabulary declares; infinite where it has a unit."""
     return effect_definition(name).largest
@@ -83,7 +86,7 @@ def test_sizes_grow_and_names_are_the_vocabularys():
             sizes.append(abs(effect.parameters[listed()[name]["size"]]))
             assert set(effect.parameters) <= set(effect_definition(name).parameters)
         assert (1.0 + SIZE_SPREAD) * listed()[name]["strong"] * (listed()[name]["in"] == "1") <= most(name)
-        assert sizes == sorted(sizes, reverse=name == "command_slew_limit"), name
+        assert sizes == sorted(sizes, reverse=name in BOUNDS), name
         assert all(name in alike(other) for other in alike(name))
 
 

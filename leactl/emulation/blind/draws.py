@@ -177,6 +177,6 @@ def _with_gain(program: Program, most: float) -> Program:
 def _rules() -> dict[str, dict[str, Any]]:
     text = (resources.files("leactl.emulation.blind") / "strengths.yaml").read_text(encoding="utf-8")
     rules: dict[str, dict[str, Any]] = yamlfile.parse(text, "strengths.yaml").data
-    if set(rules) != set(effects_on("bench")):
-        raise ValueError(f"strengths.yaml: {sorted(set(rules) ^ set(effects_on('bench')))} on one side only")
+    if different := set(rules) ^ set(effects_on("bench")):
+        raise ValueError(f"strengths.yaml: {sorted(different)} on one side only")
     return rules

@@ -110,6 +110,10 @@ class Effect(Checked):
         """What the current loop follows [A] in place of the reference it is given."""
         return None
 
+    def bounded_reference(self, reference: Value, torque_constant: Value, velocity: Value) -> Value:
+        """What the drive allows of a current reference [A], asked for every millisecond."""
+        return reference
+
     def lost_voltage(self, current: Value) -> Value:
         """Voltage that the drive applies and the winding does not see [V]."""
         return 0.0

@@ -130,7 +130,7 @@ class Projected:
         unit = {name: 1.0 if k == leading[0] else 0.0 for k, name in enumerate(names)}
         small = {name: 1e-3 * value for name, value in unit.items()}
         slope = abs(effect.size(candidate[1], small, model)) / 1e-3
-        needed = ENTRY * float(np.hypot(slope * std, self.evidence.floors.get(candidate[0], 0.0)))
+        needed = ENTRY * float(np.hypot(slope * std, self.evidence.floor(candidate)))
         if not effect.shaped:
             return needed
         # a shape is known to be its own only while most of it is there

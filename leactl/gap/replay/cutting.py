@@ -7,10 +7,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
-from leactl.effects.plant import Array, Plant
+from leactl.effects.plant import Array, ElasticLoad, Plant
 from leactl.gap.replay.drive import measured, spread
 from leactl.gap.replay.job import Job
-from leactl.gap.replay.lanes import Lanes, Servo, Tracking
+from leactl.gap.replay.lanes import SHAFT_DAMPING, Lanes, Servo, Tracking
 from leactl.gap.replay.starting import reach
 from leactl.gap.smoothing import smooth
 from leactl.gap.stamps import restamped
@@ -192,7 +192,7 @@ def lanes_of(cuts: Sequence[Cut], picked: Sequence[Index]) -> Lanes:
         step=cuts[0].job.step,
         plants=plants,
         drive=drive,
-        load_drive=inputs("load_drive", 0.0) if any(c.load_drive is not None for c in cuts) else None,
+        load_drive=inputs("load_drive", 0.0) if any(two_ended(cut.job) for cut in cuts) else None,
         friction_share=inputs("share", 1.0) if any(c.share is not None for c in cuts) else None,
         inertia=constant("inertia"),
         damping=constant("damping"),
@@ -201,10 +201,21 @@ def lanes_of(cuts: Sequence[Cut], picked: Sequence[Index]) -> Lanes:
         load_damping=constant("load_damping"),
         load_friction=constant("load_friction"),
         stiffness=constant("stiffness"),
+        damping_ratio=constant("damping_ratio"),
         gravity=constant("gravity"),
         servo=servo,
         tracking=tracking,
     )
+
+
+def two_ended(job: Job) -> bool:
+    """Whether a second rotor turns at the other end of a shaft: a load actuator's, or what hangs there by a spring."""
+    return job.record.mechanical == "coupled" or hangs_by_a_spring(job)
+
+
+def hangs_by_a_spring(job: Job) -> bool:
+    """Whether part of a free rotor's inertia follows by a spring."""
+    return job.record.mechanical == "free" and job.plant.elastic_load is not None
 
 
 def constants_of(job: Job) -> dict[str, float]:
@@ -225,10 +236,13 @@ def constants_of(job: Job) -> dict[str, float]:
         "load_damping": load.viscous_damping if load.viscous_damping is not None else damping,
         "load_friction": load.coulomb_friction if load.coulomb_friction is not None else friction,
         "stiffness": 0.0 if record.mechanical == "free" else job.plant.stiffness or 0.0,
+        "damping_ratio": SHAFT_DAMPING,
         "gravity": gravity,
     }
+    if job.plant.elastic_load is not None and hangs_by_a_spring(job):
+        found |= split_by_a_spring(inertia, job.plant.elastic_load)
     rate = 1.0 / (TRACKED * job.clock.interval)
-    moved = inertia + (found["load_inertia"] if record.mechanical == "coupled" else 0.0)
+    moved = found["inertia"] + (found["load_inertia"] if two_ended(job) else 0.0)
     found["tracking"] = moved * rate**2 if job.tracked else 0.0
     found["tracking_damping"] = 2.0 * moved * rate if job.tracked else 0.0
     if job.by_servo:
@@ -243,3 +257,17 @@ def constants_of(job: Job) -> dict[str, float]:
             "emf": model.back_emf_constant or constant,
         }
     return found
+
+
+def split_by_a_spring(inertia: float, hung: ElasticLoad) -> dict[str, float]:
+    """Constants of a rotor of whose inertia a share swings on a spring."""
+    load = hung.share * inertia
+    return {
+        "inertia": inertia - load,
+        "load_inertia": load,
+        "load_damping": 0.0,
+        "load_friction": 0.0,
+        "stiffness": load * (2.0 * np.pi * hung.frequency) ** 2,
+        # of the swing of both ends against each other, with the same damper
+        "damping_ratio": hung.damping_ratio / np.sqrt(1.0 - hung.share),
+    }

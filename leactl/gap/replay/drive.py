@@ -8,6 +8,7 @@ from leactl.gap.ceiling import at_ceiling
 from leactl.gap.noise import noise_of, quantum_of
 from leactl.gap.replay.job import Job
 from leactl.gap.signals import led, moved_by_a_servo
+from leactl.gap.smoothing import smooth
 from leactl.gap.stamps import restamped
 
 Array = npt.NDArray[np.float64]
@@ -27,6 +28,9 @@ def follow(job: Job) -> None:
             over = led(over, plant.model.bench, job.step)
         for becomes in plant.command:
             over = becomes(over, job.step)
+        if plant.command_at_speed and (speed := speed_over_steps(job)) is not None:
+            for becomes_at in plant.command_at_speed:
+                over = becomes_at(over, speed)
         reading, mean = answered(over, over[0], bandwidth, job.step)
         for becomes in plant.loop_answer:
             reading, mean = becomes(reading, job.step), becomes(mean, job.step)
@@ -42,6 +46,15 @@ def follow(job: Job) -> None:
     on = spread(np.round(enabled), job.parts) if enabled is not None else np.ones_like(reading)
     job.current = on * (reading - plant.current_offset) / plant.current_gain
     job.current_mean = on[1:] * (mean - plant.current_offset) / plant.current_gain
+
+
+def speed_over_steps(job: Job) -> Array | None:
+    """The measured speed over each sub-step [rad/s]; None where the run has none."""
+    clock = job.clock
+    angle, speed = clock.get("angle"), clock.get("velocity")
+    if angle is not None:
+        speed = smooth(np.gradient(angle, clock.interval))
+    return None if speed is None else spread(speed, job.parts)[1:]
 
 
 def where_measured(job: Job, reading: Array, mean: Array) -> tuple[Array, Array]:

@@ -75,6 +75,7 @@ class Lanes:
     load_damping: Array
     load_friction: Array
     stiffness: Array  # N*m/rad; zero where nothing is on the shaft
+    damping_ratio: Array  # of critical, of the shaft
     gravity: Array  # N*m, of a pendulum held out level
     servo: Servo | None = None
     tracking: Tracking | None = None
@@ -108,7 +109,7 @@ def stepped(lanes: Lanes, start: State) -> Motion:
     decay, gain = _answer(lanes.damping, lanes.inertia, h)
     load_decay, load_gain = _answer(lanes.load_damping, lanes.load_inertia, h)
     stiffness = resonant_stiffness(lanes)
-    yielding = 2.0 * SHAFT_DAMPING * np.sqrt(stiffness / (1.0 / lanes.inertia + 1.0 / lanes.load_inertia))
+    yielding = 2.0 * lanes.damping_ratio * np.sqrt(stiffness / (1.0 / lanes.inertia + 1.0 / lanes.load_inertia))
     bristles = _Bristles(lanes, gain)
     shaft, hanging = bool(np.any(stiffness > 0)), bool(np.any(lanes.gravity != 0))
     loaded = shaft and bool(np.any(load_gain > 0))

@@ -18,14 +18,12 @@ from leactl.gap.evidence import rows_per_independent
 from leactl.gap.judge import UNCONFIRMED, presence
 from leactl.gap.record import Record
 from leactl.gap.regression import Candidate
-from leactl.gap.search import BEYOND, INTERVAL
 from leactl.gap.servo.fit import Fitted, Measured, cost, fit
 from leactl.gap.servo.limits import DRIVE, acts, as_fitted, as_told, drive_starts
 from leactl.gap.servo.profile import PROFILE
 from leactl.gap.servo.runs import ServoRuns, servo_runs, side_by_side
 from leactl.gap.servo.simulation import Parameters, parts_of, table
 from leactl.model.nominal import Model
-from leactl.vocabulary.effect import effect_definition
 
 Array = npt.NDArray[np.float64]
 Set = frozenset[str]
@@ -221,7 +219,7 @@ def standing_of(
     found = [
         Standing(
             name,
-            is_met(name, fitted, stds, runs)
+            acts(name, fitted.parameters, runs)
             * presence(height(worse[name], fitted))
             * (1.0 if lost[name] < worse[name] else UNCONFIRMED),
             worse[name] / sum(worse.values()),
@@ -237,15 +235,6 @@ def standing_of(
             further = parameters_of(name, sets[more], errors_of(sets[more], runs))
             found.append(Standing(name, probability, 0.0, further))
     return tuple(sorted(found, key=lambda item: (-item.probability, -item.share)))
-
-
-def is_met(name: str, fitted: Fitted, stds: Mapping[str, float], runs: ServoRuns) -> bool:
-    """Whether an effect was found as large as it may be met, and as its drive may have it."""
-    leading = next(iter(effect_definition(name).parameters))
-    if name in DRIVE or leading not in (found := parameters_of(name, fitted, stds)):
-        return acts(name, fitted.parameters, runs)
-    size, std = found[leading]
-    return abs(size) - INTERVAL * std <= BEYOND * effect_definition(name).largest
 
 
 def in_place_of(sets: Mapping[Set, Fitted], members: Set, name: str, runs: ServoRuns) -> tuple[str, ...]:

@@ -1,0 +1,56 @@
+"""Joint elasticity: a share of the inertia follows the motor through a spring and a damper, and nothing else moves it.
+
+The load's acceleration is the motor's behind (2 z w s + w^2) / (s^2 + 2 z w s + w^2), w being the pulsation at which it
+swings while the motor stands, z its damping ratio (Spong, 1987, of joints with elastic transmissions).
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.signal import cont2discrete, lfilter
+
+from leactl.effects.contract import Array, Effect, Form, Signals, Terms
+from leactl.effects.plant import ElasticLoad, Plant
+from leactl.model.nominal import Model
+
+DAMPED = 0.05  # of critical, as gears and belts have it
+HIGHEST = 0.9  # of the inertia, that a load may have: the motor's rotor is the rest
+
+
+class JointElasticity(Effect):
+    """A load on an elastic transmission, without an encoder behind it."""
+
+    name = "joint_elasticity"
+    one_sided = True
+    forms = tuple((float(rate), damping) for rate in np.geomspace(0.003, 0.045, 14) for damping in (0.02, 0.07, 0.25))
+    form_scales = ("sampling rate", "1")
+
+    def applies(self, model: Model) -> bool:
+        """A model with a shaft says how elastic that is: what it lacks there is `shaft_compliance`."""
+        return model.bench.shaft_stiffness is None and model.load.type == "none"
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """Torque that the load takes from the rigid joint's balance, for all of the inertia."""
+        inertia = signals.model.rotor_inertia
+        if signals.mechanical != "free" or signals.acceleration is None or inertia is None:
+            return {}
+        behind = swung(signals.acceleration, form[0], form[1], signals.interval)
+        return {"drag": {"share": inertia * (behind - signals.acceleration)}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """The load's share of the inertia, the frequency of its swing, and how that is damped."""
+        return {"share": min(found["share"], HIGHEST), "frequency": form[0], "damping_ratio": form[1]}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A second inertia behind a spring."""
+        damping = parameters.get("damping_ratio", DAMPED)
+        plant.elastic_load = ElasticLoad(parameters["share"], parameters["frequency"], damping)
+
+
+def swung(acceleration: Array, frequency: float, damping_ratio: float, interval: float) -> Array:
+    """The load's acceleration behind a motor's; at first it moves along."""
+    rate = 2.0 * np.pi * frequency
+    over = [2.0 * damping_ratio * rate, rate**2]
+    above, below, _ = cont2discrete((over, [1.0, *over]), interval, "foh")
+    first = acceleration[0]
+    return np.asarray(first + lfilter(above.ravel(), below.ravel(), acceleration - first), np.float64)

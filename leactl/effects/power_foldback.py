@@ -1,0 +1,53 @@
+"""Power fold-back: the current is the model's, cut off where torque times speed would exceed a largest power."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Array, Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
+from leactl.model.nominal import Model
+
+
+class PowerFoldback(Effect):
+    """A drive that gives less current at speed."""
+
+    name = "power_foldback"
+    one_sided = True
+    explains = 0.75  # which power a drive counts, and how fast it reacts, is not known
+    shaped = True
+    bounds = True
+    forms = ((0.2,), (0.3,), (0.4,), (0.55,), (0.7,), (0.85,))
+    form_scales = ("highest power",)
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """What the limit takes from the model's current."""
+        constant = signals.model.torque_constant
+        if signals.following is None or signals.velocity is None or constant is None:
+            return {}
+        cut = folded_back(signals.following, signals.velocity, form[0] / constant)
+        return {"current_following": {"strength": cut - signals.following}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """The largest power."""
+        return {"power": form[0]}
+
+    def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
+        """How much of the limit is there."""
+        return abs(found["strength"])
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A command that is cut off by the speed that was measured."""
+        constant = plant.model.torque_constant
+        if constant is not None:
+            most = parameters["power"] / constant
+            plant.command_at_speed.append(lambda values, speed: folded_back(values, speed, most))
+
+    def whole(self, form: Form, strength: float) -> Form:
+        """The limit itself: half of a limit is no limit at another power."""
+        return form
+
+
+def folded_back(current: Array, velocity: Array, most: float) -> Array:
+    """A current [A] that times the speed stays within a bound [A*rad/s]."""
+    return np.asarray(current * (most / np.maximum(np.abs(current * velocity), most)), np.float64)

@@ -1,0 +1,45 @@
+"""Torque limit: the current is the model's, cut off at a largest one."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
+from leactl.model.nominal import Model
+
+
+class TorqueLimit(Effect):
+    """A drive that gives no more than a certain current."""
+
+    name = "torque_limit"
+    one_sided = True
+    explains = 0.75  # where in the loop the limit sits is not known
+    shaped = True
+    bounds = True
+    forms = ((0.3,), (0.4,), (0.5,), (0.6,), (0.7,), (0.8,), (0.9,))
+    form_scales = ("highest current",)
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """What the limit takes from the model's current."""
+        if signals.following is None:
+            return {}
+        cut = np.clip(signals.following, -form[0], form[0])
+        return {"current_following": {"strength": cut - signals.following}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """The largest current."""
+        return {"current": form[0]}
+
+    def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
+        """How much of the limit is there."""
+        return abs(found["strength"])
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A command that is cut off."""
+        most = parameters["current"]
+        plant.command.append(lambda values, interval: np.clip(values, -most, most))
+
+    def whole(self, form: Form, strength: float) -> Form:
+        """The limit itself: half of a limit is no limit at another current."""
+        return form
