@@ -18,7 +18,7 @@ from leactl.gap.evidence import rows_per_independent
 from leactl.gap.judge import UNCONFIRMED, presence
 from leactl.gap.record import Record
 from leactl.gap.regression import Candidate
-from leactl.gap.servo.fit import Fitted, Measured, cost, fit
+from leactl.gap.servo.fit import SETTLED, Fitted, Measured, cost, fit
 from leactl.gap.servo.limits import DRIVE, acts, as_fitted, as_told, drive_starts
 from leactl.gap.servo.profile import PROFILE
 from leactl.gap.servo.runs import ServoRuns, servo_runs, side_by_side
@@ -100,11 +100,10 @@ def climb(records: Sequence[Record], held_out: Sequence[Record], model: Model, p
         base = members - core
     unseen = side_by_side(held_out, model)
     sets.fit_missing([members - {name} for name in sorted(members)], members)
-    sets.settle(members)
     standing = standing_of(sets, members, runs, servo_runs(unseen, model) if unseen else None)
     named = frozenset(item.effect for item in standing if item.probability >= NAMED)
     sets.fit_missing([named, frozenset()], members)
-    final = sets[named]
+    final = sets.settle(named)
     # a step of the simulation takes what it follows as if it had come half a step earlier
     late = final.parameters["reference_delay"] - 0.5 * runs.interval / parts_of(runs, table([final.parameters]))
     return Ladder(standing, sets[frozenset()], final, errors_of(final, runs), sets, late)
@@ -172,9 +171,8 @@ class Sets(dict[Set, Fitted]):
                 self[one] = found
 
     def settle(self, members: Set) -> Fitted:
-        """Fit a set once more with all that belongs to it."""
-        if members & DRIVE:
-            (self[members],) = fit(self._runs, [self[members].parameters], self._held)
+        """Fit a set that is told once more, with all that belongs to it and as closely as it goes."""
+        (self[members],) = fit(self._runs, [self[members].parameters], self._held, SETTLED)
         return self[members]
 
     def pruned(self, members: Set) -> Set:
