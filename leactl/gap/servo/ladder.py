@@ -81,7 +81,7 @@ def climb(records: Sequence[Record], held_out: Sequence[Record], model: Model, p
     here = {name.partition(".")[0] for name in fixed}
     held = (*fixed, *untold(runs))
     begin = {name: float(getattr(model, name) or 0.0) for name in OWN} | dict.fromkeys(RIG, 0.0) | fixed
-    (alone,) = fit(runs, [begin], held)
+    (alone,) = fit(runs, [begin | {"reference_delay": runs.interval}], held)
     sets = Sets(runs, {frozenset(): alone}, held)
     drive = drive_starts(runs, [begin, alone.parameters])
     core = sets.grow(frozenset(), {name: starts for name, starts in drive.items() if name not in here})
