@@ -16,7 +16,7 @@ from leactl.gap.planning.reveal import planned_candidates, sights
 from leactl.gap.separating import separating_experiment
 from leactl.model.nominal import as_mapping
 from leactl.protocol import protocolfile
-from leactl.vocabulary.effect import effect_definition, effects_on
+from leactl.vocabulary.effect import effect_definition, effect_names
 from tests.gap.synthetic import model
 
 SEPARATING = [name for name in protocolfile.names() if protocolfile.load(name).separates]
@@ -116,7 +116,8 @@ def test_advice_names_what_stays_dark_and_what_would_help(advised):
     assert [line["gain_per_s"] for line in further] == sorted((line["gain_per_s"] for line in further), reverse=True)
     assert any("torque_sensor_gain" in line["shows"] for line in further)
     helped = {effect for line in further for effect in line["shows"]}
-    assert set(advised["not_shown"]) == set(effects_on("bench")) - {"resistance_temperature"} - shown - helped
+    others = {name for name in effect_names() if effect_definition(name).shown_on != ("servo",)}
+    assert set(advised["not_shown"]) == others - {"resistance_temperature"} - shown - helped
 
 
 @pytest.mark.long

@@ -24,6 +24,7 @@ MOVED = 1e-3  # relative, by which a parameter is moved for a derivative
 LIMIT_MOVED = 1e-2  # the same of a profile's: it arrives at its goal a sample earlier or later, which is not smooth
 LEAST = 1e-3  # of its size, below which a positive one does not go
 GAINED = 1e-3  # of the cost, below which a step is the last
+SETTLED = 1e-4  # the same of a set that is told
 
 
 class Fitting:
@@ -81,13 +82,13 @@ class Fitting:
         points = self.point - np.stack(steps)
         return np.asarray(np.maximum(points, self.least), np.float64)
 
-    def take(self, points: Array, errors: Array) -> None:
+    def take(self, points: Array, errors: Array, least_gain: float) -> None:
         """Go on to the best of the trials, or stop."""
         costs = np.array([self.total(error, point) for error, point in zip(errors, points, strict=True)])
         costs[~np.isfinite(costs)] = np.inf
         best = int(np.argmin(costs))
         gained = self.cost - float(costs[best])
-        self.done = not gained > GAINED * self.cost
+        self.done = not gained > least_gain * self.cost
         if gained > 0.0:
             self.point, self.error, self.cost = points[best], errors[best], float(costs[best])
             self.damping = float(self.damping * DAMPINGS[best])
@@ -105,7 +106,9 @@ class Fitted:
     scores: Array  # (runs, these): each run's own slope of the cost
 
 
-def fit(runs: ServoRuns, starts: Sequence[Parameters], held: Sequence[str] = ()) -> list[Fitted]:
+def fit(
+    runs: ServoRuns, starts: Sequence[Parameters], held: Sequence[str] = (), least_gain: float = GAINED
+) -> list[Fitted]:
     """Fit every parameter of each start but the shapes and those held, from where it is; all starts side by side."""
     against = Measured(runs)
     fittings = [Fitting(start, held, runs) for start in starts]
@@ -118,7 +121,7 @@ def fit(runs: ServoRuns, starts: Sequence[Parameters], held: Sequence[str] = ())
             break
         trials = [one.trials() for one in going]
         for one, points, errors in zip(going, trials, against.errors(going, trials), strict=True):
-            one.take(points, errors)
+            one.take(points, errors, least_gain)
     for one in fittings:
         one.done = False
     against.differentiate(fittings)  # where each ended

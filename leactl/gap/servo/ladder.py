@@ -18,14 +18,12 @@ from leactl.gap.evidence import rows_per_independent
 from leactl.gap.judge import UNCONFIRMED, presence
 from leactl.gap.record import Record
 from leactl.gap.regression import Candidate
-from leactl.gap.search import BEYOND, INTERVAL
-from leactl.gap.servo.fit import Fitted, Measured, cost, fit
+from leactl.gap.servo.fit import SETTLED, Fitted, Measured, cost, fit
 from leactl.gap.servo.limits import DRIVE, acts, as_fitted, as_told, drive_starts
 from leactl.gap.servo.profile import PROFILE
 from leactl.gap.servo.runs import ServoRuns, servo_runs, side_by_side
 from leactl.gap.servo.simulation import Parameters, parts_of, table
 from leactl.model.nominal import Model
-from leactl.vocabulary.effect import effect_definition
 
 Array = npt.NDArray[np.float64]
 Set = frozenset[str]
@@ -83,7 +81,7 @@ def climb(records: Sequence[Record], held_out: Sequence[Record], model: Model, p
     here = {name.partition(".")[0] for name in fixed}
     held = (*fixed, *untold(runs))
     begin = {name: float(getattr(model, name) or 0.0) for name in OWN} | dict.fromkeys(RIG, 0.0) | fixed
-    (alone,) = fit(runs, [begin], held)
+    (alone,) = fit(runs, [begin | {"reference_delay": runs.interval}], held)
     sets = Sets(runs, {frozenset(): alone}, held)
     drive = drive_starts(runs, [begin, alone.parameters])
     core = sets.grow(frozenset(), {name: starts for name, starts in drive.items() if name not in here})
@@ -102,11 +100,10 @@ def climb(records: Sequence[Record], held_out: Sequence[Record], model: Model, p
         base = members - core
     unseen = side_by_side(held_out, model)
     sets.fit_missing([members - {name} for name in sorted(members)], members)
-    sets.settle(members)
     standing = standing_of(sets, members, runs, servo_runs(unseen, model) if unseen else None)
     named = frozenset(item.effect for item in standing if item.probability >= NAMED)
     sets.fit_missing([named, frozenset()], members)
-    final = sets[named]
+    final = sets.settle(named)
     # a step of the simulation takes what it follows as if it had come half a step earlier
     late = final.parameters["reference_delay"] - 0.5 * runs.interval / parts_of(runs, table([final.parameters]))
     return Ladder(standing, sets[frozenset()], final, errors_of(final, runs), sets, late)
@@ -174,9 +171,8 @@ class Sets(dict[Set, Fitted]):
                 self[one] = found
 
     def settle(self, members: Set) -> Fitted:
-        """Fit a set once more with all that belongs to it."""
-        if members & DRIVE:
-            (self[members],) = fit(self._runs, [self[members].parameters], self._held)
+        """Fit a set that is told once more, with all that belongs to it and as closely as it goes."""
+        (self[members],) = fit(self._runs, [self[members].parameters], self._held, SETTLED)
         return self[members]
 
     def pruned(self, members: Set) -> Set:
@@ -221,7 +217,7 @@ def standing_of(
     found = [
         Standing(
             name,
-            is_met(name, fitted, stds, runs)
+            acts(name, fitted.parameters, runs)
             * presence(height(worse[name], fitted))
             * (1.0 if lost[name] < worse[name] else UNCONFIRMED),
             worse[name] / sum(worse.values()),
@@ -237,15 +233,6 @@ def standing_of(
             further = parameters_of(name, sets[more], errors_of(sets[more], runs))
             found.append(Standing(name, probability, 0.0, further))
     return tuple(sorted(found, key=lambda item: (-item.probability, -item.share)))
-
-
-def is_met(name: str, fitted: Fitted, stds: Mapping[str, float], runs: ServoRuns) -> bool:
-    """Whether an effect was found as large as it may be met, and as its drive may have it."""
-    leading = next(iter(effect_definition(name).parameters))
-    if name in DRIVE or leading not in (found := parameters_of(name, fitted, stds)):
-        return acts(name, fitted.parameters, runs)
-    size, std = found[leading]
-    return abs(size) - INTERVAL * std <= BEYOND * effect_definition(name).largest
 
 
 def in_place_of(sets: Mapping[Set, Fitted], members: Set, name: str, runs: ServoRuns) -> tuple[str, ...]:

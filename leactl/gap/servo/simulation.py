@@ -21,7 +21,7 @@ from leactl.gap.servo.times import STEPS
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Parameters = dict[str, float]
-MOST_PARTS = 20  # steps a sample
+FEWEST_PARTS, MOST_PARTS = 2, 20  # steps a sample
 FREE = (
     "torque_constant",
     "phase_resistance",
@@ -242,7 +242,7 @@ def parts_of(runs: ServoRuns, sets: Mapping[str, Array]) -> int:
     slowing = constant * (constant + float(np.max(runs.rate_gain))) / (resistance * lightest)
     swinging = np.sqrt(float(np.max(runs.gain)) * constant / (resistance * lightest))
     needed = runs.interval * float(np.quantile(np.maximum(slowing, swinging), 0.5)) / STEPS
-    return int(np.clip(np.ceil(needed), 1, MOST_PARTS)) if np.isfinite(needed) else 1
+    return int(np.clip(np.ceil(needed), FEWEST_PARTS, MOST_PARTS)) if np.isfinite(needed) else FEWEST_PARTS
 
 
 def _deafness(band: Array, edge: float) -> Callable[[Array, Array], None] | None:
