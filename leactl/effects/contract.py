@@ -102,6 +102,7 @@ class Effect:
     forms: ClassVar[Sequence[Form]] = ((),)  # values of its non-linear parameters that are tried, in
     form_scales: ClassVar[tuple[str, ...]] = ()  # the machine's scales; pure numbers where left out
     one_sided: ClassVar[bool] = False  # whether its coefficient makes sense above zero only
+    least: ClassVar[float] = 0.0  # size below which it is something else
     continuous: ClassVar[bool] = True  # whether values between those of its forms make sense
     shaped: ClassVar[bool] = False  # whether its coefficient is the share of a shape that is whole at one
     explains: ClassVar[float] = 0.82  # share of what it does to the channels it touches that its columns must explain

@@ -22,6 +22,7 @@ class JointElasticity(Effect):
 
     name = "joint_elasticity"
     one_sided = True
+    least = 0.1  # of the inertia: a load is no loose part, and less is what a loop or a stamp is late by
     forms = tuple((float(rate), damping) for rate in np.geomspace(0.003, 0.045, 14) for damping in (0.02, 0.07, 0.25))
     form_scales = ("sampling rate", "1")
 

@@ -132,7 +132,7 @@ def sizes_by_chance(evidence: Evidence) -> dict[str, list[float]]:
 
 def is_possible(evidence: Evidence, item: Finding) -> bool:
     """Whether an effect is met in such a size; nothing is said against what noise alone would give."""
-    if is_beyond_range(item):
+    if is_beyond_range(item) or item.size + INTERVAL * item.std < library()[item.effect].least:
         return False
     places = evidence.columns(item.candidate)
     return item.height <= ENTRY or not outweighs(evidence.stack, places, np.asarray(item.values))

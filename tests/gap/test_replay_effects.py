@@ -62,6 +62,7 @@ CASES = [
     ("torque_sensor_hysteresis", {"width": 0.05}, "locked", {TORQUE}),
     ("torque_sensor_lag", {"time_constant": 0.01}, "locked", {TORQUE}),
     ("torque_sensor_offset", {"offset": 0.2}, "locked", {TORQUE}),
+    ("transmission_error", {"amplitude": 0.001, "order": 12.0, "phase": 0.5}, "free", {VELOCITY, VOLTAGE}),
     ("transport_delay", {"delay": 0.004}, "locked", SHAKEN | {CURRENT}),
     ("unbalance", {"amplitude": 0.1, "phase": 0.2}, "free", {VELOCITY, VOLTAGE}),
     ("velocity_filter_lag", {"time_constant": 0.02}, "free", {VELOCITY}),

@@ -1,0 +1,40 @@
+"""Transmission error: the angle reads A sin(n angle + phase) more, n being the gear's ratio or twice that."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
+from leactl.model.nominal import Model
+
+
+class TransmissionError(Effect):
+    """A gear that does not turn evenly."""
+
+    name = "transmission_error"
+    forms = ((1.0,), (2.0,))  # of the gear's ratio
+    continuous = False
+
+    def applies(self, model: Model) -> bool:
+        """Only a model that tells its gear tells the orders."""
+        return model.gear_ratio != 1.0
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """Sine and cosine of the motor's angle, as an error of the joint's."""
+        if signals.angle is None or signals.mechanical != "free":
+            return {}
+        turned = form[0] * signals.model.gear_ratio * signals.angle
+        return {"angle_reading": {"cos": np.cos(turned), "sin": np.sin(turned)}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Amplitude, order at the joint, phase."""
+        amplitude = math.hypot(found["cos"], found["sin"])
+        order = form[0] * model.gear_ratio
+        return {"amplitude": amplitude, "order": order, "phase": math.atan2(found["cos"], found["sin"])}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """An error of the angle, and so of the velocity that is taken from it."""
+        amplitude, order, phase = (parameters[name] for name in ("amplitude", "order", "phase"))
+        plant.angle_error.append(lambda angle: amplitude * np.sin(order * angle + phase))

@@ -1,0 +1,86 @@
+"""What joints have and benches do not is named on drawn machines; their simulators share no equation with the library."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from leactl.gap.diagnose import Case, diagnose, split
+from leactl.gap.record import read_record
+from leactl.joints.files import write_run
+from leactl.joints.machine import draw_machine, nominal_text
+from leactl.joints.make import draw_runs
+from leactl.joints.stepped import simulate
+from leactl.model.nominal import read_model
+
+ANGLE, VELOCITY = ("angle", "test"), ("velocity", "test")
+LOGGED = ("current", "angle", "current_reference", "velocity")
+NUMBERS = {  # a parameter of each effect, and how near it is to the truth
+    "joint_elasticity": ("frequency", 0.15),
+    "torque_limit": ("current", 0.05),
+    "power_foldback": ("power", 0.1),
+    "position_spring": ("stiffness", 0.3),
+}
+
+
+def drawn_case(folder, kind, effects, seed, strength="plain"):
+    """Runs of a drawn machine with the channels that show an effect of its drive, and what is true of it."""
+    machine = draw_machine(np.random.default_rng([seed, 0]), kind)
+    machine = replace(machine, channels=LOGGED, sampling=True, rate=500.0, seconds=12.0)
+    runs = draw_runs(np.random.default_rng([seed, 1]), machine, effects, strength)
+    (folder / "nominal.yaml").write_text(nominal_text(machine), encoding="utf-8")
+    for run, signals in zip(runs, simulate(runs), strict=True):
+        write_run(folder, "case", run, signals)
+    records = [read_record(path) for path in sorted(folder.glob("*.h5"))]
+    return Case(read_model(folder / "nominal.yaml")[0], *split(records)), runs[0]
+
+
+def named(found):
+    return [cause.effect for cause in found.causes if cause.probability >= 0.5]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("joint_elasticity", "exoskeleton"),
+        ("torque_limit", "geared_joint"),
+        ("power_foldback", "wheel_motor"),
+        ("position_spring", "spindle"),
+    ],
+)
+def test_what_a_joint_has_is_named_with_its_size(tmp_path, name, kind):
+    case, run = drawn_case(tmp_path, kind, [name], seed=3)
+    found = diagnose(case)
+    assert named(found) == [name]
+    parameter, near = NUMBERS[name]
+    told = {item.name: item.value for item in found.causes[0].parameters}
+    assert told[parameter] == pytest.approx(run.parameter(name, parameter), rel=near)
+
+
+def test_a_gear_s_error_is_told_at_its_order(tmp_path):
+    case, _ = drawn_case(tmp_path, "geared_joint", [], seed=5)
+    ratio, amplitude = 18.0, 0.004
+    wrong = [uneven(record, ratio, amplitude) for record in (*case.fitted, *case.held_out)]
+    model = case.model.model_copy(update={"gear_ratio": ratio})
+    found = diagnose(Case(model, wrong[: len(case.fitted)], wrong[len(case.fitted) :]))
+    assert named(found)[0] == "transmission_error"
+    told = {item.name: item.value for item in found.causes[0].parameters}
+    assert told["order"] == ratio
+    assert told["amplitude"] == pytest.approx(amplitude, rel=0.1)
+
+
+def uneven(record, order, amplitude):
+    """A record whose joint turns by a wave over its angle more than its motor."""
+    angle, speed = record.fast.values[ANGLE], record.fast.values[VELOCITY]
+    changed = {
+        ANGLE: angle + amplitude * np.sin(order * angle),
+        VELOCITY: speed * (1.0 + amplitude * order * np.cos(order * angle)),
+    }
+    return replace(record, fast=replace(record.fast, values=record.fast.values | changed))
+
+
+def test_a_sound_machine_has_none_of_them(tmp_path):
+    case, _ = drawn_case(tmp_path, "drone_motor", [], seed=8)
+    found = diagnose(case)
+    assert found.verdict in ("none", "calibration")
+    assert named(found) == []
