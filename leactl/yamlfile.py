@@ -25,6 +25,7 @@ Location = tuple[str | int, ...]
 
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 30
+TOO_DEEP = f"nested deeper than {MAX_DEPTH} levels"
 MAX_NODES = 30_000  # values; a fault in each takes 1.5 s and 150 MB to tell
 MAX_KEYS = 1000  # of one mapping: 60,000 unknown ones would be as many faults
 LONGEST_LINE = 1000  # characters of a fault: a value may be as long as the file
@@ -261,7 +262,10 @@ def parse(text: str, name: str = "<text>") -> Document:
             place = (mark.line + 1, mark.column + 1) if mark else (1, 1)
         else:
             place = (last + 1, len(text.splitlines()[-1]) + 1)
-        raise InputError(document.fault_at(place, (), str(error.problem or error.context))) from None
+        problem = str(error.problem or error.context)
+        if "nesting depth" in problem:  # PyYAML 6.0.4 looks so far ahead that it meets its own limit first
+            problem = TOO_DEEP
+        raise InputError(document.fault_at(place, (), problem)) from None
     except (yaml.YAMLError, UnicodeEncodeError) as error:
         raise InputError(f"{name}  {str(error).splitlines()[0]}") from None
     return document
@@ -365,7 +369,7 @@ class _Builder:
             event = next(self.events)
 
     def too_deep(self, event: Any) -> InputError:
-        return InputError(self.document.fault_at(_place(event), (), f"nested deeper than {MAX_DEPTH} levels"))
+        return InputError(self.document.fault_at(_place(event), (), TOO_DEEP))
 
 
 def _place(event: Any) -> tuple[int, int]:
