@@ -1,4 +1,4 @@
-"""What joints have and benches do not is named on drawn machines; their simulators share no equation with the library."""
+"""What joints have and benches do not is named on drawn machines, whose simulators share no equation with it."""
 
 from dataclasses import replace
 
