@@ -28,6 +28,8 @@ FITS = 0.8  # of a channel's variance, that what it should follow has to explain
 FEWEST = 50  # samples
 BRIDGED = 1  # sample that is missing, and taken in between its neighbours
 KNOWN = 4.0  # standard errors, from which a factor is told at all
+SMALL, ALIKE = 0.3, 0.3  # share of a channel's values that are small, and how far their factor's logarithm may be off
+FAR = 0.1  # logarithm of a factor, below which values of any size need not agree
 MISFIT = 3.0  # by which a residual that is no noise widens an error
 TIGHT = 0.02
 USUAL = {
@@ -249,6 +251,8 @@ def several(
     scaled = rows[:, kept] / sizes[kept]
     inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10)
     solved[kept] = inverse @ (scaled.T @ values) / sizes[kept]
+    if len(nominal) == 1 and not is_scaled(rows, values, float(solved[0])):
+        return
     left = values - rows @ solved
     noise = float(left @ left) / max(independent - int(kept.sum()), 1.0) * independent / len(values)
     covariance[kept] = np.diag(inverse) * len(values) / independent * noise / sizes[kept] ** 2
@@ -266,6 +270,17 @@ def several(
         if value and (told or fits < FITS):
             size = abs(float(solved[index])) or 1e-300
             yield Factor(name, float(solved[index]) / value, error / size, fits, explained)
+
+
+def is_scaled(rows: Array, values: Array, whole: float) -> bool:
+    """Whether a factor is that of small values too: a limit takes from the large ones alone, a scale from all."""
+    size = np.abs(rows[:, 0])
+    small = size <= np.quantile(size, SMALL)
+    if whole <= 0.0 or abs(math.log(whole)) < FAR or int(small.sum()) < FEWEST:
+        return True
+    columns = np.column_stack([rows[small], np.ones(int(small.sum()))])
+    own = float(np.linalg.lstsq(columns, values[small], rcond=1e-10)[0][0])
+    return own > 0.0 and abs(math.log(own / whole)) <= ALIKE * abs(math.log(whole))
 
 
 def unsmeared(valid: Mask, width: float) -> Mask:
