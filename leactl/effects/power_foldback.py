@@ -14,7 +14,6 @@ class PowerFoldback(Effect):
 
     name = "power_foldback"
     one_sided = True
-    explains = 0.75  # which power a drive counts, and how fast it reacts, is not known
     shaped = True
     forms = ((0.2,), (0.3,), (0.4,), (0.55,), (0.7,), (0.85,))
     form_scales = ("highest power",)

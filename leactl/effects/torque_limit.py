@@ -14,7 +14,6 @@ class TorqueLimit(Effect):
 
     name = "torque_limit"
     one_sided = True
-    explains = 0.75  # where in the loop the limit sits is not known
     shaped = True
     forms = ((0.3,), (0.4,), (0.5,), (0.6,), (0.7,), (0.8,), (0.9,))
     form_scales = ("highest current",)
