@@ -29,6 +29,7 @@ FEWEST = 50  # samples
 BRIDGED = 1  # sample that is missing, and taken in between its neighbours
 KNOWN = 4.0  # standard errors, from which a factor is told at all
 SMALL, ALIKE = 0.3, 0.3  # share of a channel's values that are small, and how far their factor's logarithm may be off
+LEVEL = 0.5  # of a channel's largest value, above which a value is not small
 FAR = 0.1  # logarithm of a factor, below which values of any size need not agree
 MISFIT = 3.0  # by which a residual that is no noise widens an error
 TIGHT = 0.02
@@ -275,9 +276,12 @@ def several(
 def is_scaled(rows: Array, values: Array, whole: float) -> bool:
     """Whether a factor is that of small values too: a limit takes from the large ones alone, a scale from all."""
     size = np.abs(rows[:, 0])
-    small = size <= np.quantile(size, SMALL)
+    least = float(np.quantile(size, SMALL))
+    small = size <= least
     if whole <= 0.0 or abs(math.log(whole)) < FAR or int(small.sum()) < FEWEST:
         return True
+    if least > LEVEL * float(np.max(size)):  # it goes to and fro between two levels, and has no small values
+        return False
     columns = np.column_stack([rows[small], np.ones(int(small.sum()))])
     own = float(np.linalg.lstsq(columns, values[small], rcond=1e-10)[0][0])
     return own > 0.0 and abs(math.log(own / whole)) <= ALIKE * abs(math.log(whole))
