@@ -76,6 +76,7 @@ def test_a_fault_is_named_by_itself_and_mended(cases, name):
         faults, records = mended([*(bad := spoilt(given, joint, quantities, spoil)).fitted, *bad.held_out], given.model)
         assert [(fault.name, fault.key[0]) for fault in faults] == [expected]
         assert faults[0].probability > 0.9
+        assert not faults[0].shrinks or faults[0].share > 0.9  # else samples are left out, and no gap has to go
         assert mended(records, given.model)[0] == []
 
 
