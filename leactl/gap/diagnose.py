@@ -8,31 +8,31 @@ from pathlib import Path
 import numpy as np
 
 from leactl.errors import InputError
-from leactl.gap.confirm import held_out_gains
 from leactl.gap.diagnosis import CalibratedParameter, Cause, Diagnosis, EffectParameter, Verdict
-from leactl.gap.evidence import Evidence
-from leactl.gap.judge import Judged, judge, left_by_form, unexplained, unrest
-from leactl.gap.notes import beyond_null, gathered, questions, unlike
 from leactl.gap.null import measure
-from leactl.gap.parameters import calibrated, effect_parameters, with_calibration
-from leactl.gap.picture import pictured, pictured_by_replays
-from leactl.gap.record import Record
-from leactl.gap.regression import Candidate, Fit, Rows
-from leactl.gap.rig import DRIVES, VOLTAGE, Array
-from leactl.gap.ringing import Line, ringing
-from leactl.gap.search import Found, search
-from leactl.gap.separating import separating_experiment
+from leactl.gap.planning.separating import separating_experiment
+from leactl.gap.replay.stretches import read_records
+from leactl.gap.search.confirm import held_out_gains
+from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.parameters import calibrated, effect_parameters, with_calibration
+from leactl.gap.search.regression import Candidate, Fit, Rows
+from leactl.gap.search.ringing import Line, ringing
+from leactl.gap.search.sets import Found, search
 from leactl.gap.servo import answer as servo_answer
 from leactl.gap.servo.ladder import climb
 from leactl.gap.servo.runs import side_by_side
-from leactl.gap.setpoints import marked, setpoint_notes
 from leactl.gap.setup import mended
-from leactl.gap.shrinkage import shrinkage
-from leactl.gap.stamps import stamp_notes, stamped
-from leactl.gap.stretches import read_records
-from leactl.gap.unknown import describe, nearest_effects
-from leactl.gap.where import profiles, where
-from leactl.gap.withdrawal import Applied, Fitted, Refit, apply
+from leactl.gap.signals.record import Record
+from leactl.gap.signals.rig import DRIVES, VOLTAGE, Array
+from leactl.gap.signals.setpoints import marked, setpoint_notes
+from leactl.gap.signals.stamps import stamp_notes, stamped
+from leactl.gap.verdict.judge import Judged, judge, left_by_form, unexplained, unrest
+from leactl.gap.verdict.notes import beyond_null, gathered, questions, unlike
+from leactl.gap.verdict.picture import pictured, pictured_by_replays
+from leactl.gap.verdict.shrinkage import shrinkage
+from leactl.gap.verdict.unknown import describe, nearest_effects
+from leactl.gap.verdict.where import profiles, where
+from leactl.gap.verdict.withdrawal import Applied, Fitted, Refit, apply
 from leactl.model.nominal import Model, read_model
 from leactl.vocabulary.effect import effect_definition
 

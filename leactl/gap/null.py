@@ -17,21 +17,21 @@ from scipy.signal import lfilter
 
 from leactl.effects.shapes import delayed
 from leactl.gap.diagnosis import CalibratedParameter
-from leactl.gap.evidence import PRIORS, UNTOLD, Evidence, Null
-from leactl.gap.noise import coloured, quantum_of
-from leactl.gap.parameters import UNITS, nominal_value, with_calibration
-from leactl.gap.record import WINDING, Clocked, Key, Record
 from leactl.gap.replay import replay_all
 from leactl.gap.replay.bearing import TRIED
 from leactl.gap.replay.drive import over_samples
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.plants import plant_of
 from leactl.gap.replay.readings import angle, current, velocity
-from leactl.gap.rig import fed_by_voltage
-from leactl.gap.ringing import ringing
-from leactl.gap.search import sizes_by_chance
-from leactl.gap.signals import moved_by_a_servo
-from leactl.gap.smoothing import BASE, smooth
+from leactl.gap.search.evidence import PRIORS, UNTOLD, Evidence, Null
+from leactl.gap.search.parameters import UNITS, nominal_value, with_calibration
+from leactl.gap.search.ringing import ringing
+from leactl.gap.search.sets import sizes_by_chance
+from leactl.gap.signals.derived import moved_by_a_servo
+from leactl.gap.signals.noise import coloured, quantum_of
+from leactl.gap.signals.record import WINDING, Clocked, Key, Record
+from leactl.gap.signals.rig import fed_by_voltage
+from leactl.gap.signals.smoothing import BASE, smooth
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]

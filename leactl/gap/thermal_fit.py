@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.gap.diagnosis import CalibratedParameter
-from leactl.gap.evidence import PRIORS, Evidence
-from leactl.gap.parameters import calibrated
-from leactl.gap.record import AMBIENT, Record, record_of
+from leactl.gap.search.evidence import PRIORS, Evidence
+from leactl.gap.search.parameters import calibrated
+from leactl.gap.signals.record import AMBIENT, Record, record_of
 from leactl.model.motor import Motor
 from leactl.model.nominal import Model
 from leactl.runfile.reader import Run

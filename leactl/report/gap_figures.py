@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from leactl.gap.diagnosis import Diagnosis, Picture, Rest, Where
-from leactl.gap.shrinkage import Trace
-from leactl.gap.where import Profile
+from leactl.gap.verdict.shrinkage import Trace
+from leactl.gap.verdict.where import Profile
 from leactl.report.chart import Bins, Curve, Layer, Stretch, chart
 from leactl.report.gap_words import (
     NEAR_FLOOR,

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import Case, diagnose, split
-from leactl.gap.record import read_record
+from leactl.gap.signals.record import read_record
 from leactl.model.nominal import read_model
 
 SECONDS, GIGABYTES = 10.0, 1.5

@@ -14,8 +14,8 @@ from pathlib import Path
 import cma
 import numpy as np
 
-from leactl.gap.record import read_record
 from leactl.gap.servo.runs import servo_runs
+from leactl.gap.signals.record import read_record
 from tests.gap.test_foreign import FILES, imported, nominal
 
 LIMIT = 50.0

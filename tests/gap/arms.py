@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from leactl.gap.diagnose import Case
-from leactl.gap.record import build
+from leactl.gap.signals.record import build
 from leactl.runfile.reader import Channel
 
 RATE = 200.0  # Hz

@@ -9,8 +9,8 @@ import h5py
 import numpy as np
 
 from leactl.gap.diagnose import Case, split
-from leactl.gap.record import build
-from leactl.gap.stretches import read_records
+from leactl.gap.replay.stretches import read_records
+from leactl.gap.signals.record import build
 from leactl.model.nominal import Model
 from leactl.runfile import layout
 from tests.gap import joints

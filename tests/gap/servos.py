@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from leactl.gap.diagnose import Case
-from leactl.gap.record import build
+from leactl.gap.signals.record import build
 from leactl.model.nominal import Model
 from leactl.runfile.reader import Channel
 

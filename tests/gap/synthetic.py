@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from leactl.gap.record import Clocked, Record
+from leactl.gap.signals.record import Clocked, Record
 from leactl.model.nominal import Model
 
 INTERVAL_S = 1e-3

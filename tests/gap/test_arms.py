@@ -9,9 +9,9 @@ import pytest
 
 from leactl.gap.diagnose import diagnose, read_case, split
 from leactl.gap.equations import equations
-from leactl.gap.parameters import with_calibration, with_effects
-from leactl.gap.record import read_record
 from leactl.gap.replay import replay
+from leactl.gap.search.parameters import with_calibration, with_effects
+from leactl.gap.signals.record import read_record
 from leactl.model.nominal import Model
 from leactl.runfile.importing import import_runs
 from tests.gap.arms import TESTS, Arm, case_of, logs, recorded

@@ -7,10 +7,10 @@ import pytest
 
 from leactl.errors import InputError
 from leactl.gap.equations import equations
-from leactl.gap.record import build
-from leactl.gap.rig import creep_sense
 from leactl.gap.servo.runs import servo_runs
 from leactl.gap.servo.simulation import replay
+from leactl.gap.signals.record import build
+from leactl.gap.signals.rig import creep_sense
 from leactl.model.nominal import Model
 from leactl.runfile.reader import Channel
 

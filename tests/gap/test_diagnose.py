@@ -11,10 +11,10 @@ from leactl.emulation.blind.make import make
 from leactl.emulation.unlisted import unlisted_effects
 from leactl.errors import InputError
 from leactl.gap.diagnose import Case, diagnose, read_case, split
-from leactl.gap.evidence import Evidence
-from leactl.gap.notes import gathered
-from leactl.gap.record import build
-from leactl.gap.ringing import ringing
+from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.ringing import ringing
+from leactl.gap.signals.record import build
+from leactl.gap.verdict.notes import gathered
 from leactl.runfile.reader import Channel
 from leactl.vocabulary.effect import effect_definition
 

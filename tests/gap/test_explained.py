@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from leactl.gap.search import Finding, Found
+from leactl.gap.search.sets import Finding, Found
 
 TOUCHING = ("effect", "cogging", "(6.0,)", "cos")
 

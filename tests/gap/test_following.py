@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from leactl.gap.signals import following
+from leactl.gap.signals.derived import following
 from leactl.model.sheet import Thermal
 from leactl.model.thermal_network import ThermalNetwork
 

@@ -10,14 +10,14 @@ import pytest
 
 from leactl.gap.diagnose import diagnose, read_case
 from leactl.gap.equations import equations
-from leactl.gap.evidence import PRIORS
-from leactl.gap.orders import strongest
-from leactl.gap.record import read_record
-from leactl.gap.regression import Normal, make_rows, residuals, stack
+from leactl.gap.search.evidence import PRIORS
+from leactl.gap.search.orders import strongest
+from leactl.gap.search.regression import Normal, make_rows, residuals, stack
 from leactl.gap.servo.ladder import climb
 from leactl.gap.servo.runs import servo_runs
 from leactl.gap.servo.simulation import replay, table
-from leactl.gap.smoothing import thinned
+from leactl.gap.signals.record import read_record
+from leactl.gap.signals.smoothing import thinned
 from leactl.model.nominal import read_model
 from leactl.runfile.importing import import_runs
 from leactl.runfile.reader import Run

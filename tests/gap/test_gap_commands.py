@@ -9,9 +9,9 @@ import pytest
 import yaml
 
 from leactl.effects import library
-from leactl.gap.notes import unlike
-from leactl.gap.record import read_record
 from leactl.gap.replay import replay
+from leactl.gap.signals.record import read_record
+from leactl.gap.verdict.notes import unlike
 from leactl.model.nominal import as_mapping, read_model
 from leactl.quantities import ChannelSpec
 from leactl.runfile.description import RunInfo

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import Case, diagnose, split
-from leactl.gap.record import read_record
+from leactl.gap.signals.record import read_record
 from leactl.joints.files import write_run
 from leactl.joints.machine import draw_machine, nominal_text
 from leactl.joints.make import draw_runs

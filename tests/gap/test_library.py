@@ -5,7 +5,7 @@ import pytest
 
 from leactl.effects import library
 from leactl.effects.contract import PLACES, Signals
-from leactl.gap.picture import OF_SIGNALS
+from leactl.gap.verdict.picture import OF_SIGNALS
 from leactl.model.nominal import DriveModel, Model
 from leactl.vocabulary.effect import effect_definition, effect_names, effects_on
 from leactl.vocabulary.variable import VARIABLES

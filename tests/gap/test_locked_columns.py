@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from leactl.effects.load_dependent_friction import stuck
-from leactl.gap.signals import fast_signals
+from leactl.gap.signals.derived import fast_signals
 from tests.gap.synthetic import CONSTANT, FRICTION, model, record
 
 SHARE = 0.15

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from leactl.gap.noise import coloured, noise_of, quantum_of
+from leactl.gap.signals.noise import coloured, noise_of, quantum_of
 
 COUNT = 20_000
 

@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from leactl.gap.ceiling import at_ceiling
 from leactl.gap.diagnose import read_case
-from leactl.gap.evidence import PRIORS, Evidence, floors, table
-from leactl.gap.noise import SEGMENT, quantum_of
 from leactl.gap.null import FARTHEST, NULLS, drawn, measure, sound_runs
-from leactl.gap.parameters import nominal_value
 from leactl.gap.replay.cutting import TRACKED
-from leactl.gap.search import ENTRY
-from leactl.gap.signals import resolved, unseen
-from leactl.gap.stamp_fit import LATEST
+from leactl.gap.search.evidence import PRIORS, Evidence, floors, table
+from leactl.gap.search.parameters import nominal_value
+from leactl.gap.search.sets import ENTRY
+from leactl.gap.search.stamp_fit import LATEST
+from leactl.gap.signals.ceiling import at_ceiling
+from leactl.gap.signals.derived import resolved, unseen
+from leactl.gap.signals.noise import SEGMENT, quantum_of
 from leactl.model.nominal import read_model
 from tests.gap.synthetic import clocked, model, record
 
@@ -170,7 +170,7 @@ def test_the_pages_have_the_numbers_of_the_code():
 
 def test_the_table_of_thresholds_is_that_of_the_code():
     page = (DOCS / "gap.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| [^|]+ \| ([0-9.]+) \| `(\w+)\.(\w+)` \|$", page, re.MULTILINE)
+    rows = re.findall(r"^\| [^|]+ \| ([0-9.]+) \| `([\w.]+)\.(\w+)` \|$", page, re.MULTILINE)
     assert len(rows) > 15
     for number, module, name in rows:
         assert float(number) == getattr(importlib.import_module(f"leactl.gap.{module}"), name), name

@@ -9,11 +9,11 @@ from typer.testing import CliRunner
 
 from leactl.cli.main import app
 from leactl.errors import InputError
-from leactl.gap.evidence import Evidence
 from leactl.gap.planning.advice import read_noise
 from leactl.gap.planning.records import planned_record, usual_noise
 from leactl.gap.planning.reveal import planned_candidates, sights
-from leactl.gap.separating import separating_experiment
+from leactl.gap.planning.separating import separating_experiment
+from leactl.gap.search.evidence import Evidence
 from leactl.model.nominal import as_mapping
 from leactl.protocol import protocolfile
 from leactl.vocabulary.effect import effect_definition, effect_names

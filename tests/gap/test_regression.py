@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from leactl.effects.contract import Signals
-from leactl.gap.evidence import rows_per_independent
-from leactl.gap.regression import Normal, Rows, disagreement, gain_of, residuals, stack, white_noise
+from leactl.gap.search.evidence import rows_per_independent
+from leactl.gap.search.regression import Normal, Rows, disagreement, gain_of, residuals, stack, white_noise
 from leactl.model.nominal import Model
 
 TRUE = {("calibration", "a"): 0.3, ("calibration", "b"): -0.2, ("effect", "e", "()", "c"): 0.7}

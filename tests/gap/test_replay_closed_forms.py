@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from leactl.gap.record import LONG, Record
 from leactl.gap.replay import replay
+from leactl.gap.signals.record import LONG, Record
 from tests.gap.synthetic import (
     BENCH,
     CONSTANT,

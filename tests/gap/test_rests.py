@@ -3,7 +3,7 @@
 import numpy as np
 
 from leactl.gap.diagnose import diagnose
-from leactl.gap.record import LONG, SMOOTHED, without_edges
+from leactl.gap.signals.record import LONG, SMOOTHED, without_edges
 from leactl.model.nominal import Model
 from tests.gap.joints import Log, case, drawn_joint
 

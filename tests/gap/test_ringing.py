@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from leactl.gap.ringing import FULL, SEGMENT, highest_bin, periodograms
+from leactl.gap.search.ringing import FULL, SEGMENT, highest_bin, periodograms
 
 ROWS = 12_000
 

@@ -8,8 +8,8 @@ import pytest
 from leactl.effects.reference_rate_limit import trapezoidal
 from leactl.errors import InputError
 from leactl.gap.diagnose import diagnose
-from leactl.gap.parameters import with_effects
 from leactl.gap.replay import replay
+from leactl.gap.search.parameters import with_effects
 from leactl.gap.servo.ladder import climb
 from leactl.gap.servo.profile import profile, shifted
 from leactl.gap.setup import mended

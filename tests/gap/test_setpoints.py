@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import diagnose
-from leactl.gap.setpoints import leaps, marked
+from leactl.gap.signals.setpoints import leaps, marked
 from tests.gap import joints
 from tests.gap.joints import Effect, Log, case, drawn_joint
 from tests.gap.test_similar import thinned

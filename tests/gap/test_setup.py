@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import diagnose
-from leactl.gap.record import Clocked
 from leactl.gap.setup import conventions, drifting, hypotheses, mended, relations, samples, swapping
 from leactl.gap.setup.conventions import convention
 from leactl.gap.setup.samples import at_ends, period_of
+from leactl.gap.signals.record import Clocked
 from tests.gap.joints import Log, case, drawn_joint
 
 VELOCITY = ("velocity", "test")

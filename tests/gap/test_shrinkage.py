@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leactl.gap.record import read_record
 from leactl.gap.replay import Job, plant_of, replay, replay_all
 from leactl.gap.replay.bearing import TRIED, give_of
-from leactl.gap.shrinkage import closed_between, closes, shrinkage
+from leactl.gap.signals.record import read_record
+from leactl.gap.verdict.shrinkage import closed_between, closes, shrinkage
 from leactl.model.nominal import Model, read_model
 from tests.gap.synthetic import INTERVAL_S, model, record
 

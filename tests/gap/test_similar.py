@@ -8,7 +8,7 @@ import pytest
 from leactl.emulation.blind.make import make
 from leactl.gap.diagnose import Case, diagnose, read_case
 from leactl.gap.equations import equations
-from leactl.gap.record import smallest_step
+from leactl.gap.signals.record import smallest_step
 
 SIZES = [(20.0, 2.0, 1.6), (0.02, 0.4, 0.5)]  # torque, current and time over those of the bench
 EFFECTS = ("torque_ripple", "velocity_filter_lag", "third_thermal_node", "current_sensor_offset", "stribeck")

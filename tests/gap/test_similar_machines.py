@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import Case, diagnose, split
-from leactl.gap.record import build
+from leactl.gap.signals.record import build
 from leactl.joints.make import make
 from leactl.model.nominal import Model, as_mapping, read_model
 from leactl.runfile.reader import Run

@@ -8,9 +8,9 @@ import pytest
 from leactl.effects import library
 from leactl.effects.contract import SCALES
 from leactl.gap.diagnose import diagnose
-from leactl.gap.evidence import Evidence
 from leactl.gap.null import measure
-from leactl.gap.scales import form_scales
+from leactl.gap.search.evidence import Evidence
+from leactl.gap.signals.scales import form_scales
 from leactl.model.nominal import Model
 from tests.gap.joints import Effect, Log, case, drawn_joint
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leactl.effects.shapes import bristle, delayed, lagged, play, rate_limited
-from leactl.gap.smoothing import middle, senses, sharp_senses, slope, thinned, thinned_index
+from leactl.gap.signals.smoothing import middle, senses, sharp_senses, slope, thinned, thinned_index
 
 COEFFICIENTS = st.lists(st.floats(-3, 3), min_size=4, max_size=4)
 INTERVAL = 0.01

@@ -10,8 +10,8 @@ import pytest
 from leactl.emulation.blind.make import make as make_benches
 from leactl.errors import InputError
 from leactl.gap.diagnose import diagnose, read_case
-from leactl.gap.record import Record
 from leactl.gap.setup import mended
+from leactl.gap.signals.record import Record
 from leactl.joints.make import make as make_joints
 from tests.gap.joints import SOUND, Effect, Log, case, drawn_joint, drawn_log
 from tests.gap.rigs import drawn_rig

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import diagnose
-from leactl.gap.evidence import Evidence
-from leactl.gap.search import finding
-from leactl.gap.stamps import TAPS, lateness, neighbour, restamped
+from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.sets import finding
+from leactl.gap.signals.stamps import TAPS, lateness, neighbour, restamped
 from tests.gap.joints import Effect, Log, case, drawn_joint, drawn_log
 
 TOO_FAST = ("command_slew_limit", (1e6,))  # A/s, that no joint's command reaches

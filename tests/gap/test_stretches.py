@@ -9,9 +9,9 @@ import h5py
 import numpy as np
 import pytest
 
-from leactl.gap import stretches
 from leactl.gap.diagnose import diagnose, read_case, split
-from leactl.gap.stretches import STRETCHES, fair_share, read_records
+from leactl.gap.replay import stretches
+from leactl.gap.replay.stretches import STRETCHES, fair_share, read_records
 from leactl.runfile import heaps
 from tests.gap import nights
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnosis import Near
-from leactl.gap.evidence import Evidence
-from leactl.gap.record import read_record
-from leactl.gap.unknown import describe
+from leactl.gap.search.evidence import Evidence
+from leactl.gap.signals.record import read_record
+from leactl.gap.verdict.unknown import describe
 from leactl.model.nominal import read_model
 
 FREE = ("free_torque", "velocity", "free")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnosis import Cause, EffectParameter
-from leactl.gap.record import Clocked, Record
 from leactl.gap.replay.compared import Compared
-from leactl.gap.where import MOST, NARROW, PROFILE_BINS, binned, narrowest, where
+from leactl.gap.signals.record import Clocked, Record
+from leactl.gap.verdict.where import MOST, NARROW, PROFILE_BINS, binned, narrowest, where
 
 
 def test_the_narrowest_interval_holds_most_of_the_squares():

@@ -10,13 +10,13 @@ import pytest
 from leactl.effects import library
 from leactl.effects.contract import Signals
 from leactl.gap.diagnosis import CalibratedParameter, Cause, EffectParameter
-from leactl.gap.evidence import Evidence
-from leactl.gap.parameters import at_bound
-from leactl.gap.record import read_record
-from leactl.gap.regression import Normal, Rows, gain_of, stack
-from leactl.gap.search import best_of_each, outweighs
-from leactl.gap.shrinkage import Growth, Shrunk
-from leactl.gap.withdrawal import Fitted, apply
+from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.parameters import at_bound
+from leactl.gap.search.regression import Normal, Rows, gain_of, stack
+from leactl.gap.search.sets import best_of_each, outweighs
+from leactl.gap.signals.record import read_record
+from leactl.gap.verdict.shrinkage import Growth, Shrunk
+from leactl.gap.verdict.withdrawal import Fitted, apply
 from leactl.model.nominal import Model, read_model
 from leactl.vocabulary.effect import effect_definition, effect_names
 from tests.cli.terminal import leactl

@@ -17,8 +17,8 @@ from leactl.gap.diagnosis import (
     Shrinkage,
     Where,
 )
-from leactl.gap.shrinkage import Trace
-from leactl.gap.where import Profile
+from leactl.gap.verdict.shrinkage import Trace
+from leactl.gap.verdict.where import Profile
 
 TEST, LOAD, LOCKED = ("velocity", "test", "coupled"), ("velocity", "load", "coupled"), ("torque", "test", "locked")
 

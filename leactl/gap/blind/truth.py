@@ -15,13 +15,13 @@ import numpy as np
 from leactl.effects import library
 from leactl.gap.blind.answers import MODEL, runs_of, write
 from leactl.gap.diagnose import Case, read_case
-from leactl.gap.evidence import ORDERS_TRIED, Evidence, forms_here
-from leactl.gap.orders import strongest
-from leactl.gap.parameters import calibrated, effect_parameters, with_calibration, with_effects
-from leactl.gap.regression import Candidate
 from leactl.gap.replay.compared import Compared
-from leactl.gap.search import best_of_each, refine
-from leactl.gap.shrinkage import shrinkage
+from leactl.gap.search.evidence import ORDERS_TRIED, Evidence, forms_here
+from leactl.gap.search.orders import strongest
+from leactl.gap.search.parameters import calibrated, effect_parameters, with_calibration, with_effects
+from leactl.gap.search.regression import Candidate
+from leactl.gap.search.sets import best_of_each, refine
+from leactl.gap.verdict.shrinkage import shrinkage
 from leactl.model.nominal import Model, as_mapping
 
 UNKNOWN = "unknown"

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 from leactl.gap.equations import axis, electrical, mechanical, motion, thermal
 from leactl.gap.equations.contract import Equation
-from leactl.gap.record import Record
-from leactl.gap.rig import VOLTAGE, complete, fed_by_voltage
-from leactl.gap.signals import fast_signals, slow_signals
+from leactl.gap.signals.derived import fast_signals, slow_signals
+from leactl.gap.signals.record import Record
+from leactl.gap.signals.rig import VOLTAGE, complete, fed_by_voltage
 from leactl.model.nominal import Model
 
 __all__ = ["Equation", "equations"]

@@ -7,11 +7,11 @@ import numpy.typing as npt
 
 from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import Equation, Place
-from leactl.gap.noise import noise_of
-from leactl.gap.record import Clocked, Record
-from leactl.gap.rig import drive_of, fed_by_voltage, in_motion, load_of
-from leactl.gap.smoothing import BASE, slope, smooth
-from leactl.gap.stamps import stamp_columns
+from leactl.gap.signals.noise import noise_of
+from leactl.gap.signals.record import Clocked, Record
+from leactl.gap.signals.rig import drive_of, fed_by_voltage, in_motion, load_of
+from leactl.gap.signals.smoothing import BASE, slope, smooth
+from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
 WIDTHS, EVEN = (4.0, 8.0, 12.0), 2e-3  # samples, and the share of the voltage that an acceleration's noise may have

@@ -6,11 +6,11 @@ import numpy.typing as npt
 from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import STAMPED, Equation, Mask, Place
 from leactl.gap.equations.motion import load_lag
-from leactl.gap.noise import noise_of
-from leactl.gap.record import Clocked, Record
-from leactl.gap.signals import averaged, held
-from leactl.gap.smoothing import middle, sharp_senses, slope, smooth
-from leactl.gap.stamps import stamp_columns
+from leactl.gap.signals.derived import averaged, held
+from leactl.gap.signals.noise import noise_of
+from leactl.gap.signals.record import Clocked, Record
+from leactl.gap.signals.smoothing import middle, sharp_senses, slope, smooth
+from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
 SLOW_SHARE = 0.005  # of a run's highest speed, below which it may stand as well

@@ -7,9 +7,9 @@ import numpy.typing as npt
 
 from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import STAMPED, Equation
-from leactl.gap.record import Record
-from leactl.gap.smoothing import BASE, middle, slope, smooth
-from leactl.gap.stamps import stamp_columns
+from leactl.gap.signals.record import Record
+from leactl.gap.signals.smoothing import BASE, middle, slope, smooth
+from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
 VELOCITY_WIDTH = 4.0

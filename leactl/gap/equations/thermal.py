@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import Equation, Place
-from leactl.gap.record import Record
+from leactl.gap.signals.record import Record
 from leactl.model.thermal_network import ThermalNetwork
 
 Array = npt.NDArray[np.float64]

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from leactl.errors import InputError
-from leactl.gap.evidence import Evidence
 from leactl.gap.planning.records import planned_record, usual_noise
 from leactl.gap.planning.reveal import Sight, planned_candidates, sights
-from leactl.gap.record import Record
-from leactl.gap.stretches import read_records
+from leactl.gap.replay.stretches import read_records
+from leactl.gap.search.evidence import Evidence
+from leactl.gap.signals.record import Record
 from leactl.model.nominal import read_model
 from leactl.protocol import protocolfile
 from leactl.protocol.plan import Plan

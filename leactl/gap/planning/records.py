@@ -16,9 +16,9 @@ from scipy.signal import lfilter
 from leactl import yamlfile
 from leactl.driver.contract import Mode
 from leactl.errors import InputError
-from leactl.gap.record import Clocked, Key, Record
 from leactl.gap.replay import replay
-from leactl.gap.rig import load_of
+from leactl.gap.signals.record import Clocked, Key, Record
+from leactl.gap.signals.rig import load_of
 from leactl.model.nominal import Model
 from leactl.protocol.plan import Engage, Plan, Segment
 

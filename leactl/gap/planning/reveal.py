@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects import library
-from leactl.gap.evidence import Evidence, every_form, forms_here
-from leactl.gap.record import Record
-from leactl.gap.regression import Candidate, Normal
-from leactl.gap.search import ENTRY, SHAPE, WAVE
+from leactl.gap.search.evidence import Evidence, every_form, forms_here
+from leactl.gap.search.regression import Candidate, Normal
+from leactl.gap.search.sets import ENTRY, SHAPE, WAVE
+from leactl.gap.signals.record import Record
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 

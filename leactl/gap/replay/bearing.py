@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from leactl.effects.plant import GIVE
-from leactl.gap.record import Record
 from leactl.gap.replay import replay_all
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.plants import plant_of
+from leactl.gap.signals.record import Record
 from leactl.model.nominal import Model
 
 TRIED = (5e-6, 1.5e-5, GIVE)  # rad

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.noise import quantum_of
-from leactl.gap.record import Clocked, Key, Mask, Record
 from leactl.gap.replay.job import Job
-from leactl.gap.signals import fast_signals
-from leactl.gap.smoothing import smooth
+from leactl.gap.signals.derived import fast_signals
+from leactl.gap.signals.noise import quantum_of
+from leactl.gap.signals.record import Clocked, Key, Mask, Record
+from leactl.gap.signals.smoothing import smooth
 
 Array = npt.NDArray[np.float64]
 BLOCK_S = 1.0

@@ -12,9 +12,9 @@ from leactl.gap.replay.drive import measured, spread
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.lanes import SHAFT_DAMPING, Lanes, Servo, Tracking
 from leactl.gap.replay.starting import reach
-from leactl.gap.rig import fed_by_voltage, load_of
-from leactl.gap.smoothing import smooth
-from leactl.gap.stamps import restamped
+from leactl.gap.signals.rig import fed_by_voltage, load_of
+from leactl.gap.signals.smoothing import smooth
+from leactl.gap.signals.stamps import restamped
 
 BALANCE = {"free": "free_torque", "coupled": "coupled_torque"}  # equation that tells how the current's stamps stand
 RESTART_S = 1.0

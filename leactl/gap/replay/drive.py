@@ -4,12 +4,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from leactl.gap.ceiling import at_ceiling
-from leactl.gap.noise import noise_of, quantum_of
 from leactl.gap.replay.job import Job
-from leactl.gap.signals import led, moved_by_a_servo
-from leactl.gap.smoothing import smooth
-from leactl.gap.stamps import restamped
+from leactl.gap.signals.ceiling import at_ceiling
+from leactl.gap.signals.derived import led, moved_by_a_servo
+from leactl.gap.signals.noise import noise_of, quantum_of
+from leactl.gap.signals.smoothing import smooth
+from leactl.gap.signals.stamps import restamped
 
 Array = npt.NDArray[np.float64]
 LONGEST_DELAY_S = 0.012  # by which a drive may follow late

@@ -10,11 +10,11 @@ import numpy as np
 from scipy.linalg import expm
 
 from leactl.effects.plant import Array
-from leactl.gap.noise import noise_of
-from leactl.gap.record import WINDING, Clocked
 from leactl.gap.replay.job import Job
-from leactl.gap.signals import binned
-from leactl.gap.smoothing import smooth
+from leactl.gap.signals.derived import binned
+from leactl.gap.signals.noise import noise_of
+from leactl.gap.signals.record import WINDING, Clocked
+from leactl.gap.signals.smoothing import smooth
 
 START_S = 1.0  # to either side of the start
 FED_WIDTH = 8.0  # samples, smoothing of a share that a camera tells

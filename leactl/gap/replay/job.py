@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.plant import Course, Plant
-from leactl.gap.record import Clocked, Key, Record
-from leactl.gap.rig import load_of
-from leactl.gap.servo.times import times_of
+from leactl.gap.replay.servo_times import times_of
+from leactl.gap.signals.record import Clocked, Key, Record
+from leactl.gap.signals.rig import load_of
 
 Array = npt.NDArray[np.float64]
 SERVO_STEP = 0.02  # of the shortest time in which a servo answers: back-EMF then acts right to a percent

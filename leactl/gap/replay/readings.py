@@ -10,8 +10,8 @@ from leactl.effects.plant import Array, Becomes, Course
 from leactl.gap.replay.drive import over_samples
 from leactl.gap.replay.heat import resistance_share
 from leactl.gap.replay.job import Job
-from leactl.gap.smoothing import smooth
-from leactl.gap.stamps import restamped
+from leactl.gap.signals.smoothing import smooth
+from leactl.gap.signals.stamps import restamped
 
 STAMPED_BY = {"velocity": "velocity", "torque": "torque_channel", "q_axis_voltage": "voltage"}  # equations
 REMEMBERED_S = 0.2  # of the motion before a start that filters may remember

@@ -3,8 +3,8 @@
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.noise import noise_of
 from leactl.gap.replay.job import Array, Job
+from leactl.gap.signals.noise import noise_of
 
 HALF_S = 4e-3  # to either side of the start: short against the change of speed, long against the encoder's steps
 

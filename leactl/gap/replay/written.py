@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from leactl import __version__
 from leactl.errors import InputError
-from leactl.gap.record import Clocked, Key, read_record
 from leactl.gap.replay import replay
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.readings import angle
-from leactl.gap.rig import fed_by_voltage
+from leactl.gap.signals.record import Clocked, Key, read_record
+from leactl.gap.signals.rig import fed_by_voltage
 from leactl.model.nominal import read_model
 from leactl.quantities import ChannelSpec
 from leactl.runfile.description import RunInfo, new_run_id

@@ -6,19 +6,19 @@ from dataclasses import replace
 import numpy as np
 
 from leactl.gap.diagnosis import CalibratedParameter, Cause, EffectParameter, Shrinkage
-from leactl.gap.judge import UNCONFIRMED
-from leactl.gap.parameters import LEAST_MODEL_ERROR, UNITS, with_effects
-from leactl.gap.record import Record
+from leactl.gap.planning.separating import separating_experiment
 from leactl.gap.replay import replay_all
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.plants import plant_of
-from leactl.gap.rig import drive_of
-from leactl.gap.separating import separating_experiment
+from leactl.gap.search.parameters import LEAST_MODEL_ERROR, UNITS, with_effects
 from leactl.gap.servo.fit import Fitted
 from leactl.gap.servo.ladder import OWN, Ladder
 from leactl.gap.servo.profile import shifted
 from leactl.gap.servo.runs import side_by_side
 from leactl.gap.servo.simulation import FREE
+from leactl.gap.signals.record import Record
+from leactl.gap.signals.rig import drive_of
+from leactl.gap.verdict.judge import UNCONFIRMED
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 

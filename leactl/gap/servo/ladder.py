@@ -14,15 +14,15 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.evidence import rows_per_independent
-from leactl.gap.judge import UNCONFIRMED, presence
-from leactl.gap.record import Record
-from leactl.gap.regression import Candidate
+from leactl.gap.search.evidence import rows_per_independent
+from leactl.gap.search.regression import Candidate
 from leactl.gap.servo.fit import SETTLED, Fitted, Measured, cost, fit
 from leactl.gap.servo.limits import DRIVE, acts, as_fitted, as_told, drive_starts
 from leactl.gap.servo.profile import PROFILE
 from leactl.gap.servo.runs import ServoRuns, servo_runs, side_by_side
 from leactl.gap.servo.simulation import Parameters, parts_of, table
+from leactl.gap.signals.record import Record
+from leactl.gap.verdict.judge import UNCONFIRMED, presence
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
-from leactl.gap.evidence import PRIORS
-from leactl.gap.record import Clocked, Record
-from leactl.gap.rig import drive_of, load_of
-from leactl.gap.servo.times import FORGETS, STEPS, times_of
+from leactl.gap.replay.servo_times import FORGETS, STEPS, times_of
+from leactl.gap.search.evidence import PRIORS
+from leactl.gap.signals.record import Clocked, Record
+from leactl.gap.signals.rig import drive_of, load_of
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]

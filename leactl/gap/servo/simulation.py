@@ -13,10 +13,10 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from leactl.gap.replay.servo_times import STEPS
 from leactl.gap.servo.profile import SLOWNESS, SLUGGISHNESS, SetPoints
 from leactl.gap.servo.runs import ServoRuns
 from leactl.gap.servo.stretches import Stretches, whole_runs
-from leactl.gap.servo.times import STEPS
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
 from leactl.gap.diagnosis import Cause, EffectParameter, Picture
-from leactl.gap.record import SMOOTHED, Key, Record
+from leactl.gap.signals.record import SMOOTHED, Key, Record
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.gap.diagnosis import EffectParameter
-from leactl.gap.noise import noise_of
-from leactl.gap.record import Key, Record
 from leactl.gap.setup.contract import SetUpFault, with_values
 from leactl.gap.setup.lateness import Lateness, lateness, width_of
 from leactl.gap.setup.side_by_side import Pair, direct_pairs
-from leactl.gap.smoothing import slope, smooth
+from leactl.gap.signals.noise import noise_of
+from leactl.gap.signals.record import Key, Record
+from leactl.gap.signals.smoothing import slope, smooth
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.record import Key
 from leactl.gap.setup.relations import CONSTANT, OF_CONSTANT, TIGHT, USUAL, Factor
+from leactl.gap.signals.record import Key
 
 Array = npt.NDArray[np.float64]
 SURPRISE = 9.0  # squares of standard deviations, that a fault has to explain

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
-from leactl.gap.noise import noise_of
-from leactl.gap.smoothing import slope, smooth
+from leactl.gap.signals.noise import noise_of
+from leactl.gap.signals.smoothing import slope, smooth
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

@@ -8,10 +8,10 @@ import numpy.typing as npt
 
 from leactl.gap.diagnosis import Bin, Picture
 from leactl.gap.over import bin_count, bin_edges, bin_of, means
-from leactl.gap.record import Record
 from leactl.gap.setup.lateness import STRETCHES
 from leactl.gap.setup.side_by_side import Pair, direct_pairs, modelled_pairs
-from leactl.gap.smoothing import slope, smooth
+from leactl.gap.signals.record import Record
+from leactl.gap.signals.smoothing import slope, smooth
 from leactl.model.nominal import Model
 from leactl.quantities import UNITS
 from leactl.vocabulary.variable import VARIABLES, Variable

@@ -13,10 +13,10 @@ import numpy.typing as npt
 from scipy.ndimage import binary_opening, maximum_filter1d
 
 from leactl.effects.shapes import play
-from leactl.gap.noise import noise_of
-from leactl.gap.record import Clocked, Record
-from leactl.gap.rig import fed_by_voltage
-from leactl.gap.smoothing import BASE, slope, smooth
+from leactl.gap.signals.noise import noise_of
+from leactl.gap.signals.record import Clocked, Record
+from leactl.gap.signals.rig import fed_by_voltage
+from leactl.gap.signals.smoothing import BASE, slope, smooth
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]

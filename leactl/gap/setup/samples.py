@@ -7,9 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.gap.diagnosis import EffectParameter
-from leactl.gap.noise import noise_of
-from leactl.gap.record import Clocked, Key, Record, smallest_step
 from leactl.gap.setup.contract import SetUpFault, left_out, with_values
+from leactl.gap.signals.noise import noise_of
+from leactl.gap.signals.record import Clocked, Key, Record, smallest_step
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]

@@ -10,11 +10,11 @@ from dataclasses import replace
 from functools import partial
 
 from leactl.gap.diagnosis import EffectParameter
-from leactl.gap.record import Clocked, Key, Record
 from leactl.gap.setup.contract import SetUpFault, with_values
 from leactl.gap.setup.conventions import CURRENTS, NEAR, UNITS, convention, step_of_time, whole
 from leactl.gap.setup.hypotheses import ANGLE, TIME, Spoken, pooled, spoken_for, usual
 from leactl.gap.setup.relations import TIGHT, USUAL, Factor, factors_of
+from leactl.gap.signals.record import Clocked, Key, Record
 from leactl.model.nominal import Model
 
 SIGN, SCALE, COUNTS, POLES, TIME_BASE = "channel_sign", "channel_scale", "encoder_counts", "pole_pairs", "time_base"

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.record import Clocked, Key, Record
 from leactl.gap.setup.relations import Motion, driving, motion_of, taken_of_voltage
-from leactl.gap.smoothing import smooth
+from leactl.gap.signals.record import Clocked, Key, Record
+from leactl.gap.signals.smoothing import smooth
 from leactl.model.nominal import Model
 from leactl.vocabulary.variable import Variable
 

@@ -14,9 +14,9 @@ from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from leactl.effects.contract import Signals
 from leactl.effects.shapes import play
-from leactl.gap.noise import noise_of, quantum_of
-from leactl.gap.record import Clocked, Record, smallest_step
-from leactl.gap.smoothing import middle, sharp_senses, slope, smooth
+from leactl.gap.signals.noise import noise_of, quantum_of
+from leactl.gap.signals.record import Clocked, Record, smallest_step
+from leactl.gap.signals.smoothing import middle, sharp_senses, slope, smooth
 from leactl.model.nominal import BenchModel, Model
 from leactl.model.sheet import Thermal
 from leactl.model.thermal_network import ThermalNetwork

@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
-from leactl.gap.record import FEWEST, PAUSED, Clocked, Record, bridging_interval, is_slow, record_of
 from leactl.gap.replay.job import parts_of
-from leactl.gap.scales import TOP, speeds
-from leactl.gap.smoothing import smooth
+from leactl.gap.signals.record import FEWEST, PAUSED, Clocked, Record, bridging_interval, is_slow, record_of
+from leactl.gap.signals.scales import TOP, speeds
+from leactl.gap.signals.smoothing import smooth
 from leactl.quantities import ChannelSpec
 from leactl.runfile.integrity import refuse_altered
 from leactl.runfile.layout import BLOCK_ROWS

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects import library
-from leactl.gap.evidence import Evidence
-from leactl.gap.regression import Candidate, Fit, Normal, Stack, gain_of
+from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.regression import Candidate, Fit, Normal, Stack, gain_of
 from leactl.vocabulary.effect import effect_definition
 
 Array = npt.NDArray[np.float64]

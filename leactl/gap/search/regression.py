@@ -14,7 +14,7 @@ import numpy.typing as npt
 from leactl.effects import library
 from leactl.effects.contract import Form, Signals, Terms
 from leactl.gap.equations.contract import Equation
-from leactl.gap.smoothing import thinned, thinned_index
+from leactl.gap.signals.smoothing import thinned, thinned_index
 
 Array = npt.NDArray[np.float64]
 Column = tuple[str, ...]  # ("calibration", name), ("nuisance", run, name), ("effect", effect, form, coefficient)

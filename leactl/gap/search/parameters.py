@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from leactl.effects import library
 from leactl.gap.diagnosis import CalibratedParameter, EffectParameter
-from leactl.gap.evidence import PRIORS, Evidence
-from leactl.gap.regression import Candidate, Fit, disagreement
+from leactl.gap.search.evidence import PRIORS, Evidence
+from leactl.gap.search.regression import Candidate, Fit, disagreement
 from leactl.model.nominal import EffectEntry, Model, as_mapping
 from leactl.vocabulary.effect import effect_definition
 

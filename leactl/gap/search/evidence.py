@@ -17,9 +17,8 @@ from leactl import yamlfile
 from leactl.effects import library
 from leactl.effects.contract import Form
 from leactl.gap.equations import Equation, equations
-from leactl.gap.orders import strongest
-from leactl.gap.record import Record
-from leactl.gap.regression import (
+from leactl.gap.search.orders import strongest
+from leactl.gap.search.regression import (
     Candidate,
     Column,
     Fit,
@@ -33,8 +32,9 @@ from leactl.gap.regression import (
     residuals,
     stack,
 )
-from leactl.gap.scales import form_scales, scales, widest
-from leactl.gap.stamp_fit import overdue, pin, stamping
+from leactl.gap.search.stamp_fit import overdue, pin, stamping
+from leactl.gap.signals.record import Record
+from leactl.gap.signals.scales import form_scales, scales, widest
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 
@@ -298,7 +298,7 @@ def every_form(forms: Mapping[str, Sequence[Form]]) -> list[Candidate]:
 @cache
 def table() -> dict[str, dict[str, float]]:
     """Sizes and unrest that equations of other authors leave where nothing is wrong, in units of the machine."""
-    entry = resources.files("leactl.gap") / "floors.yaml"
+    entry = resources.files("leactl.gap.search") / "floors.yaml"
     found: dict[str, dict[str, float]] = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data
     return found
 

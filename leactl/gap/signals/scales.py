@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from leactl.gap.record import Array, Clocked, Record
+from leactl.gap.signals.record import Array, Clocked, Record
 from leactl.model.nominal import Model
 
 TOP = 0.999  # quantile of a run's speeds that counts as its highest

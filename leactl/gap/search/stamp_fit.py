@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.regression import Fit, Rows, Stack
-from leactl.gap.stamps import TAPS, lateness, tap_name
+from leactl.gap.search.regression import Fit, Rows, Stack
+from leactl.gap.signals.stamps import TAPS, lateness, tap_name
 
 Array = npt.NDArray[np.float64]
 LATEST = 3.0  # samples: one of each channel, half of one each for an input that is held and a loop that is sampled

@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from leactl.effects.contract import Signals
 from leactl.effects.shapes import play
-from leactl.gap.record import Clocked, Record
-from leactl.gap.signals import averaged
-from leactl.gap.smoothing import smooth
+from leactl.gap.signals.derived import averaged
+from leactl.gap.signals.record import Clocked, Record
+from leactl.gap.signals.smoothing import smooth
 from leactl.model.nominal import DriveModel, LoadModel, Model
 
 Array = npt.NDArray[np.float64]

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.record import Clocked
+from leactl.gap.signals.record import Clocked
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leactl.gap.evidence import Evidence
-from leactl.gap.record import Record
-from leactl.gap.regression import Candidate, Column, Fit, Normal
+from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.regression import Candidate, Column, Fit, Normal
+from leactl.gap.signals.record import Record
 
 
 def held_out_gains(evidence: Evidence, hypothesis: Sequence[Candidate], held_out: Sequence[Record]) -> list[float]:

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.effects import library
-from leactl.gap.evidence import Evidence
-from leactl.gap.regression import Candidate, Rows
-from leactl.gap.ringing import Line
-from leactl.gap.search import LOOSE, Finding, Found
+from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.regression import Candidate, Rows
+from leactl.gap.search.ringing import Line
+from leactl.gap.search.sets import LOOSE, Finding, Found
 
 EXACT_FORM_ERROR = 0.0005
 RIVAL_FORM_ERROR = 0.005  # of a gain, standard deviation of the difference of two forms that are both nearly right

@@ -12,9 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.contract import Signals
-from leactl.gap.confirm import transferred
 from leactl.gap.diagnosis import Bin, Cause, Picture
-from leactl.gap.evidence import Evidence
 from leactl.gap.over import (
     ACTS,
     FOLLOWED,
@@ -29,11 +27,13 @@ from leactl.gap.over import (
     periods_of,
     turned,
 )
-from leactl.gap.record import Record
-from leactl.gap.regression import Candidate, Fit, Rows, residuals
 from leactl.gap.replay.compared import Compared
-from leactl.gap.smoothing import slope
-from leactl.gap.where import variable_of
+from leactl.gap.search.confirm import transferred
+from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.regression import Candidate, Fit, Rows, residuals
+from leactl.gap.signals.record import Record
+from leactl.gap.signals.smoothing import slope
+from leactl.gap.verdict.where import variable_of
 from leactl.quantities import UNITS
 from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.variable import VARIABLES, Variable

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.record import Clocked, Key, Record
+from leactl.gap.signals.record import Clocked, Key, Record
 
 Array = npt.NDArray[np.float64]
 TAPS = np.array([-3, -2, -1, 1, 2, 3])  # samples

@@ -10,16 +10,16 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects import library
-from leactl.gap.additive import SURE, Function, Sample, borne_out, certainty, learn, slow_gain
-from leactl.gap.confirm import transferred
 from leactl.gap.diagnosis import Near, Picture, Rest
-from leactl.gap.evidence import Evidence
-from leactl.gap.judge import HALF, Judged, presence
-from leactl.gap.orders import periodogram, turns
-from leactl.gap.picture import OF_SIGNALS, Part, channel_of, picture_of, view_of
-from leactl.gap.record import Record
-from leactl.gap.regression import Candidate, Fit, Rows, Stack, residuals
-from leactl.gap.search import ENTRY, Finding, Found
+from leactl.gap.search.confirm import transferred
+from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.orders import periodogram, turns
+from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
+from leactl.gap.search.sets import ENTRY, Finding, Found
+from leactl.gap.signals.record import Record
+from leactl.gap.verdict.additive import SURE, Function, Sample, borne_out, certainty, learn, slow_gain
+from leactl.gap.verdict.judge import HALF, Judged, presence
+from leactl.gap.verdict.picture import OF_SIGNALS, Part, channel_of, picture_of, view_of
 from leactl.protocol import protocolfile
 from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.variable import Variable

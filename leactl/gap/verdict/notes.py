@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 
 from leactl.effects import library
-from leactl.gap.evidence import Evidence, Null
-from leactl.gap.record import Record
+from leactl.gap.search.evidence import Evidence, Null
+from leactl.gap.signals.record import Record
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from leactl.gap.diagnosis import CalibratedParameter, Cause, Near
-from leactl.gap.parameters import at_bound, with_calibration, with_effects
-from leactl.gap.shrinkage import NEAR_FLOOR, Shrunk
+from leactl.gap.search.parameters import at_bound, with_calibration, with_effects
+from leactl.gap.verdict.shrinkage import NEAR_FLOOR, Shrunk
 from leactl.model.nominal import Model
 
 Simulate = Callable[[Model, Model], Shrunk]

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
-from leactl.gap.evidence import Evidence
-from leactl.gap.regression import Fit, Rows, residuals
+from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.regression import Fit, Rows, residuals
 
 Array = npt.NDArray[np.float64]
 SEGMENT = 64  # rows

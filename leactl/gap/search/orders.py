@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects import library
-from leactl.gap.regression import Candidate, Fit, Rows, Stack, residuals
+from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
 
 Array = npt.NDArray[np.float64]
 TORQUE = ("free_torque", "axis_torque", "both_torque", "coupled_torque")

@@ -18,9 +18,9 @@ from leactl.gap.over import (
     periods_of,
     turned,
 )
-from leactl.gap.record import Clocked, Record
 from leactl.gap.replay.compared import Compared
-from leactl.gap.smoothing import smooth
+from leactl.gap.signals.record import Clocked, Record
+from leactl.gap.signals.smoothing import smooth
 from leactl.quantities import UNITS
 from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.variable import VARIABLES
