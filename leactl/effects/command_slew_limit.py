@@ -22,7 +22,8 @@ class CommandSlewLimit(Effect):
         """What the limit takes from the model's current."""
         if signals.following is None:
             return {}
-        slow = rate_limited(signals.following, form[0] * signals.interval)
+        flows = None if signals.current is None else float(signals.current[0])  # a run may begin on the way
+        slow = rate_limited(signals.following, form[0] * signals.interval, flows)
         return {"current_following": {"strength": slow - signals.following}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:

@@ -41,11 +41,11 @@ def bristle(angle: Array, displacement: float) -> Array:
     return np.array([state := state * d + g for d, g in zip(decay.tolist(), gain.tolist(), strict=True)], np.float64)
 
 
-def rate_limited(values: Array, step: float) -> Array:
-    """What follows values by no more than a step at a time."""
-    if float(np.max(np.abs(np.diff(values)), initial=0.0)) <= step:
+def rate_limited(values: Array, step: float, begin: float | None = None) -> Array:
+    """What follows values by no more than a step at a time, from a beginning; by default from the first value."""
+    kept, out = float(values[0]) if begin is None else begin, list[float]()
+    if max(abs(float(values[0]) - kept), float(np.max(np.abs(np.diff(values)), initial=0.0))) <= step:
         return values
-    kept, out = float(values[0]), []
     for value in values.tolist():
         change = value - kept
         kept += step if change > step else -step if change < -step else change

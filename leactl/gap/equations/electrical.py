@@ -10,7 +10,7 @@ from leactl.gap.signals.ceiling import at_ceiling
 from leactl.gap.signals.derived import moved_by_a_servo
 from leactl.gap.signals.noise import noise_of, quantum_of
 from leactl.gap.signals.record import Record
-from leactl.gap.signals.setpoints import after_leaps
+from leactl.gap.signals.setpoints import after_leaps, settling
 from leactl.gap.signals.smoothing import slope, smooth
 from leactl.gap.signals.stamps import TAPS, neighbour, stamp_columns
 
@@ -111,7 +111,7 @@ def current(record: Record, s: Signals) -> Equation | None:
     nuisance = {"current_stamp_s": (-change, STAMPED * s.interval)}
     if moved_by_a_servo(clock):
         swift = np.abs(np.diff(s.following, prepend=s.following[0])) > SWIFT * noise_of(measured)
-        mask &= smooth(swift.astype(float), RECOVERS) < 1e-3
+        mask &= ~settling(swift, settles, s.interval)
         # the drive's own servo moves the reference between samples: when in the interval is not recorded
         nuisance["reference_sampling_s"] = (-change, 0.5 * s.interval)
     shared = stamp_columns(

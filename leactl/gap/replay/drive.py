@@ -26,8 +26,10 @@ def follow(job: Job) -> None:
         over = asked(job) + rounding(job)
         if not moved_by_a_servo(clock):
             over = led(over, plant.model.bench, job.step)
+        flows = clock.get("q_axis_current")
+        before = over[:1] if flows is None else flows[:1]  # a run may begin while its drive is on the way
         for becomes in plant.command:
-            over = becomes(over, job.step)
+            over = becomes(np.concatenate([before, over]), job.step)[1:]
         if plant.command_at_speed and (speed := speed_over_steps(job)) is not None:
             for becomes_at in plant.command_at_speed:
                 over = becomes_at(over, speed)

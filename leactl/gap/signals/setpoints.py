@@ -83,11 +83,15 @@ def leaps(reference: Array) -> Array:
     return np.concatenate([[0.0], np.where(bends > LEAP * near, bends, 0.0), [0.0]])
 
 
-def after_leaps(reference: Array, noise: float, settling: float, interval: float) -> Mask:
+def after_leaps(reference: Array, noise: float, settles: float, interval: float) -> Mask:
     """Rows at which a current depends on when inside its interval a leap came into force; a loop settles meanwhile."""
-    rows = 2 + math.ceil(SETTLES * settling / interval)
-    leaping = leaps(reference) > TELLING * noise
-    return np.asarray(np.convolve(leaping, np.ones(rows))[: len(leaping)] > 0.5, np.bool_)
+    return settling(leaps(reference) > TELLING * noise, settles, interval)
+
+
+def settling(changing: Mask, settles: float, interval: float) -> Mask:
+    """Rows from the one before a change on, until a loop of this time constant [s] has forgotten when it came."""
+    rows = 3 + math.ceil(SETTLES * settles / interval)
+    return np.asarray(np.convolve(changing, np.ones(rows))[1 : len(changing) + 1] > 0.5, np.bool_)
 
 
 def setpoint_notes(records: Sequence[Record]) -> tuple[str, ...]:

@@ -1,0 +1,32 @@
+"""Rows in which a current is on its way: after a change whose moment no row tells, and where a run begins so."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from leactl.effects import library
+from leactl.gap.signals.derived import fast_signals
+from leactl.gap.signals.setpoints import SETTLES, settling
+from tests.gap.synthetic import clocked, model, record
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=60), st.floats(0.0, 0.01))
+def test_a_row_is_settling_from_before_a_change_until_the_loop_has_forgotten_it(changing, settles):
+    found = settling(np.array(changing), settles, 1e-3)
+    after = 1 + math.ceil(SETTLES * settles / 1e-3)
+    assert found.tolist() == [any(changing[max(row - after, 0) : row + 2]) for row in range(len(changing))]
+
+
+@pytest.mark.parametrize("begin", [0.0, -2.0, 1.5])
+def test_a_slew_limited_drive_may_begin_a_run_on_its_way(begin):
+    count, interval, rate, asked = 400, 1e-3, 20.0, 2.0
+    flowing = np.minimum(begin + rate * interval * np.arange(1, count + 1), asked)
+    channels = {("q_axis_current_reference", "test"): asked, ("q_axis_current", "test"): flowing}
+    run = replace(record("free"), fast=clocked(count, interval, channels), slow=None)
+    signals = fast_signals(run, model(), None)
+    limited = library()["command_slew_limit"].terms(signals, (rate,))["current_following"]["strength"]
+    assert signals.following + limited == pytest.approx(flowing, abs=0.1)
