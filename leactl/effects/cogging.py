@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.contract import Array, Effect, Form, Signals, Terms
 from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
@@ -22,11 +22,11 @@ class Cogging(Effect):
         """Sine and cosine of the angle times each order, as torque that drives the rotor."""
         if signals.angle is None:
             return {}
-        waves = {}
+        waves: dict[str, Array] = {}
         for place, order in enumerate(form):
             further = f"_{order:g}" if place else ""
-            waves[f"cos{further}"] = -np.cos(order * signals.angle)
-            waves[f"sin{further}"] = -np.sin(order * signals.angle)
+            cosine, sine = signals.waves(order)
+            waves |= {f"cos{further}": -cosine, f"sin{further}": -sine}
         return {"drag": waves}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:

@@ -5,7 +5,7 @@ rotor, a factor on the torque constant, something the torque channel reads. An e
 each of its coefficients, and turns fitted coefficients into the parameters of its definition.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from typing import ClassVar
@@ -75,6 +75,7 @@ class Signals:
     following: Array | None = None  # A, what the model's loop makes of the reference
     voltage: Array | None = None
     angle: Array | None = None
+    sharp_angle: Array | None = None  # rad, mean over the interval that ends at each sample, not smoothed
     velocity: Array | None = None
     acceleration: Array | None = None
     sliding: Array | None = None
@@ -93,6 +94,23 @@ class Signals:
     line_current: Array | None = None
     bus_voltage: Array | None = None
     extra: dict[str, Array] = field(default_factory=dict)
+    smoothed: Callable[[Array], Array] = np.asarray  # as torques and accelerations are
+
+    def waves(self, order: float) -> tuple[Array, Array]:
+        """Cosine and sine of the angle times an order, as the mean over an interval and the smoothing leave them.
+
+        Of a wave that turns by more than half of its period from one sample to the next nothing is left.
+
+        Raises
+        ------
+        ValueError : the run has no angle.
+        """
+        if self.angle is None or self.velocity is None:
+            raise ValueError("waves over the angle of a run that has none")
+        turned = order * (self.angle if self.sharp_angle is None else self.sharp_angle)
+        advance = order * np.abs(self.velocity) * self.interval
+        left = np.where(advance < np.pi, np.sinc(advance / (2.0 * np.pi)), 0.0)
+        return self.smoothed(left * np.cos(turned)), self.smoothed(left * np.sin(turned))
 
 
 class Effect:
@@ -101,6 +119,7 @@ class Effect:
     name: ClassVar[str]
     forms: ClassVar[Sequence[Form]] = ((),)  # values of its non-linear parameters that are tried, in
     form_scales: ClassVar[tuple[str, ...]] = ()  # the machine's scales; pure numbers where left out
+    relative_to: ClassVar[tuple[str, ...]] = ()  # the model's parameters whose part in a torque it is a share of
     one_sided: ClassVar[bool] = False  # whether its coefficient makes sense above zero only
     least: ClassVar[float] = 0.0  # size below which it is something else
     continuous: ClassVar[bool] = True  # whether values between those of its forms make sense

@@ -29,7 +29,8 @@ class GravityLoad(Effect):
         """Cosine and sine of the joint's angle, as torque that the drive has to hold."""
         if signals.angle is None:
             return {}
-        return {"drag": {"cos": np.cos(signals.angle), "sin": np.sin(signals.angle)}}
+        cosine, sine = signals.waves(1.0)
+        return {"drag": {"cos": cosine, "sin": sine}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Amplitude and phase."""

@@ -14,6 +14,7 @@ class PositionDependentFriction(Effect):
     """Friction that varies over a turn."""
 
     name = "position_dependent_friction"
+    relative_to = ("coulomb_friction",)
     continuous = False
     forms = tuple((float(order),) for order in range(1, 13))
 
@@ -27,8 +28,8 @@ class PositionDependentFriction(Effect):
         ):
             return {}
         sliding = signals.model.coulomb_friction * signals.sliding
-        turned = form[0] * signals.angle
-        return {"drag": {"cos": sliding * np.cos(turned), "sin": sliding * np.sin(turned)}}
+        cosine, sine = signals.waves(form[0])
+        return {"drag": {"cos": sliding * cosine, "sin": sliding * sine}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Amplitude, order and phase."""

@@ -22,8 +22,8 @@ class TorqueRipple(Effect):
         """Sine and cosine of the angle times the order, relative."""
         if signals.angle is None or signals.current is None:
             return {}
-        turned = form[0] * signals.angle
-        return {"torque_factor": {"cos": np.cos(turned), "sin": np.sin(turned)}}
+        cosine, sine = signals.waves(form[0])
+        return {"torque_factor": {"cos": cosine, "sin": sine}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Amplitude, order and phase of the strongest order."""

@@ -19,7 +19,8 @@ class TorqueSensorCrosstalk(Effect):
         """Sine and cosine of the angle."""
         if signals.torque is None or signals.mechanical == "free" or signals.angle is None:
             return {}
-        return {"torque_reading": {"cos": np.cos(signals.angle), "sin": np.sin(signals.angle)}}
+        cosine, sine = signals.waves(1.0)
+        return {"torque_reading": {"cos": cosine, "sin": sine}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Amplitude and phase."""

@@ -27,8 +27,8 @@ class Unbalance(Effect):
         """Sine and cosine of the rotor's angle, as torque that drives it."""
         if signals.angle is None:
             return {}
-        turned = signals.model.gear_ratio * signals.angle
-        return {"drag": {"cos": -np.cos(turned), "sin": -np.sin(turned)}}
+        cosine, sine = signals.waves(signals.model.gear_ratio)
+        return {"drag": {"cos": -cosine, "sin": -sine}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Amplitude and phase."""

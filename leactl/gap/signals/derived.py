@@ -45,7 +45,7 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
     if clock is None:
         return None
     dt = clock.interval
-    s = Signals(record.mechanical, clock.since_begin, model, dt, record.name, clock.fastest)
+    s = Signals(record.mechanical, clock.since_begin, model, dt, record.name, clock.fastest, smoothed=smooth)
     current = averaged(clock, "q_axis_current")
     reference = clock.get("q_axis_current_reference")
     if reference is not None and model.bench.current_loop_bandwidth:
@@ -66,7 +66,8 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
     angle = clock.get("angle")
     if angle is not None:
         speed = np.diff(angle, prepend=angle[0]) / dt
-        s.angle = smooth(middle(angle))
+        s.sharp_angle = middle(angle)
+        s.angle = smooth(s.sharp_angle)
         s.velocity = smooth(speed)
         s.acceleration = slope(s.velocity, dt)
         s.sliding = smooth(sharp_senses(speed, smallest_step(angle) / dt))
