@@ -13,6 +13,7 @@ class AsymmetricFriction(Effect):
     """Friction that differs by direction."""
 
     name = "asymmetric_friction"
+    relative_to = ("coulomb_friction",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """A constant drag while the shaft turns."""

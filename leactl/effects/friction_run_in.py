@@ -14,6 +14,7 @@ class FrictionRunIn(Effect):
     """Friction that settles with use."""
 
     name = "friction_run_in"
+    relative_to = ("coulomb_friction", "viscous_damping")
     one_sided = True
     forms = ((0.05,), (0.15,), (0.4,), (0.8,))
     form_scales = ("longest run",)

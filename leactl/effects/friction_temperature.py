@@ -12,6 +12,7 @@ class FrictionTemperature(Effect):
     """Friction that changes with temperature."""
 
     name = "friction_temperature"
+    relative_to = ("coulomb_friction", "viscous_damping")
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """Nominal friction times the rise."""

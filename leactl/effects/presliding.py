@@ -12,6 +12,7 @@ class Presliding(Effect):
     """Friction that lags behind a reversal."""
 
     name = "presliding"
+    relative_to = ("coulomb_friction",)
     one_sided = True
     explains = 0.6  # the curve of bristles differs from one bearing to the next
     shaped = True

@@ -13,6 +13,7 @@ class Stribeck(Effect):
     """Excess friction near zero speed."""
 
     name = "stribeck"
+    relative_to = ("coulomb_friction",)
     one_sided = True
     forms = tuple((speed, shape) for shape in (1.0, 2.0) for speed in (0.0035, 0.009, 0.02, 0.045, 0.1))
     form_scales = ("highest speed",)

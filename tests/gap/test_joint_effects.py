@@ -84,3 +84,20 @@ def test_a_sound_machine_has_none_of_them(tmp_path):
     found = diagnose(case)
     assert found.verdict in ("none", "calibration")
     assert named(found) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "kind", "near"),
+    [
+        ("asymmetric_friction", "asymmetry", "gimbal_motor", 0.03),
+        ("position_dependent_friction", "amplitude", "exoskeleton", 0.05),
+        ("friction_run_in", "excess", "spindle", 0.1),
+    ],
+)
+def test_a_share_of_friction_is_told_of_the_friction_that_was_fitted(tmp_path, name, parameter, kind, near):
+    case, run = drawn_case(tmp_path, kind, [name], seed=4)
+    friction = run.specimen.coulomb_friction / case.model.coulomb_friction
+    assert abs(friction - 1.0) > 2.0 * near, "the model file's friction has to be off by more than what is asked for"
+    cause = next(cause for cause in diagnose(case).causes if cause.effect == name)
+    told = {item.name: item.value for item in cause.parameters}
+    assert told[parameter] == pytest.approx(run.parameter(name, parameter), rel=near)

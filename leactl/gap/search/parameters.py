@@ -147,13 +147,39 @@ def with_effects(model: Model, effects: Sequence[tuple[str, Mapping[str, float]]
     return model.model_copy(update={"effects": [*model.effects, *added]})
 
 
+def fitted_over_nominal(evidence: Evidence, fit: Fit, candidate: Candidate) -> float:
+    """By what a fit changes the part of the model that an effect is a share of, in the rows that show the effect.
+
+    Of several parameters each counts as much as its part there.
+    """
+    stack, parameters = evidence.stack, library()[candidate[0]].relative_to
+    shown = evidence.columns(candidate)
+    changes = {place: float(value) for place, value in zip(fit.columns.tolist(), fit.values, strict=True)}
+    bases = [stack.place[name] for p in parameters if (name := ("calibration", p)) in stack.place]
+    nominal = fitted = 0.0
+    for gram, local, weight in zip(stack.grams, stack.local, evidence.weights, strict=True):
+        own = [place for place in bases if place in local]
+        if not own or not np.isin(shown, local).any():
+            continue
+        at = [1 + int(np.flatnonzero(local == place)[0]) for place in own]
+        power = weight * gram[np.ix_(at, at)].sum(axis=1)
+        nominal += float(power.sum())
+        fitted += float(power @ [1.0 + changes.get(place, 0.0) for place in own])
+    return fitted / nominal if nominal > 0.0 and fitted > 0.0 else 1.0
+
+
 def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tuple[EffectParameter, ...]:
-    """Parameters of one effect of a fitted hypothesis, with standard errors by linear propagation."""
+    """Parameters of one effect of a fitted hypothesis, with standard errors by linear propagation.
+
+    Shares of a parameter of the model are told of its fitted value: a model file holds both.
+    """
     name, form = candidate
     places = [int(np.flatnonzero(fit.columns == place)[0]) for place in evidence.columns(candidate)]
     names = [evidence.coefficient(place) for place in evidence.columns(candidate)]
     values, spread = fit.values[places], fit.covariance[np.ix_(places, places)]
     effect, model = library()[name], evidence.model
+    fitted = fitted_over_nominal(evidence, fit, candidate)
+    values, spread = values / fitted, spread / fitted**2
 
     def at(coefficients: Array) -> dict[str, float]:
         return effect.parameters(form, dict(zip(names, coefficients.tolist(), strict=True)), model)
