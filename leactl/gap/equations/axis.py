@@ -1,7 +1,5 @@
 """Torque balance of a foreign axis: driven by a servo, a logged force or voltage, loaded by a weight, or creeping."""
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 
@@ -10,7 +8,7 @@ from leactl.gap.equations.contract import Equation, Place
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import Clocked, Record
 from leactl.gap.signals.rig import drive_of, fed_by_voltage, in_motion, load_of
-from leactl.gap.signals.smoothing import BASE, slope, smooth
+from leactl.gap.signals.smoothing import noise_of_acceleration, slope, smooth
 from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
@@ -96,12 +94,10 @@ def even_width(clock: Clocked, s: Signals, inertia: float) -> float:
 
     That noise is in what inertia takes: where it counts, a fit gives the inertia away and makes up something else.
     """
-    noise = noise_of(clock.values["angle", "test"]) / s.interval**2 if s.angle is not None else 0.0
+    noise = noise_of(clock.values["angle", "test"]) if s.angle is not None else 0.0
     largest = EVEN * float(np.sqrt(np.mean(s.extra["fed"] ** 2)))
     for width in WIDTHS:
-        # of the second derivative of a Gaussian: its squares add up to 3 / (8 sqrt(pi) spread^5)
-        spread = math.hypot(BASE, width)
-        if inertia * noise * math.sqrt(3.0 / (8.0 * math.sqrt(math.pi) * spread**5)) <= largest:
+        if inertia * noise_of_acceleration(noise, s.interval, width) <= largest:
             return width
     return WIDTHS[-1]
 

@@ -9,12 +9,14 @@ from leactl.gap.equations.motion import load_lag
 from leactl.gap.signals.derived import averaged, held
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import Clocked, Record
-from leactl.gap.signals.smoothing import middle, sharp_senses, slope, smooth
+from leactl.gap.signals.smoothing import middle, noise_of_acceleration, sharp_senses, slope, smooth
 from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
 SLOW_SHARE = 0.005  # of a run's highest speed, below which it may stand as well
 SWING_REACH = 8.0  # samples
+SHARPER, EVENED = ((1.0, 2), (2.0, 4)), (4.0, 8)  # samples, smoothing of rows and their distance
+QUIET = 0.01  # of an acceleration, that its noise may have
 STICKING_PRIOR = 0.5  # of nominal Coulomb friction
 
 
@@ -47,7 +49,38 @@ def free(record: Record, s: Signals) -> Equation | None:
     mask = moving(s, s.velocity, 4.0) & s.resolved & record.fast.all_valid(*keys)
     shared = stamp_columns("free_torque", record.fast, keys, -drive)
     stamp = {"torque_stamp_s": (slope(drive, s.interval), STAMPED * s.interval)}
-    return Equation("free_torque", "velocity", "test", "N*m", left, s, mask, places, calibration, stamp, shared)
+    width, step = sharpest(record.fast, s)
+    return Equation(
+        "free_torque",
+        "velocity",
+        "test",
+        "N*m",
+        left,
+        s,
+        mask,
+        places,
+        calibration,
+        stamp,
+        shared,
+        width=width,
+        step=step,
+    )
+
+
+def sharpest(clock: Clocked, s: Signals) -> tuple[float, int]:
+    """Least smoothing of rows, and their distance, at which an angle's noise hardly counts in its acceleration.
+
+    That noise is in the column of the inertia too, and pulls what a fit makes of it towards zero by its share of the
+    column's power. Less smoothing shows waves over the angle of higher orders.
+    """
+    assert s.acceleration is not None
+    angle = clock.get("angle")
+    if angle is not None:
+        noise, quiet = noise_of(angle), QUIET * float(np.sqrt(np.mean(s.acceleration**2)))
+        for width, step in SHARPER:
+            if noise_of_acceleration(noise, s.interval, width) <= quiet:
+                return width, step
+    return EVENED
 
 
 def coupled(record: Record, s: Signals) -> Equation | None:

@@ -4,18 +4,19 @@ Every order is tried against the same residual, so that the strongest must beat 
 noise would reach; the caller accounts for that by the number tried.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from leactl.effects import library
-from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
+from leactl.gap.search.regression import FEWEST_ROWS, Candidate, Fit, Rows, Stack, residuals
+from leactl.gap.signals.smoothing import BASE
 
 Array = npt.NDArray[np.float64]
 TORQUE = ("free_torque", "axis_torque", "both_torque", "coupled_torque")
-WIDTH = 4.5  # samples, the smoothing of a torque equation's rows
-CREEP_WIDTH = 1.0  # samples, the same of an axis that creeps
+CREEP_WIDTH = 1.0  # samples, smoothing of an axis that creeps
 FINEST = 0.35  # cycles a sample, beyond which a column has been smoothed away
 PERIODS = 2.0  # that a run must travel through before a wave is more than a bend
 APART = 1  # orders this close to a stronger one are its leakage
@@ -75,7 +76,7 @@ def periodogram(rows: Rows, left: Array, place: str, highest: int) -> Array:
         assert signals.current is not None
         size = (signals.model.torque_constant or 0.0) * signals.current[rows.index]
     cycles = speed * signals.interval / (2 * np.pi)  # of order one, a sample
-    width = WIDTH
+    width = math.hypot(BASE, rows.width)
     if "creep" in signals.extra:
         # it steps and rests: the pace of the whole run says more than that of a moment
         cycles, width = np.full_like(cycles, np.mean(cycles)), CREEP_WIDTH
@@ -88,7 +89,11 @@ def periodogram(rows: Rows, left: Array, place: str, highest: int) -> Array:
         if order < lowest:
             continue
         rate = order * cycles
-        gain = size * np.exp(-0.5 * (2 * np.pi * rate) ** 2 * width**2) * (rate < FINEST)
+        seen = np.exp(-0.5 * (2 * np.pi * rate) ** 2 * width**2) * (rate < FINEST)
+        power = seen**2
+        if float(power.sum()) ** 2 < FEWEST_ROWS * float(power @ power):
+            continue  # too few rows are slow enough to show it
+        gain = size * seen
         energy = float(np.sum(gain**2)) / 2.0
         if energy > 1e-12:
             out[order] = abs(np.sum(left * gain * wave)) ** 2 / (2.0 * energy)

@@ -45,6 +45,7 @@ class Rows:
     noise: float = 0.0  # standard deviation of a row
     dependence: float = 1.0  # rows per independent row
     levels: float = math.inf  # that a rounded channel takes
+    width: float = 0.0  # samples, smoothing of the rows
     gram: Array | None = None  # over [left_over, columns]; None where it is to be made
 
 
@@ -97,6 +98,7 @@ def rows_of(run: str, kind: str, equation: Equation, effects: dict[Column, Array
         equation.signals,
         max(white_noise(left), equation.rounding),
         levels=equation.levels,
+        width=equation.width,
     )
 
 

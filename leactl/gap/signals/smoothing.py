@@ -1,5 +1,7 @@
 """Sampled signals: a Gaussian that smooths and thins out, and derivatives taken on what is smoothed."""
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
@@ -61,6 +63,16 @@ def sharp_senses(speeds: Array, noise: float) -> Array:
     turning = np.zeros(len(even), np.bool_)
     turning[reach:-reach] = swift
     return np.where(turning, senses(speeds), found)
+
+
+def noise_of_acceleration(noise: float, interval: float, width: float) -> float:
+    """Standard deviation that white noise of an angle leaves in its second derivative under all smoothing.
+
+    width : samples, of the smoothing beyond `BASE`.
+    """
+    # of the second derivative of a Gaussian: its squares add up to 3 / (8 sqrt(pi) spread^5)
+    spread = math.hypot(BASE, width)
+    return noise / interval**2 * math.sqrt(3.0 / (8.0 * math.sqrt(math.pi) * spread**5))
 
 
 def kernel(width: float) -> Array:
