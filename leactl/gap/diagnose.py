@@ -9,7 +9,7 @@ import numpy as np
 
 from leactl.errors import InputError
 from leactl.gap.diagnosis import CalibratedParameter, Cause, Diagnosis, EffectParameter, Verdict
-from leactl.gap.null import measure
+from leactl.gap.null import compare, confirmed_beside_others, measure
 from leactl.gap.planning.separating import separating_experiment
 from leactl.gap.replay.stretches import read_records
 from leactl.gap.search.confirm import held_out_gains
@@ -161,12 +161,12 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
         )
     progress("measuring sound machines")
     null = measure(case.fitted, case.model)
-    evidence.compare_with(null)
+    compare(evidence, null)
     progress("searching effects")
-    found = search(evidence)
+    found = confirmed_beside_others(evidence, search(evidence))
     progress("trying them on held-out runs")
     gains = dict(zip(found.hypothesis, held_out_gains(evidence, found.hypothesis, case.held_out), strict=True))
-    judged = judge(evidence, found, gains)
+    judged = judge(evidence, found, {candidate: tried.gain for candidate, tried in gains.items()})
     heard = [not left_by_form(found, index) for index in range(len(evidence.stack.rows))]
     lines = ringing(evidence, evidence.settle(found.hypothesis), heard)
     restless = unrest(evidence, found)
@@ -207,6 +207,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
         refit,
         lambda tuned, augmented: shrinkage(replayed, case.model, tuned, augmented),
         bounded_fit=not by_runs,
+        in_equations={effect for (effect, _), tried in gains.items() if tried.least > 0.0 and not by_runs},
     )
     shrunk = applied.shrunk
     causes = borne_out(causes, applied)

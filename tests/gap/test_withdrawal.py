@@ -109,6 +109,17 @@ def test_runs_too_short_to_tell_chance_have_to_show_a_gap_that_shrinks(model, by
     assert bool(applied.fitted.causes) is named
 
 
+@pytest.mark.parametrize(("by_effects", "named"), [(-0.01, True), (0.0, False), (0.01, False)])
+def test_what_equations_show_beyond_chance_needs_a_replay_s_gap_that_shrinks_at_all(model, by_effects, named):
+    def simulate(calibrated, augmented):
+        by = (by_effects, -1.0) if augmented.effects else (0.0, 0.0)
+        return Shrunk((), (), (), (), Growth((-1.0, -1.0), by, False, False))
+
+    applied = apply(model, [SOUND], [[SATURATION]], beside(SOUND), simulate, in_equations={"saturation"})
+    assert bool(applied.fitted.causes) is named
+    assert not apply(model, [SOUND], [[SATURATION]], beside(SOUND), simulate).fitted.causes
+
+
 def test_calibration_with_which_the_gap_grows_leaves_the_model_as_it_was(model):
     applied = apply(model, [SOUND], [], beside(SOUND), simulated(0.2, 0.0))
     assert applied.calibrated == applied.augmented == model

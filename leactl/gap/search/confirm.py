@@ -1,43 +1,67 @@
 """What was learnt from some runs, tried on others: does an effect still take something away where it was not fitted?"""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from leactl.gap.search.evidence import Evidence
-from leactl.gap.search.regression import Candidate, Column, Fit, Normal
+from leactl.gap.search.regression import Candidate, Column, Fit, Normal, residuals
 from leactl.gap.signals.record import Record
 
+Array = npt.NDArray[np.float64]
+STRETCHES = 16  # of the rows of an equation and a run, drawn again as a whole
+RESAMPLED = 2000
+CHANCE = 0.025  # that a gain is below its interval
 
-def held_out_gains(evidence: Evidence, hypothesis: Sequence[Candidate], held_out: Sequence[Record]) -> list[float]:
-    """Weighted squares that each member takes away on held-out runs, its parameters and all others kept as fitted.
 
-    What belongs to a run alone, such as where its lock stands, is fitted there. NaN where these runs cannot tell.
+class HeldOutGain(NamedTuple):
+    """Weighted squares that an effect takes away on held-out runs; NaN where these cannot tell."""
+
+    gain: float
+    least: float  # the lower end of its interval, from stretches of these runs that are drawn again
+
+
+def held_out_gains(
+    evidence: Evidence, hypothesis: Sequence[Candidate], held_out: Sequence[Record], seed: int = 0
+) -> list[HeldOutGain]:
+    """What each member takes away on held-out runs, its parameters and all others kept as fitted.
+
+    What belongs to a run alone, such as where its lock stands, is fitted there. Of several members each is asked for as
+    much less chance.
     """
+    cannot_tell = HeldOutGain(np.nan, np.nan)
     if not held_out or not hypothesis:
-        return [np.nan] * len(hypothesis)
+        return [cannot_tell] * len(hypothesis)
     others = Evidence(held_out, evidence.model, only=list(hypothesis), pinned=evidence.pinned)
     if not others.stack.rows:
-        return [np.nan] * len(hypothesis)
+        return [cannot_tell] * len(hypothesis)
+    others.settle(hypothesis)
+    normal, random = others.normal(), np.random.default_rng(seed)
     evidence.settle(hypothesis)
-    whole = others_misfit(others, evidence, evidence.normal().fit(hypothesis), hypothesis, weigh=True)
+    whole = transferred(normal, evidence, evidence.normal().fit(hypothesis))
     gains = []
     for index in range(len(hypothesis)):
         if len(others.columns(hypothesis[index])) == 0:
-            gains.append(np.nan)
+            gains.append(cannot_tell)
             continue
         rest = [*hypothesis[:index], *hypothesis[index + 1 :]]
-        gains.append(others_misfit(others, evidence, evidence.normal().fit(rest), rest, weigh=False) - whole)
+        without = transferred(normal, evidence, evidence.normal().fit(rest))
+        taken = taken_by_stretch(normal, without, whole)
+        sums = taken[random.integers(0, len(taken), (RESAMPLED, len(taken)))].sum(axis=1)
+        least = float(np.quantile(sums, CHANCE / len(hypothesis)))
+        gains.append(HeldOutGain(without.misfit - whole.misfit, least))
     return gains
 
 
-def others_misfit(
-    others: Evidence, evidence: Evidence, fit: Fit, hypothesis: Sequence[Candidate], weigh: bool
-) -> float:
-    """Misfit of other runs with the shared coefficients of a fit; the runs' own nuisances are free."""
-    if weigh:
-        others.settle(hypothesis)
-    return transferred(others.normal(), evidence, fit).misfit
+def taken_by_stretch(normal: Normal, without: Fit, whole: Fit) -> Array:
+    """Weighted squares by which two fits differ in each stretch of every rows."""
+    taken = []
+    for index, weight in enumerate(normal.weights):
+        before, after = (residuals(normal.stack, fit, index) for fit in (without, whole))
+        taken += [weight * float(part.sum()) for part in np.array_split(before**2 - after**2, STRETCHES)]
+    return np.asarray(taken)
 
 
 def transferred(normal: Normal, evidence: Evidence, fit: Fit) -> Fit:
