@@ -24,9 +24,28 @@ from leactl.gap.replay.job import Job
 from leactl.gap.replay.plants import plant_of
 from leactl.gap.replay.readings import angle, current, velocity
 from leactl.gap.search.evidence import PRIORS, UNTOLD, Evidence, Null
-from leactl.gap.search.parameters import UNITS, nominal_value, with_calibration
+from leactl.gap.search.parameters import (
+    UNITS,
+    calibrated,
+    effect_parameters,
+    nominal_value,
+    with_calibration,
+    with_effects,
+)
+from leactl.gap.search.regression import Candidate
 from leactl.gap.search.ringing import ringing
-from leactl.gap.search.sets import sizes_by_chance
+from leactl.gap.search.sets import (
+    ENTRY,
+    Finding,
+    Found,
+    by_themselves,
+    describe,
+    exchange,
+    finding,
+    refine,
+    sizes_by_chance,
+    standard_errors,
+)
 from leactl.gap.signals.derived import moved_by_a_servo
 from leactl.gap.signals.noise import coloured, quantum_of
 from leactl.gap.signals.record import WINDING, Clocked, Key, Record
@@ -57,11 +76,28 @@ def measure(records: Sequence[Record], model: Model, seed: int = 0) -> Null:
     return Null(
         {key: float(np.mean(values)) for key, values in shown.unrest.items()},
         {effect: np.sqrt(np.mean(np.square(sizes), axis=0)).tolist() for effect, sizes in shown.sizes.items()},
+        {effect: np.mean(errors, axis=0).tolist() for effect, errors in shown.errors.items()},
         {channel: float(np.mean(heights)) for channel, heights in shown.lines.items()},
         moved,
         kept + tuple(name for name in shown.untold() if name not in kept),
         kept,
     )
+
+
+def compare(evidence: Evidence, null: Null) -> None:
+    """Take what sound machines show in the runs of a case as its floors.
+
+    A form that the runs show more sharply than the sound machines' runs do (their drive followed where the real one
+    stood at a limit) has a floor as much smaller.
+    """
+    evidence.compare_with(null)
+    for effect, items in by_themselves(evidence).items():
+        if (sizes := null.floors.get(effect)) is None:
+            continue
+        pairs = zip(sizes, standard_errors(effect, items), null.errors[effect], strict=True)
+        evidence.by_form[effect] = [
+            size * min(own / theirs, 1.0) if theirs < math.inf else size for size, own, theirs in pairs
+        ]
 
 
 def looked_at(records: Sequence[Record], model: Model, kept: Sequence[str], random: np.random.Generator) -> "Shown":
@@ -78,6 +114,7 @@ class Shown:
 
     unrest: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     sizes: dict[str, list[list[float]]] = field(default_factory=dict)  # of each effect in each of its forms
+    errors: dict[str, list[list[float]]] = field(default_factory=dict)  # and their standard errors
     lines: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
     moved: dict[str, list[float]] = field(default_factory=dict)
     priors: dict[str, float] = field(default_factory=dict)
@@ -90,8 +127,10 @@ class Shown:
         self.priors = evidence.priors
         for key, value in evidence.unrest().items():
             self.unrest.setdefault(key, []).append(value)
-        for effect, sizes in sizes_by_chance(evidence).items():
-            self.sizes.setdefault(effect, []).append(sizes)
+        for effect, items in by_themselves(evidence).items():
+            if sizes := sizes_by_chance(effect, items):
+                self.sizes.setdefault(effect, []).append(sizes)
+                self.errors.setdefault(effect, []).append(standard_errors(effect, items))
         for channel, line in ringing(evidence, fit, [True] * len(evidence.stack.rows)).items():
             self.lines.setdefault(channel, []).append(line.height)
         for place, value in zip(fit.columns, fit.values, strict=True):
@@ -107,6 +146,38 @@ class Shown:
         """Parameters that sound machines move by themselves."""
         changes = self.parameters().items()
         return tuple(name for name, by in changes if math.hypot(*by) > UNTOLD * self.priors.get(name, math.inf))
+
+
+def confirmed_beside_others(evidence: Evidence, found: Found, seed: int = 0) -> Found:
+    """A set without those members that a machine with the others alone shows as well.
+
+    What equations miss of a large effect (its course within a sample, where friction turns back under it) may look like
+    a smaller one. A machine with the others, fitted without the member, is simulated through the same runs, and what
+    the same fit makes of the member there adds to its floor. The member that takes most away is not asked.
+    """
+    random = np.random.default_rng(seed)
+    hypothesis = list(found.hypothesis)
+    for item in sorted(found.members, key=lambda item: item.gain)[:-1]:
+        others = [candidate for candidate in hypothesis if candidate != item.candidate]
+        if item.size <= ENTRY * math.hypot(item.std, item.floor, size_beside(evidence, others, item, random)):
+            hypothesis = others
+    if hypothesis == found.hypothesis:
+        return found
+    return describe(evidence, refine(evidence, exchange(evidence, hypothesis)))
+
+
+def size_beside(evidence: Evidence, others: Sequence[Candidate], item: Finding, random: np.random.Generator) -> float:
+    """Size of an effect, beyond noise, in a machine that has others and not this one."""
+    fit = evidence.settle(others)
+    acting = [(c[0], {p.name: p.value for p in effect_parameters(evidence, fit, c)}) for c in others]
+    machine = with_effects(with_calibration(evidence.model, calibrated(evidence, fit)), acting)
+    (own,) = sound_runs(evidence.records, [machine], random)
+    again = Evidence(own, evidence.model, only=[*others, item.candidate], kept=evidence.kept)
+    if not again.stack.rows:
+        return 0.0
+    again.settle([*others, item.candidate])
+    shown = finding(again, again.normal(), again.stack.columns_of(others), item.candidate, free=True)
+    return math.sqrt(max(shown.size**2 - shown.std**2, 0.0)) if shown is not None else 0.0
 
 
 def drawn(model: Model, names: Sequence[str], random: np.random.Generator) -> Model:

@@ -82,6 +82,7 @@ class Null:
 
     unrest: Mapping[tuple[str, str], float]  # by equation and kind of run
     floors: Mapping[str, Sequence[float]]  # sizes of each effect in its forms, in units of its leading parameter
+    errors: Mapping[str, Sequence[float]]  # and their standard errors there
     lines: Mapping[tuple[str, str, str], float]  # height of the highest line in what each channel leaves over
     moved: Mapping[str, tuple[float, float]]  # of each parameter: mean and scatter of its relative change
     untold: tuple[str, ...]  # parameters that they move by themselves: these runs cannot tell them,
@@ -102,7 +103,7 @@ class Evidence:
         self.model, self.records = model, list(records)
         self.sound: Mapping[tuple[str, str], float] = {}
         self.floors = floors(records, model)  # size of each effect below which it is model error
-        self.by_form: Mapping[str, Sequence[float]] = {}  # the same in each form, as sound machines show it
+        self.by_form: dict[str, Sequence[float]] = {}  # the same in each form, as sound machines show it
         self.moved: Mapping[str, tuple[float, float]] = {}
         self.lines: Mapping[tuple[str, str, str], float] = {}
         self.kept, self.untold = tuple(kept), tuple[str, ...]()  # parameters that stay as the model has them
@@ -142,7 +143,7 @@ class Evidence:
     def compare_with(self, null: Null) -> None:
         """Take what sound machines show in these runs; a parameter that these cannot tell is not told."""
         self.sound, self.moved, self.lines = null.unrest, null.moved, null.lines
-        self.by_form = null.floors
+        self.by_form = dict(null.floors)
         self.kept, self.untold = null.kept, null.untold
         self.priors.update(dict.fromkeys(self.kept, PINNED))
         self.stack = stack(self._rows(), self.priors)

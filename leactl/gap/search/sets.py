@@ -102,32 +102,39 @@ def finding(
     return result if whole or free or is_possible(evidence, result) else None
 
 
-def sizes_by_chance(evidence: Evidence) -> dict[str, list[float]]:
-    """Size of every effect by itself, whatever its sign, beyond what noise explains, in each form that is tried.
+def by_themselves(evidence: Evidence) -> dict[str, list[Finding | None]]:
+    """Every effect by itself, whatever its sign, in each form that is tried; None in forms that no run shows."""
+    normal, base = evidence.normal(), evidence.stack.columns_of([])
+    tried: dict[str, list[Finding | None]] = {}
+    for candidate in evidence.candidates:
+        tried.setdefault(candidate[0], []).append(finding(evidence, normal, base, candidate, free=True))
+    return tried
+
+
+def sizes_by_chance(name: str, items: Sequence[Finding | None]) -> list[float]:
+    """Size of an effect beyond what noise explains, in each form that is tried; empty where nothing is gained.
 
     It is measured in the form that takes most away and told in the others by their standard errors: a form that the
     runs hardly show is large where one that they show well is small. Of a periodic effect the best order stands for
     all. The best of many forms is larger by noise than one: the largest of n squares of unit variance is about
     1 + 2 ln n.
     """
-    normal = evidence.normal()
-    base = evidence.stack.columns_of([])
-    tried: dict[str, list[Finding | None]] = {}
-    for candidate in evidence.candidates:
-        tried.setdefault(candidate[0], []).append(finding(evidence, normal, base, candidate, free=True))
-    found = {}
-    for name, items in tried.items():
-        effect, shown = library()[name], [item for item in items if item is not None]
-        best = max(shown, key=lambda item: item.gain, default=None)
-        if best is None or best.gain <= 0.0:
-            continue
-        count = effect.orders[1] - effect.orders[0] + 1 if effect.periodic else len(effect.forms)
-        beyond = math.sqrt(max(best.size**2 - best.std**2 * (1.0 + 2.0 * math.log(count)), 0.0))
-        stds = [best.std if item is None or effect.periodic else item.std for item in items]
-        most = BEYOND * effect_definition(name).largest
-        sizes = [min(beyond * std / best.std, most) for std in stds]
-        found[name] = sizes[:1] if effect.periodic else sizes
-    return found
+    effect = library()[name]
+    best = max((item for item in items if item is not None), key=lambda item: item.gain, default=None)
+    if best is None or best.gain <= 0.0:
+        return []
+    count = effect.orders[1] - effect.orders[0] + 1 if effect.periodic else len(effect.forms)
+    beyond = math.sqrt(max(best.size**2 - best.std**2 * (1.0 + 2.0 * math.log(count)), 0.0))
+    stds = [best.std if item is None or effect.periodic else item.std for item in items]
+    most = BEYOND * effect_definition(name).largest
+    sizes = [min(beyond * std / best.std, most) for std in stds]
+    return sizes[:1] if effect.periodic else sizes
+
+
+def standard_errors(name: str, items: Sequence[Finding | None]) -> list[float]:
+    """Standard error of an effect in each form that is tried, infinite where no run shows one; of orders the least."""
+    stds = [math.inf if item is None else item.std for item in items]
+    return [min(stds)] if library()[name].periodic else stds
 
 
 def is_possible(evidence: Evidence, item: Finding) -> bool:
