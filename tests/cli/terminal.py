@@ -5,10 +5,19 @@ import sys
 
 import h5py
 
+from tests.cli import warm
+
 COMMAND = [sys.executable, "-c", "from leactl.cli.main import main; main()"]
 
 
 def leactl(*arguments, input=None, **environment):
+    words = [str(argument) for argument in arguments]
+    forked = warm.run(words, environment or None) if input is None else None
+    return forked or interpreted(*words, input=input, **environment)
+
+
+def interpreted(*arguments, input=None, **environment):
+    """By an interpreter of its own, which is a child of this process: what it takes can be asked for."""
     command = [*COMMAND, *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, input=input, env=environment or None, check=False)
 

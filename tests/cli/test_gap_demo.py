@@ -8,7 +8,7 @@ import pytest
 from leactl.emulation.blind.key import read_key
 from leactl.emulation.blind.make import make
 from leactl.gap.blind.demonstration import demonstrate
-from tests.cli.terminal import leactl
+from tests.cli.terminal import interpreted, leactl
 
 
 def test_an_effect_that_is_not_known_plants_nothing(tmp_path):
@@ -21,7 +21,7 @@ def test_an_effect_that_is_not_known_plants_nothing(tmp_path):
 @pytest.mark.long
 def test_the_demonstration_names_what_it_planted_within_half_a_minute(tmp_path):
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = leactl("gap", "demo", "--seed", "1", "--out", tmp_path / "demo", "--json")
+    done = interpreted("gap", "demo", "--seed", "1", "--out", tmp_path / "demo", "--json")
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert done.returncode == 0, done.stderr
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 60  # of two cores

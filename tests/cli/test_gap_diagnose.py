@@ -9,11 +9,11 @@ from types import SimpleNamespace
 import pytest
 import yaml
 
-from leactl.emulation.blind.make import make
 from leactl.model.nominal import read_model
 from leactl.quantities import ROLES, SETUPS, UNITS
 from leactl.vocabulary.effect import effect_definition, effect_names
 from tests.cli.terminal import COMMAND, leactl
+from tests.gap.emulated_cases import emulated_cases
 
 OTHER_VARIABLES = {"direction": "1", "frequency": "Hz", "time": "s", "time_since_reversal": "s"}
 NUMBER = (int, float)
@@ -42,11 +42,7 @@ DOCUMENT = {
 @pytest.fixture(scope="session")
 def case(tmp_path_factory):
     """A bench whose torque constant falls at high current, strongly."""
-    folder = tmp_path_factory.mktemp("blind")
-    make(
-        1, folder / "cases", folder / "key", seed=14, kinds=("single",), effects=("saturation",), strengths=("strong",)
-    )
-    runs = folder / "cases" / "case-001"
+    runs = emulated_cases(tmp_path_factory, "saturated").cases / "case-001"
     fitted, held_out = ([str(path) for path in sorted(runs.glob(f"*-{side}.h5"))] for side in "ab")
     return SimpleNamespace(folder=runs, fitted=fitted, held_out=held_out, nominal=str(runs / "nominal.yaml"))
 

@@ -185,10 +185,10 @@ def test_kill_leaves_a_file_that_recovers(here):
 def test_a_full_disk_fails_the_run_and_keeps_what_was_flushed(here):
     def small_disk():
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (10_000_000, 10_000_000))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (5_000_000, 5_000_000))
 
     done = subprocess.run(
-        [*COMMAND, "run", "spin.yaml", "--set", "hold_s=1500", "--set", "current_A=0.7", "--json"],
+        [*COMMAND, "run", "spin.yaml", "--set", "hold_s=750", "--set", "current_A=0.7", "--json"],
         capture_output=True,
         text=True,
         preexec_fn=small_disk,

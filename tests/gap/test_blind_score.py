@@ -14,22 +14,18 @@ import pytest
 from typer.testing import CliRunner
 
 from leactl.cli.main import app
-from leactl.emulation.blind.make import make
 from leactl.errors import InputError
 from leactl.gap.blind import check as checking
 from leactl.gap.blind.marks import Departure, Mark, mark
 from leactl.gap.blind.score import Share, calibration, score
 from leactl.gap.blind.truth import Truth
-
-EFFECTS = ("quadratic_drag", "current_sensor_offset")
+from tests.gap.emulated_cases import emulated_cases
 
 
 @pytest.fixture(scope="session")
 def cases(tmp_path_factory):
     """Two whole cases with one effect each, nobody misses either."""
-    folder = tmp_path_factory.mktemp("blind")
-    make(2, folder / "cases", folder / "key", seed=5, kinds=("single",), effects=EFFECTS, strengths=("strong",))
-    return folder
+    return emulated_cases(tmp_path_factory, "scored").folder
 
 
 @pytest.fixture(scope="session")

@@ -2,11 +2,11 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from leactl.emulation.blind.draws import usual_effects
 from leactl.emulation.blind.make import make
 from leactl.emulation.unlisted import unlisted_effects
 from leactl.errors import InputError
@@ -17,10 +17,8 @@ from leactl.gap.signals.record import build
 from leactl.gap.verdict.notes import gathered
 from leactl.runfile.reader import Channel
 from leactl.vocabulary.effect import effect_definition
+from tests.gap.emulated_cases import EVERY, FEW, OFTEN, SEED, emulated_cases
 
-SEED, FEW = 16, 3  # of what no effect explains: the resonator is among the first three
-EVERY = (*usual_effects(), "power_foldback", "torque_limit")
-OFTEN = (*EVERY[::18], "torque_ripple")  # what an ordinary run tries; all of them are a long one
 DEPENDS = {  # of what no effect explains and acts at all times, on what it is seen to depend
     "current_eddy_drag": {"velocity", "q_axis_current"},
     "speed_weakened_torque": {"velocity", "q_axis_current"},
@@ -30,23 +28,20 @@ DEPENDS = {  # of what no effect explains and acts at all times, on what it is s
 PRACTICE = Path(__file__).parents[3] / "shared" / "gap-cases" / "practice"
 
 
-def drawn(folder, kind, seed, count, effects=None):
-    key = folder / f"{kind}-key"
-    make(count, folder / kind, key, seed, (kind,), effects, strengths=("plain",), prefix=kind)
+def drawn(folder, kind, seed, count):
+    made = SimpleNamespace(cases=folder / "cases", key=folder / "key")
+    make(count, made.cases, made.key, seed, (kind,), strengths=("plain",), prefix=kind)
+    return made
 
 
 @pytest.fixture(scope="session")
 def benches(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("benches")
-    drawn(folder, "unknown", SEED, FEW)
-    return folder
+    return emulated_cases(tmp_path_factory, "unknown")
 
 
 @pytest.fixture(scope="session")
 def every_unlisted(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("unlisted")
-    drawn(folder, "unknown", SEED, len(unlisted_effects()))
-    return keyed(folder, "unknown", "unlisted")
+    return keyed(drawn(tmp_path_factory.mktemp("unlisted"), "unknown", SEED, len(unlisted_effects())), "unlisted")
 
 
 def answer(folder):
@@ -58,8 +53,8 @@ def model(folder):
     return folder / "nominal.yaml"
 
 
-def cases(benches, kind):
-    return sorted(path for path in (benches / kind).iterdir() if path.is_dir())
+def folders(made):
+    return sorted(path for path in made.cases.iterdir() if path.is_dir())
 
 
 def test_nothing_but_wrong_parameters_is_called_calibration(sound_bench):
@@ -73,24 +68,23 @@ HIDDEN = ("backlash", "emissivity_bias")
 """What a replay hardly shows: a shaft in its play, and a camera whose fraction calibration has taken already."""
 
 
-def keyed(benches, kind, field):
+def entries(made):
+    return json.loads((made.key / "key.json").read_text(encoding="utf-8"))["cases"]
+
+
+def keyed(made, field):
     """The case of each effect."""
-    key = json.loads((benches / f"{kind}-key" / "key.json").read_text(encoding="utf-8"))["cases"]
-    return {entry[field][0]: benches / kind / name for name, entry in key.items()}
+    return {entry[field][0]: made.cases / name for name, entry in entries(made).items()}
 
 
 @pytest.fixture(scope="session")
 def with_effect(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("often")
-    drawn(folder, "single", 13, len(OFTEN), OFTEN)
-    return keyed(folder, "single", "effects")
+    return keyed(emulated_cases(tmp_path_factory, "single"), "effects")
 
 
 @pytest.fixture(scope="session")
 def with_every_effect(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("every")
-    drawn(folder, "single", 13, len(EVERY))
-    return keyed(folder, "single", "effects")
+    return keyed(drawn(tmp_path_factory.mktemp("every"), "single", 13, len(EVERY)), "effects")
 
 
 @pytest.mark.parametrize("name", OFTEN)
@@ -130,7 +124,7 @@ def pictures_what_it_explains(cause):
 
 @pytest.mark.parametrize("number", range(FEW))
 def test_what_no_effect_explains_is_owned_up_to(benches, number):
-    is_owned_up_to(cases(benches, "unknown")[number])
+    is_owned_up_to(folders(benches)[number])
 
 
 @pytest.mark.long
@@ -155,9 +149,8 @@ def is_owned_up_to(folder, name=""):
 
 
 def test_what_rings_on_the_bench_is_told_with_its_frequency(benches):
-    folder = keyed(benches, "unknown", "unlisted")["hanging_resonator"]
-    key = json.loads((benches / "unknown-key" / "key.json").read_text(encoding="utf-8"))["cases"]
-    held_still = key[folder.name]["parameters"]["hanging_resonator"]["frequency"]
+    folder = keyed(benches, "unlisted")["hanging_resonator"]
+    held_still = entries(benches)[folder.name]["parameters"]["hanging_resonator"]["frequency"]
     case = read_case(sorted(folder.glob("*.h5")), [], model(folder))
     evidence = Evidence(case.fitted, case.model)
     lines = ringing(evidence, evidence.settle([]), [True] * len(evidence.stack.rows))

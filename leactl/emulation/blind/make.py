@@ -62,7 +62,7 @@ def make(
             draw_case(np.random.default_rng([number, 1, k]), f"{prefix}-{k + 1:0{digits}d}", *plans[k])
             for k in range(start, min(start + AT_ONCE, count))
         ]
-        _write(out, batch)
+        write([out / case.name for case in batch], batch)
         entries |= {case.name: entry(case) for case in batch}
     salt = secrets.token_hex(16) if seed is None else bytes(draw.integers(0, 256, 16, np.uint8)).hex()
     return write_key(key_dir, out, entries, number, salt)
@@ -103,14 +103,17 @@ def _plans(
     return [plans[k] for k in draw.permutation(count)]
 
 
-def _write(out: Path, batch: Sequence[Case]) -> None:
-    for case in batch:
-        write_model(out / case.name, case)
-    moving = [(case, run) for case in batch for run in case.runs if isinstance(run.program, Program)]
-    heated = [(case, run) for case in batch for run in case.runs if not isinstance(run.program, Program)]
-    programs = [run.program for _, run in moving if isinstance(run.program, Program)]
-    for (case, run), signals in zip(moving, simulate([run.lane for _, run in moving], programs), strict=True):
-        write_moving(out / case.name, case, run, signals)
-    currents = [run.program for _, run in heated if not isinstance(run.program, Program)]
-    for (case, run), record in zip(heated, heat([run.lane for _, run in heated], currents), strict=True):
-        write_heated(out / case.name, case, run, record)
+def write(folders: Sequence[Path], batch: Sequence[Case]) -> None:
+    """Run the benches of some cases side by side, and write each case into its folder."""
+    placed = list(zip(folders, batch, strict=True))
+    for folder, case in placed:
+        write_model(folder, case)
+    runs = [(folder, case, run) for folder, case in placed for run in case.runs]
+    moving = [(*one, one[2].program) for one in runs if isinstance(one[2].program, Program)]
+    heated = [(*one, one[2].program) for one in runs if not isinstance(one[2].program, Program)]
+    signals = simulate([run.lane for _, _, run, _ in moving], [program for *_, program in moving])
+    for (folder, case, run, _), signal in zip(moving, signals, strict=True):
+        write_moving(folder, case, run, signal)
+    records = heat([run.lane for _, _, run, _ in heated], [current for *_, current in heated])
+    for (folder, case, run, _), record in zip(heated, records, strict=True):
+        write_heated(folder, case, run, record)
