@@ -21,10 +21,15 @@ JOINT = """\
 <option timestep="{step:.12g}" gravity="0 0 0" integrator="implicitfast"/>
 <worldbody><body><joint name="rotor" type="hinge" axis="0 0 1" armature="{rotor:.9g}" damping="{damping:.9g}"
  frictionloss="{friction:.9g}" {hard}/><geom size=".01" mass="1e-9" contype="0" conaffinity="0"/>{load}</body>
-</worldbody></mujoco>"""
+{geared}</worldbody>{play}</mujoco>"""
 LOAD = """<body><joint name="load" type="hinge" axis="0 0 1" stiffness="{stiffness:.9g}" damping="{damping:.9g}"/>
 <inertial pos="0 0 0" mass="{inertia:.9g}" diaginertia="{inertia:.9g} {inertia:.9g} {inertia:.9g}"/></body>"""
+GEARED = """<body><joint name="load" type="hinge" axis="0 0 1" armature="{inertia:.9g}" damping="0"
+ frictionloss="0" {hard}/><geom size=".01" mass="1e-9" contype="0" conaffinity="0"/></body>"""
+PLAY = """<tendon><fixed limited="true" range="-{half:.9g} {half:.9g}" solreflimit="{stiff:.9g} 1"
+ solimplimit="0.999 0.9999 0.001"><joint joint="rotor" coef="1"/><joint joint="load" coef="-1"/></fixed></tendon>"""
 BURST_SHARE = 0.6  # of a sine's height: above it, a burst rubs
+MESH = 2.0  # steps, time constant of the contact of teeth: MuJoCo's stiffest
 MISSING = "simulator 'mujoco' needs MuJoCo: pip install 'leactl[mujoco]'"
 
 
@@ -44,7 +49,7 @@ def simulate(runs: Sequence[Run]) -> list[Signals]:
 
 def model_text(run: Run) -> str:
     """The joint as an MJCF model."""
-    specimen, load = run.specimen, ""
+    specimen, load, geared, play = run.specimen, "", "", ""
     share, rotor = run.parameter("joint_elasticity", "share"), specimen.rotor_inertia
     if share:
         turn = 2.0 * math.pi * run.parameter("joint_elasticity", "frequency")
@@ -52,13 +57,20 @@ def model_text(run: Run) -> str:
         swinging = rotor * share
         load = LOAD.format(stiffness=swinging * turn**2, damping=losses * swinging * turn, inertia=swinging)
     step = 1.0 / specimen.machine.rate / PARTS
+    hard = HARD_FRICTION.format(stiff=4.0 * step)
+    if gap := run.parameter("gear_backlash", "play"):
+        share = run.parameter("gear_backlash", "share")
+        geared = GEARED.format(inertia=rotor * share, hard=hard)
+        play = PLAY.format(half=0.5 * gap, stiff=MESH * step)
     return JOINT.format(
         step=step,
         rotor=rotor * (1.0 - share),
         damping=specimen.viscous_damping,
         friction=0.0 if run.parameter("presliding", "displacement") else specimen.coulomb_friction,
-        hard=HARD_FRICTION.format(stiff=4.0 * step),
+        hard=hard,
         load=load,
+        geared=geared,
+        play=play,
     )
 
 
@@ -66,6 +78,9 @@ def _simulate(mujoco: Any, run: Run) -> Signals:
     model = mujoco.MjModel.from_xml_string(model_text(run))
     state, drive, effects = mujoco.MjData(model), _Drive(run), _Effects(run)
     state.qpos[0] = run.angle
+    geared, kept = effects.geared, 1.0 - effects.load_friction
+    if geared:
+        state.qpos[1] = run.angle
     rows = np.zeros((4, len(run.asked(None))))
     for index, (current, velocity) in enumerate(
         zip(run.asked(run.program.current).tolist(), run.asked(run.program.velocity).tolist(), strict=True)
@@ -74,9 +89,14 @@ def _simulate(mujoco: Any, run: Run) -> Signals:
         for part in range(PARTS):
             flowing = drive.step(reference, part, abs(state.qvel[0]))
             angle, speed = state.qpos[0], state.qvel[0]
-            model.dof_frictionloss[0] = effects.friction(angle, speed, state.time)
-            model.dof_damping[0] = effects.damping(state.time)
+            damping = effects.damping(state.time)
+            model.dof_frictionloss[0] = kept * effects.friction(angle, speed, state.time)
+            model.dof_damping[0] = kept * damping
             state.qfrc_applied[0] = effects.torque(flowing, angle, speed, state.time)
+            if geared:
+                model.dof_frictionloss[1] = effects.load_friction * effects.level(angle, speed, state.time)
+                model.dof_damping[1] = effects.load_friction * damping
+                state.qfrc_applied[1] = -effects.outside(state.qpos[1])
             mujoco.mj_step(model, state)
             drive.read(state.qvel[0] * effects.encoder_slope(state.qpos[0]), part)
         drive.before = reference
@@ -146,6 +166,8 @@ class _Effects:
     def __init__(self, run: Run) -> None:
         self._run = run
         self._names = {drawn.name: drawn.parameters for drawn in run.effects}
+        self.geared = "gear_backlash" in self._names
+        self.load_friction = run.parameter("gear_backlash", "friction")
         self._gives = 0.0  # of friction that gives before it slides
         self._step = 1.0 / run.specimen.machine.rate / PARTS
 
@@ -166,19 +188,25 @@ class _Effects:
                 total -= at["coefficient"] * speed * abs(speed)
             elif name == "push_in_time":
                 total += at["amplitude"] * math.sin(2.0 * math.pi * at["frequency"] * time + at["phase"])
-            elif name == "gravity_load":
-                total -= at["amplitude"] * math.cos(angle + at["phase"])
-            elif name == "position_spring":
-                total -= at["stiffness"] * at["reach"] * math.tanh((angle - at["rest_angle"]) / at["reach"])
             elif name == "presliding":
                 reach = at["displacement"]
                 self._gives = max(min(self._gives + speed * self._step, reach), -reach)
-                total -= self._level(angle, speed, time) * self._gives / reach
+                total -= (1.0 - self.load_friction) * self.level(angle, speed, time) * self._gives / reach
+        return total if self.geared else total - self.outside(angle)
+
+    def outside(self, angle: float) -> float:
+        """Torque that a joint at an angle takes beside friction [N*m]."""
+        total = 0.0
+        for name, at in self._names.items():
+            if name == "gravity_load":
+                total += at["amplitude"] * math.cos(angle + at["phase"])
+            elif name == "position_spring":
+                total += at["stiffness"] * at["reach"] * math.tanh((angle - at["rest_angle"]) / at["reach"])
         return total
 
     def friction(self, angle: float, speed: float, time: float) -> float:
         """Dry friction of MuJoCo's joint [N*m]."""
-        return 0.0 if "presliding" in self._names else self._level(angle, speed, time)
+        return 0.0 if "presliding" in self._names else self.level(angle, speed, time)
 
     def damping(self, time: float) -> float:
         """Viscous damping of MuJoCo's joint [N*m*s/rad]."""
@@ -188,7 +216,7 @@ class _Effects:
         at = self._names.get("friction_run_in")
         return 1.0 if at is None else 1.0 + at["excess"] * math.exp(-time / at["time_constant"])
 
-    def _level(self, angle: float, speed: float, time: float) -> float:
+    def level(self, angle: float, speed: float, time: float) -> float:
         level = self._run.specimen.coulomb_friction * self._fresh(time)
         for name, at in self._names.items():
             if name == "stribeck":

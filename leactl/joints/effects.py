@@ -12,6 +12,7 @@ STRENGTHS = ("faint", "plain", "strong")
 SIZE_SPREAD = 0.15  # by which a size is drawn around its strength's
 SLOWEST_LEVEL = 0.03  # of the highest speed, the slowest that the levels hold
 SWINGS = (0.01, 0.04)  # of the sampling rate, at which a load swings
+LOADS = (0.3, 0.8)  # of the inertia, that a load behind a gear has
 SAMPLES_A_PERIOD = 4.0  # that a periodic effect needs at that speed
 
 
@@ -38,6 +39,11 @@ def unlisted() -> Mapping[str, Mapping[str, Any]]:
 def shown_by(machine: Machine) -> list[str]:
     """Effects of the vocabulary that this machine's channels can show."""
     return [name for name, rule in listed().items() if set(rule["needs"]) <= set(machine.channels)]
+
+
+def met_on(machine: Machine) -> list[str]:
+    """Effects outside the vocabulary that a machine of this kind may have."""
+    return [name for name, rule in unlisted().items() if machine.kind in rule.get("kinds", [machine.kind])]
 
 
 def alike(name: str) -> list[str]:
@@ -83,6 +89,9 @@ def others(draw: Generator, machine: Machine, name: str) -> dict[str, float]:
             "frequency": float(np.exp(draw.uniform(np.log(lowest), np.log(highest)))),
             "damping_ratio": float(draw.uniform(0.02, 0.1)),
         }
+    if name == "gear_backlash":
+        share = float(draw.uniform(*LOADS))
+        return {"share": share, "friction": share * float(draw.uniform(0.0, 1.0))}
     if name == "position_spring":
         reach = machine.speed * machine.seconds * float(draw.uniform(0.02, 0.1))
         return {"rest_angle": float(draw.uniform(-np.pi, np.pi)), "reach": reach}

@@ -57,7 +57,10 @@ class Lanes:
         self._drive(runs, column, effect, nominal)
         self._torques(effect)
         self._frictions(effect)
-        share, inertia = effect("joint_elasticity", "share"), true("rotor_inertia")
+        # a machine has one load, behind a spring or behind a gear's play
+        share, inertia = effect("joint_elasticity", "share") + effect("gear_backlash", "share"), true("rotor_inertia")
+        self.half_play, self.load_friction = 0.5 * effect("gear_backlash", "play"), effect("gear_backlash", "friction")
+        self.geared = self.half_play > 0.0
         self.inertia, self.load = inertia * (1.0 - share), np.maximum(inertia * share, 1e-300)
         pulsation = 2.0 * np.pi * effect("joint_elasticity", "frequency")
         self.stiffness = inertia * share * pulsation**2
@@ -159,23 +162,54 @@ class Lanes:
         torque += self.cogging * np.sin(self.cogging_order * angle + self.cogging_phase)
         torque += self.unbalance * np.sin(angle + self.unbalance_phase)
         torque += self.push * np.sin(self.push_rate * self.time + self.push_phase)
-        torque -= self.weight * np.cos(angle + self.weight_phase)
-        torque -= self.cable * self.reach * np.tanh((angle - self.rest) / self.reach)
+        joint = angle - np.where(self.geared, self.twist, 0.0)
+        outside = self.weight * np.cos(joint + self.weight_phase)
+        outside += self.cable * self.reach * np.tanh((joint - self.rest) / self.reach)
+        torque -= np.where(self.geared, 0.0, outside)
         spring = self.stiffness * self.twist + self.spring_damping * (speed - self.load_speed)
         more = 1.0 + self.excess * np.exp(-self.time / self.settling)
         level = self.coulomb * more * self._uneven(angle, speed)
         self.stretch = np.clip(self.stretch + speed * step, -self.displacement, self.displacement)
         gives = np.divide(self.stretch, self.displacement, out=np.zeros_like(step), where=~self.slides)
-        ahead = speed + (torque - spring - self.damping * more * speed - level * gives) * step / self.inertia
-        most = np.where(self.slides, level, 0.0) * step / self.inertia
-        self.speed = ahead - np.clip(ahead, -most, most)
-        self.load_speed = np.where(self.stiffness > 0.0, self.load_speed + spring * step / self.load, self.speed)
-        self.twist = self.twist + (self.speed - self.load_speed) * step
-        self.angle = angle + self.speed * step
+        kept = 1.0 - self.load_friction
+        push = torque - spring - kept * (self.damping * more * speed + level * gives)
+        rubs = np.where(self.slides, kept * level, 0.0)
+        self.speed = slowed(speed + push * step / self.inertia, rubs * step / self.inertia)
+        swung = np.where(self.stiffness > 0.0, self.load_speed + spring * step / self.load, self.speed)
+        turned, twist = self.speed * step, self.twist + (self.speed - swung) * step
+        if self.geared.any():
+            hung = -outside - self.load_friction * self.damping * more * self.load_speed
+            meshed = self._meshed(speed, (push, rubs), (hung, self.load_friction * level))
+            geared = zip(meshed, (self.speed, swung, twist, turned), strict=True)
+            self.speed, swung, twist, turned = (np.where(self.geared, mesh, rest) for mesh, rest in geared)
+        self.load_speed, self.twist = swung, twist
+        self.angle = angle + turned
         self.time = self.time + step
         seen = self.speed * (1.0 + self.eccentric * np.cos(self.angle + self.eccentric_phase))
         self.filtered = self.filtered + self.filters * (seen - self.filtered)
         self.reading = self.reading + self.lags * (self.filtered - self.reading)
+
+    def _meshed(self, before: Array, motor: tuple[Array, Array], load: tuple[Array, Array]) -> tuple[Array, ...]:
+        """Speeds of motors and loads, angles between and steps of motors, of teeth with play that meet without rebound.
+
+        before : speed of the motors before this step. motor, load : torque on each and its Coulomb friction [N*m].
+        """
+        step, half = self.step, self.half_play
+        hung = np.where(self.geared, self.load, self.inertia)  # any number where no gear is
+        both = self.inertia + hung
+        alone = slowed(self.load_speed + load[0] * step / hung, load[1] * step / hung)
+        across = self.speed - alone
+        ahead = self.twist + across * step
+        pressed = (np.abs(self.twist) >= half) & (self.twist * across >= 0.0)
+        meets = ~pressed & (np.abs(ahead) >= half) & (ahead * across > 0.0)
+        momentum = self.inertia * before + hung * self.load_speed + (motor[0] + load[0]) * step
+        as_one = slowed(momentum / both, (motor[1] + load[1]) * step / both)
+        met = (self.inertia * self.speed + hung * alone) / both
+        together = np.where(pressed, as_one, met)
+        touches = pressed | meets  # the centre of inertia of the two stays its course where they meet within a step
+        speed, twist = np.where(touches, together, self.speed), np.where(meets, np.copysign(half, ahead), ahead)
+        turned = speed * step + np.where(meets, hung / both * (twist - self.twist), 0.0)
+        return speed, np.where(touches, together, alone), np.where(pressed, self.twist, twist), turned
 
     def _uneven(self, angle: Array, speed: Array) -> Array:
         """Factor on Coulomb friction."""
@@ -183,6 +217,11 @@ class Lanes:
         factor = 1.0 + self.breakaway * np.exp(-np.abs(speed) / self.stribeck_velocity) + self.burst * rubs
         factor *= 1.0 + self.asymmetry * np.sign(speed)
         return np.asarray(factor * (1.0 + self.uneven * np.cos(self.uneven_order * angle + self.uneven_phase)))
+
+
+def slowed(speed: Array, most: Array) -> Array:
+    """Speed that friction takes up to so much of, down to standstill and no further."""
+    return np.asarray(speed - np.clip(speed, -most, most), np.float64)
 
 
 def wave(effect: Parameter, name: str) -> tuple[Array, Array, Array]:

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from leactl.cli.main import app
 from leactl.errors import InputError
 from leactl.joints import by_mujoco, machine, stepped
-from leactl.joints.effects import SIZE_SPREAD, STRENGTHS, alike, draw_effect, listed, shown_by, unlisted
+from leactl.joints.effects import SIZE_SPREAD, STRENGTHS, Drawn, alike, draw_effect, listed, met_on, shown_by, unlisted
 from leactl.joints.machine import draw_machine, kinds
 from leactl.joints.make import draw_runs, make
 from leactl.joints.programs import Program
@@ -67,6 +67,32 @@ def test_both_simulators_agree_on_every_effect():
     for name, runs in cases.items():
         first = [next(signals) for _ in runs]
         assert distance(by_mujoco.simulate(runs), first, runs[0].specimen.machine) < ALIKE, name
+
+
+@pytest.mark.parametrize("simulator", ["stepped", "mujoco"])
+def test_a_motor_with_play_is_ahead_of_the_rigid_one_by_the_load_s_share_of_it(simulator):
+    """Without friction no torque passes but between the two: their common centre moves as the rigid joint does."""
+    if simulator == "mujoco":
+        pytest.importorskip("mujoco", reason="the second simulator needs leactl[mujoco]")
+    simulate = {"stepped": stepped.simulate, "mujoco": by_mujoco.simulate}[simulator]
+    run, share, play = runs_of("")[0], 0.4, 0.02
+    time = np.arange(2000) / run.specimen.machine.rate
+    program = Program(run.specimen.machine.current * np.sign(np.sin(2.0 * np.pi * 3.0 * time + 0.3)), None)
+    free = replace(run.specimen, coulomb_friction=0.0, viscous_damping=0.0)
+    geared = Drawn("gear_backlash", "strong", {"play": play, "share": share, "friction": 0.0})
+    rigid, loose = (
+        simulate([replace(run, specimen=free, program=program, effects=effects)])[0] for effects in ((), (geared,))
+    )
+    ahead = loose.angle - rigid.angle
+    # medians: a blow bends MuJoCo's teeth for a moment
+    assert np.median(ahead[ahead > 0.0]) == pytest.approx(0.5 * share * play, rel=0.05)
+    assert np.median(ahead[ahead < 0.0]) == pytest.approx(-0.5 * share * play, rel=0.05)
+
+
+def test_only_machines_with_a_gear_have_play():
+    draw = np.random.default_rng(2)
+    loose = {kind for kind in kinds() if "gear_backlash" in met_on(draw_machine(draw, kind))}
+    assert loose == {"geared_joint", "heavy_axis", "hobby_servo", "exoskeleton"}
 
 
 BOUNDS = ("command_slew_limit", "torque_limit", "power_foldback")  # the lower, the more they take
