@@ -97,25 +97,29 @@ def calibration_worse(shrunk: Shrunk) -> bool:
 
     It does not need to be beyond chance: a model that was given stays where nothing is gained.
     """
-    lines = [line for line in shrunk.shrinkage if line.floor_rms > 0.0]
-    nominal, calibrated = (
-        sum(max(getattr(line, name) / line.floor_rms, NEAR_FLOOR) ** 2 for line in lines)
-        for name in ("nominal_rms", "calibrated_rms")
-    )
+    nominal, calibrated = (squares(shrunk, name, NEAR_FLOOR) for name in ("nominal_rms", "calibrated_rms"))
     return shrunk.growth.by_calibration[0] > 0.0 or calibrated > nominal
+
+
+def squares(shrunk: Shrunk, model: str, least: float = 0.0) -> float:
+    """Squared distance of one model from held-out runs, summed over the channels in multiples of their floors."""
+    lines = [line for line in shrunk.shrinkage if line.floor_rms > 0.0]
+    return sum(max(float(getattr(line, model)) / line.floor_rms, least) ** 2 for line in lines)
 
 
 def refusal(shrunk: Shrunk, bounded: Sequence[str], beside_others: bool, in_equations: bool) -> str:
     """Why held-out runs do not bear effects out; empty where they do. Beside others an effect has to show in more.
 
-    A replay sums up every small error of its motion, which may hide a small effect. What the equations of held-out runs
-    show beyond chance is borne out where the replay's gap shrinks by any amount.
+    A replay sums up every small error of its motion, which may hide a small effect, and stands at its floor before one
+    that is smaller still. What the equations of held-out runs show beyond chance is borne out where the replay's gap
+    does not grow.
     """
     if bounded:
         return f"calibration beside it ends at a bound ({', '.join(bounded)})"
     if shrunk.growth.effects_worse:
         return "with it the gap of held-out runs grows"
-    in_equations &= shrunk.growth.by_effects[0] < 0.0
+    before, after = squares(shrunk, "calibrated_rms"), squares(shrunk, "augmented_rms")
+    in_equations &= shrunk.growth.by_effects[0] <= 0.0 and after <= before
     if shrunk.growth.closed is False and not in_equations:
         return "with it no gap of held-out runs shrinks beyond chance"
     if beside_others and shrunk.growth.closed_alike is False and not in_equations:
