@@ -15,6 +15,7 @@ import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
+from leactl.effects import library
 from leactl.effects.shapes import delayed
 from leactl.gap.diagnosis import CalibratedParameter
 from leactl.gap.replay import replay_all
@@ -87,12 +88,12 @@ def measure(records: Sequence[Record], model: Model, seed: int = 0) -> Null:
 def compare(evidence: Evidence, null: Null) -> None:
     """Take what sound machines show in the runs of a case as its floors.
 
-    A form that the runs show more sharply than the sound machines' runs do (their drive followed where the real one
-    stood at a limit) has a floor as much smaller.
+    A form of a shape that the runs show more sharply than the sound machines' runs do (their drive followed where the
+    real one stood at a limit) has a floor as much smaller.
     """
     evidence.compare_with(null)
     for effect, items in by_themselves(evidence).items():
-        if (sizes := null.floors.get(effect)) is None:
+        if not library()[effect].shaped or (sizes := null.floors.get(effect)) is None:
             continue
         pairs = zip(sizes, standard_errors(effect, items), null.errors[effect], strict=True)
         evidence.by_form[effect] = [

@@ -40,3 +40,4 @@ class Equation:
     kind: str = ""  # of the runs that its rows are weighed together with; the run's own where left out
     width: float = 4.0
     step: int = 8
+    memory: int = 60  # rows, within which one may depend on another

@@ -16,6 +16,7 @@ Array = npt.NDArray[np.float64]
 SLOW_SHARE = 0.005  # of a run's highest speed, below which it may stand as well
 SWING_REACH = 8.0  # samples
 SHARPER, EVENED = ((1.0, 2), (2.0, 4)), (4.0, 8)  # samples, smoothing of rows and their distance
+MEMORY = 480  # samples, within which what a free rotor's equation misses may depend on itself
 QUIET = 0.01  # of an acceleration, that its noise may have
 STICKING_PRIOR = 0.5  # of nominal Coulomb friction
 
@@ -49,7 +50,7 @@ def free(record: Record, s: Signals) -> Equation | None:
     mask = moving(s, s.velocity, 4.0) & s.resolved & record.fast.all_valid(*keys)
     shared = stamp_columns("free_torque", record.fast, keys, -drive)
     stamp = {"torque_stamp_s": (slope(drive, s.interval), STAMPED * s.interval)}
-    width, step = sharpest(record.fast, s)
+    width, step = sharpest(record.fast, s, mask)
     return Equation(
         "free_torque",
         "velocity",
@@ -64,10 +65,11 @@ def free(record: Record, s: Signals) -> Equation | None:
         shared,
         width=width,
         step=step,
+        memory=MEMORY // step,
     )
 
 
-def sharpest(clock: Clocked, s: Signals) -> tuple[float, int]:
+def sharpest(clock: Clocked, s: Signals, mask: Mask) -> tuple[float, int]:
     """Least smoothing of rows, and their distance, at which an angle's noise hardly counts in its acceleration.
 
     That noise is in the column of the inertia too, and pulls what a fit makes of it towards zero by its share of the
@@ -75,8 +77,8 @@ def sharpest(clock: Clocked, s: Signals) -> tuple[float, int]:
     """
     assert s.acceleration is not None
     angle = clock.get("angle")
-    if angle is not None:
-        noise, quiet = noise_of(angle), QUIET * float(np.sqrt(np.mean(s.acceleration**2)))
+    if angle is not None and mask.any():
+        noise, quiet = noise_of(angle), QUIET * float(np.sqrt(np.mean(s.acceleration[mask] ** 2)))
         for width, step in SHARPER:
             if noise_of_acceleration(noise, s.interval, width) <= quiet:
                 return width, step

@@ -103,7 +103,7 @@ class Projected:
         self.place = {int(column): k for k, column in enumerate(self.columns)}
 
     def block(self, candidate: Candidate) -> list[int]:
-        """Where a candidate's columns stand; empty where nothing is left of one of them."""
+        """Where a candidate's columns stand; empty where nothing is left of one of them, or of one beside another."""
         found = []
         for column in self.evidence.columns(candidate):
             place = self.place.get(int(column))
@@ -111,7 +111,10 @@ class Projected:
                 found.append(place)
             elif place is not None or not self.own(int(column)):
                 return []
-        return found
+        left = self.left[np.ix_(found, found)]
+        scale = np.sqrt(np.diag(left))
+        apart = np.linalg.eigvalsh(left / np.outer(scale, scale)) if found else np.zeros(1)
+        return found if float(apart[0]) > IMITATED else []
 
     def own(self, column: int) -> bool:
         """Whether a column belongs to a single run, which need not be among these."""

@@ -70,7 +70,6 @@ READINGS = {"coupled_torque", "locked_torque", "swung_torque"}  # a torque senso
 UNTOLD = 1.0  # of its prior, by which sound machines may move a parameter that their runs tell
 PINNED = 1e-4  # prior of a torque constant that nothing tells
 UNKNOWN_UNREST = 10.0  # of an equation that no bench without an effect has been seen with
-LONGEST_DEPENDENCE = 60  # rows
 NO_CORRELATION = 0.02
 FEW_LAGS = 6
 ORDERS_TRIED = 3  # of each periodic effect
@@ -195,7 +194,7 @@ class Evidence:
             pools.setdefault((rows.equation, rows.kind), []).append((residuals(self.stack, fit, index), rows))
         for pool in pools.values():
             noise = float(np.sqrt(np.mean(np.concatenate([left for left, _ in pool]) ** 2)))
-            dependence = float(np.mean([rows_per_independent(left) for left, _ in pool]))
+            dependence = float(np.mean([rows_per_independent(left, rows.memory) for left, rows in pool]))
             for _, rows in pool:
                 rows.noise, rows.dependence = max(noise, 1e-12), dependence
 
@@ -245,13 +244,16 @@ class Evidence:
         return name[3]
 
 
-def rows_per_independent(left: Array) -> float:
-    """How many neighbouring rows carry the information of one, from their autocorrelation (Bartlett, 1946)."""
+def rows_per_independent(left: Array, memory: int = 60) -> float:
+    """How many neighbouring rows carry the information of one, from their autocorrelation (Bartlett, 1946).
+
+    memory : rows, within which one may depend on another.
+    """
     left = left - left.mean()
     power = float(left @ left)
     if power == 0.0 or len(left) < 8:
         return 1.0
-    longest = min(LONGEST_DEPENDENCE, len(left) // 4)
+    longest = min(memory, len(left) // 4)
     total = 1.0
     for lag in range(1, longest):
         if lag == FEW_LAGS:  # beyond a few, all at once costs less than one by one

@@ -46,6 +46,7 @@ class Rows:
     dependence: float = 1.0  # rows per independent row
     levels: float = math.inf  # that a rounded channel takes
     width: float = 0.0  # samples, smoothing of the rows
+    memory: int = 60  # rows, within which one may depend on another
     gram: Array | None = None  # over [left_over, columns]; None where it is to be made
 
 
@@ -99,6 +100,7 @@ def rows_of(run: str, kind: str, equation: Equation, effects: dict[Column, Array
         max(white_noise(left), equation.rounding),
         levels=equation.levels,
         width=equation.width,
+        memory=equation.memory,
     )
 
 

@@ -65,7 +65,7 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
     s.bus_voltage = clock.get("bus_voltage", "bench")
     angle = clock.get("angle")
     if angle is not None:
-        speed = np.diff(angle, prepend=angle[0]) / dt
+        speed = np.diff(angle, prepend=2.0 * angle[0] - angle[1]) / dt  # a run may begin while it turns
         s.sharp_angle = middle(angle)
         s.angle = smooth(s.sharp_angle)
         s.velocity = smooth(speed)
