@@ -47,6 +47,7 @@ class Finding:
     names: tuple[str, ...]
     covariance: Array
     floor: float  # size that a sound machine gives it
+    by_chance: float = 0.0  # square of it in standard errors, by which the best of the orders tried is larger by noise
 
     @property
     def effect(self) -> str:
@@ -55,8 +56,9 @@ class Finding:
 
     @property
     def height(self) -> float:
-        """Size over what noise and model error alone would give it."""
-        return self.size / math.hypot(self.std, self.floor)
+        """Size, beyond what the best of many has by noise, over what noise and model error alone would give it."""
+        beyond = math.sqrt(max(self.size**2 - self.by_chance * self.std**2, 0.0))
+        return beyond / math.hypot(self.std, self.floor)
 
 
 def finding(
@@ -98,7 +100,8 @@ def finding(
     direction = own / length
     std = size / length * math.sqrt(max(float(direction @ spread @ direction), 0.0))
     floor = evidence.floor(candidate)
-    result = Finding(candidate, gain, size, std, tuple(values.tolist()), names, covariance, floor)
+    by_chance = 2.0 * math.log(effect.orders[1] - effect.orders[0] + 1) if effect.periodic else 0.0
+    result = Finding(candidate, gain, size, std, tuple(values.tolist()), names, covariance, floor, by_chance)
     return result if whole or free or is_possible(evidence, result) else None
 
 
