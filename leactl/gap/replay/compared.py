@@ -10,7 +10,7 @@ from leactl.gap.replay.job import Job
 from leactl.gap.signals.derived import fast_signals
 from leactl.gap.signals.noise import quantum_of
 from leactl.gap.signals.record import Clocked, Key, Mask, Record
-from leactl.gap.signals.smoothing import smooth
+from leactl.gap.signals.smoothing import smooth, speeds
 
 Array = npt.NDArray[np.float64]
 BLOCK_S = 1.0
@@ -72,7 +72,7 @@ def measured(clock: Clocked, key: Key) -> Array | None:
     """A channel, or the speed that the angle tells where the run has none."""
     if key == ("velocity", "test") and clock.get("velocity") is None:
         angle = clock.get("angle")
-        return smooth(np.diff(angle, prepend=angle[0]) / clock.interval) if angle is not None else None
+        return smooth(speeds(angle, clock.interval)) if angle is not None else None
     return clock.get(*key)
 
 

@@ -16,7 +16,7 @@ from leactl.effects.contract import Signals
 from leactl.effects.shapes import play
 from leactl.gap.signals.noise import noise_of, quantum_of
 from leactl.gap.signals.record import Clocked, Record, smallest_step
-from leactl.gap.signals.smoothing import middle, sharp_senses, slope, smooth
+from leactl.gap.signals.smoothing import middle, sharp_senses, slope, smooth, speeds
 from leactl.model.nominal import BenchModel, Model
 from leactl.model.sheet import Thermal
 from leactl.model.thermal_network import ThermalNetwork
@@ -65,7 +65,7 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
     s.bus_voltage = clock.get("bus_voltage", "bench")
     angle = clock.get("angle")
     if angle is not None:
-        speed = np.diff(angle, prepend=2.0 * angle[0] - angle[1]) / dt  # a run may begin while it turns
+        speed = speeds(angle, dt)
         s.sharp_angle = middle(angle)
         s.angle = smooth(s.sharp_angle)
         s.velocity = smooth(speed)
@@ -284,7 +284,7 @@ def motion(record: Record, s: Signals, stamps: Array) -> None:
         s.extra["current_squared"] = binned(record.fast.time, current**2, stamps)
         s.extra["current_mean"] = binned(record.fast.time, current, stamps)
     if angle is not None:
-        speed = smooth(np.diff(angle, prepend=angle[0]) / record.fast.interval)
+        speed = smooth(speeds(angle, record.fast.interval))
         s.velocity = np.sqrt(binned(record.fast.time, speed**2, stamps))
 
 

@@ -27,6 +27,11 @@ def slope(values: Array, interval: float) -> Array:
     return out
 
 
+def speeds(angle: Array, interval: float) -> Array:
+    """Means over the interval that ends at each sample; the first as the second, for a run may begin while it turns."""
+    return np.asarray(np.diff(angle, prepend=2.0 * angle[0] - angle[1]) / interval, np.float64)
+
+
 def middle(values: Array) -> Array:
     """Instants as means over the interval that ends at each, exact for cubics."""
     out = np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1])])

@@ -20,7 +20,7 @@ from leactl.gap.over import (
 )
 from leactl.gap.replay.compared import Compared
 from leactl.gap.signals.record import Clocked, Record
-from leactl.gap.signals.smoothing import smooth
+from leactl.gap.signals.smoothing import smooth, speeds
 from leactl.quantities import UNITS
 from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.variable import VARIABLES
@@ -250,7 +250,7 @@ def variable_of(record: Record, one: Compared, variable: str) -> Array | None:
 def speed_of(clock: Clocked) -> Array | None:
     """Speed from the angle."""
     angle = clock.get("angle")
-    return smooth(np.diff(angle, prepend=angle[0]) / clock.interval, 4.0) if angle is not None else None
+    return smooth(speeds(angle, clock.interval), 4.0) if angle is not None else None
 
 
 def since_reversal(speed: Array, interval: float) -> Array:
