@@ -17,6 +17,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Place = Callable[[Array], Array]
 
+MEMORY = 60  # rows, within which one may depend on another where an equation does not say
 STAMPED = 0.05  # of an interval, to which two channels of one sample are of one moment
 
 
@@ -40,4 +41,4 @@ class Equation:
     kind: str = ""  # of the runs that its rows are weighed together with; the run's own where left out
     width: float = 4.0
     step: int = 8
-    memory: int = 60  # rows, within which one may depend on another
+    memory: int = MEMORY  # rows, within which one may depend on another

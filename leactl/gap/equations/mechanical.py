@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.contract import Signals
-from leactl.gap.equations.contract import STAMPED, Equation, Mask, Place
+from leactl.gap.equations.contract import MEMORY, STAMPED, Equation, Mask, Place
 from leactl.gap.equations.motion import load_lag
 from leactl.gap.signals.derived import averaged, held
 from leactl.gap.signals.noise import noise_of
@@ -16,7 +16,6 @@ Array = npt.NDArray[np.float64]
 SLOW_SHARE = 0.005  # of a run's highest speed, below which it may stand as well
 SWING_REACH = 8.0  # samples
 SHARPER, EVENED = ((1.0, 2), (2.0, 4)), (4.0, 8)  # samples, smoothing of rows and their distance
-MEMORY = 480  # samples, within which what a free rotor's equation misses may depend on itself
 QUIET = 0.01  # of an acceleration, that its noise may have
 STICKING_PRIOR = 0.5  # of nominal Coulomb friction
 
@@ -65,7 +64,7 @@ def free(record: Record, s: Signals) -> Equation | None:
         shared,
         width=width,
         step=step,
-        memory=MEMORY // step,
+        memory=MEMORY * EVENED[1] // step,  # as long in closer rows
     )
 
 

@@ -17,6 +17,7 @@ from leactl import yamlfile
 from leactl.effects import library
 from leactl.effects.contract import Form
 from leactl.gap.equations import Equation, equations
+from leactl.gap.equations.contract import MEMORY
 from leactl.gap.search.orders import strongest
 from leactl.gap.search.regression import (
     Candidate,
@@ -244,7 +245,7 @@ class Evidence:
         return name[3]
 
 
-def rows_per_independent(left: Array, memory: int = 60) -> float:
+def rows_per_independent(left: Array, memory: int = MEMORY) -> float:
     """How many neighbouring rows carry the information of one, from their autocorrelation (Bartlett, 1946).
 
     memory : rows, within which one may depend on another.

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from leactl.effects import library
 from leactl.effects.contract import Form, Signals, Terms
-from leactl.gap.equations.contract import Equation
+from leactl.gap.equations.contract import MEMORY, Equation
 from leactl.gap.signals.smoothing import thinned, thinned_index
 
 Array = npt.NDArray[np.float64]
@@ -46,7 +46,7 @@ class Rows:
     dependence: float = 1.0  # rows per independent row
     levels: float = math.inf  # that a rounded channel takes
     width: float = 0.0  # samples, smoothing of the rows
-    memory: int = 60  # rows, within which one may depend on another
+    memory: int = MEMORY  # rows, within which one may depend on another
     gram: Array | None = None  # over [left_over, columns]; None where it is to be made
 
 

@@ -13,6 +13,7 @@ from leactl.gap.replay.bearing import give_of
 from leactl.gap.replay.compared import Compared, compare
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.plants import plant_of
+from leactl.gap.search.confirm import CHANCE, RESAMPLED
 from leactl.gap.signals.record import Record
 from leactl.model.nominal import Model
 from leactl.quantities import UNITS
@@ -20,9 +21,7 @@ from leactl.quantities import UNITS
 Array = npt.NDArray[np.float64]
 NEAR_FLOOR = 1.1  # floors, below which no gap is left to close
 NEAR = math.log(NEAR_FLOOR)
-RESAMPLED = 2000
 FEWEST_BLOCKS = 8  # of a channel, below which resampling says little of an interval's ends
-CHANCE = 0.025  # beyond either end of an interval of 95 %
 TRACE_POINTS = 1500
 SLOW = 0.05  # s between samples, from which on a trace shows the whole run: thinned out, a faster channel would alias
 
