@@ -97,9 +97,9 @@ class Signals:
     smoothed: Callable[[Array], Array] = np.asarray  # as torques and accelerations are
 
     def waves(self, order: float) -> tuple[Array, Array]:
-        """Cosine and sine of the angle times an order, as the mean over an interval and the smoothing leave them.
+        """Cosine and sine of order times angle, attenuated by the mean over an interval and by the smoothing.
 
-        Of a wave that turns by more than half of its period from one sample to the next nothing is left.
+        A wave that advances by half of its period or more in an interval becomes zero.
 
         Raises
         ------

@@ -65,8 +65,8 @@ SLOW_WIDTH = 8.0  # samples, smoothing of temperatures that drive a simulation
 def measure(records: Sequence[Record], model: Model, seed: int = 0) -> Null:
     """Simulate the runs of a case as sound machines would make them, and look for effects there.
 
-    Torques that are balanced against each other alone shrink together with their scale. Where fits to sound runs do so,
-    the torque constant is drawn anew for every machine and kept at the model's value in the fit.
+    If a fit only balances torques against each other, noise shrinks them and the torque constant together. If fits to
+    sound runs show this, each machine gets a torque constant of its own, and the fit keeps that of the model.
     """
     random = np.random.default_rng(seed)
     shown = looked_at(records, model, (), random)
@@ -88,8 +88,8 @@ def measure(records: Sequence[Record], model: Model, seed: int = 0) -> Null:
 def compare(evidence: Evidence, null: Null) -> None:
     """Take what sound machines show in the runs of a case as its floors.
 
-    A form of a shape that the runs show more sharply than the sound machines' runs do (their drive followed where the
-    real one stood at a limit) has a floor as much smaller.
+    Where the runs give a form of a shaped effect a smaller standard error than the sound machines' runs do (their drive
+    followed where the real one stood at a limit), its floor is multiplied by the ratio of the two.
     """
     evidence.compare_with(null)
     for effect, items in by_themselves(evidence).items():
@@ -150,11 +150,12 @@ class Shown:
 
 
 def confirmed_beside_others(evidence: Evidence, found: Found, seed: int = 0) -> Found:
-    """A set without those members that a machine with the others alone shows as well.
+    """Drop the members of a set that also show in a machine which has only the other members.
 
     What equations miss of a large effect (its course within a sample, where friction turns back under it) may look like
-    a smaller one. A machine with the others, fitted without the member, is simulated through the same runs, and what
-    the same fit makes of the member there adds to its floor. The member that takes most away is not asked.
+    a smaller one. For each member such a machine is fitted and simulated through the same runs, and the member is
+    fitted there. The size found is combined, in quadrature, with the member's floor and standard error. The member with
+    the largest gain is not tested.
     """
     random = np.random.default_rng(seed)
     hypothesis = list(found.hypothesis)
@@ -168,7 +169,7 @@ def confirmed_beside_others(evidence: Evidence, found: Found, seed: int = 0) -> 
 
 
 def size_beside(evidence: Evidence, others: Sequence[Candidate], item: Finding, random: np.random.Generator) -> float:
-    """Size of an effect, beyond noise, in a machine that has others and not this one."""
+    """Size of an effect, beyond noise, in a machine that has only the others; zero where it cannot be simulated."""
     fit = evidence.settle(others)
     acting = [(c[0], {p.name: p.value for p in effect_parameters(evidence, fit, c)}) for c in others]
     machine = with_effects(with_calibration(evidence.model, calibrated(evidence, fit)), acting)

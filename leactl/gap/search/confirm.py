@@ -13,7 +13,7 @@ from leactl.gap.signals.record import Record
 Array = npt.NDArray[np.float64]
 STRETCHES = 16  # of the rows of an equation and a run, drawn again as a whole
 RESAMPLED = 2000
-CHANCE = 0.025  # that a gain is below its interval
+CHANCE = 0.025  # beyond either end of an interval of 95 %
 
 
 class HeldOutGain(NamedTuple):
@@ -26,10 +26,10 @@ class HeldOutGain(NamedTuple):
 def held_out_gains(
     evidence: Evidence, hypothesis: Sequence[Candidate], held_out: Sequence[Record], seed: int = 0
 ) -> list[HeldOutGain]:
-    """What each member takes away on held-out runs, its parameters and all others kept as fitted.
+    """What each member takes away on held-out runs.
 
-    What belongs to a run alone, such as where its lock stands, is fitted there. Of several members each is asked for as
-    much less chance.
+    The fitted runs are fitted with the member and without it, and both fits are compared on the held-out runs. These
+    refit only what belongs to a run alone, such as where its lock stands. `CHANCE` is divided by the number of members.
     """
     cannot_tell = HeldOutGain(np.nan, np.nan)
     if not held_out or not hypothesis:
@@ -39,8 +39,7 @@ def held_out_gains(
         return [cannot_tell] * len(hypothesis)
     others.settle(hypothesis)
     normal, random = others.normal(), np.random.default_rng(seed)
-    evidence.settle(hypothesis)
-    whole = transferred(normal, evidence, evidence.normal().fit(hypothesis))
+    whole = transferred(normal, evidence, evidence.settle(hypothesis))
     gains = []
     for index in range(len(hypothesis)):
         if len(others.columns(hypothesis[index])) == 0:
@@ -56,7 +55,7 @@ def held_out_gains(
 
 
 def taken_by_stretch(normal: Normal, without: Fit, whole: Fit) -> Array:
-    """Weighted squares by which two fits differ in each stretch of every rows."""
+    """Weighted squares by which two fits differ, for each stretch of the rows of each equation and run."""
     taken = []
     for index, weight in enumerate(normal.weights):
         before, after = (residuals(normal.stack, fit, index) for fit in (without, whole))

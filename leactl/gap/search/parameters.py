@@ -148,9 +148,9 @@ def with_effects(model: Model, effects: Sequence[tuple[str, Mapping[str, float]]
 
 
 def fitted_over_nominal(evidence: Evidence, fit: Fit, candidate: Candidate) -> float:
-    """By what a fit changes the part of the model that an effect is a share of, in the rows that show the effect.
+    """Ratio of fitted to nominal friction, or what else an effect is a share of, in the rows that show the effect.
 
-    Of several parameters each counts as much as its part there.
+    Each of several parameters is weighted by the product of its column with the sum of all their columns.
     """
     stack, parameters = evidence.stack, library()[candidate[0]].relative_to
     shown = evidence.columns(candidate)
