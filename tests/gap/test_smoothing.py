@@ -1,12 +1,19 @@
 """Filters of the gap's equations: exact where they say so, and no side of an equation shifted against another."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from leactl.effects.plant import bare
 from leactl.effects.shapes import bristle, delayed, lagged, play, rate_limited
-from leactl.gap.signals.smoothing import middle, senses, sharp_senses, slope, thinned, thinned_index
+from leactl.gap.replay.job import Job
+from leactl.gap.replay.readings import measured_speed
+from leactl.gap.signals.record import Record
+from leactl.gap.signals.smoothing import middle, senses, sharp_senses, slope, speeds, thinned, thinned_index
+from tests.gap.synthetic import clocked, model
 
 COEFFICIENTS = st.lists(st.floats(-3, 3), min_size=4, max_size=4)
 INTERVAL = 0.01
@@ -104,3 +111,11 @@ def test_a_slow_turn_keeps_the_smoothed_sense():
     random = np.random.default_rng(1)
     speeds = 0.002 * np.arange(-100.0, 100.0) + 0.05 * random.standard_normal(200)
     assert np.all(np.diff(np.sign(sharp_senses(speeds, 0.05))) >= 0.0)
+
+
+@pytest.mark.parametrize("rate", [-7.0, 0.0, 12.0])
+def test_a_run_that_begins_while_it_turns_has_its_speed_from_the_first_sample_on(rate):
+    turned = rate * INTERVAL * np.arange(40)
+    begun = Record(Path("a.h5"), "free", "free", clocked(40, INTERVAL, {("angle", "test"): turned}), None, {})
+    np.testing.assert_allclose(speeds(turned, INTERVAL), rate, atol=1e-9)
+    np.testing.assert_allclose(measured_speed(Job(begun, bare(model()))), rate, atol=1e-9)

@@ -10,7 +10,7 @@ from leactl.effects.plant import Array, Becomes, Course
 from leactl.gap.replay.drive import over_samples
 from leactl.gap.replay.heat import resistance_share
 from leactl.gap.replay.job import Job
-from leactl.gap.signals.smoothing import smooth
+from leactl.gap.signals.smoothing import smooth, speeds
 from leactl.gap.signals.stamps import restamped
 
 STAMPED_BY = {"velocity": "velocity", "torque": "torque_channel", "q_axis_voltage": "voltage"}  # equations
@@ -112,7 +112,7 @@ def measured_speed(job: Job) -> Array:
     measured, clock = job.clock.get("angle"), job.clock
     if measured is None:
         return clock.values["velocity", "test"]
-    return smooth(np.diff(measured, prepend=measured[0]) / clock.interval)
+    return smooth(speeds(measured, clock.interval))
 
 
 def angle(job: Job) -> Array:
