@@ -18,7 +18,7 @@ import numpy.typing as npt
 from leactl.errors import InputError
 from leactl.gap.replay.job import parts_of
 from leactl.gap.signals.record import FEWEST, PAUSED, Clocked, Record, bridging_interval, is_slow, record_of
-from leactl.gap.signals.scales import TOP, speeds
+from leactl.gap.signals.scales import TOP, absolute_speeds
 from leactl.gap.signals.smoothing import smooth
 from leactl.quantities import ChannelSpec
 from leactl.runfile.integrity import refuse_altered
@@ -150,7 +150,7 @@ def stretches_of(walk: "Walk", slow: Record | None) -> list[Record]:
     if not found:
         raise InputError(list(dict.fromkeys(faults)))
     clocks = [clock for _, clock in found]
-    fastest = max((float(np.quantile(speed, TOP)) for clock in clocks for speed in speeds(clock)), default=0.0)
+    fastest = max((float(np.quantile(speed, TOP)) for clock in clocks for speed in absolute_speeds(clock)), default=0.0)
     counts = {key: max(clock.counts.get(key, 0.0) for clock in clocks) for clock in clocks for key in clock.counts}
     return [
         replace(one, fast=replace(clock, fastest=fastest, counts={key: counts[key] for key in clock.counts}))

@@ -69,7 +69,7 @@ def form_scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     found["loop"] = time_constant(bench.current_loop_bandwidth, min(clock.interval for clock in clocks))
     found["velocity filter"] = time_constant(bench.velocity_filter_bandwidth, found["loop"])
     found["torque filter"] = time_constant(bench.torque_filter_bandwidth, found["loop"])
-    turning = [(float(clock.since_begin[-1]), speed) for clock in clocks for speed in speeds(clock)]
+    turning = [(float(clock.since_begin[-1]), speed) for clock in clocks for speed in absolute_speeds(clock)]
     if turning and (top := max(float(np.quantile(speed, TOP)) for _, speed in turning)) > 0.0:
         found["highest speed"] = top
         found["longest run"] = max(lasting for lasting, speed in turning if np.quantile(speed, TOP) > TURNING * top)
@@ -94,7 +94,7 @@ def time_constant(bandwidth: float | None, otherwise: float) -> float:
     return otherwise if bandwidth is None else 1.0 / (2.0 * math.pi * bandwidth)
 
 
-def speeds(clock: Clocked) -> Iterator[Array]:
+def absolute_speeds(clock: Clocked) -> Iterator[Array]:
     """Absolute speeds of a run that has them or an angle."""
     if (velocity := clock.get("velocity")) is not None:
         yield np.abs(velocity)
@@ -108,7 +108,7 @@ def currents_at_speed(clocks: Sequence[Clocked]) -> Iterator[float]:
         reference = clock.get("q_axis_current_reference")
         if reference is None:
             continue
-        for speed in speeds(clock):
+        for speed in absolute_speeds(clock):
             yield float(np.quantile(np.abs(reference[-len(speed) :]) * speed, TOP))
 
 
