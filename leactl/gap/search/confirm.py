@@ -64,7 +64,7 @@ def taken_by_stretch(normal: Normal, without: Fit, whole: Fit) -> Array:
 
 
 def transferred(normal: Normal, evidence: Evidence, fit: Fit) -> Fit:
-    """The shared coefficients of a fit on other runs, whose own nuisances are free."""
+    """A fit tried on other runs: the coefficients that all runs share stay, those of a single run are fitted anew."""
     known: dict[Column, float] = {
         evidence.stack.names[place]: float(value) for place, value in zip(fit.columns, fit.values, strict=True)
     }
