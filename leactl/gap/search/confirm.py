@@ -13,14 +13,14 @@ from leactl.gap.signals.record import Record
 Array = npt.NDArray[np.float64]
 STRETCHES = 16  # of the rows of an equation and a run, drawn again as a whole
 RESAMPLED = 2000
-CHANCE = 0.025  # beyond either end of an interval of 95 %
+CHANCE = 0.025  # beyond one end of an interval; beyond both, 95 % are left
 
 
 class HeldOutGain(NamedTuple):
     """Weighted squares that an effect takes away on held-out runs; NaN where these cannot tell."""
 
-    gain: float
-    least: float  # the lower end of its interval, from stretches of these runs that are drawn again
+    gain: float  # with what the coefficients cost by their priors
+    least: float  # lower end of the interval without that cost, from stretches of these runs that are drawn again
 
 
 def held_out_gains(
@@ -28,21 +28,24 @@ def held_out_gains(
 ) -> list[HeldOutGain]:
     """What each member takes away on held-out runs.
 
-    The fitted runs are fitted with the member and without it, and both fits are compared on the held-out runs. These
-    refit only what belongs to a run alone, such as where its lock stands. `CHANCE` is divided by the number of members.
+    The fitted runs are fitted with the member and without it. On the held-out runs the coefficients that all runs share
+    stay as fitted; those of a single run, such as where its lock stands or what a member began with, are fitted there.
+    The weights are those of a fit of all members to the held-out runs. `CHANCE` is divided by the number of members,
+    for all are tried at once (Bonferroni).
     """
     cannot_tell = HeldOutGain(np.nan, np.nan)
     if not held_out or not hypothesis:
         return [cannot_tell] * len(hypothesis)
-    others = Evidence(held_out, evidence.model, only=list(hypothesis), pinned=evidence.pinned)
-    if not others.stack.rows:
+    on_held_out = Evidence(held_out, evidence.model, only=list(hypothesis), pinned=evidence.pinned)
+    if not on_held_out.stack.rows:
         return [cannot_tell] * len(hypothesis)
-    others.settle(hypothesis)
-    normal, random = others.normal(), np.random.default_rng(seed)
-    whole = transferred(normal, evidence, evidence.settle(hypothesis))
+    on_held_out.settle(hypothesis)  # for its weights
+    normal, random = on_held_out.normal(), np.random.default_rng(seed)
+    fitted = evidence.settle(hypothesis)  # whose weights the fits without a member have too
+    whole = transferred(normal, evidence, fitted)
     gains = []
     for index in range(len(hypothesis)):
-        if len(others.columns(hypothesis[index])) == 0:
+        if len(on_held_out.columns(hypothesis[index])) == 0:
             gains.append(cannot_tell)
             continue
         rest = [*hypothesis[:index], *hypothesis[index + 1 :]]
@@ -55,7 +58,7 @@ def held_out_gains(
 
 
 def taken_by_stretch(normal: Normal, without: Fit, whole: Fit) -> Array:
-    """Weighted squares by which two fits differ, for each stretch of the rows of each equation and run."""
+    """How much less `whole` leaves over than `without`, for each stretch of the rows of each equation and run."""
     taken = []
     for index, weight in enumerate(normal.weights):
         before, after = (residuals(normal.stack, fit, index) for fit in (without, whole))
@@ -64,7 +67,11 @@ def taken_by_stretch(normal: Normal, without: Fit, whole: Fit) -> Array:
 
 
 def transferred(normal: Normal, evidence: Evidence, fit: Fit) -> Fit:
-    """A fit tried on other runs: the coefficients that all runs share stay, those of a single run are fitted anew."""
+    """A fit tried on other runs: the coefficients that all runs share stay, those of a single run are fitted anew.
+
+    normal : of the other runs.
+    evidence : of the runs that the fit was made to.
+    """
     known: dict[Column, float] = {
         evidence.stack.names[place]: float(value) for place, value in zip(fit.columns, fit.values, strict=True)
     }
