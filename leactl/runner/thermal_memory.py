@@ -1,7 +1,8 @@
 """What a winding may still hold from before: bounds in a file for each actuator, with the time that they are of.
 
-They cool while nothing runs. A process that died left its actuator no hotter than the limit that its guard kept; its
-housing may have gone on warming until the next writing was overdue. What is not known counts as hot.
+They cool while nothing runs, for as long as is certain by the clock since boot (`leactl.runner.moment`): the wall clock
+cools nothing. A process that died left its actuator no hotter than the limit that its guard kept; its housing may have
+gone on warming until the next writing was overdue. What is not known counts as hot.
 """
 
 import errno
@@ -21,17 +22,16 @@ import numpy as np
 from leactl.errors import InputError
 from leactl.model.motor import Motor
 from leactl.runner import state
+from leactl.runner.moment import Moment
 from leactl.runner.state import Place
 from leactl.safety.limits import COLDEST_DEGC, HOTTEST_DEGC
 from leactl.safety.thermal.bound import HOUSING, ThermalBound
 from leactl.safety.thermal.box import Array, Box
 
-FORMAT, VERSION = "leactl-thermal", 1
+FORMAT, VERSION = "leactl-thermal", 2
 WRITTEN_EVERY_S = 1.0
 BYTES = 4096  # of a file, so that each writing is one call and covers all of the one before
 OVERDUE_S = 10.0  # without a writing, after which a run is ended
-AHEAD_S = 60.0  # by which another clock may be ahead of this one
-FORGOTTEN_S = 48 * 3600.0  # by then any actuator is at ambient
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class Memory:
         self._digest = sha256(motor.model_dump_json().encode()).hexdigest()
         self._place, self.path = place, place.windings(_file_name(actuator))
 
-    def recall(self, now: float) -> Recalled:
-        """Bounds of this actuator at a time [s since 1970]; hot where nothing can be told.
+    def recall(self, now: Moment) -> Recalled:
+        """Bounds of this actuator at a moment; hot where nothing can be told.
 
         Where several places tell of it, since not all users could write to one, the hottest counts.
         """
@@ -72,12 +72,12 @@ class Memory:
         paths = dict.fromkeys(place.windings(_file_name(self.actuator)) for place in places)
         return [path for path in paths if os.path.lexists(path)]
 
-    def _recall(self, path: Path, now: float) -> Recalled:
+    def _recall(self, path: Path, now: Moment) -> Recalled:
         try:
-            nodes, time, running = self._read(path, now)
+            nodes, kept, running = self._read(path)
+            left = now.surely_since(kept)
         except (OSError, ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:
             return self._hot(f"{path} cannot be used: {getattr(error, 'strerror', None) or error}")
-        left = max(now - time, 0.0)
         bound = ThermalBound([Box.of(self._motor)], self._ambient)
         how = "at rest since"
         if running:
@@ -88,11 +88,10 @@ class Memory:
             nodes = np.array([nodes[0], nodes[1], bound.nodes()[HOUSING, 0]])
             left, how = max(left - OVERDUE_S, 0.0), "its last run ended without a word after"
         bound.set(nodes[:, None])
-        none = np.zeros(1)
-        bound.step(min(left, FORGOTTEN_S), none, none, none, self._ambient)
-        return Recalled(bound.nodes()[:, 0], f"{how} {_told(time)}")
+        bound.rest(left, self._ambient)
+        return Recalled(bound.nodes()[:, 0], f"{how} {_told(kept.wall)}")
 
-    def keep(self, nodes: Array, now: float, running: bool) -> None:
+    def keep(self, nodes: Array, now: Moment, running: bool) -> None:
         """Write bounds in one call; a file that is cut short all the same counts as hot.
 
         Raises
@@ -105,7 +104,9 @@ class Memory:
             "actuator": self.actuator,
             "motor": self._motor.name,
             "motor_sha256": self._digest,
-            "time": now,
+            "time": now.wall,
+            "boot": now.boot,
+            "since_boot_s": now.since_boot,
             "running": running,
             "nodes_degC": [round(float(value), 4) for value in nodes],
         }
@@ -132,7 +133,7 @@ class Memory:
             bound.step(1.0, np.zeros(1), np.zeros(1), np.zeros(1), self._ambient)
             bound.state[:HOUSING] = rest
 
-    def _read(self, path: Path, now: float) -> tuple[Array, float, bool]:
+    def _read(self, path: Path) -> tuple[Array, Moment, bool]:
         kept = json.loads(state.read(path))
         if kept["format"] != FORMAT or kept["format_version"] != VERSION:
             raise ValueError(f"format {kept['format']} {kept['format_version']}, {FORMAT} {VERSION} was expected")
@@ -140,21 +141,26 @@ class Memory:
             raise ValueError(f"it is of actuator '{kept['actuator']}'")
         if kept["motor_sha256"] != self._digest:
             raise ValueError(f"it is of another motor file ('{kept['motor']}')")
-        nodes, time = kept["nodes_degC"], float(kept["time"])
-        if len(nodes) != 3 or not all(COLDEST_DEGC <= float(value) <= HOTTEST_DEGC for value in nodes):
+        nodes = kept["nodes_degC"]
+        if not (
+            isinstance(nodes, list)
+            and len(nodes) == 3
+            and all(type(value) in (int, float) and COLDEST_DEGC <= value <= HOTTEST_DEGC for value in nodes)
+        ):
             raise ValueError(f"nodes_degC {nodes}: three temperatures in degC were expected")
-        if not (math.isfinite(time) and time <= now + AHEAD_S):
-            raise ValueError(f"it is of the future, {_told(time)}")
-        if kept["running"] not in (True, False):
+        if not isinstance(kept["boot"], str):
+            raise TypeError("boot: the identifier of a boot was expected")
+        if type(kept["running"]) is not bool:
             raise ValueError("running: true or false was expected")
-        return np.array(nodes, float), time, kept["running"]
+        moment = Moment(float(kept["time"]), kept["boot"], float(kept["since_boot_s"]))
+        return np.array(nodes, float), moment, kept["running"]
 
 
 class Keeper:
     """Writes the bounds of a run every second from a thread of its own, so that no disk holds up the loop."""
 
     def __init__(
-        self, memories: dict[str, Memory], nodes: Callable[[], dict[str, Array]], clock: Callable[[], float]
+        self, memories: dict[str, Memory], nodes: Callable[[], dict[str, Array]], clock: Callable[[], Moment]
     ) -> None:
         self._memories, self._nodes, self._clock = memories, nodes, clock
         self._ended = threading.Event()
@@ -178,7 +184,7 @@ class Keeper:
 
     def fault(self) -> str:
         """Why nothing has been written for too long; empty where all is well."""
-        since = self._clock() - self._written
+        since = self._clock().since_boot - self._written.since_boot
         return f"the windings' state was not written for {since:.0f} s: {self._fault}" if since > OVERDUE_S else ""
 
     def stop(self) -> None:

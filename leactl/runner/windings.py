@@ -3,7 +3,6 @@
 An emulated bench of this process is at ambient whenever it begins, by its own clock; every other bench has a memory.
 """
 
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
@@ -13,6 +12,7 @@ from leactl.driver.contract import SAFE_STATE_S
 from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
 from leactl.protocol.plan import Plan
+from leactl.runner.moment import Moment
 from leactl.runner.state import place_of
 from leactl.runner.thermal_memory import Keeper, Memory, Recalled
 from leactl.runner.watchdog import time_to_end_s
@@ -52,7 +52,7 @@ class Windings:
         self.names = {role: actuator if role == "test" and actuator else f"{bench.name}.{role}" for role in self.motors}
         place = place_of(bench, emulated_here)
         memories = {role: Memory(self.names[role], motor, limit, ambient, place) for role, motor in self.motors.items()}
-        now = time.time()
+        now = Moment.now()
         self.recalled: dict[str, Recalled] = {
             role: memory.cold() if cold or emulated_here else memory.recall(now) for role, memory in memories.items()
         }
@@ -61,7 +61,7 @@ class Windings:
             self.recalled |= {role: memories[role].cold() for role in fresh}
         start = {role: found.nodes for role, found in self.recalled.items()}
         self.guard = ThermalGuard(self.motors, self.settings, start)
-        self.keeper = None if emulated_here else Keeper(memories, lambda: self.guard.kept, time.time)
+        self.keeper = None if emulated_here else Keeper(memories, lambda: self.guard.kept, Moment.now)
 
     @contextmanager
     def remembered(self) -> Iterator[None]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from leactl.protocol.plan import Plan
 from leactl.runner import state
+from leactl.runner.moment import Moment
 from leactl.runner.thermal_memory import Memory
 from leactl.runner.windings import motors_of
 from leactl.safety.thermal.box import Array, Box
@@ -27,7 +28,7 @@ OFFSETS_RAD = tuple(math.pi / 12.0 * k for k in range(4))  # of commutation; fro
 WARM_SHARE, EARLIER_KILLED_SHARE = 0.3, 0.2
 LONGEST_EARLIER_S, LONGEST_PAUSE_S = 90.0, 120.0
 THERMAL = "winding: its hottest phase may be at"
-EPOCH_S = 1.7e9  # of the memory's files
+UPTIME_S = 1e6  # of the machine, where an earlier run ends
 
 
 @dataclass
@@ -139,8 +140,8 @@ def _start(
     start = {}
     for role in ROLES:
         memory = Memory(f"trial.{role}", LEA, limit, ambient, state.of_user())
-        memory.keep(before.kept[role], EPOCH_S - written, running=died)
-        start[role] = memory.recall(EPOCH_S + pause).nodes
+        memory.keep(before.kept[role], Moment(0.0, "", UPTIME_S - written), running=died)
+        start[role] = memory.recall(Moment(0.0, "", UPTIME_S + pause)).nodes
     return start, "warm, killed" if died else "warm", [before, pause]
 
 

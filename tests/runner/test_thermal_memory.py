@@ -11,18 +11,33 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import yaml
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
 
 from leactl.bench import benchfile
 from leactl.errors import InputError
 from leactl.model.motor import load_motor
 from leactl.runner import state, thermal_memory
+from leactl.runner.moment import Moment
 from leactl.runner.thermal_memory import OVERDUE_S, Keeper, Memory
 from leactl.runner.windings import Windings
+from leactl.safety.thermal.bound import ThermalBound
+from leactl.safety.thermal.box import Box
 from tests.cli.terminal import COMMAND, leactl, live_run, start
+from tests.safety.phases import Plant
 
 LEA = load_motor("lea")[0]
-NOW = 1.8e9  # s since 1970
+UPTIME = 5e6  # s
 WARM = np.array([90.0, 80.0, 50.0])
+
+
+def at(seconds=0.0, boot="b1", wall=None):
+    """So long after the moment at which the tests keep something, in this boot."""
+    return Moment(1.8e9 + seconds if wall is None else wall, boot, UPTIME + seconds)
+
+
+NOW = at()
 
 
 def memory(actuator="a1", motor=LEA, limit=130.0, ambient=25.0):
@@ -38,7 +53,7 @@ def test_what_was_kept_is_recalled():
 
 def test_windings_cool_while_nothing_runs_the_housing_slowly():
     memory().keep(WARM, NOW, running=False)
-    nodes = [memory().recall(NOW + seconds).nodes for seconds in (0, 60, 600, 3600, 7 * 86400)]
+    nodes = [memory().recall(at(seconds)).nodes for seconds in (0, 60, 600, 3600, 7 * 86400)]
     assert all(later[0] < earlier[0] for earlier, later in pairwise(nodes))
     assert nodes[1][0] < 65.0
     assert nodes[1][2] > 40.0
@@ -52,12 +67,11 @@ def test_a_run_that_died_left_its_winding_at_the_limit_and_its_housing_warmer():
     assert 52.0 < found.nodes[2] < 70.0
     assert found.known.startswith("its last run ended without a word after 2027-")
     # nothing is known of the time until a writing was overdue
-    assert memory().recall(NOW + OVERDUE_S).nodes == pytest.approx(found.nodes)
-    assert memory().recall(NOW + 600.0).nodes[0] < 80.0
-    assert memory().recall(NOW + 2 * 86400.0).nodes == pytest.approx(28.0, abs=0.1)
+    assert memory().recall(at(OVERDUE_S)).nodes == pytest.approx(found.nodes)
+    assert memory().recall(at(600.0)).nodes[0] < 80.0
+    assert memory().recall(at(2 * 86400.0)).nodes == pytest.approx(28.0, abs=0.1)
 
 
-BODY = {"nodes_degC": [40.0, 40.0, 35.0], "time": NOW, "running": False}
 FAULTS = {
     "damaged": (lambda text: text.replace(":", ";"), "delimiter"),
     "cut short": (lambda text: text[: len(text.strip()) // 2], ""),
@@ -65,20 +79,26 @@ FAULTS = {
     "a list": (lambda text: "[1, 2]", ""),
     "no object": (lambda text: "null", ""),
     "nested": (lambda text: "[" * 100_000, ""),
-    "format": ({"format": "leactl-run"}, "format leactl-run 1, leactl-thermal 1 was expected"),
-    "version": ({"format_version": 2}, "format leactl-thermal 2, leactl-thermal 1 was expected"),
+    "format": ({"format": "leactl-run"}, "format leactl-run 2, leactl-thermal 2 was expected"),
+    "version": ({"format_version": 3}, "format leactl-thermal 3, leactl-thermal 2 was expected"),
+    "of an earlier version": ({"format_version": 1}, "format leactl-thermal 1, leactl-thermal 2 was expected"),
     "another actuator": ({"actuator": "b7"}, "it is of actuator 'b7'"),
     "another motor": ({"motor_sha256": "0" * 64, "motor": "ak80"}, "it is of another motor file ('ak80')"),
-    "of the future": ({"time": NOW + 3600.0}, "it is of the future, 2027-"),
-    "no time": ({"time": math.nan}, "it is of the future"),
-    "an endless time": ({"time": 10**400}, "too large"),
-    "a time in words": ({"time": "noon"}, "noon"),
+    "of the future": ({"since_boot_s": UPTIME + 3600.0}, "it is of the future, 3.57e+03 s ahead of this boot's clock"),
+    "no time": ({"since_boot_s": math.nan}, "nan s after a boot, which is no time"),
+    "before its boot": ({"since_boot_s": -1.0}, "-1 s after a boot, which is no time"),
+    "an endless time": ({"since_boot_s": 10**400}, "too large"),
+    "a time in words": ({"since_boot_s": "noon"}, "noon"),
+    "no boot": ({"boot": None}, "boot: the identifier of a boot was expected"),
     "kelvin": ({"nodes_degC": [298.0, 298.0, 298.0]}, "three temperatures in degC were expected"),
     "NaN": ({"nodes_degC": [math.nan, 30.0, 30.0]}, "three temperatures in degC were expected"),
     "endless": ({"nodes_degC": [math.inf, 30.0, 30.0]}, "three temperatures in degC were expected"),
     "negative": ({"nodes_degC": [-273.0, 30.0, 30.0]}, "three temperatures in degC were expected"),
     "two nodes": ({"nodes_degC": [30.0, 30.0]}, "three temperatures in degC were expected"),
-    "one number": ({"nodes_degC": 30.0}, ""),
+    "one number": ({"nodes_degC": 30.0}, "three temperatures in degC were expected"),
+    "texts": ({"nodes_degC": ["30", "30", "30"]}, "three temperatures in degC were expected"),
+    "truths": ({"nodes_degC": [True, True, True]}, "three temperatures in degC were expected"),
+    "running as a number": ({"running": 0}, "running: true or false was expected"),
     "nulls": ({"nodes_degC": [None, None, None]}, ""),
     "running in words": ({"running": "no"}, "running: true or false was expected"),
     "key missing": ("running", "running"),
@@ -97,7 +117,7 @@ def test_a_file_that_cannot_be_trusted_counts_as_hot(fault):
         body = json.loads(text)
         body = body | change if isinstance(change, dict) else {key: body[key] for key in body if key != change}
         kept.path.write_text(json.dumps(body))
-    found = kept.recall(NOW + 30.0)
+    found = kept.recall(at(30.0))
     assert found.nodes.tolist() == [130.0] * 3
     assert found.known.startswith(f"counts as hot: {kept.path} cannot be used: ")
     assert reason in found.known
@@ -111,9 +131,65 @@ def test_nothing_known_and_nothing_readable_count_as_hot(tmp_path):
     assert memory("folder").recall(NOW).nodes.tolist() == [130.0] * 3
 
 
-def test_a_clock_that_is_a_little_behind_cools_nothing():
+@pytest.mark.parametrize("wall", [0.0, 1.8e9 - 3600.0, 1.8e9 + 3600.0, 4e9])
+@pytest.mark.parametrize("running", [False, True])
+def test_a_wall_clock_that_is_set_cools_nothing(wall, running):
+    memory().keep(WARM, NOW, running=running)
+    expected = memory().recall(at(30.0)).nodes
+    assert memory().recall(at(30.0, wall=wall)).nodes.tolist() == expected.tolist()
+
+
+def test_what_has_rested_through_a_boot_has_cooled_for_as_long_as_the_machine_is_up():
     memory().keep(WARM, NOW, running=False)
-    assert memory().recall(NOW - 30.0).nodes == pytest.approx(WARM, abs=0.1)
+    up = Moment(1.8e9 + 9e6, "b2", 45.0)  # it may have been off for a second or for months
+    assert memory().recall(up).nodes.tolist() == memory().recall(at(45.0)).nodes.tolist()
+
+
+LAGGED = LEA.model_copy(update={"thermal": LEA.thermal.model_copy(update={"winding_ambient_resistance": 1e4})})
+"""All of its heat leaves by the housing."""
+HEAVY = LAGGED.model_copy(update={"thermal": LAGGED.thermal.model_copy(update={"winding_capacitance": 2000.0})})
+"""The winding holds more than the housing."""
+LIGHT = LEA.model_copy(update={"thermal": LEA.thermal.model_copy(update={"housing_capacitance": 2.0})})
+"""The housing holds next to nothing."""
+SLOWEST = (1.0,) * 9 + (0.0, 1.0)  # resistances and capacitances high
+LONG = 2500.0  # s
+
+
+@settings(max_examples=40, deadline=None)
+@example(LAGGED, SLOWEST, LONG, (100.0, 1.0, 1.0))
+@example(HEAVY, SLOWEST, LONG, (100.0, 1.0, 0.0))
+@example(HEAVY, SLOWEST, LONG, (100.0, 1.0, 1.0))
+@example(LIGHT, SLOWEST, 200.0, (100.0, 1.0, 1.0))
+@example(LEA, SLOWEST, 61.0, (100.0, 1.0, 0.0))
+@given(
+    motor=st.sampled_from([LEA, LAGGED, HEAVY, LIGHT]),
+    places=st.tuples(*[st.sampled_from([-1.0, 1.0])] * 11),
+    rest=st.floats(1.0, 4000.0),
+    rises=st.tuples(st.floats(0.0, 100.0), st.floats(0.34, 1.0), st.floats(0.0, 1.0)),
+)
+def test_no_plant_of_the_box_is_hotter_after_a_rest_than_its_bound(motor, places, rest, rises):
+    """Against the matrix exponential of three phases and a housing."""
+    plant = Plant.inside(places, motor=motor)
+    hottest, mean, housing = (28.0 + rises[0] * share for share in (1.0, rises[1], rises[2]))
+    bound = ThermalBound([Box.of(motor)], 25.0)
+    bound.set(np.array([[hottest], [mean], [housing]]))
+    bound.rest(rest, 25.0)
+    others = 1.5 * mean - 0.5 * hottest
+    conductance, air = 1.0 / (3.0 * plant.winding_housing_resistance), 1.0 / (3.0 * plant.winding_ambient_resistance)
+    rates = np.diag([-(conductance + air)] * 3 + [-(3.0 * conductance + 1.0 / plant.housing_ambient_resistance)])
+    rates[:3, 3] = rates[3, :3] = conductance
+    capacitances = np.array([plant.winding_capacitance / 3.0] * 3 + [plant.housing_capacitance])
+    before = np.array([hottest, others, others, housing]) - plant.ambient
+    after = plant.ambient + expm(rates / capacitances[:, None] * rest) @ before
+    assert np.all(np.array([after[:3].max(), after[:3].mean(), after[3]]) <= bound.nodes()[:, 0] + 1e-6)
+
+
+def test_a_rest_of_two_days_leaves_what_one_of_an_hour_leaves_or_less():
+    memory().keep(WARM, NOW, running=False)
+    hour, days = (memory().recall(at(seconds)).nodes for seconds in (3600.0, 172_800.0))
+    assert np.all(days <= hour)
+    assert hour[0] < 30.0
+    assert days == pytest.approx(28.0, abs=0.01)
 
 
 def test_an_actuator_is_its_own_whatever_its_label():
@@ -129,7 +205,7 @@ def test_a_write_that_fails_leaves_the_old_file(monkeypatch):
     before = kept.path.read_text()
     monkeypatch.setattr(os, "pwrite", lambda *_call: 0)
     with pytest.raises(OSError, match="No space left"):
-        kept.keep(np.full(3, 120.0), NOW + 1.0, running=True)
+        kept.keep(np.full(3, 120.0), at(1.0), running=True)
     assert kept.path.read_text() == before
 
 
@@ -158,9 +234,9 @@ def test_a_keeper_that_cannot_write_says_so_once_it_is_overdue(monkeypatch):
     clock = [NOW]
     with keeping({"test": WARM}, clock) as (keeper, _memories):
         assert keeper.fault() == ""
-        clock[0] = NOW + OVERDUE_S
+        clock[0] = at(OVERDUE_S)
         assert keeper.fault() == ""
-        clock[0] = NOW + OVERDUE_S + 1.0
+        clock[0] = at(OVERDUE_S + 1.0)
         assert keeper.fault().startswith("the windings' state was not written for 11 s")
 
 

@@ -30,6 +30,8 @@ FOLLOWING = 0.01  # of what the fastest node gains in a step, that one at rest m
 WIDENINGS = 6
 MOST_ITERATIONS, SETTLED_K = 2000, 1e-7
 RUNAWAY = 20.0  # time constants of a growing temperature within a step
+FOLLOWED_S = 60.0  # of a rest, step by step; what is left of it is bounded at once
+SHAPES = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 41)])  # excesses of winding over housing that are tried
 BURNT = 1e4  # degC, above which a bound is not worked out any further
 
 HOTTEST, MEAN, HOUSING = range(3)
@@ -107,6 +109,31 @@ class ThermalBound:
         square = square * (1.0 + behind / self._decay)  # less of what comes late has left again
         for _ in range(pieces):
             self._advance(duration / pieces, square, share, friction, air)
+
+    def rest(self, duration: float, ambient: float) -> None:
+        """Advance all lanes by a time [s] of any length without heat; ambient in degC.
+
+        Of a long rest the end is bounded at once. Rises above the air of 1 + e in the winding and 1 in the housing that
+        fade together at a rate r are an upper solution where neither node could keep up with them:
+        r C (1 + e) <= e g + (1 + e) g_air in the winding, and r C <= g_air - e g in the housing, for every parameter of
+        the cell. Of several excesses e the one that fades fastest is taken.
+        """
+        none = np.zeros(self.count)
+        followed = min(duration, FOLLOWED_S)
+        self.step(followed, none, none, none, ambient)
+        if not duration > followed:
+            return
+        excess = SHAPES[:, None]
+        (across_low, across_high), (air_low, _), (_, heavy) = self._to_housing, self._to_air, self._capacitance
+        winding = (excess * across_low + (1.0 + excess) * air_low[MEAN]) / ((1.0 + excess) * heavy[MEAN])
+        housing = (air_low[HOUSING] - excess * across_high) / heavy[HOUSING]
+        rates = np.minimum(winding, housing)
+        best = np.argmax(rates, axis=0)
+        rate = np.maximum(np.take_along_axis(rates, best[None], axis=0)[0], 0.0)
+        shape = np.stack([1.0 + SHAPES[best], 1.0 + SHAPES[best], np.ones_like(rate)])
+        air = ambient + self._ambient_rise
+        most = np.maximum(np.max((self.state - air) / shape, axis=0), 0.0)
+        self.state = air + most * shape * np.exp(-rate * (duration - followed))
 
     def settle(self, squares: Array, aligned: Array, speeds: Array, ambient: float) -> None:
         """Go to where constant heat leads in the end, `BURNT` where it runs away; arguments as of `step`."""
