@@ -1,8 +1,7 @@
-"""A moment that nobody can move: the clock since boot and which boot it counts from, beside the wall clock to be read.
+"""When something was, by a clock that nobody can set: the kernel's, which counts from boot and goes on through sleep.
 
-A wall clock is set by people, by time servers and by a flat battery. Within one boot the kernel's own clock tells how
-long something has rested, sleep included. From one boot to another nothing tells for how long a machine was off: only
-the time since the later boot is certain.
+People, time servers and flat batteries set the wall clock. It is kept for people to read, and it can only shorten what
+the kernel's clock tells.
 """
 
 import math
@@ -11,14 +10,16 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from leactl.errors import InputError
+
 BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 
 @dataclass(frozen=True)
 class Moment:
-    """One moment by the clock on the wall and by the kernel's."""
+    """One moment by the wall clock and by the kernel's."""
 
-    wall: float  # s since 1970, to be told to people alone
+    wall: float  # s since 1970
     boot: str  # the kernel's identifier of this boot
     since_boot: float  # s, sleep included
 
@@ -28,21 +29,26 @@ class Moment:
 
         Raises
         ------
-        OSError : the kernel does not tell its boot, when it is asked for the first time.
+        InputError : the kernel does not tell its boot.
         """
         return cls(time.time(), _boot(), time.clock_gettime(time.CLOCK_BOOTTIME))
 
     def surely_since(self, other: "Moment") -> float:
         """How long ago another moment was at the least [s].
 
+        In one boot the kernel's clock tells. A moment of an earlier boot lies before this boot; but another machine
+        that shares the folder has boots of its own, so that the time between both wall clocks is a limit as well.
+
         Raises
         ------
-        ValueError : no such moment was: it is no number, or ahead of this one in the same boot.
+        ValueError : a clock of the other moment is no number, or ahead of this one in the same boot.
         """
+        if not math.isfinite(other.wall):
+            raise ValueError(f"it is of {other.wall:g} s since 1970, which is no time")
         if not (math.isfinite(other.since_boot) and other.since_boot >= 0.0):
             raise ValueError(f"it is of {other.since_boot:g} s after a boot, which is no time")
         if self.boot != other.boot:
-            return self.since_boot
+            return max(0.0, min(self.since_boot, self.wall - other.wall))
         if other.since_boot > self.since_boot:
             raise ValueError(
                 f"it is of the future, {other.since_boot - self.since_boot:.3g} s ahead of this boot's clock"
@@ -52,5 +58,8 @@ class Moment:
 
 @cache
 def _boot() -> str:
-    """Read once: the end of a run needs no descriptor for it."""
-    return BOOT.read_text(encoding="ascii").strip()
+    """The kernel's identifier of this boot, read once: the end of a run needs no descriptor for it."""
+    try:
+        return BOOT.read_text(encoding="ascii").strip()
+    except OSError as error:
+        raise InputError(f"{BOOT}: {error.strerror or error}; how long a winding rests is counted from boot") from None

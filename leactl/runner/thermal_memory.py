@@ -1,8 +1,8 @@
 """What a winding may still hold from before: bounds in a file for each actuator, with the time that they are of.
 
-They cool while nothing runs, for as long as is certain by the clock since boot (`leactl.runner.moment`): the wall clock
-cools nothing. A process that died left its actuator no hotter than the limit that its guard kept; its housing may have
-gone on warming until the next writing was overdue. What is not known counts as hot.
+They cool while nothing runs, for as long as is certain by the clock since boot (`leactl.runner.moment`). A process that
+died left its actuator no hotter than the limit that its guard kept; its housing may have gone on warming until the next
+writing was overdue. What is not known counts as hot.
 """
 
 import errno

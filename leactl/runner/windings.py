@@ -52,9 +52,9 @@ class Windings:
         self.names = {role: actuator if role == "test" and actuator else f"{bench.name}.{role}" for role in self.motors}
         place = place_of(bench, emulated_here)
         memories = {role: Memory(self.names[role], motor, limit, ambient, place) for role, motor in self.motors.items()}
-        now = Moment.now()
         self.recalled: dict[str, Recalled] = {
-            role: memory.cold() if cold or emulated_here else memory.recall(now) for role, memory in memories.items()
+            role: memory.cold() if cold or emulated_here else memory.recall(Moment.now())
+            for role, memory in memories.items()
         }
         if bench.emulated is not None:  # nothing burns that is emulated: what nothing is known of is at ambient
             fresh = {role for role, memory in memories.items() if not memory.known}

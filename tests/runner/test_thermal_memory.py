@@ -89,6 +89,7 @@ FAULTS = {
     "before its boot": ({"since_boot_s": -1.0}, "-1 s after a boot, which is no time"),
     "an endless time": ({"since_boot_s": 10**400}, "too large"),
     "a time in words": ({"since_boot_s": "noon"}, "noon"),
+    "no wall clock": ({"time": math.nan}, "nan s since 1970, which is no time"),
     "no boot": ({"boot": None}, "boot: the identifier of a boot was expected"),
     "kelvin": ({"nodes_degC": [298.0, 298.0, 298.0]}, "three temperatures in degC were expected"),
     "NaN": ({"nodes_degC": [math.nan, 30.0, 30.0]}, "three temperatures in degC were expected"),
@@ -143,6 +144,14 @@ def test_what_has_rested_through_a_boot_has_cooled_for_as_long_as_the_machine_is
     memory().keep(WARM, NOW, running=False)
     up = Moment(1.8e9 + 9e6, "b2", 45.0)  # it may have been off for a second or for months
     assert memory().recall(up).nodes.tolist() == memory().recall(at(45.0)).nodes.tolist()
+
+
+@pytest.mark.parametrize(("wall", "rested"), [(1.8e9 + 12.0, 12.0), (1.8e9 - 3600.0, 0.0)])
+def test_of_a_machine_with_another_boot_no_more_counts_than_lies_between_the_wall_clocks(wall, rested):
+    """A folder that two machines share: the other one has been up for days."""
+    memory().keep(WARM, NOW, running=False)
+    found = memory().recall(Moment(wall, "of the other machine", 9e5)).nodes
+    assert found.tolist() == pytest.approx(memory().recall(at(rested)).nodes.tolist())
 
 
 LAGGED = LEA.model_copy(update={"thermal": LEA.thermal.model_copy(update={"winding_ambient_resistance": 1e4})})

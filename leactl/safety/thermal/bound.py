@@ -113,10 +113,11 @@ class ThermalBound:
     def rest(self, duration: float, ambient: float) -> None:
         """Advance all lanes by a time [s] of any length without heat; ambient in degC.
 
-        Of a long rest the end is bounded at once. Rises above the air of 1 + e in the winding and 1 in the housing that
-        fade together at a rate r are an upper solution where neither node could keep up with them:
-        r C (1 + e) <= e g + (1 + e) g_air in the winding, and r C <= g_air - e g in the housing, for every parameter of
-        the cell. Of several excesses e the one that fades fastest is taken.
+        A long rest is bounded at once by rises above the air that fade together: a (1 + e) exp(-r t) in the winding and
+        a exp(-r t) in the housing, where a is large enough for the rises that it begins with. They stay above the true
+        ones if no node cools more slowly, whatever the parameters of its cell: r C (1 + e) <= e g + (1 + e) g_air for
+        the winding and r C <= g_air - e g for the housing, where C is the node's capacitance, g_air leads to the air
+        and g from winding to housing. The e that allows the fastest fading is taken.
         """
         none = np.zeros(self.count)
         followed = min(duration, FOLLOWED_S)
