@@ -1,7 +1,7 @@
 """When something was, by a clock that nobody can set: the kernel's, which counts from boot and goes on through sleep.
 
-People, time servers and flat batteries set the wall clock. It is kept for people to read, and it can only shorten what
-the kernel's clock tells.
+People, time servers and flat batteries set the wall clock. It is kept for people to read. Only from one boot to another
+does it count, and then it only shortens. The kernel takes the length of a hibernation from the battery's clock.
 """
 
 import math
@@ -36,8 +36,9 @@ class Moment:
     def surely_since(self, other: "Moment") -> float:
         """How long ago another moment was at the least [s].
 
-        In one boot the kernel's clock tells. A moment of an earlier boot lies before this boot; but another machine
-        that shares the folder has boots of its own, so that the time between both wall clocks is a limit as well.
+        In one boot the kernel's clock tells. A moment of an earlier boot lies before this boot. Another machine that
+        shares the folder has boots of its own, though: the time between both wall clocks caps what is told, so that
+        machines which share a folder must agree on them.
 
         Raises
         ------

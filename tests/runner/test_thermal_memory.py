@@ -193,6 +193,14 @@ def test_no_plant_of_the_box_is_hotter_after_a_rest_than_its_bound(motor, places
     assert np.all(np.array([after[:3].max(), after[:3].mean(), after[3]]) <= bound.nodes()[:, 0] + 1e-6)
 
 
+@pytest.mark.parametrize(("start", "ambient"), [(np.inf, 25.0), (np.nan, 25.0), (28.0, np.nan)])
+def test_a_rest_from_what_is_no_number_leaves_no_promise(start, ambient):
+    bound = ThermalBound([Box.of(LEA)], 25.0)
+    bound.set(np.full((3, 1), start))
+    bound.rest(1e7, ambient)
+    assert bound.hottest()[0] == np.inf
+
+
 def test_a_rest_of_two_days_leaves_what_one_of_an_hour_leaves_or_less():
     memory().keep(WARM, NOW, running=False)
     hour, days = (memory().recall(at(seconds)).nodes for seconds in (3600.0, 172_800.0))

@@ -30,7 +30,7 @@ FOLLOWING = 0.01  # of what the fastest node gains in a step, that one at rest m
 WIDENINGS = 6
 MOST_ITERATIONS, SETTLED_K = 2000, 1e-7
 RUNAWAY = 20.0  # time constants of a growing temperature within a step
-FOLLOWED_S = 60.0  # of a rest, step by step; what is left of it is bounded at once
+FOLLOWED_S = 60.0  # that a rest goes step by step at first; what is left of it is bounded at once
 SHAPES = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 41)])  # excesses of winding over housing that are tried
 BURNT = 1e4  # degC, above which a bound is not worked out any further
 
@@ -115,22 +115,23 @@ class ThermalBound:
 
         A long rest is bounded at once by rises above the air that fade together: a (1 + e) exp(-r t) in the winding and
         a exp(-r t) in the housing, where a is large enough for the rises that it begins with. They stay above the true
-        ones if no node cools more slowly, whatever the parameters of its cell: r C (1 + e) <= e g + (1 + e) g_air for
-        the winding and r C <= g_air - e g for the housing, where C is the node's capacitance, g_air leads to the air
-        and g from winding to housing. The e that allows the fastest fading is taken.
+        ones if no node cools more slowly than they fade, whatever the parameters of its cell:
+        r C (1 + e) <= e g + (1 + e) g_air for the winding and r C <= g_air - e g for the housing, where C is the node's
+        capacitance, g_air leads to the air and g from winding to housing. The e that allows the fastest fading is
+        taken; one of 0 allows some.
         """
         none = np.zeros(self.count)
         followed = min(duration, FOLLOWED_S)
         self.step(followed, none, none, none, ambient)
-        if not duration > followed:
+        if not (duration > followed and np.isfinite(self.state).all()):
             return
         excess = SHAPES[:, None]
-        (across_low, across_high), (air_low, _), (_, heavy) = self._to_housing, self._to_air, self._capacitance
-        winding = (excess * across_low + (1.0 + excess) * air_low[MEAN]) / ((1.0 + excess) * heavy[MEAN])
-        housing = (air_low[HOUSING] - excess * across_high) / heavy[HOUSING]
+        (g_low, g_high), (air_low, _), (_, heavy) = self._to_housing, self._to_air, self._capacitance
+        winding = (excess * g_low + (1.0 + excess) * air_low[MEAN]) / ((1.0 + excess) * heavy[MEAN])
+        housing = (air_low[HOUSING] - excess * g_high) / heavy[HOUSING]
         rates = np.minimum(winding, housing)
         best = np.argmax(rates, axis=0)
-        rate = np.maximum(np.take_along_axis(rates, best[None], axis=0)[0], 0.0)
+        rate = np.take_along_axis(rates, best[None], axis=0)[0]
         shape = np.stack([1.0 + SHAPES[best], 1.0 + SHAPES[best], np.ones_like(rate)])
         air = ambient + self._ambient_rise
         most = np.maximum(np.max((self.state - air) / shape, axis=0), 0.0)
