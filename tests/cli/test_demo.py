@@ -1,18 +1,13 @@
 """`leactl demo`, from an empty directory."""
 
-import resource
-
 from leactl.runfile.integrity import verify
 from tests.cli.terminal import interpreted
 
 
 def test_the_demo_ends_with_the_paper_beside_what_it_found(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = interpreted("demo", COLUMNS="80", PYTHONIOENCODING="utf-8", LEACTL_STATE=str(tmp_path / "state"))
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert done.returncode == 0, done.stderr
-    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 60
 
     lines = done.stdout.splitlines()
     tables = {}
