@@ -62,27 +62,19 @@ FARTHEST_STAMP = 1.0  # samples, by which a stamp that no file explains may be o
 SLOW_WIDTH = 8.0  # samples, smoothing of temperatures that drive a simulation
 
 
-def measure(records: Sequence[Record], model: Model, seed: int = 0) -> Null:
+def measure(records: Sequence[Record], model: Model, machines: int = NULLS, seed: int = 0) -> Null:
     """Simulate the runs of a case as sound machines would make them, and look for effects there.
 
     If a fit only balances torques against each other, noise shrinks them and the torque constant together. If fits to
     sound runs show this, each machine gets a torque constant of its own, and the fit keeps that of the model.
     """
     random = np.random.default_rng(seed)
-    shown = looked_at(records, model, (), random)
+    shown = looked_at(records, model, (), machines, random)
     moved, kept = shown.parameters(), tuple(name for name in shown.untold() if name == SCALE)
     if kept:
-        shown = looked_at(records, model, kept, random)
+        shown = looked_at(records, model, kept, machines, random)
         moved = shown.parameters() | {SCALE: moved[SCALE]}
-    return Null(
-        {key: float(np.mean(values)) for key, values in shown.unrest.items()},
-        {effect: np.sqrt(np.mean(np.square(sizes), axis=0)).tolist() for effect, sizes in shown.sizes.items()},
-        {effect: np.mean(errors, axis=0).tolist() for effect, errors in shown.errors.items()},
-        {channel: float(np.mean(heights)) for channel, heights in shown.lines.items()},
-        moved,
-        kept + tuple(name for name in shown.untold() if name not in kept),
-        kept,
-    )
+    return shown.null(moved, kept)
 
 
 def compare(evidence: Evidence, null: Null) -> None:
@@ -101,10 +93,12 @@ def compare(evidence: Evidence, null: Null) -> None:
         ]
 
 
-def looked_at(records: Sequence[Record], model: Model, kept: Sequence[str], random: np.random.Generator) -> "Shown":
+def looked_at(
+    records: Sequence[Record], model: Model, kept: Sequence[str], machines: int, random: np.random.Generator
+) -> "Shown":
     """What sound machines show whose fits keep some parameters at the model's values."""
     shown = Shown()
-    for own in sound_runs(records, [drawn(model, kept, random) for _ in range(NULLS)], random):
+    for own in sound_runs(records, [drawn(model, kept, random) for _ in range(machines)], random):
         shown.look(Evidence(own, model, kept=kept))
     return shown
 
@@ -114,6 +108,7 @@ class Shown:
     """What sound machines show, one value for each of them."""
 
     unrest: dict[tuple[str, str], list[float]] = field(default_factory=dict)
+    left: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     sizes: dict[str, list[list[float]]] = field(default_factory=dict)  # of each effect in each of its forms
     errors: dict[str, list[list[float]]] = field(default_factory=dict)  # and their standard errors
     lines: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
@@ -128,6 +123,8 @@ class Shown:
         self.priors = evidence.priors
         for key, value in evidence.unrest().items():
             self.unrest.setdefault(key, []).append(value)
+        for key, value in evidence.left().items():
+            self.left.setdefault(key, []).append(value)
         for effect, items in by_themselves(evidence).items():
             if sizes := sizes_by_chance(effect, items):
                 self.sizes.setdefault(effect, []).append(sizes)
@@ -138,6 +135,23 @@ class Shown:
             name = evidence.stack.names[place]
             if name[0] == "calibration":
                 self.moved.setdefault(name[1], []).append(float(value))
+
+    def null(self, moved: Mapping[str, tuple[float, float]], kept: Sequence[str]) -> Null:
+        """All machines together.
+
+        moved : of each parameter, mean and scatter of its relative change.
+        kept : parameters that no fit may move.
+        """
+        return Null(
+            {key: float(np.mean(values)) for key, values in self.unrest.items()},
+            {key: float(np.mean(values)) for key, values in self.left.items()},
+            {effect: np.sqrt(np.mean(np.square(sizes), axis=0)).tolist() for effect, sizes in self.sizes.items()},
+            {effect: np.mean(errors, axis=0).tolist() for effect, errors in self.errors.items()},
+            {channel: float(np.mean(heights)) for channel, heights in self.lines.items()},
+            moved,
+            (*kept, *(name for name in self.untold() if name not in kept)),
+            tuple(kept),
+        )
 
     def parameters(self) -> dict[str, tuple[float, float]]:
         """Mean and scatter of what fits make of the model's own parameters, as relative changes."""

@@ -65,7 +65,8 @@ def sight_line(s: Sight, width: int) -> str:
     mark = "" if s.seen else "  not shown"
     alike = f"  looks like {', '.join(s.alike)}" if s.alike else ""
     units = "" if s.units == "1" else f" {s.units}"
-    return f"{s.effect:<{width}}  {found:>10}  {f'{s.faint:.2g}{units}':<20}{mark}{alike}".rstrip()
+    worth = "-" if s.faint is None else f"{s.faint:.2g}{units}"
+    return f"{s.effect:<{width}}  {found:>10}  {worth:<20}{mark}{alike}".rstrip()
 
 
 def experiment_lines(e: Experiment) -> list[str]:

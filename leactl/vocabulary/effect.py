@@ -7,7 +7,7 @@ from importlib.metadata import entry_points
 from importlib.resources.abc import Traversable
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from leactl import yamlfile
 from leactl.errors import InputError
@@ -30,13 +30,19 @@ class ParameterDefinition(BaseModel):
 
 DIMENSIONLESS = ("1", "rad", "share of the limit")
 """Units of parameters whose range holds for a machine of any size."""
+OF_ANY_MACHINE = (*DIMENSIONLESS, "K", "1/K")
+"""Units in which a size means the same on every machine: what insulation and magnets bear does not grow with it."""
 
 
 class Size(BaseModel):
-    """A size of an effect in the unit that a diagnosis measures it in."""
+    """A size of an effect in the unit that a diagnosis measures it in.
+
+    Where the unit has a dimension, the size is a multiple of the machine's own: of a torque its Coulomb friction, of a
+    current what makes that, of a time the interval between samples (`leactl.gap.signals.scales`).
+    """
 
     model_config = STRICT
-    size: float
+    size: float = Field(gt=0.0)
     units: str
 
 
@@ -51,7 +57,7 @@ class EffectDefinition(BaseModel):
     effect: str
     family: Literal["machine", "sensor", "drive", "thermal"]
     meaning: str
-    parameters: dict[str, ParameterDefinition]
+    parameters: dict[str, ParameterDefinition] = Field(min_length=1)
     acts_over: tuple[Variable, ...] = Field(min_length=1)  # of several, that which its own part in a channel follows
     shown_on: tuple[Rig, ...] = Field(min_length=1)
     shows_in: str
@@ -59,9 +65,19 @@ class EffectDefinition(BaseModel):
     shown_by: str
     faint: Size | None = None  # where the first parameter's `low` is not it
 
+    @model_validator(mode="after")
+    def _is_worth_knowing_on_any_machine(self) -> "EffectDefinition":
+        name, first = next(iter(self.parameters.items()))
+        if self.faint is None and not (first.units in OF_ANY_MACHINE and first.low > 0.0):
+            raise ValueError(
+                f"faint is missing, the smallest size worth knowing: {name} begins at {first.low:g} {first.units}, which"
+                f" is none on machines of any size; give faint: {{size: ..., units: ...}} in the machine's own unit"
+            )
+        return self
+
     @property
     def worth_knowing(self) -> Size:
-        """The smallest size that a diagnosis is to find."""
+        """The smallest size that a diagnosis is to find, in the machine's own unit."""
         first = next(iter(self.parameters.values()))
         return self.faint or Size(size=first.low, units=first.units)
 

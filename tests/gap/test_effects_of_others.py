@@ -36,6 +36,7 @@ shown_on: [joint]
 shows_in: "torque balance, alike at any speed"
 confused_with: "current_sensor_offset"
 shown_by: "slow turns both ways"
+faint: {size: 0.05, units: "N*m"}
 """
 
 

@@ -11,9 +11,8 @@ from leactl.cli.main import app
 from leactl.errors import InputError
 from leactl.gap.planning.advice import read_noise
 from leactl.gap.planning.records import planned_record, usual_noise
-from leactl.gap.planning.reveal import planned_candidates, sights
+from leactl.gap.planning.reveal import evidence_of, sights
 from leactl.gap.planning.separating import separating_experiment
-from leactl.gap.search.evidence import Evidence
 from leactl.model.nominal import as_mapping
 from leactl.protocol import protocolfile
 from leactl.vocabulary.effect import effect_definition, effect_names
@@ -25,8 +24,7 @@ SEPARATING = [name for name in protocolfile.names() if protocolfile.load(name).s
 def seen_in(name, noise=None):
     plan, nominal = protocolfile.load(name), model()
     record = planned_record(plan, nominal, usual_noise() | (noise or {}))
-    evidence = Evidence([record], nominal, only=planned_candidates([record], nominal))
-    return {sight.effect: sight for sight in sights(evidence, [record.name])}
+    return {sight.effect: sight for sight in sights(evidence_of([record], nominal), [record.name])}
 
 
 @pytest.fixture(scope="module")

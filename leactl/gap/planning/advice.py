@@ -7,9 +7,8 @@ from pathlib import Path
 
 from leactl.errors import InputError
 from leactl.gap.planning.records import planned_record, usual_noise
-from leactl.gap.planning.reveal import Sight, planned_candidates, sights
+from leactl.gap.planning.reveal import Sight, evidence_of, sights
 from leactl.gap.replay.stretches import read_records
-from leactl.gap.search.evidence import Evidence
 from leactl.gap.signals.record import Record
 from leactl.model.nominal import read_model
 from leactl.protocol import protocolfile
@@ -87,8 +86,7 @@ def advise(model_file: Path, runs: Sequence[Path], protocols: Sequence[str], noi
             notes += error.faults
     if not given and not extra:
         raise InputError(["there is nothing to plan with", *notes])
-    planned = [*given, *(record for _, record in extra)]
-    evidence = Evidence(planned, model, only=planned_candidates(planned, model))
+    evidence = evidence_of([*given, *(record for _, record in extra)], model)
     base = [record.run for record in given]
     now = sights(evidence, base)
     experiments = [experiment(plan, now, sights(evidence, [*base, record.run])) for plan, record in extra]

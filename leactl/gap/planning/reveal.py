@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects import library
+from leactl.gap.null import measure
 from leactl.gap.search.evidence import Evidence, every_form, forms_here
 from leactl.gap.search.regression import Candidate, Normal
 from leactl.gap.search.sets import ENTRY, SHAPE, WAVE
@@ -32,14 +33,14 @@ class Sight:
 
     effect: str
     smallest: float | None  # size from which on it is found; None where no run shows it
-    faint: float  # smallest size worth knowing
+    faint: float | None  # smallest size worth knowing; None where the model does not tell its unit
     units: str
     alike: tuple[str, ...]  # effects that these runs cannot tell it from
 
     @property
     def seen(self) -> bool:
         """Whether it is found at every size worth knowing."""
-        return self.smallest is not None and self.smallest <= self.faint
+        return self.smallest is not None and self.faint is not None and self.smallest <= self.faint
 
 
 def planned_candidates(records: Sequence[Record], model: Model) -> list[Candidate]:
@@ -53,6 +54,13 @@ def planned_candidates(records: Sequence[Record], model: Model) -> list[Candidat
     return found
 
 
+def evidence_of(records: Sequence[Record], model: Model) -> Evidence:
+    """Evidence of planned or measured runs for every effect, compared with a sound machine as a diagnosis does."""
+    evidence = Evidence(records, model, only=planned_candidates(records, model))
+    evidence.compare_with(measure(records, model, machines=1))
+    return evidence
+
+
 def sights(evidence: Evidence, runs: Sequence[str]) -> list[Sight]:
     """Every effect that the model can lack, as these of the evidence's runs show it."""
     projected = Projected(evidence, runs)
@@ -64,14 +72,14 @@ def sights(evidence: Evidence, runs: Sequence[str]) -> list[Sight]:
     twins = projected.alike({name for name in limits})
     found = []
     for name in sorted({effect for effect, _ in evidence.candidates}):
-        worth = effect_definition(name).worth_knowing
+        worth = evidence.worth_knowing.get(name)
         smallest = None
         if name in limits:
             # a form that is itself the size is found where it is smallest; of others half are found from the median on
             needed = float(np.min(limits[name]) if sized_by_form(name) else np.median(limits[name]))
-            smallest = needed if needed < NO_BENCH * worth.size else None
+            smallest = needed if worth is None or needed < NO_BENCH * worth else None
         alike = tuple(sorted(other for pair in twins if name in pair for other in pair if other != name))
-        found.append(Sight(name, smallest, worth.size, worth.units, alike))
+        found.append(Sight(name, smallest, worth, effect_definition(name).worth_knowing.units, alike))
     return found
 
 

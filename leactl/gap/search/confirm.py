@@ -36,7 +36,7 @@ def held_out_gains(
     cannot_tell = HeldOutGain(np.nan, np.nan)
     if not held_out or not hypothesis:
         return [cannot_tell] * len(hypothesis)
-    on_held_out = Evidence(held_out, evidence.model, only=list(hypothesis), pinned=evidence.pinned)
+    on_held_out = evidence.on(held_out, hypothesis)
     if not on_held_out.stack.rows:
         return [cannot_tell] * len(hypothesis)
     on_held_out.settle(hypothesis)  # for its weights

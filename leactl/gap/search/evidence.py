@@ -4,16 +4,13 @@ Noise is taken from what a hypothesis leaves over, pooled over runs of one kind;
 count for less, so that no number of samples makes up for a model that is only roughly right.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib import resources
 
 import numpy as np
 import numpy.typing as npt
 from scipy.fft import irfft, next_fast_len, rfft
 
-from leactl import yamlfile
 from leactl.effects import library
 from leactl.effects.contract import Form
 from leactl.gap.equations import Equation, equations
@@ -35,9 +32,8 @@ from leactl.gap.search.regression import (
 )
 from leactl.gap.search.stamp_fit import overdue, pin, stamping
 from leactl.gap.signals.record import Record
-from leactl.gap.signals.scales import form_scales, scales, widest
+from leactl.gap.signals.scales import form_scales, widest, worth_knowing
 from leactl.model.nominal import Model
-from leactl.vocabulary.effect import effect_definition
 
 Array = npt.NDArray[np.float64]
 PRIORS = {
@@ -70,7 +66,7 @@ GAINS = (
 READINGS = {"coupled_torque", "locked_torque", "swung_torque"}  # a torque sensor taken at its word tells it then
 UNTOLD = 1.0  # of its prior, by which sound machines may move a parameter that their runs tell
 PINNED = 1e-4  # prior of a torque constant that nothing tells
-UNKNOWN_UNREST = 10.0  # of an equation that no bench without an effect has been seen with
+NEGLIGIBLE = 0.05  # of the smallest size worth knowing, below which an effect is none
 NO_CORRELATION = 0.02
 FEW_LAGS = 6
 ORDERS_TRIED = 3  # of each periodic effect
@@ -81,6 +77,7 @@ class Null:
     """What sound machines show in the place of effects and model errors."""
 
     unrest: Mapping[tuple[str, str], float]  # by equation and kind of run
+    left: Mapping[tuple[str, str], float]  # variance of the rows, times how many of them count for one
     floors: Mapping[str, Sequence[float]]  # sizes of each effect in its forms, in units of its leading parameter
     errors: Mapping[str, Sequence[float]]  # and their standard errors there
     lines: Mapping[tuple[str, str, str], float]  # height of the highest line in what each channel leaves over
@@ -101,9 +98,9 @@ class Evidence:
         pinned: Mapping[str, Array] | None = None,
     ) -> None:
         self.model, self.records = model, list(records)
-        self.sound: Mapping[tuple[str, str], float] = {}
-        self.floors = floors(records, model)  # size of each effect below which it is model error
-        self.by_form: dict[str, Sequence[float]] = {}  # the same in each form, as sound machines show it
+        self.null: Null | None = None
+        self.worth_knowing = worth_knowing(records, model)  # smallest size of each effect that is
+        self.by_form: dict[str, Sequence[float]] = {}  # size of each effect that sound machines show in its forms
         self.moved: Mapping[str, tuple[float, float]] = {}
         self.lines: Mapping[tuple[str, str, str], float] = {}
         self.kept, self.untold = tuple(kept), tuple[str, ...]()  # parameters that stay as the model has them
@@ -142,29 +139,51 @@ class Evidence:
 
     def compare_with(self, null: Null) -> None:
         """Take what sound machines show in these runs; a parameter that these cannot tell is not told."""
-        self.sound, self.moved, self.lines = null.unrest, null.moved, null.lines
+        self.null, self.moved, self.lines = null, null.moved, null.lines
         self.by_form = dict(null.floors)
         self.kept, self.untold = null.kept, null.untold
         self.priors.update(dict.fromkeys(self.kept, PINNED))
         self.stack = stack(self._rows(), self.priors)
         self.weigh_as_usual()
 
+    def on(self, records: Sequence[Record], hypothesis: Sequence[Candidate]) -> "Evidence":
+        """Evidence of other runs for some effects, with what is known of the model and of sound machines from these."""
+        other = Evidence(records, self.model, only=hypothesis, kept=self.kept, pinned=self.pinned)
+        if self.null is not None:
+            other.compare_with(self.null)
+        other.forms, other.by_form, other.worth_knowing = self.forms, self.by_form, self.worth_knowing
+        return other
+
     def expected(self, rows: Rows) -> float:
-        """The unrest that a sound machine shows in some rows: as measured on the case, at least as others have it."""
-        usual = table()["unrest"].get(rows.equation, UNKNOWN_UNREST)
-        return max(self.sound.get((rows.equation, rows.kind), 0.0), usual)
+        """The unrest that a sound machine shows in some rows.
+
+        Sound machines tell it as a ratio to their own noise from row to row, and as a variance: where the case has less
+        noise than they, what its equations miss is as large and stands out more.
+        """
+        if self.null is None:
+            return 1.0
+        key = rows.equation, rows.kind
+        return max(1.0, self.null.unrest.get(key, 0.0), self.null.left.get(key, 0.0) / rows.white**2)
+
+    def is_judged(self, rows: Rows) -> bool:
+        """Whether what is left over of some rows tells anything: it is known what a sound machine leaves there."""
+        return not rows.rough and (self.null is None or (rows.equation, rows.kind) in self.null.unrest)
 
     def tells_nothing_of(self, parameter: str) -> bool:
         """Whether these runs cannot tell a parameter of the model: sound machines move it, or no fit may."""
         return parameter in self.untold or self.priors.get(parameter) == PINNED
 
     def floor(self, candidate: Candidate) -> float:
-        """Size below which one form of an effect is model error: as sound machines show it in the form next to it."""
+        """Size below which one form of an effect is model error, or too small to be one.
+
+        Sound machines show it in the form next to it. What they cannot show, since one author wrote them and the
+        equations, is left out of account up to a small share of the smallest size worth knowing.
+        """
         effect, form = candidate
-        shown, usual = self.by_form.get(effect), self.floors.get(effect, 0.0)
+        shown, least = self.by_form.get(effect), NEGLIGIBLE * self.worth_knowing.get(effect, 0.0)
         if not shown:
-            return usual
-        return max(usual, shown[nearest(self.forms[effect], form) if len(shown) > 1 else 0])
+            return least
+        return max(least, shown[nearest(self.forms[effect], form) if len(shown) > 1 else 0])
 
     def add(self, candidates: Sequence[Candidate]) -> None:
         """Take further forms of effects into the regression."""
@@ -204,9 +223,16 @@ class Evidence:
 
         Where every row is right but for noise it is about one.
         """
+        return self._mean_of(lambda rows: (rows.noise / rows.white) ** 2 * rows.dependence)
+
+    def left(self) -> dict[tuple[str, str], float]:
+        """Variance of rows under the present noise, times as many rows as count for one; by equation and kind."""
+        return self._mean_of(lambda rows: rows.noise**2 * rows.dependence)
+
+    def _mean_of(self, of_rows: Callable[[Rows], float]) -> dict[tuple[str, str], float]:
         found: dict[tuple[str, str], list[float]] = {}
         for rows in self.stack.rows:
-            found.setdefault((rows.equation, rows.kind), []).append((rows.noise / rows.white) ** 2 * rows.dependence)
+            found.setdefault((rows.equation, rows.kind), []).append(of_rows(rows))
         return {key: float(np.mean(values)) for key, values in found.items()}
 
     def stamping(self, fit: Fit) -> dict[str, Array]:
@@ -297,18 +323,3 @@ def nearest(forms: Sequence[Form], form: Form) -> int:
 def every_form(forms: Mapping[str, Sequence[Form]]) -> list[Candidate]:
     """Every form of every effect that does not wait for an order to be found."""
     return [(name, form) for name, several in forms.items() if not library()[name].periodic for form in several]
-
-
-@cache
-def table() -> dict[str, dict[str, float]]:
-    """Sizes and unrest that equations of other authors leave where nothing is wrong, in units of the machine."""
-    entry = resources.files("leactl.gap.search") / "floors.yaml"
-    found: dict[str, dict[str, float]] = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data
-    return found
-
-
-def floors(records: Sequence[Record], model: Model) -> dict[str, float]:
-    """Size that model error alone gives each effect, in the unit of its leading parameter."""
-    units = scales(records, model)
-    sizes = table()["floors"].items()
-    return {effect: size * units.get(effect_definition(effect).worth_knowing.units, 0.0) for effect, size in sizes}

@@ -47,6 +47,7 @@ class Rows:
     levels: float = math.inf  # that a rounded channel takes
     width: float = 0.0  # samples, smoothing of the rows
     memory: int = MEMORY  # rows, within which one may depend on another
+    rough: bool = False  # whether what is left over of them tells nothing
     gram: Array | None = None  # over [left_over, columns]; None where it is to be made
 
 
@@ -101,6 +102,7 @@ def rows_of(run: str, kind: str, equation: Equation, effects: dict[Column, Array
         levels=equation.levels,
         width=equation.width,
         memory=equation.memory,
+        rough=equation.rough,
     )
 
 

@@ -45,7 +45,9 @@ def ringing(evidence: Evidence, fit: Fit, heard: Sequence[bool]) -> dict[tuple[s
     spectra: dict[tuple[str, str, str], list[Array]] = {}
     rates: dict[tuple[str, str, str], float] = {}
     for index, rows in enumerate(evidence.stack.rows):
-        if not heard[index] or evidence.expected(rows) > COLOURLESS or len(rows.index) < SEGMENT:
+        if not heard[index] or not evidence.is_judged(rows) or len(rows.index) < SEGMENT:
+            continue
+        if evidence.expected(rows) > COLOURLESS:
             continue
         left = uncommanded(rows, residuals(evidence.stack, fit, index)) / rows.white
         step = int(np.min(np.diff(rows.index)))

@@ -2,7 +2,7 @@
 
 A step adds the effect whose columns take most away beyond what recalibration can imitate, then every member is tried
 against every other effect with the rest held, so that an early wrong choice is taken back. What an effect must reach
-is measured against the size that model error alone gives it on benches without one (`floors.yaml`).
+is measured against the size that sound machines in the place of the case give it (`leactl.gap.null`).
 """
 
 import math

@@ -7,6 +7,7 @@ import numpy as np
 
 from leactl.gap.signals.record import Array, Clocked, Record
 from leactl.model.nominal import Model
+from leactl.vocabulary.effect import effect_definition, effect_names
 
 TOP = 0.999  # quantile of a run's speeds that counts as its highest
 TURNING = 0.1  # of the highest speed, from which on a run counts as turning
@@ -16,21 +17,17 @@ def scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     """One unit of each kind for a machine and its runs; a kind that they do not tell is left out.
 
     Torque is the Coulomb friction and current what makes it; time is the finest interval between samples, speed the
-    highest that was reached. Machines that are similar in the sense of dimensional analysis have similar units.
+    highest that was reached. A locked rotor swings and does not turn: without another run, speed is what the back-EMF of
+    a whole bus voltage allows. Machines that are similar in the sense of dimensional analysis have similar units.
     """
     found = {"1": 1.0, "rad": 1.0, "K": 1.0, "1/K": 1.0, "share of the limit": 1.0}
     clocks = [record.fast for record in records if record.fast is not None]
     if clocks:
         found["s"] = min(clock.interval for clock in clocks)
         lasting = max(float(clock.since_begin[-1]) for clock in clocks)
-        speeds = [
-            float(np.quantile(np.abs(np.diff(angle)), TOP)) / clock.interval
-            for clock in clocks
-            if (angle := clock.get("angle")) is not None
-        ]
-        if speeds and max(speeds) > 0.0:
-            found["rad/s"] = max(speeds)
-            found["s/rad"] = 1.0 / found["rad/s"]
+        if (speed := highest_speed(records, model)) > 0.0:
+            found["rad/s"] = speed
+            found["s/rad"] = 1.0 / speed
         if model.coulomb_friction:
             found["N*m/s"] = model.coulomb_friction / lasting
     if model.coulomb_friction:
@@ -46,6 +43,32 @@ def scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     if model.thermal is not None:
         found["J/K"] = model.thermal.housing_capacitance
     return found
+
+
+def highest_speed(records: Sequence[Record], model: Model) -> float:
+    """Highest speed of an angle in runs whose shaft turns, else that of a motor without load; zero of neither."""
+    reached = max(
+        (
+            float(np.quantile(np.abs(np.diff(angle)), TOP)) / record.fast.interval
+            for record in records
+            if record.fast is not None and record.mechanical != "locked"
+            if (angle := record.fast.get("angle")) is not None
+        ),
+        default=0.0,
+    )
+    if reached > 0.0 or not model.bench.bus_voltage or not model.back_emf_constant:
+        return reached
+    return model.bench.bus_voltage / model.back_emf_constant
+
+
+def worth_knowing(records: Sequence[Record], model: Model) -> dict[str, float]:
+    """The smallest size of each effect that is worth knowing on a machine; without those whose unit nothing tells.
+
+    It is in the units of `EffectDefinition.worth_knowing`.
+    """
+    units = scales(records, model)
+    least = {name: effect_definition(name).worth_knowing for name in effect_names()}
+    return {name: worth.size * units[worth.units] for name, worth in least.items() if worth.units in units}
 
 
 def form_scales(records: Sequence[Record], model: Model) -> dict[str, float]:

@@ -91,6 +91,8 @@ def unrest(evidence: Evidence, found: Found) -> dict[tuple[str, str, str], float
     """
     ratios: dict[tuple[str, str, str], list[float]] = {}
     for index, rows in enumerate(evidence.stack.rows):
+        if not evidence.is_judged(rows):
+            continue
         value = (rows.noise / rows.white) ** 2 * rows.dependence
         expected = evidence.expected(rows)
         slow = max(rows.noise**2 - rows.white**2 * NOISE_BESIDE, 0.0)

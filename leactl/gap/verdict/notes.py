@@ -48,7 +48,7 @@ def beyond_null(evidence: Evidence, null: Null) -> tuple[str, ...]:
         )
     missing = sorted({equation for equation, _ in evidence.unrest().keys() - null.unrest.keys()})
     if missing:
-        notes.append(f"no sound run could be simulated for {', '.join(missing)}: judged by what other machines leave")
+        notes.append(f"no sound run could be simulated for {', '.join(missing)}: what is left over there is not judged")
     return tuple(notes)
 
 

@@ -137,7 +137,7 @@ def pictured(
     wanted = list(dict.fromkeys(candidate for several in sets.values() for candidate in several))
     if not wanted or not held_out:
         return tuple(causes)
-    others = Evidence(held_out, evidence.model, only=wanted, kept=evidence.kept, pinned=evidence.pinned)
+    others = evidence.on(held_out, wanted)
     if not others.stack.rows:
         return tuple(causes)
     others.settle(hypothesis)

@@ -54,7 +54,7 @@ def describe(
     standing : effects of the augmented model.
     channel : equation, quantity and set-up that are farthest from a sound machine's.
     """
-    others = Evidence(held_out, evidence.model, only=standing, kept=evidence.kept, pinned=evidence.pinned)
+    others = evidence.on(held_out, standing)
     fit = evidence.settle(standing)
     here = of_channel(evidence.stack, channel)
     there = of_channel(others.stack, channel)
