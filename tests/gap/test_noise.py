@@ -24,6 +24,14 @@ def test_white_noise_is_drawn_again_at_its_size_whatever_moves_slowly_beside_it(
     assert np.std(again) == pytest.approx(size, rel=0.1)
 
 
+@pytest.mark.parametrize("width", [8, 64, 256])
+def test_noise_reaches_down_to_the_slowest_however_little_a_segment_tells_of_it(width):
+    noise = np.random.default_rng(4).standard_normal(COUNT)
+    whole = COUNT // width * width
+    slow, again = (np.std(np.mean(one[:whole].reshape(-1, width), axis=1)) for one in (noise, drawn_again(noise)))
+    assert again == pytest.approx(slow, rel=0.35)
+
+
 def test_a_filters_colour_is_kept():
     """But for what is below a quarter of the band, where noise is taken to be as in the quarter above."""
     white = np.random.default_rng(2).standard_normal(COUNT)

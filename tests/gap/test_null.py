@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 from leactl.gap.diagnose import read_case
 from leactl.gap.null import FARTHEST, NULLS, drawn, measure, sound_runs
 from leactl.gap.replay.cutting import TRACKED
-from leactl.gap.search.evidence import PRIORS, Evidence, floors, table
+from leactl.gap.search.evidence import NEGLIGIBLE, PRIORS, Evidence
 from leactl.gap.search.parameters import nominal_value
 from leactl.gap.search.sets import ENTRY
 from leactl.gap.search.stamp_fit import LATEST
 from leactl.gap.signals.ceiling import at_ceiling
 from leactl.gap.signals.derived import resolved, unseen
 from leactl.gap.signals.noise import SEGMENT, quantum_of
+from leactl.gap.signals.scales import worth_knowing
 from leactl.model.nominal import read_model
 from tests.gap.synthetic import clocked, model, record
 
@@ -87,8 +88,8 @@ def test_a_parameter_is_drawn_within_what_is_usual():
 
 @settings(max_examples=20, deadline=None)
 @given(*(st.floats(0.01, 100.0) for _ in range(3)))
-def test_floors_of_similar_machines_are_similar(torque, current, time):
-    """Torque x a, current x b, time x s: each floor has the unit of its effect and nothing else."""
+def test_least_floors_of_similar_machines_are_similar(torque, current, time):
+    """Torque x a, current x b, time x s: each size worth knowing has the unit of its effect and nothing else."""
     volt, power = torque / (current * time), torque / time
     one = model()
     thermal = {
@@ -106,7 +107,7 @@ def test_floors_of_similar_machines_are_similar(torque, current, time):
     )
     run, slower = record("free", reference=1.0, start_speed=5.0), record("free", reference=1.0, start_speed=5.0)
     slower.fast.time, slower.fast.interval = slower.fast.time * time, slower.fast.interval * time
-    first, second = floors([run], one), floors([slower], other)
+    first, second = worth_knowing([run], one), worth_knowing([slower], other)
     factors = {"cogging": torque, "transport_delay": time, "current_sensor_offset": current, "bus_sag": volt / current}
     factors |= {"dead_time": volt, "quadratic_drag": torque * time**2, "torque_sensor_drift": torque / time}
     factors |= {"third_thermal_node": power * time, "forced_convection": time, "torque_ripple": 1.0}
@@ -165,7 +166,8 @@ def test_the_pages_have_the_numbers_of_the_code():
     assert {3: "Three"}[NULLS] + " sound machines are simulated" in gap
     assert f"a time constant of {TRACKED:.0f} samples" in decision
     assert f"over stretches of {SEGMENT} samples" in decision
-    assert f"{100.0 * table()['floors']['third_thermal_node']:.2g} % of the housing" in decision
+    assert {0.05: "a twentieth of the smallest size worth knowing"}[NEGLIGIBLE] in gap
+    assert {0.05: "A twentieth of the smallest size worth knowing"}[NEGLIGIBLE] in decision
 
 
 def test_the_table_of_thresholds_is_that_of_the_code():

@@ -7,6 +7,7 @@ from scipy.ndimage import median_filter
 Array = npt.NDArray[np.float64]
 SEGMENT = 64  # samples, over which a channel's noise shows its colour
 LINES = 9  # bins of its spectrum, of which one line is no noise
+TREND = 4  # coefficients of the cubic that motion is in a segment; noise in as many bins goes with it
 MEDIAN_OF_POWER = float(np.log(2.0))  # of a bin of white noise, over its mean
 
 
@@ -44,17 +45,19 @@ def quiet_spectrum(values: Array) -> Array | None:
 
     The median over segments leaves out what moves the channel now and then, that over bins what repeats. Below a
     quarter of the band motion and noise do not part: noise is taken to be no higher there than in the quarter above.
+    In the lowest bins, of which the segment's trend leaves nothing, it is as in the rest of that quarter.
     """
     count = len(values) // SEGMENT
     if count < 3:
         return None
     parts = values[: count * SEGMENT].reshape(count, SEGMENT)
     at = np.linspace(-1.0, 1.0, SEGMENT)
-    basis = np.linalg.qr(np.stack([at**power for power in range(4)], axis=1))[0]
+    basis = np.linalg.qr(np.stack([at**power for power in range(TREND)], axis=1))[0]
     window = np.hanning(SEGMENT)
     spectra = np.abs(np.fft.rfft((parts - parts @ basis @ basis.T) * window, axis=1)) ** 2 / np.sum(window**2)
     power = np.median(spectra, axis=0) / MEDIAN_OF_POWER
-    power = np.asarray(median_filter(power, LINES, mode="nearest"))
     quarter, half = len(power) // 4, len(power) // 2
+    power[:TREND] = np.median(power[TREND:quarter])
+    power = np.asarray(median_filter(power, LINES, mode="nearest"))
     power[:quarter] = np.minimum(power[:quarter], np.median(power[quarter:half]))
     return power
