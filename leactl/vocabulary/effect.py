@@ -70,8 +70,8 @@ class EffectDefinition(BaseModel):
         name, first = next(iter(self.parameters.items()))
         if self.faint is None and not (first.units in OF_ANY_MACHINE and first.low > 0.0):
             raise ValueError(
-                f"faint is missing, the smallest size worth knowing: {name} begins at {first.low:g} {first.units}, which"
-                f" is none on machines of any size; give faint: {{size: ..., units: ...}} in the machine's own unit"
+                f"faint is missing, the smallest size worth knowing: {name} begins at {first.low:g} {first.units},"
+                " which is none on machines of any size; give faint: {size: ..., units: ...} in the machine's own unit"
             )
         return self
 

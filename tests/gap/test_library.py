@@ -7,7 +7,7 @@ from leactl.effects import library
 from leactl.effects.contract import PLACES, Signals
 from leactl.gap.verdict.picture import OF_SIGNALS
 from leactl.model.nominal import DriveModel, Model
-from leactl.vocabulary.effect import effect_definition, effect_names, effects_on
+from leactl.vocabulary.effect import EffectDefinition, effect_definition, effect_names, effects_on
 from leactl.vocabulary.variable import VARIABLES
 
 MODEL = Model.model_validate(
@@ -110,3 +110,11 @@ def test_a_run_that_shows_an_effect_shows_a_variable_that_it_acts_in(name):
 
 def test_every_variable_comes_from_signals():
     assert set(OF_SIGNALS) == set(VARIABLES)
+
+
+def test_a_definition_says_which_size_is_worth_knowing_on_a_machine_of_any_size():
+    known = effect_definition("cogging").model_dump()
+    with pytest.raises(ValueError, match=r"faint is missing.*amplitude begins at 0.003 N\*m"):
+        EffectDefinition.model_validate(known | {"faint": None})
+    with pytest.raises(ValueError, match="greater than 0"):
+        EffectDefinition.model_validate(known | {"faint": {"size": 0.0, "units": "N*m"}})

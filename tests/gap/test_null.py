@@ -2,6 +2,7 @@
 
 import importlib
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,35 @@ def test_a_case_without_an_effect_leaves_what_sound_machines_leave(case, null):
     assert set(left) == set(null.unrest)
     for key, value in left.items():
         assert value < LEFT * max(null.unrest[key], 1.0), key
+
+
+def test_held_out_runs_are_weighed_by_what_sound_machines_leave_in_the_fitted_ones(case, null):
+    evidence = Evidence(case.fitted, case.model, only=[])
+    assert {evidence.expected(rows) for rows in evidence.stack.rows} == {1.0}
+    evidence.compare_with(null)
+    other = evidence.on(case.held_out, [("cogging", (7.0,))])
+    assert {rows.equation for rows in other.stack.rows} == {rows.equation for rows in evidence.stack.rows}
+    for rows in other.stack.rows:
+        key = rows.equation, rows.kind
+        assert other.expected(rows) == max(1.0, null.unrest[key], null.left[key] / rows.white**2), key
+    for candidate in other.candidates:
+        assert other.floor(candidate) == evidence.floor(candidate) > 0.0
+
+
+def test_what_an_equation_leaves_does_not_shrink_with_its_noise(case, null):
+    evidence = Evidence(case.fitted, case.model, only=[])
+    evidence.compare_with(null)
+    rows = evidence.stack.rows[0]
+    expected = evidence.expected(rows)
+    rows.white /= 10.0
+    assert evidence.expected(rows) >= 50.0 * null.left[rows.equation, rows.kind] / (rows.white * 10.0) ** 2
+    assert evidence.expected(rows) > expected
+
+
+def test_what_no_sound_machine_tells_is_not_judged(case, null):
+    evidence = Evidence(case.fitted, case.model, only=[])
+    evidence.compare_with(replace(null, unrest={}, left={}))
+    assert not any(evidence.is_judged(rows) for rows in evidence.stack.rows)
 
 
 def test_sound_machines_move_no_parameter_that_these_runs_tell(null):

@@ -194,6 +194,9 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
         stamp_columns(name, record.fast, keys, s.torque),
         width=2.0,
         step=6,
+        # sliding friction is taken to follow at once: the swing of the rotor on its shaft, which a command sets off,
+        # is left over, with lines that hang on the give of its bearing, which no model file tells
+        rough=swinging,
     )
 
 

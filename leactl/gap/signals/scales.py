@@ -17,8 +17,8 @@ def scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     """One unit of each kind for a machine and its runs; a kind that they do not tell is left out.
 
     Torque is the Coulomb friction and current what makes it; time is the finest interval between samples, speed the
-    highest that was reached. A locked rotor swings and does not turn: without another run, speed is what the back-EMF of
-    a whole bus voltage allows. Machines that are similar in the sense of dimensional analysis have similar units.
+    highest that was reached. A locked rotor swings and does not turn: without another run, speed is what a bus voltage
+    allows without load. Machines that are similar in the sense of dimensional analysis have similar units.
     """
     found = {"1": 1.0, "rad": 1.0, "K": 1.0, "1/K": 1.0, "share of the limit": 1.0}
     clocks = [record.fast for record in records if record.fast is not None]
