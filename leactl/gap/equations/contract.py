@@ -42,4 +42,4 @@ class Equation:
     width: float = 4.0
     step: int = 8
     memory: int = MEMORY  # rows, within which one may depend on another
-    rough: bool = False  # whether it is so coarse that what it leaves over tells nothing
+    rough: bool = False  # whether it neglects so much that what it leaves over is no sign of anything

@@ -120,5 +120,5 @@ def lock(record: Record, s: Signals) -> Equation | None:
         levels=1.0 + float(np.ptp(angle)) / max(count, 1e-12),
         width=8.0,
         step=16,
-        rough=True,  # within a play, friction holds the rotor anywhere: no torque tells where, and a sound shaft has none
+        rough=True,  # within a play, which no sound shaft has, friction holds the rotor where no torque tells
     )

@@ -47,7 +47,7 @@ class Rows:
     levels: float = math.inf  # that a rounded channel takes
     width: float = 0.0  # samples, smoothing of the rows
     memory: int = MEMORY  # rows, within which one may depend on another
-    rough: bool = False  # whether what is left over of them tells nothing
+    rough: bool = False  # whether what is left over of them is no sign of anything
     gram: Array | None = None  # over [left_over, columns]; None where it is to be made
 
 
