@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from leactl.gap.diagnose import Case, diagnose, split
 from leactl.gap.signals.record import read_record
@@ -60,7 +61,8 @@ def test_what_a_joint_has_is_named_with_its_size(tmp_path, name, kind):
 def test_a_gear_s_error_is_told_at_its_order(tmp_path):
     case, _ = drawn_case(tmp_path, "geared_joint", [], seed=5)
     ratio, amplitude = 18.0, 0.004
-    wrong = [uneven(record, ratio, amplitude) for record in (*case.fitted, *case.held_out)]
+    filtered = case.model.bench.velocity_filter_bandwidth
+    wrong = [uneven(record, ratio, amplitude, filtered) for record in (*case.fitted, *case.held_out)]
     model = case.model.model_copy(update={"gear_ratio": ratio})
     found = diagnose(Case(model, wrong[: len(case.fitted)], wrong[len(case.fitted) :]))
     assert named(found)[0] == "transmission_error"
@@ -69,13 +71,14 @@ def test_a_gear_s_error_is_told_at_its_order(tmp_path):
     assert told["amplitude"] == pytest.approx(amplitude, rel=0.1)
 
 
-def uneven(record, order, amplitude):
-    """A record whose joint turns by a wave over its angle more than its motor."""
-    angle, speed = record.fast.values[ANGLE], record.fast.values[VELOCITY]
-    changed = {
-        ANGLE: angle + amplitude * np.sin(order * angle),
-        VELOCITY: speed * (1.0 + amplitude * order * np.cos(order * angle)),
-    }
+def uneven(record, order, amplitude, bandwidth):
+    """A record whose joint turns by a wave over its angle more than its motor, seen through its velocity filter [Hz]."""
+    angle, speed, interval = record.fast.values[ANGLE], record.fast.values[VELOCITY], record.fast.interval
+    wave = amplitude * np.sin(order * angle)
+    steps = 2.0 * np.pi * bandwidth * interval
+    decay, mean = np.exp(-steps), (1.0 - np.exp(-steps)) / steps  # of the filter over a sample; the wave goes straight
+    lagged = lfilter([1.0 - mean, mean - decay], [1.0, -decay], np.gradient(wave, interval))
+    changed = {ANGLE: angle + wave, VELOCITY: speed + lagged}
     return replace(record, fast=replace(record.fast, values=record.fast.values | changed))
 
 
