@@ -72,7 +72,7 @@ def test_a_gear_s_error_is_told_at_its_order(tmp_path):
 
 
 def uneven(record, order, amplitude, bandwidth):
-    """A record whose joint turns by a wave over its angle more than its motor, seen through its velocity filter [Hz]."""
+    """A record whose joint turns by a wave over its angle more than its motor; its velocity passes a filter [Hz]."""
     angle, speed, interval = record.fast.values[ANGLE], record.fast.values[VELOCITY], record.fast.interval
     wave = amplitude * np.sin(order * angle)
     steps = 2.0 * np.pi * bandwidth * interval
