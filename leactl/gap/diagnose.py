@@ -265,12 +265,14 @@ def outweighed(
     """Whether something unexplained leaves so much that what a set of effects explains may be a part of that.
 
     What the velocity of a motor fed with a voltage leaves over beside its angle says nothing of effects elsewhere: it
-    is the controller's own estimate, and no balance takes it.
+    is the controller's own estimate, and no balance takes it. Nor does the angle of a locked rotor: within a play
+    friction holds it where no torque tells, so that what is left there may be as large as the play itself.
     """
     aside = {
         rows.equation
         for rows in evidence.stack.rows
-        if rows.kind == VOLTAGE and rows.equation == "velocity" and not touched(rows, found.hypothesis)
+        if rows.equation == "lock"
+        or (rows.kind == VOLTAGE and rows.equation == "velocity" and not touched(rows, found.hypothesis))
     }
     rest = {key: ratio for key, ratio in restless.items() if key[0] not in aside}
     heard = {key: line for key, line in lines.items() if key[0] not in aside}

@@ -120,5 +120,4 @@ def lock(record: Record, s: Signals) -> Equation | None:
         levels=1.0 + float(np.ptp(angle)) / max(count, 1e-12),
         width=8.0,
         step=16,
-        rough=True,  # within a play, which no sound shaft has, friction holds the rotor where no torque tells
     )
