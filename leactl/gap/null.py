@@ -62,17 +62,25 @@ FARTHEST_STAMP = 1.0  # samples, by which a stamp that no file explains may be o
 SLOW_WIDTH = 8.0  # samples, smoothing of temperatures that drive a simulation
 
 
-def measure(records: Sequence[Record], model: Model, machines: int = NULLS, seed: int = 0) -> Null:
+def measure(
+    records: Sequence[Record],
+    model: Model,
+    machines: int = NULLS,
+    only: Sequence[Candidate] | None = None,
+    seed: int = 0,
+) -> Null:
     """Simulate the runs of a case as sound machines would make them, and look for effects there.
+
+    only : forms of effects to look for, all if not given.
 
     If a fit only balances torques against each other, noise shrinks them and the torque constant together. If fits to
     sound runs show this, each machine gets a torque constant of its own, and the fit keeps that of the model.
     """
     random = np.random.default_rng(seed)
-    shown = looked_at(records, model, (), machines, random)
+    shown = looked_at(records, model, (), machines, only, random)
     moved, kept = shown.parameters(), tuple(name for name in shown.untold() if name == SCALE)
     if kept:
-        shown = looked_at(records, model, kept, machines, random)
+        shown = looked_at(records, model, kept, machines, only, random)
         moved = shown.parameters() | {SCALE: moved[SCALE]}
     return shown.null(moved, kept)
 
@@ -94,12 +102,17 @@ def compare(evidence: Evidence, null: Null) -> None:
 
 
 def looked_at(
-    records: Sequence[Record], model: Model, kept: Sequence[str], machines: int, random: np.random.Generator
+    records: Sequence[Record],
+    model: Model,
+    kept: Sequence[str],
+    machines: int,
+    only: Sequence[Candidate] | None,
+    random: np.random.Generator,
 ) -> "Shown":
     """What sound machines show whose fits keep some parameters at the model's values."""
     shown = Shown()
     for own in sound_runs(records, [drawn(model, kept, random) for _ in range(machines)], random):
-        shown.look(Evidence(own, model, kept=kept))
+        shown.look(Evidence(own, model, only, kept))
     return shown
 
 
