@@ -197,11 +197,13 @@ def confirmed_beside_others(evidence: Evidence, found: Found, seed: int = 0) -> 
 
 def size_beside(evidence: Evidence, others: Sequence[Candidate], item: Finding, random: np.random.Generator) -> float:
     """Size of an effect, beyond noise, in a machine that has only the others; zero where it cannot be simulated."""
+    # beside the whole set: without the effect its likeness in the model, as a stiffness of a shaft's, takes its place
+    own = calibrated(evidence, evidence.settle([*others, item.candidate]))
     fit = evidence.settle(others)
     acting = [(c[0], {p.name: p.value for p in effect_parameters(evidence, fit, c)}) for c in others]
-    machine = with_effects(with_calibration(evidence.model, calibrated(evidence, fit)), acting)
-    (own,) = sound_runs(evidence.records, [machine], random)
-    again = Evidence(own, evidence.model, only=[*others, item.candidate], kept=evidence.kept)
+    machine = with_effects(with_calibration(evidence.model, own), acting)
+    (runs,) = sound_runs(evidence.records, [machine], random)
+    again = Evidence(runs, evidence.model, only=[*others, item.candidate], kept=evidence.kept)
     if not again.stack.rows:
         return 0.0
     again.settle([*others, item.candidate])
