@@ -94,14 +94,14 @@ def plan(
 
     expanded = load(protocol, read_overrides(overrides), condition)
     hottest: dict[str, float] = {}
-    passes, limits = "", None
+    passes, limits, slow = "", None, ""
     if bench:
         from leactl.bench.bench import Bench
         from leactl.bench.benchfile import host_silences
         from leactl.bench.wiring import MachineWiring
         from leactl.runner.checked_bench import load_checked
         from leactl.runner.fitting import check_fit
-        from leactl.runner.windings import Windings
+        from leactl.runner.windings import Windings, standing
         from leactl.safety.refusals import check_rate
 
         file, devices, _document = load_checked(bench)
@@ -112,6 +112,8 @@ def plan(
         limits = file.limits
         forecast = Windings(file, devices, "", cold=True).forecast(expanded)
         hottest = {role: round(value, 2) for role, value in forecast.peaks.items()}
+        if forecast.turning_from_hz is not None:
+            slow = f"note: {standing(forecast.turning_from_hz)}; rate_Hz is {expanded.rate_Hz:g}"
         passes = (
             "" if forecast.passing is None else f", up to step '{forecast.passing.step}', where the limit may be passed"
         )
@@ -123,6 +125,8 @@ def plan(
     typer.echo("\n".join(plan_lines(expanded, limits)))
     for role, value in hottest.items():
         typer.echo(f"winding {role} at most {value:g} degC from ambient{passes}; see: leactl thermal plan")
+    if slow:
+        typer.echo(slow, err=True)
 
 
 def _checked(protocol: str) -> "Plan":

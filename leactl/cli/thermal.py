@@ -137,6 +137,7 @@ def plan(
         "passes": None
         if found.passing is None
         else {"step": found.passing.step, "time_s": round(found.passing.time_s, 2), "role": found.passing.role},
+        "turning_from_Hz": found.turning_from_hz,
         "cooldowns": [{"start_s": round(row.start_s, 3), "duration_s": row.duration_s} for row in waits],
     }
     typer.echo(json.dumps(body) if as_json else forecast_text(body))

@@ -71,6 +71,8 @@ def forecast_text(body: Mapping[str, Any]) -> str:
     """Peaks of a plan, and what would keep it below the limit."""
     lines = [f"{body['protocol']}: hottest phases at most, limit {body['limit_degC']:g} degC"]
     lines += [f"  {role:<6}{value:8.1f} degC" for role, value in body["peaks_degC"].items()]
+    if (least := body["turning_from_Hz"]) is not None:
+        lines.append(f"  rotors that turn count as standing: rate_Hz is below about {least:g}")
     passes = body["passes"]
     if passes is None:
         lines.append("may be run as it is")

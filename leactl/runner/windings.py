@@ -127,6 +127,8 @@ class Windings:
             helps = "no wait helps"
         else:
             helps = "no wait between its steps helps: shorten or lower them"
+        if found.turning_from_hz is not None:
+            helps += f", or raise its rate_Hz of {plan.rate_Hz:g}: {standing(found.turning_from_hz)}"
         known = "; ".join(f"{role} {one.known}, at most {one.nodes[0]:.0f} degC" for role, one in self.recalled.items())
         raise InputError(
             f"protocol '{plan.name}': step '{at.step}' may take the {at.role} winding to its limit of"
@@ -137,6 +139,11 @@ class Windings:
     def _foresight(self) -> Foresight:
         start = {role: found.nodes for role, found in self.recalled.items()}
         return Foresight(self.motors, self.settings, start)
+
+
+def standing(turning_from_hz: float) -> str:
+    """That a slow loop has rotors count as standing."""
+    return f"rotors that turn heat one phase as if they stood below about {turning_from_hz:g} Hz"
 
 
 def check_label(option: str, label: str) -> None:

@@ -130,9 +130,8 @@ class Supervisor:
             (guard.roles.index(role), each, each.tracking, each.axis.motion, each.current, each.panel.look)
             for role, each in self._axes.items()
         ]
-        guard.watch(self._motion_of)
         guard.begin(now)
-        self._heating = guard.squares, guard.flowing, math.inf
+        self._heating = guard.cycles, guard.logs, guard.flowing, math.inf
         self.windings = guard.estimate, guard.hottest  # degC by role, kept up to date
         self.time_left = guard.time_left
 
@@ -167,7 +166,7 @@ class Supervisor:
         now, self._period = self._clock.now(), period
         guard = self._thermal
         guard.begin(now)
-        self._heating = guard.squares, guard.flowing, STALL_CYCLES * period
+        self._heating = guard.cycles, guard.logs, guard.flowing, STALL_CYCLES * period
         for guarded in self._axes.values():
             guarded.panel.begin(now, self._limits.cyclic_age(period))
         for panel in self._own.values():
@@ -250,14 +249,6 @@ class Supervisor:
             )
         return math.copysign(allowed, value)
 
-    def _motion_of(self, place: int) -> tuple[float, float]:
-        """Angle and velocity of an actuator as last measured."""
-        guarded = self._axes.get(self._thermal.roles[place])
-        if guarded is None:
-            return 0.0, 0.0  # no drive turns it
-        velocity = math.nan if guarded.velocity is None else guarded.axis.motion.values[guarded.velocity]
-        return guarded.measured_angle, velocity
-
     def _judge_angle(self, role: str, path: AnglePath, value: float) -> None:
         if math.isnan(path.sent):
             self.trip(f"{role} angle_reference of {value:g} rad while the shaft's angle is not known")
@@ -292,8 +283,9 @@ class Supervisor:
             pace.latest += pace.period
         else:
             pace.look(now)
-        squares, flowing, stall = self._heating
+        cycles, logs, flowing, stall = self._heating
         on_time = elapsed < stall
+        cycles.append(elapsed)
         for place, guarded, tracking, motion, where, look in self._judged:
             values = motion.values
             look(values, now)
@@ -309,7 +301,12 @@ class Supervisor:
             if not square >= guarded.held:  # a reading that is no number is the worst that may flow
                 square = guarded.held if square == square else self._worst
             # a stall of the loop is longer than a cycle: what flowed before it may have gone on
-            squares[place] += (square if on_time or square > flowing[place] else flowing[place]) * elapsed
+            heats = (square if on_time or square > flowing[place] else flowing[place]) * elapsed
+            logs[place] += (
+                heats,
+                NAN if guarded.angle is None else values[guarded.angle],
+                NAN if guarded.velocity is None else values[guarded.velocity],
+            )
             guarded.held = asked
             flowing[place] = square if square > asked else asked
         if now >= self._due:

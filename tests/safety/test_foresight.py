@@ -266,13 +266,40 @@ def test_no_current_is_taken_to_be_more_than_the_bench_lets_pass():
 
 def test_a_locked_rotor_stands_and_one_that_crawls_or_turns_is_cooler():
     hold = [held(0.0, test=12.0), held(20.0, test=12.0)]
-    locked = warmed(made(CURRENT, *hold))
+    locked = warmed(made(CURRENT, *hold, rate=1000.0))
     modes = Engage({"test": Mode.CURRENT, "load": Mode.VELOCITY})
-    turning = warmed(made(modes, held(0.0, load=5.0), *hold, setup="coupled"))
-    crawling = warmed(made(modes, held(0.0, load=0.2), *hold, setup="coupled"))
-    creeping = warmed(made(modes, held(0.0, load=0.002), *hold, setup="coupled"))
+    turning, crawling, creeping = (
+        warmed(made(modes, held(0.0, load=speed), *hold, setup="coupled", rate=1000.0)) for speed in (5.0, 0.2, 0.002)
+    )
     assert turning < crawling < locked - 10.0
     assert creeping == pytest.approx(locked, abs=1.0)
+
+
+def test_a_rotor_that_a_slow_loop_cannot_follow_stands_and_the_rate_that_would_is_told():
+    hold = [held(0.0, test=12.0), held(20.0, test=12.0)]
+    modes = Engage({"test": Mode.CURRENT, "load": Mode.VELOCITY})
+    locked = warmed(made(CURRENT, *hold))
+    plan = made(modes, held(0.0, load=5.0), *hold, setup="coupled")
+    assert warmed(plan) == pytest.approx(locked, abs=1.0)
+    rate = foresight().forecast(plan).turning_from_hz
+    faster = replace(plan, rate_Hz=rate)
+    assert foresight().forecast(faster).turning_from_hz is None
+    assert warmed(faster) < locked - 8.0
+    assert foresight().forecast(made(CURRENT, *hold)).turning_from_hz is None  # a locked one stands at any rate
+
+
+def test_a_current_that_may_keep_step_with_a_rotor_counts_as_if_it_did():
+    """A list at the loop's rate: once even, once on and off as often as a pole passes."""
+    modes = Engage({"test": Mode.CURRENT, "load": Mode.VELOCITY})
+
+    def listed(low, high):
+        times = np.arange(5000) / 1000.0
+        values = np.where(np.cos(82.0 * 7.0 * times) > 0.0, high, low)
+        swings = Segment("s", 5.0, 0.0, {"test": Samples(0.001, values)}, {})
+        return made(modes, held(0.0, load=7.0), swings, setup="coupled", rate=1000.0)
+
+    even, keeping = warmed(listed(14.0, 14.0)), warmed(listed(0.0, 14.0 * math.sqrt(2.0)))
+    assert keeping > even + 5.0
 
 
 def test_setpoints_that_alternate_faster_than_parts_of_a_step_are_all_counted():

@@ -16,22 +16,20 @@ from tests.safety.phases import LEA, STEP_S, Plant, advance, follow
 
 GUARD_S = 0.1
 FINE = round(GUARD_S / STEP_S)
-LOOK = 2  # fine steps from one look of the guard to the next
 ONE = np.ones(1)
+EVEN = LEA.model_copy(update={"rotor_inertia": 1e3})  # turns evenly between two samples
 
 
 def bounded(currents, speeds, box=None, start=28.0):
     """Bounds at the end of every guard's step, shape (3, n)."""
-    bound, rotor = ThermalBound([box or Box.of(LEA)], start), Rotor(41, 40.0)
-    angles = np.concatenate([[0.0], np.cumsum(speeds * STEP_S)])
+    bound, rotor = ThermalBound([box or Box.of(LEA)], start), Rotor(EVEN, 40.0)
+    angles = np.cumsum(speeds * STEP_S)
     found = []
     for begin in range(0, len(currents) - FINE + 1, FINE):
-        heat = 0.0
-        for look in range(begin, begin + FINE, LOOK):
-            heat += float(np.sum(currents[look : look + LOOK] ** 2)) * STEP_S
-            rotor.look(angles[look + LOOK], speeds[look + LOOK - 1], heat, LOOK * STEP_S, 0.0)
-        span = rotor.take()
-        fastest = np.max(np.abs(speeds[begin : begin + FINE])) * ONE
+        part = slice(begin, begin + FINE)
+        log = np.stack([currents[part] ** 2 * STEP_S, angles[part], speeds[part]], axis=1)
+        span = rotor.span(np.full(FINE, STEP_S), log, GUARD_S, currents[part])
+        fastest = np.max(np.abs(speeds[part])) * ONE
         heats = span.square / GUARD_S * ONE, span.aligned * ONE, fastest
         bound.step(GUARD_S, *heats, 25.0, span.late(bound.decay_s) * ONE)
         found.append(bound.nodes()[:, 0])

@@ -123,15 +123,15 @@ class Demand:
         self.held: Mapping[int, Held] = {}  # by place among the roles, as the latest moment left them
 
     def heats(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array]:
-        """Mean square currents, electrical speeds at the least [rad/s], and speeds at the most, of all roles.
+        """Square currents at these moments, electrical speeds at the least and speeds at the most [rad/s] of all roles.
 
         The next call goes on from the last of these moments.
         """
         squares, turned, speeds, self.held = self._followed(plan, state, at)
-        return np.mean(squares, axis=1), turned, speeds
+        return squares, turned, speeds
 
     def squares(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array]:
-        """Square currents at these moments, and both speeds as of `heats`."""
+        """The same for moments that are only looked ahead to."""
         return self._followed(plan, state, at)[:3]
 
     def _followed(self, plan: Plan, state: State, at: Sequence[float]) -> tuple[Array, Array, Array, dict[int, Held]]:

@@ -17,8 +17,8 @@ from leactl.protocol.plan import EndWhen, Plan, Segment, When
 from leactl.safety.thermal.bound import LONGEST_STEP_S, ThermalBound, lateness
 from leactl.safety.thermal.box import Array, Box
 from leactl.safety.thermal.demand import Demand, Held, State, either, states
-from leactl.safety.thermal.guard import LOOK_S, MARGIN_K, STEP_S, TURN_S, Budgets, GuardSettings
-from leactl.safety.thermal.turning import LED_ALIGNED
+from leactl.safety.thermal.guard import MARGIN_K, STEP_S, Budgets, GuardSettings
+from leactl.safety.thermal.turning import LED_LOOSE, detour
 
 PARTS = 10  # samples of a step, where setpoints vary along a line
 KEPT_TO = np.array([0.95, 1.0, 1.05])  # of a planned speed
@@ -27,6 +27,7 @@ LONGEST_S = 2.0
 LEAST_S = 1e-6  # rounding of a sum of steps, which is no step of its own
 MOST_WAIT_S = 4 * 3600.0
 WAIT_ROUNDING_S, WAIT_FOUND_TO_S = 5.0, 1.0
+LITTLE, ROUND_HZ = 0.1, 10.0  # of the heat of a turning rotor that may be loose, and what a rate is rounded up to
 FAST = 3.0  # rad of electrical angle in a step, from which on it shares its heat among the phases evenly
 
 
@@ -46,6 +47,7 @@ class Forecast:
 
     peaks: Mapping[str, float]  # degC, of each role's hottest phase
     passing: Passing | None
+    turning_from_hz: float | None  # rate from which on rotors count as turning that stand by the rate of the plan
 
 
 class Foresight:
@@ -58,17 +60,19 @@ class Foresight:
         ------
         InputError : a motor without tolerances.
         """
-        self._demand, self._settings = Demand(motors, settings), settings
+        self._demand, self._settings, self._motors = Demand(motors, settings), settings, motors
         self._roles = tuple(motors)
         boxes = [Box.of(motor) for motor in motors.values()]
         self._bound, self._budgets = ThermalBound(boxes, settings.ambient), Budgets(boxes, settings)
         self._bound.set(np.stack([start[role] for role in self._roles], axis=1))
         self._start = self._bound.state
         self._marks: list[_Mark] = []  # of the latest plan, as its actions begin
+        self._interval = 0.0  # of its cycles [s]
+        self._turning_from = 0.0  # Hz
 
     def forecast(self, plan: Plan) -> Forecast:
         """Follow a plan from its start until its end, or until a winding may pass its limit."""
-        self._bound.state = self._start
+        self._bound.state, self._turning_from = self._start, 0.0
         peaks = dict(zip(self._roles, self._bound.hottest().tolist(), strict=True))
         self._marks = [_Mark(self._start, {}, 0.0, peaks, ())]
         return self._go_on(plan, 0)
@@ -130,22 +134,27 @@ class Foresight:
                 for role, was, hottest in zip(self._roles, before, after, strict=True):
                     peaks[role] = max(peaks[role], hottest)
                     if not (hottest < limit or hottest < was):
-                        return Forecast(peaks, Passing(index, state.name, time, role))
+                        return self._found(peaks, Passing(index, state.name, time, role))
             if state.shortest < state.duration:  # what heats may have ended last, and what cools first
                 bound.state = worst
             self._marks.append(_Mark(bound.state, self._demand.held, time, dict(peaks), opened))
-        return Forecast(peaks, None)
+        return self._found(peaks, None)
+
+    def _found(self, peaks: Mapping[str, float], passing: Passing | None) -> Forecast:
+        slow = self._turning_from * self._interval > 1.0
+        return Forecast(peaks, passing, ROUND_HZ * math.ceil(self._turning_from / ROUND_HZ) if slow else None)
 
     def _pieces(self, plan: Plan, state: State) -> Iterator["_Piece"]:
         """Heat of one action, step by step: no less than the guard will find, which takes steps of its own.
 
         The guard's steps around the ends of an action see its currents change, those in between do not.
         """
-        time = 0.0
+        time, self._interval = 0.0, 1.0 / plan.rate_Hz
         while (left := state.duration - time) > LEAST_S:
             own = self._budgets.step(self._budgets.left(self._bound.hottest().tolist()))
             if state.constant:
-                squares, turned, speeds = self._demand.heats(plan, state, [0.0])
+                found, turned, speeds = self._demand.heats(plan, state, [0.0])
+                squares = found[:, 0]
                 aligned, late = self._shared(turned, own, np.ones((len(turned), PARTS * round(LONGEST_STEP_S / own))))
                 rate = self._bound.fastest(squares, aligned, speeds, self._settings.ambient)
                 step = min(left, LONGEST_S, max(COARSE_K / rate if rate > 0.0 else LONGEST_S, 0.01))
@@ -163,16 +172,28 @@ class Foresight:
                 # a list of setpoints is taken as the loop takes it: between its own samples anything may stand
                 parts = max(PARTS, math.ceil(step * plan.rate_Hz - 1e-6)) if state.listed else PARTS
                 at = [time + step * (k + 0.5) / parts for k in range(parts)]
-                squares, turned, speeds = self._demand.heats(plan, state, at)
-                aligned, late = _aligned(turned * step), self._late(np.full(len(squares), 0.25 * own), own)
+                found, turned, speeds = self._demand.heats(plan, state, at)
+                squares, steady = np.mean(found, axis=1), np.min(found, axis=1)
+                # what a current is at the least in a step is even; what it is beyond may keep step with the rotor
+                even = np.where(squares > 0.0, steady / np.where(squares > 0.0, squares, 1.0), 0.0)
+                aligned = 1.0 - (1.0 - _aligned(turned * step)) * even
+                late = self._late(np.full(len(squares), 0.25 * own), own)
                 if left > own:
                     count = PARTS * int(min(LONGEST_STEP_S, left) / own + LEAST_S)
                     ahead = [time + own / PARTS * (k + 0.5) for k in range(count)]
                     later, kept, _ = self._demand.squares(plan, state, ahead)
                     shared, lag = self._shared(kept, own, later)
                     better = self._kept(shared, lag) < self._kept(aligned, late)
+                    if state.listed:  # changes within a part
+                        better &= turned <= FAST / own
                     aligned, late = np.where(better, shared, aligned), np.where(better, lag, late)
-            aligned[[role in state.leads for role in self._roles]] = LED_ALIGNED
+            current, motors = math.sqrt(float(found.max())), zip(self._motors.values(), speeds.tolist(), strict=True)
+            loose = np.array([detour(motor, current, speed, self._interval) for motor, speed in motors])
+            if (turning := (squares > 0.0) & (turned * own > 1.0)).any():
+                needed = math.sqrt(float(loose[turning].max()) / LITTLE) / self._interval
+                self._turning_from = max(self._turning_from, needed)
+            aligned = np.minimum(aligned + loose, 1.0)
+            aligned[[role in state.leads for role in self._roles]] = LED_LOOSE
             yield _Piece(step, squares, aligned, speeds, late)
             time += step
 
@@ -185,19 +206,25 @@ class Foresight:
         own : of the guard's steps [s].
         squares : square currents in as many `PARTS` of as many steps [A^2], shape (roles, parts).
         """
+        fast = (turned > FAST / own)[:, None]
         turned = np.minimum(turned, FAST / own)
         times = own / PARTS * (np.arange(squares.shape[1]) + 0.5)
         ends = slice(PARTS - 1, None, PARTS)
         durations = own * np.arange(1, squares.shape[1] // PARTS + 1)
         turns = np.exp(2j * turned[:, None, None] * KEPT_TO[:, None] * times)
-        heat, turning = squares[:, None, :], squares[:, None, :] * turns
-        whole, moment, stood, moved = (
-            np.cumsum(one, axis=2)[:, :, ends] for one in (heat, heat * times, turning, turning * times)
+        # a rotor that passes much between two parts may keep step with what changes in them: that heat is loose
+        steady = np.repeat(squares.reshape(len(squares), -1, PARTS).min(axis=2), PARTS, axis=1)
+        steady = np.where(fast, steady, squares)
+        heat, turning, loose = squares[:, None, :], steady[:, None, :] * turns, (squares - steady)[:, None, :]
+        whole, moment, stood, moved, free, strayed = (
+            np.cumsum(one, axis=2)[:, :, ends]
+            for one in (heat, heat * times, turning, turning * times, loose, loose * times)
         )
         middle = 0.5 * durations
-        behind = np.maximum(moment - middle * whole, 0.0) + np.abs(moved - middle * stood)
+        even = moment - middle * whole + strayed - middle * free
+        behind = np.maximum(even, 0.0) + np.abs(moved - middle * stood)
         none = whole <= 0.0
-        aligned = np.where(none, 1.0, np.abs(stood) / np.where(none, 1.0, whole))
+        aligned = np.where(none, 1.0, np.minimum((np.abs(stood) + free) / np.where(none, 1.0, whole), 1.0))
         late = self._late(behind / np.where(none, 1.0, whole * (1.0 + aligned)), own, durations)
         kept = self._kept(aligned, late)
         worst = np.argmax(kept, axis=1)
@@ -212,8 +239,8 @@ class Foresight:
 
     def _late(self, behind: Array, own: float, durations: Array | None = None) -> Array:
         """Lateness of spans of these durations [s], or of single steps, of a guard that takes steps of `own`."""
-        unseen = LOOK_S if own == STEP_S else TURN_S
-        return lateness(behind, np.asarray(own) if durations is None else durations, unseen, self._bound.decay_s)
+        whole = np.asarray(own) if durations is None else durations
+        return lateness(behind, whole, self._interval, self._bound.decay_s)
 
 
 class _Before(NamedTuple):

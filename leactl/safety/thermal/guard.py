@@ -1,9 +1,10 @@
 """The thermal guard of a bench: heat in, every cycle; a bound, a trip and the current that may still flow, out.
 
-Heat is the larger of what a drive reports and what it is asked for, by the measured time between cycles. The bound is
-advanced every `STEP_S` where anything that may flow could take a winding to its limit before the next step, else every
-`COLD_STEP_S`; rotors and budgets are looked at every `LOOK_S`, or `TURN_S`. It must hold for longer than now: a drive
-that loses its host goes on with its last current until its own watchdog stops it, so that the bound is looked at
+Heat is the larger of what a drive reports and what it is asked for, by the measured time between cycles, at the angles
+that the rotor passed in each. The bound is advanced every `STEP_S` where anything that may flow could take a winding to
+its limit before the next step, else every `COLD_STEP_S`; budgets are looked at every `LOOK_S`, or `COLD_LOOK_S`. It
+must hold for longer than now: a drive that loses its host goes on with its last current until its own watchdog stops
+it, so that the bound is looked at
 `reserve_s` ahead, at the current that flows and standing at one electrical angle.
 """
 
@@ -17,17 +18,14 @@ import numpy as np
 from leactl.model.motor import Motor
 from leactl.safety.thermal.bound import HOTTEST, LONGEST_STEP_S, MEAN, ThermalBound
 from leactl.safety.thermal.box import PHASE_SHARE, Array, Box
-from leactl.safety.thermal.turning import LED_ALIGNED, Rotor, Span
+from leactl.safety.thermal.turning import FIELDS, LED_LOOSE, Rotor, Span
 
-LOOK_S, TURN_S = 0.01, 0.1
+LOOK_S, COLD_LOOK_S = 0.01, 0.1
 STEP_S, COLD_STEP_S = 0.1, 1.0
 LONGEST_LEFT_S, GROWTH = 3600.0, 1.15  # that a time left is told up to, and of the steps to it
 HORIZON_S = 1.0  # over which a current is scaled down as the limit comes near
 MARGIN_K = 0.5  # below the limit, where a bench is stopped: what the largest current heats in LOOK_S
 SCALED_K = 1.0  # below the limit, where scaling ends, so that a hold that is scaled is not stopped
-
-
-Motion = Callable[[int], tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -72,8 +70,6 @@ class ThermalGuard:
     def __init__(self, motors: Mapping[str, Motor], settings: GuardSettings, start: Mapping[str, Array]) -> None:
         """Begin from bounds of hottest phase, mean of the phases and housing [degC] of each role.
 
-        Until `watch` says where to, nothing is known of the rotors: they count as standing and at full speed.
-
         Raises
         ------
         InputError : a motor without tolerances.
@@ -84,18 +80,23 @@ class ThermalGuard:
         self._bound = ThermalBound([*boxes, *(Box.exact(motor) for motor in motors.values())], settings.ambient)
         nodes = np.stack([start[role] for role in self.roles], axis=1)
         self._bound.set(np.concatenate([nodes, nodes], axis=1))
-        self.squares = [0.0] * len(boxes)  # A^2 s of each role since the last step; the supervisor adds to it
+        # of the cycles since the last step, which the supervisor adds to them: how long each took [s], and of each role
+        # that a drive moves heat [A^2 s], angle [rad] and velocity [rad/s], one after the other
+        self.cycles: list[float] = []
+        self.logs: list[list[float]] = [[] for _ in boxes]
         self.flowing = [0.0] * len(boxes)  # A^2 of the latest cycle
         self.leads: dict[int, float] = {}  # A^2 that heats like what flows through two leads, where any may
         self.undriven: frozenset[int] = frozenset()  # roles without a drive, by their places: nothing else heats them
         self.due = -math.inf  # when `check` is to be called again
-        self._rotors = [Rotor(motor.pole_pairs, settings.most_speed) for motor in motors.values()]
+        self._rotors = [Rotor(motor, settings.most_speed) for motor in motors.values()]
+        self._counted, self._squares = 0, [0.0] * len(boxes)  # cycles, and the heat in them and through leads [A^2 s]
+        self._led = [0.0] * len(boxes)  # A^2 s of the latter since the last step
+        self._speeds = [0.0] * len(boxes)  # rad/s, the highest in the last step
         self._budgets_of = Budgets(boxes, settings)
         self._advanced = self._looked = 0.0
         self._step = STEP_S
         # the bound as it stood when the span began that is looked at as one step, and what that span leaves of a phase
         self._anchor, self._spans = self._bound.state, [Span() for _ in boxes]
-        self._motion: Motion = lambda index: (math.nan, math.nan)
         self._forgotten: Callable[[], str] = str
         self._budgets = [-math.inf] * len(boxes)
         self._standing = [1.0] * len(boxes)  # how far what flows stands at one electrical angle where no rotor turns
@@ -103,10 +104,6 @@ class ThermalGuard:
         self.estimate = {role: float(nodes[MEAN, k]) for k, role in enumerate(self.roles)}  # degC, for display alone
         self.allowed = dict.fromkeys(self.roles, math.inf)
         self.kept = {role: nodes[:, k] for k, role in enumerate(self.roles)}  # bounds of all nodes, for a memory
-
-    def watch(self, motion: Motion) -> None:
-        """Ask here for angle [rad] and velocity [rad/s] of an actuator by its place among the roles; NaN if unknown."""
-        self._motion = motion
 
     def remember(self, fault: Callable[[], str]) -> None:
         """Ask here why the bounds cannot be kept beyond this process; a guard that is forgotten stops the bench."""
@@ -120,13 +117,13 @@ class ThermalGuard:
         """Look at heat and rotors; gives why the bench must stop, and nothing where it may go on."""
         if now < self._looked:
             return "the clock of the bench has gone backwards: no bound of a winding's temperature holds"
-        every = LOOK_S if self._step == STEP_S else TURN_S
+        every = LOOK_S if self._step == STEP_S else COLD_LOOK_S
         self.due = now + every
         if now - self._looked >= every:
             self._look(now)
         since = now - self._advanced
         if since < self._step:
-            for square, flowing, budget in zip(self.squares, self.flowing, self._budgets, strict=True):
+            for square, flowing, budget in zip(self._squares, self.flowing, self._budgets, strict=True):
                 if square + flowing * self._settings.reserve_s > budget:
                     break
             else:
@@ -136,45 +133,66 @@ class ThermalGuard:
     def end(self, now: float) -> None:
         """No cycle comes any more: bring `kept` to now, and to what may flow until drives stop by themselves."""
         reserve = self._settings.reserve_s
-        speeds, standing = [rotor.span.speed for rotor in self._rotors], [1.0] * len(self.squares)
-        since, on = max(now - self._advanced, 0.0), max(now - self._looked, 0.0)
+        standing, on = [1.0] * len(self.roles), max(now - self._looked, 0.0)
+        self._look(max(now, self._looked))
+        since = max(now - self._advanced, 0.0)
         nodes = self._bound.nodes()
         if since > 0.0:
-            heat = zip(self.squares, self.flowing, strict=True)
-            squares = [(square + flowing * on) / since for square, flowing in heat]
-            self._bound.step(since, *self._twice(squares, standing, speeds), self._settings.ambient)
+            squares = [
+                (square + flowing * on) / since for square, flowing in zip(self._squares, self.flowing, strict=True)
+            ]
+            self._bound.step(since, *self._twice(squares, standing, self._speeds), self._settings.ambient)
             nodes = self._bound.nodes()
-        self._bound.step(reserve, *self._twice(self.flowing, standing, speeds), self._settings.ambient, late=0.0)
-        self._advanced = self._looked = now
-        self.squares, self.flowing = [0.0] * len(self.squares), [0.0] * len(self.squares)
+        self._bound.step(reserve, *self._twice(self.flowing, standing, self._speeds), self._settings.ambient, late=0.0)
+        self._advanced = now
+        self._forget()
         self._keep(np.maximum(nodes, self._bound.nodes()))
 
     def _keep(self, nodes: Array) -> None:
         self.kept = {role: nodes[:, k] for k, role in enumerate(self.roles)}
 
     def _look(self, now: float) -> None:
-        """Give every rotor the heat since the last look."""
-        since, led = now - self._looked, dict[int, float]()
+        """Count the heat since the last look."""
+        since, counted = now - self._looked, self._counted * FIELDS
+        for index, log in enumerate(self.logs):
+            self._squares[index] += sum(log[counted::FIELDS])
+        self._counted = len(self.cycles)
         for index, square in self.leads.items():
             heat = square * since
-            self.squares[index] += heat
-            led[index] = heat
+            self._squares[index] += heat
+            self._led[index] += heat
             alone = index in self.undriven
             self.flowing[index] = square if alone else max(self.flowing[index], square)
-            self._standing[index] = LED_ALIGNED if alone else 1.0
-        for index, rotor in enumerate(self._rotors):
-            rotor.look(*self._motion(index), self.squares[index], since, led.get(index, 0.0))
+            self._standing[index] = LED_LOOSE if alone else 1.0
         self._looked = now
+
+    def _forget(self) -> None:
+        """The next step begins; the supervisor keeps the lists."""
+        self.cycles.clear()
+        for log in self.logs:
+            log.clear()
+        self._counted = 0
+        self._squares, self._led = [0.0] * len(self.roles), [0.0] * len(self.roles)
 
     def _advance(self, now: float, duration: float) -> str:
         if now > self._looked:
             self._look(now)
-        fresh = [rotor.take() for rotor in self._rotors]
-        speeds = [span.speed for span in fresh]
+        cycles = np.array(self.cycles)
+        logs = [np.reshape(log, (-1, FIELDS)) for log in self.logs]
+        heats = [log[:, 0] for log in logs if len(log)]
+        none = np.zeros_like(cycles)
+        most = np.max(heats, axis=0) if heats else none
+        currents = np.sqrt(np.divide(most, cycles, out=none, where=cycles > 0.0))
+        fresh = []
+        for rotor, log, led in zip(self._rotors, logs, self._led, strict=True):
+            span = rotor.span(cycles[: len(log)], log, duration, currents)
+            span.lead(led)
+            fresh.append(span)
+        self._speeds = [span.speed for span in fresh]
+        self._forget()
         self._follow(fresh)
         self._advanced = now
-        self.squares[:] = [0.0] * len(self.squares)
-        return self._judge(speeds) or self._forgotten()
+        return self._judge(self._speeds) or self._forgotten()
 
     def _follow(self, fresh: list[Span]) -> None:
         """One step of the bound: from where the last one ended, or over again from where the span began.
@@ -262,7 +280,7 @@ class ThermalGuard:
 
         From another thread at any time: it works on a copy.
         """
-        bound, speeds = copy(self._bound), [rotor.span.speed for rotor in self._rotors]
+        bound, speeds = copy(self._bound), list(self._speeds)
         heat = self._twice(list(self.flowing), list(self._standing), speeds)
         left, time, step = dict.fromkeys(self.roles, math.inf), 0.0, STEP_S
         while time < LONGEST_LEFT_S and math.inf in left.values():

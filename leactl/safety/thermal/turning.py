@@ -1,5 +1,10 @@
 """How the heat of a winding is shared among its phases, and when it comes, while its rotor stands, crawls or turns.
 
+Phase k takes (1 + cos(2 theta - 2 phi_k)) / 3 of the copper heat. The heat of every cycle stands at the angles that the
+rotor passed in it, so that a current or a speed that keeps step with the rotor is seen. Between two samples the rotor
+is taken to have turned evenly. What it may have done besides is loose heat: it counts as if it stood in the hottest
+phase. See docs/decisions/0005.
+
 A rotor that crawls heats one phase after the other: a short step sees a single one of them, half an electrical turn all
 three alike. A span is heat from one moment to a later one, to be looked at as a single step.
 """
@@ -7,9 +12,17 @@ three alike. A span is heat from one moment to a later one, to be looked at as a
 import math
 from dataclasses import dataclass
 
-from leactl.safety.thermal.bound import lateness
+import numpy as np
+import numpy.typing as npt
 
-LED_ALIGNED = 0.5  # of heat that two phases take in halves, which leaves (1 + 0.5) / 3 to each
+from leactl.model.motor import Motor
+from leactl.safety.thermal.bound import Seconds, lateness
+from leactl.safety.thermal.box import Array
+
+LED_LOOSE = 0.5  # of heat that two phases take in halves, which leaves (1 + 0.5) / 3 to each
+DETOUR = 1.0 / 12.0  # mean distance from a straight line, over the largest second derivative and the square of the time
+WINDOW = 32  # cycles, over which what an angle goes forth and back is noise
+FIELDS = 3  # of a cycle in a log: heat [A^2 s], angle [rad], velocity [rad/s]
 
 
 @dataclass(slots=True)
@@ -18,20 +31,20 @@ class Span:
 
     duration: float = 0.0  # s
     square: float = 0.0  # A^2 s
-    cos: float = 0.0  # of it at twice the electrical angle
-    sin: float = 0.0
-    led: float = 0.0  # A^2 s, of a direct current through two leads
+    turned: complex = 0.0  # of it times e^(2j theta), by the measured angle
+    swept: complex = 0.0  # the same by the measured velocity
+    loose: float = 0.0  # A^2 s, which may be in any phase
     square_moment: float = 0.0  # A^2 s^2, and so on
-    cos_moment: float = 0.0
-    sin_moment: float = 0.0
-    led_moment: float = 0.0
+    turned_moment: complex = 0.0
+    swept_moment: complex = 0.0
+    loose_moment: float = 0.0
     speed: float = 0.0  # rad/s, at the most
-    unseen: float = 0.0  # s, from one look to the next at the longest
+    unseen: float = 0.0  # s, from one sample to the next at the longest
 
     @property
     def aligned(self) -> float:
-        """How far the current stood at one electrical angle."""
-        stood = math.hypot(self.cos, self.sin) + LED_ALIGNED * self.led
+        """How far the current stood at one electrical angle, at the most."""
+        stood = max(abs(self.turned), abs(self.swept)) + self.loose
         return min(1.0, stood / self.square) if self.square > 0.0 else 0.0
 
     def late(self, decay: float) -> float:
@@ -39,9 +52,12 @@ class Span:
         if not self.square > 0.0:
             return 0.0
         half = 0.5 * self.duration
-        whole = self.square_moment - half * self.square
-        turning = math.hypot(self.cos_moment - half * self.cos, self.sin_moment - half * self.sin)
-        behind = max(0.0, whole) + turning + LED_ALIGNED * abs(self.led_moment - half * self.led)
+        even = self.square_moment - half * self.square + self.loose_moment - half * self.loose
+        turning = max(
+            abs(self.turned_moment - half * self.turned),
+            abs(self.swept_moment - half * self.swept),
+        )
+        behind = max(0.0, even) + turning
         return lateness(behind / (self.square * (1.0 + self.aligned)), self.duration, self.unseen, decay)
 
     def joined(self, after: "Span") -> "Span":
@@ -50,69 +66,109 @@ class Span:
         return Span(
             before + after.duration,
             self.square + after.square,
-            self.cos + after.cos,
-            self.sin + after.sin,
-            self.led + after.led,
+            self.turned + after.turned,
+            self.swept + after.swept,
+            self.loose + after.loose,
             self.square_moment + after.square_moment + before * after.square,
-            self.cos_moment + after.cos_moment + before * after.cos,
-            self.sin_moment + after.sin_moment + before * after.sin,
-            self.led_moment + after.led_moment + before * after.led,
+            self.turned_moment + after.turned_moment + before * after.turned,
+            self.swept_moment + after.swept_moment + before * after.swept,
+            self.loose_moment + after.loose_moment + before * after.loose,
             max(self.speed, after.speed),
             max(self.unseen, after.unseen),
         )
 
+    def lead(self, heat: float) -> None:
+        """Add heat of a direct current through two leads [A^2 s], which comes evenly."""
+        self.square += heat
+        self.square_moment += heat * 0.5 * self.duration
+        self.loose += LED_LOOSE * heat
+        self.loose_moment += LED_LOOSE * heat * 0.5 * self.duration
+
+
+def detour(motor: Motor, current: Seconds, speed: Seconds, interval: Seconds) -> Seconds:
+    """How far from a straight line twice the electrical angle lies in the mean between two samples, at the most [rad].
+
+    Nothing but currents and friction accelerates a rotor, as far as the motor file tells its inertia. Of two actuators
+    on one shaft each brings its own, so that the larger current is the worst for both.
+
+    Parameters
+    ----------
+    current : that may flow in the meantime [A]: no more than what is counted as heat.
+    speed : rad/s, of friction.
+    interval : from one sample to the next [s].
+    """
+    torque = motor.torque_constant * current + motor.coulomb_friction + motor.viscous_damping * speed
+    return DETOUR * 2.0 * motor.pole_pairs * torque / motor.rotor_inertia * interval * interval
+
 
 class Rotor:
-    """One actuator's rotor, look by look, and the heat since `span` was taken."""
+    """One actuator's rotor, cycle by cycle."""
 
-    __slots__ = ("_angle", "_most_speed", "_poles", "_velocity", "span")
+    def __init__(self, motor: Motor, most_speed: float) -> None:
+        self._motor, self._twice_electrical, self._most_speed = motor, 2.0 * motor.pole_pairs, most_speed
+        self._angle = self._velocity = math.nan  # of the last cycle
+        self._swept = 0.0  # twice the electrical angle by the velocity [rad]
+        self._steps: Array = np.zeros(WINDOW)  # of the angle in the last cycles [rad]
 
-    def __init__(self, pole_pairs: int, most_speed: float) -> None:
-        self._poles, self._most_speed = 2.0 * pole_pairs, most_speed
-        self._angle = self._velocity = 0.0
-        self.span = Span()
+    def span(self, cycles: Array, log: Array, duration: float, currents: Array) -> Span:
+        """The span of some cycles, the first of which follows the last one of the call before.
 
-    def look(self, angle: float, velocity: float, square: float, since: float, led: float) -> None:
-        """Put the heat since the last look, `since` s ago, at the electrical angles that the rotor has passed.
-
-        Turning evenly over 2 x rad leaves |sin x / x| of an alignment. A rotor that stood at either look may have stood
-        in between: it has turned evenly no further than the slower look tells.
+        An angle that goes forth and back within a few cycles is noisy by as much. Where it is not known, as at the
+        beginning, or the velocity is not, all heat is loose.
 
         Parameters
         ----------
-        angle, velocity : as measured [rad, rad/s]; NaN where unknown, which counts as standing and at full speed.
-        square : heat since `span` was taken [A^2 s].
-        led : what of it has come by a direct current through two leads since the last look [A^2 s].
+        cycles : how long each lasted [s].
+        log : heat [A^2 s], angle [rad] and velocity [rad/s] at the end of each, shape (cycles, 3); NaN is not known,
+            and a velocity that is not counts as full speed.
+        duration : of the span [s].
+        currents : the largest of the bench in each cycle [A], which may turn the shaft that this rotor is on.
         """
-        span, speed = self.span, abs(velocity)
-        when = span.duration + 0.5 * since
-        span.duration += since
-        if speed != speed:
-            speed, velocity = self._most_speed, 0.0
-        if speed > span.speed:
-            span.speed = speed
-        if since > span.unseen:
-            span.unseen = since
-        before = self._angle
-        self._angle = angle = angle if angle == angle else before + velocity * since
-        fresh, span.square = square - span.square, square
-        span.square_moment += fresh * when
-        span.led += led
-        span.led_moment += led * when
-        fresh -= led
-        evenly = min(abs(velocity), self._velocity) * since
-        self._velocity = abs(velocity)
-        passed = 0.5 * self._poles * min(abs(angle - before), evenly)
-        if passed > 1.0:
-            fresh /= passed
-        turned = self._poles * angle
-        cos, sin = fresh * math.cos(turned), fresh * math.sin(turned)
-        span.cos += cos
-        span.sin += sin
-        span.cos_moment += cos * when
-        span.sin_moment += sin * when
+        if not len(cycles):
+            return Span(duration)
+        heat = log[:, 0]
+        angles, velocities = np.concatenate([[[self._angle, self._velocity]], log[:, 1:]]).T
+        steps = np.diff(angles)
+        passed = self._twice_electrical * 0.5 * (velocities[1:] + velocities[:-1]) * cycles
+        known = np.isfinite(steps) & np.isfinite(passed)
+        steps, passed = np.where(known, steps, 0.0), np.where(known, passed, 0.0)
+        speeds = np.where(np.isfinite(velocities[1:]), np.abs(velocities[1:]), self._most_speed)
+        strayed = detour(self._motor, currents, speeds, cycles) + self._twice_electrical * self._gone_back(steps)
+        loose = np.minimum(strayed, 1.0)
+        loose[~known] = 1.0
+        own = np.where(loose < 1.0, heat, 0.0)
+        begins = self._swept + np.cumsum(passed) - passed
+        turns = self._twice_electrical * np.where(known, angles[:-1], 0.0)
+        at = np.cumsum(cycles) - 0.5 * cycles
+        turned = own * evenly(turns, self._twice_electrical * steps)
+        swept = own * evenly(begins, passed)
+        loosely = heat * loose
+        self._angle, self._velocity = float(angles[-1]), float(velocities[-1])
+        self._swept = math.remainder(float(begins[-1] + passed[-1]), 2.0 * math.pi)
+        return Span(
+            duration,
+            float(heat.sum()),
+            complex(turned.sum()),
+            complex(swept.sum()),
+            float(loosely.sum()),
+            float(heat @ at),
+            complex(turned @ at),
+            complex(swept @ at),
+            float(loosely @ at),
+            float(speeds.max()),
+            float(cycles.max()),
+        )
 
-    def take(self) -> Span:
-        """What has been gathered; the next span begins."""
-        taken, self.span = self.span, Span()
-        return taken
+    def _gone_back(self, steps: Array) -> Array:
+        """How far the angle has gone back over `WINDOW` cycles, at each [rad]: what is no net travel is noise."""
+        steps = np.concatenate([self._steps, steps])
+        self._steps = steps[-WINDOW:]
+        forth, back = (np.concatenate([[0.0], np.cumsum(np.maximum(way, 0.0))]) for way in (steps, -steps))
+        both = np.minimum(forth[WINDOW:] - forth[:-WINDOW], back[WINDOW:] - back[:-WINDOW])
+        return np.asarray(both[1:], np.float64)
+
+
+def evenly(begin: Array, passed: Array) -> npt.NDArray[np.complex128]:
+    """Mean of e^(j angle) over angles that are passed evenly from `begin` on [rad]."""
+    half = 0.5 * passed
+    return np.asarray(np.exp(1j * (begin + half)) * np.sinc(half / np.pi), np.complex128)
