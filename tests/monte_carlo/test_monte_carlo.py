@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from leactl.safety.thermal.guard import ThermalGuard
+from leactl.safety.thermal.turning import FIELDS
 from tests.monte_carlo import __main__ as command
 from tests.monte_carlo.direct import FAULTS, Fault
 from tests.monte_carlo.plants import LEA, ROLES, drawn
@@ -64,7 +65,8 @@ class HeatHalved(ThermalGuard):
     """Sees half of the heat."""
 
     def _advance(self, now, duration):
-        self.squares = [0.5 * square for square in self.squares]
+        for log in self.logs:
+            log[::FIELDS] = [0.5 * heat for heat in log[::FIELDS]]
         self.flowing = [0.5 * square for square in self.flowing]
         return super()._advance(now, duration)
 

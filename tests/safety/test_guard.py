@@ -1,7 +1,9 @@
 """The thermal guard: what it counts as heat, when it trips, what it lets through, and plants that it keeps whole."""
 
 import math
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from leactl.safety.interlocks import Interlocks
 from leactl.safety.supervisor import Axis, Supervisor
 from leactl.safety.thermal.bound import HOTTEST, ThermalBound
 from leactl.safety.thermal.box import Box
+from leactl.safety.thermal.turning import detour
 from tests.driver.elmo_bench import ElmoBench
 from tests.safety.guards import LEA, SETTINGS, guard_of, passed
 from tests.safety.phases import STEP_S, Plant, advance
@@ -427,3 +430,16 @@ def test_what_keeps_step_with_the_rotor_or_the_samples_is_no_hotter_than_the_bou
     over, peak = against_a_plant(period, 6.0, current, angle)
     assert over <= 0.05
     assert peak > 40.0
+
+
+def test_the_shares_that_the_pages_tell_are_those_of_the_code():
+    text = (Path(__file__).parents[2] / "docs" / "thermal.md").read_text()
+    told = re.search(
+        r"LEA ([\d.]+) % of the heat at 1 kHz, (\d+) % at 500 Hz, and all of it.*?below (\d+) Hz", text, re.S
+    )
+    at_1_khz = detour(LEA, SETTINGS.most_current, SETTINGS.most_speed, 0.001)
+    assert [float(number) for number in told.groups()] == [
+        round(100.0 * at_1_khz, 1),
+        round(400.0 * at_1_khz),
+        round(1000.0 * math.sqrt(at_1_khz)),
+    ]

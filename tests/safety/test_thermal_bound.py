@@ -22,13 +22,13 @@ EVEN = LEA.model_copy(update={"rotor_inertia": 1e3})  # turns evenly between two
 
 def bounded(currents, speeds, box=None, start=28.0):
     """Bounds at the end of every guard's step, shape (3, n)."""
-    bound, rotor = ThermalBound([box or Box.of(LEA)], start), Rotor(EVEN, 40.0)
+    bound, rotor = ThermalBound([box or Box.of(LEA)], start), Rotor(EVEN, 30.0, 40.0)
     angles = np.cumsum(speeds * STEP_S)
     found = []
     for begin in range(0, len(currents) - FINE + 1, FINE):
         part = slice(begin, begin + FINE)
         log = np.stack([currents[part] ** 2 * STEP_S, angles[part], speeds[part]], axis=1)
-        span = rotor.span(np.full(FINE, STEP_S), log, GUARD_S, currents[part])
+        span = rotor.span(np.full(FINE, STEP_S), log, GUARD_S)
         fastest = np.max(np.abs(speeds[part])) * ONE
         heats = span.square / GUARD_S * ONE, span.aligned * ONE, fastest
         bound.step(GUARD_S, *heats, 25.0, span.late(bound.decay_s) * ONE)

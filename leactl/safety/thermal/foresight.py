@@ -60,7 +60,7 @@ class Foresight:
         ------
         InputError : a motor without tolerances.
         """
-        self._demand, self._settings, self._motors = Demand(motors, settings), settings, motors
+        self._demand, self._settings = Demand(motors, settings), settings
         self._roles = tuple(motors)
         boxes = [Box.of(motor) for motor in motors.values()]
         self._bound, self._budgets = ThermalBound(boxes, settings.ambient), Budgets(boxes, settings)
@@ -68,6 +68,8 @@ class Foresight:
         self._start = self._bound.state
         self._marks: list[_Mark] = []  # of the latest plan, as its actions begin
         self._interval = 0.0  # of its cycles [s]
+        most = settings.most_current, settings.most_speed
+        self._detours = np.array([detour(motor, *most, 1.0) for motor in motors.values()])
         self._turning_from = 0.0  # Hz
 
     def forecast(self, plan: Plan) -> Forecast:
@@ -187,12 +189,10 @@ class Foresight:
                     if state.listed:  # changes within a part
                         better &= turned <= FAST / own
                     aligned, late = np.where(better, shared, aligned), np.where(better, lag, late)
-            current, motors = math.sqrt(float(found.max())), zip(self._motors.values(), speeds.tolist(), strict=True)
-            loose = np.array([detour(motor, current, speed, self._interval) for motor, speed in motors])
             if (turning := (squares > 0.0) & (turned * own > 1.0)).any():
-                needed = math.sqrt(float(loose[turning].max()) / LITTLE) / self._interval
+                needed = math.sqrt(float(self._detours[turning].max()) / LITTLE)
                 self._turning_from = max(self._turning_from, needed)
-            aligned = np.minimum(aligned + loose, 1.0)
+            aligned = np.minimum(aligned + self._detours * self._interval**2, 1.0)
             aligned[[role in state.leads for role in self._roles]] = LED_LOOSE
             yield _Piece(step, squares, aligned, speeds, late)
             time += step

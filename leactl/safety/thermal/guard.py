@@ -88,7 +88,7 @@ class ThermalGuard:
         self.leads: dict[int, float] = {}  # A^2 that heats like what flows through two leads, where any may
         self.undriven: frozenset[int] = frozenset()  # roles without a drive, by their places: nothing else heats them
         self.due = -math.inf  # when `check` is to be called again
-        self._rotors = [Rotor(motor, settings.most_speed) for motor in motors.values()]
+        self._rotors = [Rotor(motor, settings.most_current, settings.most_speed) for motor in motors.values()]
         self._counted, self._squares = 0, [0.0] * len(boxes)  # cycles, and the heat in them and through leads [A^2 s]
         self._led = [0.0] * len(boxes)  # A^2 s of the latter since the last step
         self._speeds = [0.0] * len(boxes)  # rad/s, the highest in the last step
@@ -178,14 +178,9 @@ class ThermalGuard:
         if now > self._looked:
             self._look(now)
         cycles = np.array(self.cycles)
-        logs = [np.reshape(log, (-1, FIELDS)) for log in self.logs]
-        heats = [log[:, 0] for log in logs if len(log)]
-        none = np.zeros_like(cycles)
-        most = np.max(heats, axis=0) if heats else none
-        currents = np.sqrt(np.divide(most, cycles, out=none, where=cycles > 0.0))
         fresh = []
-        for rotor, log, led in zip(self._rotors, logs, self._led, strict=True):
-            span = rotor.span(cycles[: len(log)], log, duration, currents)
+        for rotor, log, led in zip(self._rotors, self.logs, self._led, strict=True):
+            span = rotor.span(cycles[: len(log) // FIELDS], np.reshape(log, (-1, FIELDS)), duration)
             span.lead(led)
             fresh.append(span)
         self._speeds = [span.speed for span in fresh]

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.model.motor import Motor
-from leactl.safety.thermal.bound import Seconds, lateness
+from leactl.safety.thermal.bound import lateness
 from leactl.safety.thermal.box import Array
 
 LED_LOOSE = 0.5  # of heat that two phases take in halves, which leaves (1 + 0.5) / 3 to each
@@ -85,32 +85,32 @@ class Span:
         self.loose_moment += LED_LOOSE * heat * 0.5 * self.duration
 
 
-def detour(motor: Motor, current: Seconds, speed: Seconds, interval: Seconds) -> Seconds:
+def detour(motor: Motor, most_current: float, most_speed: float, interval: float) -> float:
     """How far from a straight line twice the electrical angle lies in the mean between two samples, at the most [rad].
 
     Nothing but currents and friction accelerates a rotor, as far as the motor file tells its inertia. Of two actuators
-    on one shaft each brings its own, so that the larger current is the worst for both.
+    on one shaft each brings its own, so that neither is accelerated any faster than by itself.
 
     Parameters
     ----------
-    current : that may flow in the meantime [A]: no more than what is counted as heat.
-    speed : rad/s, of friction.
+    most_current, most_speed : that the bench lets pass [A, rad/s].
     interval : from one sample to the next [s].
     """
-    torque = motor.torque_constant * current + motor.coulomb_friction + motor.viscous_damping * speed
+    torque = motor.torque_constant * most_current + motor.coulomb_friction + motor.viscous_damping * most_speed
     return DETOUR * 2.0 * motor.pole_pairs * torque / motor.rotor_inertia * interval * interval
 
 
 class Rotor:
     """One actuator's rotor, cycle by cycle."""
 
-    def __init__(self, motor: Motor, most_speed: float) -> None:
-        self._motor, self._twice_electrical, self._most_speed = motor, 2.0 * motor.pole_pairs, most_speed
+    def __init__(self, motor: Motor, most_current: float, most_speed: float) -> None:
+        self._twice_electrical, self._most_speed = 2.0 * motor.pole_pairs, most_speed
+        self._detour = detour(motor, most_current, most_speed, 1.0)
         self._angle = self._velocity = math.nan  # of the last cycle
         self._swept = 0.0  # twice the electrical angle by the velocity [rad]
         self._steps: Array = np.zeros(WINDOW)  # of the angle in the last cycles [rad]
 
-    def span(self, cycles: Array, log: Array, duration: float, currents: Array) -> Span:
+    def span(self, cycles: Array, log: Array, duration: float) -> Span:
         """The span of some cycles, the first of which follows the last one of the call before.
 
         An angle that goes forth and back within a few cycles is noisy by as much. Where it is not known, as at the
@@ -122,7 +122,6 @@ class Rotor:
         log : heat [A^2 s], angle [rad] and velocity [rad/s] at the end of each, shape (cycles, 3); NaN is not known,
             and a velocity that is not counts as full speed.
         duration : of the span [s].
-        currents : the largest of the bench in each cycle [A], which may turn the shaft that this rotor is on.
         """
         if not len(cycles):
             return Span(duration)
@@ -132,9 +131,7 @@ class Rotor:
         passed = self._twice_electrical * 0.5 * (velocities[1:] + velocities[:-1]) * cycles
         known = np.isfinite(steps) & np.isfinite(passed)
         steps, passed = np.where(known, steps, 0.0), np.where(known, passed, 0.0)
-        speeds = np.where(np.isfinite(velocities[1:]), np.abs(velocities[1:]), self._most_speed)
-        strayed = detour(self._motor, currents, speeds, cycles) + self._twice_electrical * self._gone_back(steps)
-        loose = np.minimum(strayed, 1.0)
+        loose = np.minimum(self._detour * cycles * cycles + self._twice_electrical * self._gone_back(steps), 1.0)
         loose[~known] = 1.0
         own = np.where(loose < 1.0, heat, 0.0)
         begins = self._swept + np.cumsum(passed) - passed
@@ -155,7 +152,7 @@ class Rotor:
             complex(turned @ at),
             complex(swept @ at),
             float(loosely @ at),
-            float(speeds.max()),
+            float(np.max(np.where(np.isfinite(velocities[1:]), np.abs(velocities[1:]), self._most_speed))),
             float(cycles.max()),
         )
 
