@@ -24,7 +24,8 @@ PRELOADS = yaml.safe_load((benchfile.SHIPPED / "emulated.yaml").read_text())["em
 
 
 def protocol(name="efficiency"):
-    return (resources.files("leactl_protocols") / f"{name}.yaml").read_text()
+    text = (resources.files("leactl_protocols") / f"{name}.yaml").read_text()
+    return text.replace("rate_Hz: 1000", "rate_Hz: 50")  # of the record; what little heats here may stand
 
 
 def powers(condition, resistance=LEA.phase_resistance):
