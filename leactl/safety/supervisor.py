@@ -77,6 +77,11 @@ class _Guarded:
             self.bounds = (limits.of(quantity) or NOTHING_PASSES) if quantity else UNLIMITED
 
     @property
+    def places(self) -> tuple[int, int | None, int | None]:
+        """Where current, angle and velocity stand among the values."""
+        return self.current, self.angle, self.velocity
+
+    @property
     def measured_angle(self) -> float:
         """The angle of the last exchange; NaN where none came."""
         return math.nan if self.angle is None else self.axis.motion.values[self.angle]
@@ -127,11 +132,11 @@ class Supervisor:
         self._due = self._ages_due = -math.inf
         # by names of their own: `check` runs in every cycle
         self._judged = [
-            (guard.roles.index(role), each, each.tracking, each.axis.motion, each.current, each.panel.look)
+            (guard.roles.index(role), each, each.tracking, each.axis.motion, *each.places, each.panel.look)
             for role, each in self._axes.items()
         ]
         guard.begin(now)
-        self._heating = guard.cycles, guard.logs, guard.flowing, math.inf
+        self._heating = guard.logs, guard.flowing, math.inf
         self.windings = guard.estimate, guard.hottest  # degC by role, kept up to date
         self.time_left = guard.time_left
 
@@ -166,7 +171,7 @@ class Supervisor:
         now, self._period = self._clock.now(), period
         guard = self._thermal
         guard.begin(now)
-        self._heating = guard.cycles, guard.logs, guard.flowing, STALL_CYCLES * period
+        self._heating = guard.logs, guard.flowing, STALL_CYCLES * period
         for guarded in self._axes.values():
             guarded.panel.begin(now, self._limits.cyclic_age(period))
         for panel in self._own.values():
@@ -283,10 +288,9 @@ class Supervisor:
             pace.latest += pace.period
         else:
             pace.look(now)
-        cycles, logs, flowing, stall = self._heating
+        logs, flowing, stall = self._heating
         on_time = elapsed < stall
-        cycles.append(elapsed)
-        for place, guarded, tracking, motion, where, look in self._judged:
+        for place, guarded, tracking, motion, where, angle, velocity, look in self._judged:
             values = motion.values
             look(values, now)
             if guarded.path is not None:
@@ -295,17 +299,18 @@ class Supervisor:
             if tracking.low <= current <= tracking.high:
                 tracking.since = NAN
             else:
-                speed = NAN if guarded.velocity is None else values[guarded.velocity]
+                speed = NAN if velocity is None else values[velocity]
                 tracking.look(current, speed, now)
             square, asked = current * current, guarded.asked
             if not square >= guarded.held:  # a reading that is no number is the worst that may flow
                 square = guarded.held if square == square else self._worst
             # a stall of the loop is longer than a cycle: what flowed before it may have gone on
-            heats = (square if on_time or square > flowing[place] else flowing[place]) * elapsed
+            heat = (square if on_time or square > flowing[place] else flowing[place]) * elapsed
             logs[place] += (
-                heats,
-                NAN if guarded.angle is None else values[guarded.angle],
-                NAN if guarded.velocity is None else values[guarded.velocity],
+                elapsed,
+                heat,
+                NAN if angle is None else values[angle],
+                NAN if velocity is None else values[velocity],
             )
             guarded.held = asked
             flowing[place] = square if square > asked else asked

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from leactl.safety.thermal.guard import ThermalGuard
-from leactl.safety.thermal.turning import FIELDS
+from leactl.safety.thermal.turning import FIELDS, HEAT
 from tests.monte_carlo import __main__ as command
 from tests.monte_carlo.direct import FAULTS, Fault
 from tests.monte_carlo.plants import LEA, ROLES, drawn
@@ -66,7 +66,7 @@ class HeatHalved(ThermalGuard):
 
     def _advance(self, now, duration):
         for log in self.logs:
-            log[::FIELDS] = [0.5 * heat for heat in log[::FIELDS]]
+            log[HEAT::FIELDS] = [0.5 * heat for heat in log[HEAT::FIELDS]]
         self.flowing = [0.5 * square for square in self.flowing]
         return super()._advance(now, duration)
 

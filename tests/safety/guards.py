@@ -16,8 +16,7 @@ def guard_of(roles=("test",), start=28.0, settings=SETTINGS):
 
 def passed(guard, period, currents, motion=(0.0, 0.0)):
     """A cycle as a supervisor puts it into the guard's log: currents [A] of some roles, angle and velocity of all."""
-    guard.cycles.append(period)
     for place, log in enumerate(guard.logs):
         square = currents.get(place, 0.0) ** 2
-        log += (square * period, *motion)
+        log += (period, square * period, *motion)
         guard.flowing[place] = square

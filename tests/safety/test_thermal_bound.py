@@ -27,8 +27,8 @@ def bounded(currents, speeds, box=None, start=28.0):
     found = []
     for begin in range(0, len(currents) - FINE + 1, FINE):
         part = slice(begin, begin + FINE)
-        log = np.stack([currents[part] ** 2 * STEP_S, angles[part], speeds[part]], axis=1)
-        span = rotor.span(np.full(FINE, STEP_S), log, GUARD_S)
+        log = np.stack([np.full(FINE, STEP_S), currents[part] ** 2 * STEP_S, angles[part], speeds[part]], axis=1)
+        span = rotor.span(log, GUARD_S)
         fastest = np.max(np.abs(speeds[part])) * ONE
         heats = span.square / GUARD_S * ONE, span.aligned * ONE, fastest
         bound.step(GUARD_S, *heats, 25.0, span.late(bound.decay_s) * ONE)

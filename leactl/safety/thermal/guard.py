@@ -18,13 +18,14 @@ import numpy as np
 from leactl.model.motor import Motor
 from leactl.safety.thermal.bound import HOTTEST, LONGEST_STEP_S, MEAN, ThermalBound
 from leactl.safety.thermal.box import PHASE_SHARE, Array, Box
-from leactl.safety.thermal.turning import FIELDS, LED_LOOSE, Rotor, Span
+from leactl.safety.thermal.turning import FIELDS, HEAT, LED_LOOSE, VELOCITY, Rotor, Span
 
 LOOK_S, COLD_LOOK_S = 0.01, 0.1
 STEP_S, COLD_STEP_S = 0.1, 1.0
 LONGEST_LEFT_S, GROWTH = 3600.0, 1.15  # that a time left is told up to, and of the steps to it
 HORIZON_S = 1.0  # over which a current is scaled down as the limit comes near
 MARGIN_K = 0.5  # below the limit, where a bench is stopped: what the largest current heats in LOOK_S
+LITTLE_K_S = 0.05  # that heat may warm a phase by, if it takes two thirds, without being looked at any closer
 SCALED_K = 1.0  # below the limit, where scaling ends, so that a hold that is scaled is not stopped
 
 
@@ -46,7 +47,7 @@ class Budgets:
         self._limit = settings.limit - MARGIN_K
         self._most = settings.most_current**2 * (max(HORIZON_S, settings.reserve_s) + COLD_STEP_S)
         # degC per A^2 s of a phase that takes two thirds of the heat, at its limit, cooling left out
-        self._heating = [
+        self.heating = [
             box.current_gain**2
             * PHASE_SHARE
             * box.phase_resistance.high
@@ -57,7 +58,7 @@ class Budgets:
 
     def left(self, hottest: Iterable[float]) -> list[float]:
         """Of each actuator [A^2 s], from bounds of the hottest phases [degC]."""
-        return [(self._limit - one) / heating for one, heating in zip(hottest, self._heating, strict=True)]
+        return [(self._limit - one) / heating for one, heating in zip(hottest, self.heating, strict=True)]
 
     def step(self, budgets: Iterable[float]) -> float:
         """How long a step may be [s]: the longer one where nothing that may flow takes any winding to its limit."""
@@ -80,16 +81,16 @@ class ThermalGuard:
         self._bound = ThermalBound([*boxes, *(Box.exact(motor) for motor in motors.values())], settings.ambient)
         nodes = np.stack([start[role] for role in self.roles], axis=1)
         self._bound.set(np.concatenate([nodes, nodes], axis=1))
-        # of the cycles since the last step, which the supervisor adds to them: how long each took [s], and of each role
-        # that a drive moves heat [A^2 s], angle [rad] and velocity [rad/s], one after the other
-        self.cycles: list[float] = []
+        # of each role the cycles since the last step, to which the supervisor adds: how long it took [s], heat [A^2 s],
+        # angle [rad] and velocity [rad/s], one after the other
         self.logs: list[list[float]] = [[] for _ in boxes]
         self.flowing = [0.0] * len(boxes)  # A^2 of the latest cycle
         self.leads: dict[int, float] = {}  # A^2 that heats like what flows through two leads, where any may
         self.undriven: frozenset[int] = frozenset()  # roles without a drive, by their places: nothing else heats them
         self.due = -math.inf  # when `check` is to be called again
         self._rotors = [Rotor(motor, settings.most_current, settings.most_speed) for motor in motors.values()]
-        self._counted, self._squares = 0, [0.0] * len(boxes)  # cycles, and the heat in them and through leads [A^2 s]
+        # how much of each log is counted, and heat in that and through leads [A^2 s]
+        self._counted, self._squares = [0] * len(boxes), [0.0] * len(boxes)
         self._led = [0.0] * len(boxes)  # A^2 s of the latter since the last step
         self._speeds = [0.0] * len(boxes)  # rad/s, the highest in the last step
         self._budgets_of = Budgets(boxes, settings)
@@ -153,10 +154,10 @@ class ThermalGuard:
 
     def _look(self, now: float) -> None:
         """Count the heat since the last look."""
-        since, counted = now - self._looked, self._counted * FIELDS
+        since = now - self._looked
         for index, log in enumerate(self.logs):
-            self._squares[index] += sum(log[counted::FIELDS])
-        self._counted = len(self.cycles)
+            self._squares[index] += sum(log[self._counted[index] + HEAT :: FIELDS])
+            self._counted[index] = len(log)
         for index, square in self.leads.items():
             heat = square * since
             self._squares[index] += heat
@@ -168,19 +169,21 @@ class ThermalGuard:
 
     def _forget(self) -> None:
         """The next step begins; the supervisor keeps the lists."""
-        self.cycles.clear()
         for log in self.logs:
             log.clear()
-        self._counted = 0
+        self._counted = [0] * len(self.roles)
         self._squares, self._led = [0.0] * len(self.roles), [0.0] * len(self.roles)
 
     def _advance(self, now: float, duration: float) -> str:
         if now > self._looked:
             self._look(now)
-        cycles = np.array(self.cycles)
         fresh = []
-        for rotor, log, led in zip(self._rotors, self.logs, self._led, strict=True):
-            span = rotor.span(cycles[: len(log) // FIELDS], np.reshape(log, (-1, FIELDS)), duration)
+        lanes = zip(self._rotors, self.logs, self._squares, self._led, self._budgets_of.heating, strict=True)
+        for rotor, log, square, led, heating in lanes:
+            if square * heating < LITTLE_K_S * duration:
+                span = rotor.unlooked_at(square - led, log[VELOCITY::FIELDS], duration)
+            else:
+                span = rotor.span(np.reshape(log, (-1, FIELDS)), duration)
             span.lead(led)
             fresh.append(span)
         self._speeds = [span.speed for span in fresh]

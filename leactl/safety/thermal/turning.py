@@ -10,6 +10,7 @@ three alike. A span is heat from one moment to a later one, to be looked at as a
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,8 @@ from leactl.safety.thermal.box import Array
 LED_LOOSE = 0.5  # of heat that two phases take in halves, which leaves (1 + 0.5) / 3 to each
 DETOUR = 1.0 / 12.0  # mean distance from a straight line, over the largest second derivative and the square of the time
 WINDOW = 32  # cycles, over which what an angle goes forth and back is noise
-FIELDS = 3  # of a cycle in a log: heat [A^2 s], angle [rad], velocity [rad/s]
+LEAST_RAD = 1e-9  # that is passed in place of nothing
+FIELDS, HEAT, VELOCITY = 4, 1, 3  # numbers of a cycle in a log, and where some of them stand
 
 
 @dataclass(slots=True)
@@ -110,7 +112,14 @@ class Rotor:
         self._swept = 0.0  # twice the electrical angle by the velocity [rad]
         self._steps: Array = np.zeros(WINDOW)  # of the angle in the last cycles [rad]
 
-    def span(self, cycles: Array, log: Array, duration: float) -> Span:
+    def unlooked_at(self, square: float, velocities: Sequence[float], duration: float) -> Span:
+        """A span of so little heat [A^2 s] that it may all be loose, and late: the work is saved."""
+        self._angle = self._velocity = math.nan
+        speed = max(map(abs, velocities), default=0.0) if math.isfinite(sum(velocities)) else self._most_speed
+        moment = square * duration
+        return Span(duration, square, 0.0, 0.0, square, moment, 0.0, 0.0, moment, speed)
+
+    def span(self, log: Array, duration: float) -> Span:
         """The span of some cycles, the first of which follows the last one of the call before.
 
         An angle that goes forth and back within a few cycles is noisy by as much. Where it is not known, as at the
@@ -118,54 +127,48 @@ class Rotor:
 
         Parameters
         ----------
-        cycles : how long each lasted [s].
-        log : heat [A^2 s], angle [rad] and velocity [rad/s] at the end of each, shape (cycles, 3); NaN is not known,
-            and a velocity that is not counts as full speed.
+        log : of each cycle how long it lasted [s], heat [A^2 s], angle [rad] and velocity [rad/s] at its end, shape
+            (cycles, 4); NaN is not known, and a velocity that is not counts as full speed.
         duration : of the span [s].
         """
-        if not len(cycles):
+        if not len(log):
             return Span(duration)
-        heat = log[:, 0]
-        angles, velocities = np.concatenate([[[self._angle, self._velocity]], log[:, 1:]]).T
-        steps = np.diff(angles)
-        passed = self._twice_electrical * 0.5 * (velocities[1:] + velocities[:-1]) * cycles
-        known = np.isfinite(steps) & np.isfinite(passed)
-        steps, passed = np.where(known, steps, 0.0), np.where(known, passed, 0.0)
-        loose = np.minimum(self._detour * cycles * cycles + self._twice_electrical * self._gone_back(steps), 1.0)
-        loose[~known] = 1.0
-        own = np.where(loose < 1.0, heat, 0.0)
-        begins = self._swept + np.cumsum(passed) - passed
-        turns = self._twice_electrical * np.where(known, angles[:-1], 0.0)
+        cycles, heat, angles, velocities = np.ascontiguousarray(log.T)
         at = np.cumsum(cycles) - 0.5 * cycles
-        turned = own * evenly(turns, self._twice_electrical * steps)
-        swept = own * evenly(begins, passed)
-        loosely = heat * loose
+        whole, moment, speed, unseen = heat.sum(), heat @ at, np.abs(velocities).max(), cycles.max()
+        found = Span(duration, float(whole), square_moment=float(moment), unseen=float(unseen))
+        found.speed = self._most_speed if math.isnan(speed) else float(speed)
+        before = np.concatenate([[self._velocity], velocities[:-1]])
+        steps = np.diff(angles, prepend=self._angle)
+        passed = np.stack([steps, 0.5 * (velocities + before) * cycles]) * self._twice_electrical
+        known = np.isfinite(passed[0] + passed[1])
+        if not known.all():
+            steps, passed = np.where(known, steps, 0.0), np.where(known, passed, 0.0)
+        loose = np.where(known, self._detour * cycles * cycles + self._twice_electrical * self._gone_back(steps), 1.0)
+        swept = np.cumsum(passed[1]) + self._swept
+        ends = np.stack([self._twice_electrical * np.where(known, angles, 0.0), swept])
+        own, loosely = heat * (loose < 1.0), heat * np.minimum(loose, 1.0)
+        turned = own * evenly(ends - 0.5 * passed, passed)
+        (found.turned, found.swept), moments = turned.sum(axis=1).tolist(), turned @ at
+        found.turned_moment, found.swept_moment = moments.tolist()
+        found.loose, found.loose_moment = float(loosely.sum()), float(loosely @ at)
         self._angle, self._velocity = float(angles[-1]), float(velocities[-1])
-        self._swept = math.remainder(float(begins[-1] + passed[-1]), 2.0 * math.pi)
-        return Span(
-            duration,
-            float(heat.sum()),
-            complex(turned.sum()),
-            complex(swept.sum()),
-            float(loosely.sum()),
-            float(heat @ at),
-            complex(turned @ at),
-            complex(swept @ at),
-            float(loosely @ at),
-            float(np.max(np.where(np.isfinite(velocities[1:]), np.abs(velocities[1:]), self._most_speed))),
-            float(cycles.max()),
-        )
+        self._swept = float(swept[-1]) % (2.0 * math.pi)
+        return found
 
     def _gone_back(self, steps: Array) -> Array:
         """How far the angle has gone back over `WINDOW` cycles, at each [rad]: what is no net travel is noise."""
         steps = np.concatenate([self._steps, steps])
         self._steps = steps[-WINDOW:]
+        if steps.min() >= 0.0 or steps.max() <= 0.0:
+            return np.zeros(len(steps) - WINDOW)
         forth, back = (np.concatenate([[0.0], np.cumsum(np.maximum(way, 0.0))]) for way in (steps, -steps))
         both = np.minimum(forth[WINDOW:] - forth[:-WINDOW], back[WINDOW:] - back[:-WINDOW])
         return np.asarray(both[1:], np.float64)
 
 
-def evenly(begin: Array, passed: Array) -> npt.NDArray[np.complex128]:
-    """Mean of e^(j angle) over angles that are passed evenly from `begin` on [rad]."""
+def evenly(middle: Array, passed: Array) -> npt.NDArray[np.complex128]:
+    """Mean of e^(j angle) over as much as is passed evenly around a middle [rad]."""
     half = 0.5 * passed
-    return np.asarray(np.exp(1j * (begin + half)) * np.sinc(half / np.pi), np.complex128)
+    half[half == 0.0] = LEAST_RAD
+    return np.asarray(np.exp(1j * middle) * (np.sin(half) / half), np.complex128)
