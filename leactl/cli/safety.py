@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from leactl.cli import finite
 from leactl.cli.completion import benches
 from leactl.cli.helptext import ON_A_BENCH, examples, group_of_commands
 from leactl.errors import SafetyTrip
@@ -75,6 +76,56 @@ def drill(
     if wrong:
         what = "; ".join(f"{finding.name} {finding.on}".strip() + f": {finding.faults[0]}" for finding in wrong)
         raise SafetyTrip(f"{len(wrong)} of {len(drilled.findings)} did not end as they ought to: {what}")
+
+
+@app.command(
+    epilog=examples(
+        "safety challenge --minutes 10",
+        "safety challenge mine.yaml --rate 1000 --json",
+        ends=(SafetyTrip,),
+        means={SafetyTrip: "a bound below the truth or a winding above its limit"},
+    )
+)
+def challenge(
+    bench: str = typer.Argument(
+        "emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches
+    ),
+    minutes: float = typer.Option(1.0, help="How long to search, of all searches together.", callback=finite),
+    rate: list[float] = typer.Option(
+        [], metavar="HZ", help="Of the control loop; may be repeated. [20 100 500 1000]", callback=finite
+    ),
+    seed: int = typer.Option(0, help="Of the first draws; how far a search comes hangs on the machine."),
+    as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
+) -> None:
+    """Search for currents and motions that heat a winding beyond what the guard says; nothing moves.
+
+    Plants of three phases inside the motor files' tolerances run courses that the bench could run, with an angle that
+    is true, noisy, stuck, lost or drifting. The guard is held against the hottest of them.
+    """
+    from leactl.errors import InputError
+    from leactl.report.challenge import challenge_text, told
+    from leactl.runner.challenge.courses import READINGS
+    from leactl.runner.challenge.hunt import hunt, hunts
+    from leactl.runner.checked_bench import load_checked
+    from leactl.runner.windings import guard_settings, motors_of
+
+    rates = rate or [20.0, 100.0, 500.0, 1000.0]
+    for given in rates:
+        if not 10.0 <= given <= 10_000.0:
+            raise InputError(f"--rate {given:g}: 10 to 10000 Hz were expected")
+    if not 0.0 < minutes <= 10_000.0:
+        raise InputError(f"--minutes {minutes:g}: more than 0 and at most 10000 were expected")
+    file, devices, _document = load_checked(bench)
+    motors = motors_of(file)
+    settings = guard_settings(file, devices, motors)
+    searches = hunts(list(motors.items()), rates, READINGS)
+    found = []
+    for number, (role, motor, at, reading) in enumerate(searches, start=1):
+        typer.echo(f"search {number} of {len(searches)}: {role}, {at:g} Hz, {reading} angle", err=True)
+        found.append(hunt(role, motor, settings, at, reading, 60.0 * minutes / len(searches), seed))
+    typer.echo(json.dumps(told(found, settings.limit)) if as_json else challenge_text(found, settings.limit))
+    if lost := [one for one in found if not one.held(settings.limit)]:
+        raise SafetyTrip(f"{len(lost)} of {len(found)} searches found a winding hotter than the guard lets it be")
 
 
 def _drill(bench: str, only: list[str], yes: bool, served: bool, bus: list[str], directory: Path) -> "Drilled":

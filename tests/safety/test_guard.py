@@ -374,7 +374,7 @@ def against_a_plant(period, seconds, current, angle, parts=20):
             assert guard.check(now) == ""
             truth = max(float(state[:3].max()) for state in states)
             peak = max(peak, truth)
-            if guard._advanced == now:
+            if guard.advanced == now:
                 over = max(over, truth - guard.hottest["test"])
     return over, peak
 

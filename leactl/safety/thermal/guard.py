@@ -94,7 +94,7 @@ class ThermalGuard:
         self._led = [0.0] * len(boxes)  # A^2 s of the latter since the last step
         self._speeds = [0.0] * len(boxes)  # rad/s, the highest in the last step
         self._budgets_of = Budgets(boxes, settings)
-        self._advanced = self._looked = 0.0
+        self._looked = self.advanced = 0.0  # s, when heat was counted and until when the bounds hold
         self._step = STEP_S
         # the bound as it stood when the span began that is looked at as one step, and what that span leaves of a phase
         self._anchor, self._spans = self._bound.state, [Span() for _ in boxes]
@@ -112,7 +112,7 @@ class ThermalGuard:
 
     def begin(self, now: float) -> None:
         """Time counts from here."""
-        self._advanced = self._looked = self.due = now
+        self.advanced = self._looked = self.due = now
 
     def check(self, now: float) -> str:
         """Look at heat and rotors; gives why the bench must stop, and nothing where it may go on."""
@@ -122,7 +122,7 @@ class ThermalGuard:
         self.due = now + every
         if now - self._looked >= every:
             self._look(now)
-        since = now - self._advanced
+        since = now - self.advanced
         if since < self._step:
             for square, flowing, budget in zip(self._squares, self.flowing, self._budgets, strict=True):
                 if square + flowing * self._settings.reserve_s > budget:
@@ -136,7 +136,7 @@ class ThermalGuard:
         reserve = self._settings.reserve_s
         standing, on = [1.0] * len(self.roles), max(now - self._looked, 0.0)
         self._look(max(now, self._looked))
-        since = max(now - self._advanced, 0.0)
+        since = max(now - self.advanced, 0.0)
         nodes = self._bound.nodes()
         if since > 0.0:
             squares = [
@@ -145,7 +145,7 @@ class ThermalGuard:
             self._bound.step(since, *self._twice(squares, standing, self._speeds), self._settings.ambient)
             nodes = self._bound.nodes()
         self._bound.step(reserve, *self._twice(self.flowing, standing, self._speeds), self._settings.ambient, late=0.0)
-        self._advanced = now
+        self.advanced = now
         self._forget()
         self._keep(np.maximum(nodes, self._bound.nodes()))
 
@@ -189,7 +189,7 @@ class ThermalGuard:
         self._speeds = [span.speed for span in fresh]
         self._forget()
         self._follow(fresh)
-        self._advanced = now
+        self.advanced = now
         return self._judge(self._speeds) or self._forgotten()
 
     def _follow(self, fresh: list[Span]) -> None:

@@ -1,0 +1,152 @@
+"""The search for a course and a plant whose winding becomes hotter than its bound, or than the limit.
+
+Genes are drawn at random first, then the best ones are changed a little: a random draw is no adversary. Courses end in
+a trip, as runs do; the current goes on standing for as long as a drive does without its host.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.model.motor import Motor
+from leactl.runner.challenge.courses import GENES, Course, course
+from leactl.runner.challenge.phases import PARAMETERS, Phases, turned
+from leactl.safety.thermal.box import Box
+from leactl.safety.thermal.guard import GuardSettings, ThermalGuard
+
+Array = npt.NDArray[np.float64]
+FIRST, KEPT, RANDOM = 40, 4, 0.3  # genes drawn at first, those of each kind that are changed, and how often others are
+CHANGED, SPREAD = 0.35, 0.15
+PART_S = 0.005  # that the plant goes on at once: a thousandth of what a winding takes to warm
+SECONDS = 8.0  # of a course
+WARM = 0.2  # of the way from the start to the limit, from which on a bound is held against the plant
+STARTS = (0.0, 0.0, 0.6, 0.9)  # of that way, at which a course begins
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One course in one plant."""
+
+    kind: str
+    genes: Array
+    over_k: float  # K, of any node over its bound; below zero where the bound holds
+    peak: float  # degC, of the hottest phase
+    tripped: bool
+
+
+@dataclass(frozen=True)
+class Hunted:
+    """What a search found on one motor at one rate."""
+
+    role: str
+    rate_hz: float
+    reading: str
+    attempts: int
+    nearest: Attempt  # to its bound, or farthest above it
+    hottest: Attempt
+
+    def held(self, limit: float) -> bool:
+        """Whether no bound was below the truth and no winding above its limit."""
+        return self.nearest.over_k <= 0.0 and self.hottest.peak <= limit
+
+
+def hunt(
+    role: str,
+    motor: Motor,
+    settings: GuardSettings,
+    rate_hz: float,
+    reading: str,
+    seconds: float,
+    seed: int = 0,
+    guard_of: Callable[..., ThermalGuard] = ThermalGuard,
+) -> Hunted:
+    """Search for so long [s], or for one attempt if that takes longer.
+
+    Parameters
+    ----------
+    reading : one of `courses.READINGS`.
+    guard_of : makes the guard that is challenged.
+    """
+    random = np.random.default_rng(seed)
+    found: dict[str, list[Attempt]] = {}  # of each kind of course the nearest to their bounds
+    hottest, count, ends = None, 0, time.monotonic() + seconds
+    while count == 0 or time.monotonic() < ends:
+        genes = random.random(GENES + len(PARAMETERS) + 1)
+        if count >= FIRST and random.random() > RANDOM:
+            kind = found[str(random.choice(sorted(found)))]
+            genes = _changed(kind[int(random.integers(len(kind)))].genes, random)
+        attempt = attempted(genes, motor, settings, rate_hz, reading, guard_of)
+        count += 1
+        found[attempt.kind] = sorted([*found.get(attempt.kind, []), attempt], key=lambda one: -one.over_k)[:KEPT]
+        hottest = attempt if hottest is None or attempt.peak > hottest.peak else hottest
+    assert hottest is not None
+    nearest = max((several[0] for several in found.values()), key=lambda one: one.over_k)
+    return Hunted(role, rate_hz, reading, count, nearest, hottest)
+
+
+def _changed(genes: Array, random: np.random.Generator) -> Array:
+    changes = SPREAD * random.standard_normal(len(genes)) * (random.random(len(genes)) < CHANGED)
+    return np.asarray(np.clip(genes + changes, 0.0, np.nextafter(1.0, 0.0)), np.float64)
+
+
+def attempted(
+    genes: Array,
+    motor: Motor,
+    settings: GuardSettings,
+    rate_hz: float,
+    reading: str,
+    guard_of: Callable[..., ThermalGuard] = ThermalGuard,
+) -> Attempt:
+    """Run one course, cycle by cycle, past a guard and through a plant."""
+    box = Box.of(motor)
+    start = settings.ambient + STARTS[int(genes[-1] * len(STARTS))] * (settings.limit - settings.ambient)
+    start += box.ambient_rise
+    told = course(genes[:GENES], motor, settings, 1.0 / rate_hz, SECONDS, reading)
+    ends = np.rint(genes[GENES:-1]) if genes[5] > 0.2 else genes[GENES:-1]  # corners of the box are the hottest
+    plant = Phases(box, ends, settings.ambient, start)
+    guard = guard_of({"test": motor}, settings, {"test": np.full(3, start)})
+    guard.begin(0.0)
+    warm = start + WARM * (settings.limit - start)
+    over, peak = -math.inf, start
+    flows, means = told.currents.copy(), turned(told, motor.pole_pairs)
+    tripped = False
+    for first, after in _parts(told):
+        for cycle in range(first, after):
+            flows[cycle] = min(flows[cycle], guard.allowed["test"])
+            square = float(flows[cycle]) ** 2
+            motion = float(told.angles[cycle]), float(told.velocities[cycle])
+            guard.logs[0] += (told.interval, square * told.interval, *motion)
+            guard.flowing[0] = square
+        now = after * told.interval
+        plant.heat(flows[first:after] ** 2, means[first:after], (after - first) * told.interval)
+        peak = max(peak, plant.hottest)
+        if now < guard.due:
+            continue
+        tripped = bool(guard.check(now))
+        bounds = guard.kept["test"]
+        if plant.hottest >= warm and guard.advanced == now:
+            over = max(over, float(np.max(plant.nodes - bounds)))
+        if tripped:  # a drive that hears of no stop goes on with what flowed, wherever its rotor stands
+            plant.heat(flows[after - 1 : after] ** 2, plant.worst, settings.reserve_s)
+            peak = max(peak, plant.hottest)
+            break
+    return Attempt(told.kind, genes, over, peak, tripped)
+
+
+def _parts(told: Course) -> Iterator[tuple[int, int]]:
+    """First and last of the cycles that the plant goes through at once."""
+    each = max(1, round(PART_S / told.interval))
+    for first in range(0, len(told.currents), each):
+        yield first, min(first + each, len(told.currents))
+
+
+def hunts(
+    motors: Sequence[tuple[str, Motor]], rates_hz: Sequence[float], readings: Sequence[str]
+) -> list[tuple[str, Motor, float, str]]:
+    """Everything that is searched, one after the other; a motor that stands in two roles is searched once."""
+    different = {motor.name: (role, motor) for role, motor in reversed(motors)}
+    return [(*one, rate, reading) for one in different.values() for rate in rates_hz for reading in readings]

@@ -1,0 +1,32 @@
+"""`leactl safety challenge` as a shell sees it."""
+
+import json
+
+import pytest
+
+from tests.cli.terminal import leactl
+
+
+def test_a_short_search_is_pure_json_with_its_progress_beside_it():
+    done = leactl("safety", "challenge", "--minutes", "0.001", "--rate", "20", "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["held"] is True
+    assert [one["angle"] for one in told["searches"]] == ["true", "noisy", "stuck", "lost", "drifting"]
+    assert all(one["hottest"]["peak_degC"] <= told["limit_degC"] for one in told["searches"])
+    assert "search 5 of 5: test, 20 Hz, drifting angle" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (("--rate", "5"), "--rate 5: 10 to 10000 Hz were expected"),
+        (("--minutes", "0"), "--minutes 0: more than 0 and at most 10000 were expected"),
+        (("nowhere.yaml",), "nowhere.yaml"),
+    ],
+)
+def test_a_wrong_option_is_one_line(wrong, said):
+    done = leactl("safety", "challenge", *wrong)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert said in done.stderr
+    assert len(done.stderr.splitlines()) == 1

@@ -1,0 +1,155 @@
+"""The adversary of the thermal guard: courses that a bench could run, a plant that is right, and wrong guards found."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from leactl.runner.challenge.courses import GENES, KINDS, READINGS, course
+from leactl.runner.challenge.hunt import attempted, hunt, hunts
+from leactl.runner.challenge.phases import PARAMETERS, Phases
+from leactl.safety.thermal.box import Box
+from leactl.safety.thermal.guard import ThermalGuard
+from tests.safety.guards import LEA, SETTINGS
+
+FASTEST = LEA.torque_constant * SETTINGS.most_current / LEA.rotor_inertia
+
+
+@settings(max_examples=60)
+@given(seed=st.integers(0, 2**32 - 1), rate=st.sampled_from([20.0, 100.0, 1000.0]), reading=st.sampled_from(READINGS))
+def test_every_course_is_one_that_the_bench_could_run(seed, rate, reading):
+    genes = np.random.default_rng(seed).random(GENES)
+    found = course(genes, LEA, SETTINGS, 1.0 / rate, 2.0, reading)
+    assert np.all((found.currents >= 0.0) & (found.currents <= SETTINGS.most_current))
+    fine, parts = found.passed.ravel(), found.passed.shape[1]
+    step = found.interval / parts
+    # between instants a step apart: where a rotor comes to rest, two accelerations meet within one
+    assert np.max(np.abs(np.diff(fine, 2))) / step**2 <= FASTEST * 1.001
+    assert found.angles.shape == found.velocities.shape == found.currents.shape
+
+
+def test_every_kind_of_course_comes_to_be():
+    draws = np.random.default_rng(0).random((60, GENES))
+    assert {course(genes, LEA, SETTINGS, 0.01, 1.0, "true").kind for genes in draws} == set(KINDS)
+
+
+def test_the_plant_goes_where_the_exponential_of_its_matrix_leads():
+    box = Box.exact(LEA.model_copy(update={"resistance_coefficient": 0.0}))
+    plant, seconds, square = Phases(box, np.zeros(len(PARAMETERS)), 25.0, 25.0), 8.0, 18.0**2
+    for _ in range(1600):
+        plant.heat(np.full(5, square), np.ones(5, np.complex128), seconds / 1600)
+    t = LEA.thermal
+    across, air = 1.0 / (3.0 * t.winding_housing_resistance), 1.0 / (3.0 * t.winding_ambient_resistance)
+    phase, housing = t.winding_capacitance / 3.0, t.housing_capacitance
+    matrix = np.zeros((5, 5))
+    for k, share in enumerate((2.0 / 3.0, 1.0 / 6.0, 1.0 / 6.0)):  # of a rotor that stands where one phase takes most
+        matrix[k, k] = -(across + air) / phase
+        matrix[k, 3], matrix[3, k] = across / phase, across / housing
+        matrix[k, 4] = share * LEA.phase_resistance * square / phase
+    matrix[3, 3] = -(3.0 * across + 1.0 / t.housing_ambient_resistance) / housing
+    exact = 25.0 + (expm(matrix * seconds) @ [0.0, 0.0, 0.0, 0.0, 1.0])[:4]
+    assert plant.state[0] == pytest.approx(exact, abs=0.02)
+
+
+def test_a_motor_that_stands_in_two_roles_is_searched_once():
+    other = LEA.model_copy(update={"name": "other"})
+    assert [found[0] for found in hunts([("test", LEA), ("load", LEA)], [100.0], ["true"])] == ["test"]
+    assert {found[0] for found in hunts([("test", LEA), ("load", other)], [100.0], ["true"])} == {"test", "load"}
+
+
+# -- guards, right and wrong ------------------------------------------------------------------------------------------
+
+
+def drawn(guard_of, rate, reading, count):
+    """Attempts with genes drawn at random."""
+    random = np.random.default_rng(7)
+    for _ in range(count):
+        yield attempted(random.random(GENES + len(PARAMETERS) + 1), LEA, SETTINGS, rate, reading, guard_of)
+
+
+@pytest.mark.parametrize(("rate", "reading"), [(20.0, "true"), (100.0, "stuck"), (500.0, "noisy"), (100.0, "drifting")])
+def test_the_guard_as_it_is_holds(rate, reading):
+    found = list(drawn(ThermalGuard, rate, reading, 8))
+    assert max(one.over_k for one in found) <= 0.0
+    assert max(one.peak for one in found) <= SETTINGS.limit
+    assert max(one.peak for one in found) > 100.0
+
+
+class Wrong(ThermalGuard):
+    """A guard one of whose parts is left out."""
+
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
+        for rotor in self._rotors:
+            self.spoil(rotor)
+
+
+class TurnsAlways(Wrong):
+    """Shares all heat among the phases."""
+
+    def spoil(self, rotor):
+        whole = rotor.span
+
+        def span(log, duration):
+            found = whole(log, duration)
+            found.turned = found.swept = found.turned_moment = found.swept_moment = 0.0
+            return found
+
+        rotor.span = span
+
+
+class NoDetour(Wrong):
+    """Takes a rotor to turn evenly between two samples."""
+
+    def spoil(self, rotor):
+        rotor._detour = 0.0
+
+
+class NoNoise(Wrong):
+    """Takes every change of the angle for travel."""
+
+    def spoil(self, rotor):
+        rotor._gone_back = np.zeros_like
+
+
+class AngleAlone(Wrong):
+    """Follows the angle, whatever the velocity says."""
+
+    def spoil(self, rotor):
+        whole = rotor.span
+
+        def span(log, duration):
+            found = whole(log, duration)
+            found.swept = found.swept_moment = 0.0
+            return found
+
+        rotor.span = span
+
+
+class NoReserve(ThermalGuard):
+    """Looks at now alone."""
+
+    def __init__(self, motors, settings, start):
+        super().__init__(motors, type(settings)(**vars(settings) | {"reserve_s": 0.0, "limit": 150.0}), start)
+
+
+@pytest.mark.parametrize(
+    ("guard_of", "rate", "reading"),
+    [
+        (TurnsAlways, 500.0, "true"),
+        (NoDetour, 20.0, "true"),
+        (NoNoise, 500.0, "noisy"),
+        (AngleAlone, 500.0, "drifting"),
+        (NoReserve, 100.0, "true"),
+    ],
+)
+def test_a_guard_that_is_wrong_is_found(guard_of, rate, reading):
+    attempts = drawn(guard_of, rate, reading, 60)
+    assert any(one.over_k > 0.1 or one.peak > SETTINGS.limit for one in attempts)
+
+
+def test_a_search_tells_what_it_found_and_whether_the_guard_held():
+    held = hunt("test", LEA, SETTINGS, 20.0, "true", 0.0)
+    assert (held.attempts, held.held(SETTINGS.limit)) == (1, True)
+    assert not held.held(held.hottest.peak - 0.1)
