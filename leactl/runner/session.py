@@ -242,7 +242,10 @@ def _run(
         limits = limits_of(plan, bench)
         loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator, watchdog, limits, wishes)
     except BaseException:
-        announcement.tell_safe(supervisor.make_safe())
+        safe = supervisor.make_safe()
+        if unsafe := doubt(safe):
+            watchdog.take_over(unsafe)
+        announcement.tell_safe(safe)
         raise
     with _shown(watch, progress):
         error: BaseException | None = None
@@ -268,12 +271,16 @@ def _run(
             error = caught
         watchdog.ending()
         safe = supervisor.make_safe()
-        windings.end(all(confirmation.safe for confirmation in safe.values()))
-        watchdog.dismiss()
+        unsafe = doubt(safe)
+        windings.end(confirmed=not unsafe)
+        if unsafe:
+            watchdog.take_over(unsafe)
+        else:
+            watchdog.dismiss()
         if watchdog.verdict():
             error = _joined(SafetyTrip(watchdog.verdict()), error)
         error = _unconfirmed(error, safe)
-        if isinstance(error, SafetyTrip):
+        if error is not None and (unsafe or isinstance(error, SafetyTrip)):
             _latch(request.latch, error, writer.path)
         announcement.tell_safe(safe)
     notes = [progress.view_fault] if progress.view_fault else []
@@ -327,8 +334,8 @@ def _shown(watch: Watch, progress: Progress) -> Iterator[None]:
             progress.view_fault = f"the view has failed: {type(error).__name__}: {error}"
 
 
-def _latch(bench: Latch, error: SafetyTrip, run: Path) -> None:
-    """Latch a trip; where that fails the trip is still what ended the run."""
+def _latch(bench: Latch, error: BaseException, run: Path) -> None:
+    """Latch what ended a run; where that fails it is still what ended it."""
     try:
         bench.set(_status(error)[1], run)
     except Exception as failure:  # noqa: BLE001 (a trip is told whatever becomes of its latch)

@@ -58,6 +58,9 @@ class Unwatched:
     def dismiss(self) -> None:
         """The devices are safe: nothing is left to be watched."""
 
+    def take_over(self, doubt: str) -> None:
+        """The run could not confirm that its devices are safe: make them so over other connections, and latch."""
+
     def fault(self) -> str:
         """Why the run is no longer watched; empty while it is."""
         return ""
@@ -141,9 +144,16 @@ class Watchdog(Unwatched):
 
     def dismiss(self) -> None:
         """Let the process go and wait for its end; harmless when it has gone."""
+        self._part("done")
+
+    def take_over(self, doubt: str) -> None:
+        """Have the process make the devices safe and latch the bench, and wait for its end."""
+        self._part("unsafe " + " ".join(doubt.split()))
+
+    def _part(self, word: str) -> None:
         process = self._process
         if process.stdin is not None and not process.stdin.closed:
-            self._tell("done")
+            self._tell(word)
             with suppress(BrokenPipeError):
                 process.stdin.close()
         try:

@@ -29,10 +29,13 @@ STDERR_S = 0.1  # that a line may wait to be taken
 
 
 class Inbox:
-    """What the run says: where it is recorded, that it is done; the end of the pipe says that it is no more."""
+    """What the run says: where it is recorded, that it is done; the end of the pipe says that it is no more.
+
+    `unsafe` is what a run that ends in order could not confirm.
+    """
 
     def __init__(self) -> None:
-        self.run, self.done, self.ended = "none yet", False, False
+        self.run, self.done, self.ended, self.unsafe = "none yet", False, False, ""
         self._line = b""
 
     def first(self) -> bytes:
@@ -53,6 +56,8 @@ class Inbox:
             word, _, rest = line.partition(b" ")
             if word == b"run":
                 self.run = os.fsdecode(rest)
+            if word == b"unsafe":
+                self.unsafe = os.fsdecode(rest)
             self.done = self.done or word == b"done"
 
     def _read(self) -> None:
@@ -93,6 +98,8 @@ def watched(process: int, sign: "memoryview[int]", inbox: Inbox) -> str:
     while True:
         allowed = sign[ALLOWED_NS]
         inbox.wait(allowed * 1e-9 / LOOKS if allowed else IDLE_S)
+        if inbox.unsafe:
+            return f"the run ended, and: {inbox.unsafe}"
         if inbox.done:
             return ""
         if inbox.ended:
@@ -110,7 +117,7 @@ def act(latch: Latch, bench: Bench | None, process: int, cause: str, inbox: Inbo
     devices = bench.in_order_of_stop if bench else []
     safe = stopped(bench)
     say(cause)
-    if not inbox.ended:
+    if not (inbox.ended or inbox.unsafe):
         end(process, time_to_end_s(len(devices)), inbox)
         if doubt(safe):  # the process may have held what no second connection could have
             safe = stopped(bench)

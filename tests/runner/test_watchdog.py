@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from leactl.errors import LeactlError, SafetyTrip
+from leactl.driver.contract import Confirmation
+from leactl.errors import DeviceError, LeactlError, SafetyTrip
 from leactl.runner import watchdog
+from leactl.safety.supervisor import Supervisor
 from tests.cli.terminal import COMMAND, leactl
 from tests.latches import trip_of
 from tests.runner.conftest import SPIN
@@ -44,6 +46,27 @@ def test_an_orderly_end_leaves_no_process_no_latch_and_no_word(spin, its_watchdo
     assert children() == before
     assert trip_of("emulated") is None
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("realtime", [True, False])
+def test_an_end_that_is_not_confirmed_latches_and_is_the_watchdog_s_to_end(spin, monkeypatch, capfd, realtime):
+    """An end in order, but for a drive that does not answer."""
+    whole = Supervisor.make_safe
+
+    def unanswered(self):
+        return whole(self) | {"drive_test": Confirmation(False, "no answer")}
+
+    monkeypatch.setattr(Supervisor, "make_safe", unanswered)
+    outcome, _bench = spin(realtime=realtime)
+    said = "NOT CONFIRMED SAFE, switch off the supply: drive_test: no answer"
+    assert isinstance(outcome.error, DeviceError)
+    assert outcome.reason == said
+    assert trip_of("emulated").cause == said
+    assert trip_of("emulated").run == str(outcome.path)
+    told = f"leactl watchdog: the run ended, and: {said}\n"
+    assert capfd.readouterr().err == (told if realtime else "")
+    with pytest.raises(SafetyTrip, match="no answer"):
+        spin(realtime=realtime)
 
 
 def test_an_emulated_bench_on_its_own_time_needs_none(spin, its_watchdog):
