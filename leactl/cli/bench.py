@@ -87,7 +87,7 @@ def reset(
     """State why a bench is tripped and, once confirmed, release it."""
     from leactl.bench.benchfile import load
     from leactl.errors import Stopped
-    from leactl.runner import latch
+    from leactl.runner import latch, underway
 
     tripped = latch.tripped(bench)
     name = next(iter(tripped)).bench if tripped else load(bench)[0].name
@@ -100,6 +100,7 @@ def reset(
         raise Stopped(f"not confirmed; '{name}' stays tripped (--yes confirms without a question)")
     for held in tripped:
         held.release()
+    underway.lost(name)  # the run that the trip tells of may have left its file, which would latch the bench again
     causes = [{"cause": trip.cause, "time": trip.time, "run": trip.run} for trip in tripped.values()]
     answer = {"bench": name, "tripped": False, "released": causes[0], "all_released": causes}
     typer.echo(json.dumps(answer) if as_json else f"{name}: released")

@@ -94,7 +94,7 @@ def challenge(
     rate: list[float] = typer.Option(
         [], metavar="HZ", help="Of the control loop; may be repeated. [20 100 500 1000]", callback=finite
     ),
-    seed: int = typer.Option(0, help="Of the first draws; how far a search comes hangs on the machine."),
+    seed: int = typer.Option(0, min=0, help="Of the first draws; how far a search comes hangs on the machine."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
     """Search for currents and motions that heat a winding beyond what the guard says; nothing moves.

@@ -51,5 +51,5 @@ def _attempt(one: Hunted, nearest: bool) -> dict[str, object]:
         "above_bound_K": round(attempt.over_k, 4) if math.isfinite(attempt.over_k) else None,
         "peak_degC": round(attempt.peak, 3),
         "tripped": attempt.tripped,
-        "genes": [round(gene, 6) for gene in attempt.genes.tolist()],
+        "genes": attempt.genes.tolist(),
     }

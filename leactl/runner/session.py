@@ -118,6 +118,8 @@ def execute(
     request = replace(request, run_id=run_id, devices=devices)
     with _alone(request) as locks, listening() as stop:
         place = state.place_of(request.bench, request.in_process)
+        if not request.in_process:
+            _latch_lost(request)
         request.latch.refuse()
         about = request.bench.name, request.bench_document.name, request.plan.name
         with (
@@ -236,6 +238,7 @@ def _run(
     try:
         writer = RunWriter(request.directory, _info(request, bench), bench.streams(), bench.wait_for_disk)
         watchdog.recording(writer.path)
+        announcement.tell(run=str(writer.path.resolve()))
         paced = request.realtime or not request.in_process
         flush = ThreadedFlush(writer) if paced else InlineFlush(writer)
         progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
@@ -332,6 +335,18 @@ def _shown(watch: Watch, progress: Progress) -> Iterator[None]:
             view.close()
         except BaseException as error:  # noqa: BLE001 (as above)
             progress.view_fault = f"the view has failed: {type(error).__name__}: {error}"
+
+
+def _latch_lost(request: Request) -> None:
+    """Latch the bench for a run of which nothing is left that could have: nobody knows what its devices do.
+
+    Raises
+    ------
+    LeactlError : the latch could not be written.
+    """
+    for cause, run in underway.lost(request.bench.name):
+        if request.latch.trip() is None:
+            request.latch.set(cause, Path(run))
 
 
 def _latch(bench: Latch, error: BaseException, run: Path) -> None:

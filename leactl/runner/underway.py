@@ -84,8 +84,8 @@ def announced(
 ) -> Iterator[Announcement]:
     """Let a run be found and stopped by other processes until the block is left.
 
-    Where it is not `needed` and no file can be kept, the run tells itself what nobody hears. Without a `place` it is
-    its user's own.
+    Where it is not `needed`, for the run's devices end with it, and no file can be kept, the run tells itself what
+    nobody hears. Without a `place` it is its user's own.
 
     Raises
     ------
@@ -93,7 +93,8 @@ def announced(
     """
     place = place or state.of_user()
     path = place.runs / f"{bench}.{os.getpid()}.{secrets.token_hex(4)}.run"
-    about = {"bench": bench, "file": str(Path(bench_file).resolve()), "protocol": protocol, "process": os.getpid()}
+    file = str(Path(bench_file).resolve())
+    about = {"bench": bench, "file": file, "protocol": protocol, "process": os.getpid(), "real": needed}
     try:
         announcement = Announcement(_locked(path, 2 * GOES_ON + _line(about), place.shared))
     except OSError as error:
@@ -205,10 +206,53 @@ class Underway:
         os.close(self.descriptor)
 
 
+def lost(bench: str) -> list[tuple[str, str]]:
+    """Runs of a bench that ended without telling that its devices are safe: what is said of each, and its recording.
+
+    They are told once: what they left behind is removed.
+    """
+    found = []
+    for path in [path for place in state.places() for path in sorted(place.runs.glob("*.run"))]:
+        with suppress(PermissionError):
+            descriptor = _opened(path)
+            if descriptor is None:
+                continue
+            try:
+                if not _ended(descriptor) or (about := _told(descriptor)).get("bench") != bench:
+                    continue
+                if not _is_over(about):
+                    run = f"process {about.get('process')} of the run {about.get('protocol')}"
+                    found.append((f"{run} ended without a word, and its watchdog too", str(about.get("run", "none"))))
+                _forget(path, descriptor)
+            finally:
+                os.close(descriptor)
+    return found
+
+
+def _forget(path: Path, descriptor: int) -> None:
+    """Remove what an ended run left behind; where it is another user's, mark it as told."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError:
+        with suppress(OSError):
+            os.lseek(descriptor, 0, os.SEEK_END)
+            os.write(descriptor, _line({"safe": {}}))
+
+
+def _is_over(told: Mapping[str, Any]) -> bool:
+    """Whether a run has told that every device is safe, or had none but what ended with it."""
+    if not told.get("real"):
+        return True
+    safe = told.get("safe")
+    return isinstance(safe, dict) and all(
+        isinstance(device, dict) and device.get("confirmed") is True for device in safe.values()
+    )
+
+
 def running() -> tuple[list[Underway], list[str]]:
     """Every run that is under way by its own file, and a line for each file that cannot be read.
 
-    What a kill left behind is removed.
+    What a run left behind that ended with safe devices is removed; the next run is told of the others (`lost`).
     """
     faults: list[str] = []
     underway = []
@@ -221,8 +265,9 @@ def running() -> tuple[list[Underway], list[str]]:
         if descriptor is None:
             continue
         if _ended(descriptor):
-            with suppress(OSError):
-                path.unlink(missing_ok=True)
+            if _is_over(_told(descriptor)):
+                with suppress(OSError):
+                    path.unlink(missing_ok=True)
             os.close(descriptor)
             continue
         about = _told(descriptor)

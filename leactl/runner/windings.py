@@ -128,7 +128,7 @@ class Windings:
         else:
             helps = "no wait between its steps helps: shorten or lower them"
         if found.turning_from_hz is not None:
-            helps += f", or raise its rate_Hz of {plan.rate_Hz:g}: {standing(found.turning_from_hz)}"
+            helps += f", or raise rate_Hz, {plan.rate_Hz:g} now: {standing(found.turning_from_hz)}"
         known = "; ".join(f"{role} {one.known}, at most {one.nodes[0]:.0f} degC" for role, one in self.recalled.items())
         raise InputError(
             f"protocol '{plan.name}': step '{at.step}' may take the {at.role} winding to its limit of"
@@ -142,8 +142,8 @@ class Windings:
 
 
 def standing(turning_from_hz: float) -> str:
-    """That a slow loop has rotors count as standing."""
-    return f"rotors that turn heat one phase as if they stood below about {turning_from_hz:g} Hz"
+    """What a slow loop makes of rotors that turn."""
+    return f"below about {turning_from_hz:g} Hz more than a tenth of the heat of a rotor that turns counts as standing"
 
 
 def check_label(option: str, label: str) -> None:

@@ -17,7 +17,7 @@ from leactl.bench import benchfile
 from leactl.errors import SafetyTrip
 from leactl.runfile.integrity import recover, verify
 from leactl.runfile.reader import Run
-from leactl.runner import latch
+from leactl.runner import latch, underway
 from tests.cli.terminal import COMMAND
 from tests.driver.transports import ROOT, can_place
 from tests.kills import stuck
@@ -149,7 +149,7 @@ def strike_once(served: ServedBench, number: int, way: str, after_s: float) -> d
         except subprocess.TimeoutExpired:
             faults.append("the process did not end")
         faults += gone(dog) + file_faults(place, found, held_s) + latch_faults(way)
-        return found | {"faults": faults}
+        return found | {"faults": faults + next_start_faults(served, place, way)}
     finally:
         if run.poll() is None:
             with suppress(ProcessLookupError):
@@ -157,6 +157,17 @@ def strike_once(served: ServedBench, number: int, way: str, after_s: float) -> d
             run.kill()
             run.wait()
         served.wait(False, STOP_S)
+
+
+def next_start_faults(served: ServedBench, place: Path, way: str) -> list[str]:
+    """The next start is refused, whoever died, and told of the lost run once."""
+    bench = str(served.directory / "bench.yaml")
+    command = [*COMMAND, "run", str(served.directory / "struck.yaml"), "--bench", bench, "--served", *served.options]
+    environment = served.environment | {"LEACTL_STATE": str(place / "state")}
+    again = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=END_S, check=False)
+    expected = "is tripped since" if WAYS[way] else "ended without a word, and its watchdog too"
+    faults = [] if again.returncode == 3 and expected in again.stderr else [f"the next start: {again.stderr}"]
+    return faults + [f"left behind: {cause}" for cause, _ in underway.lost(BENCH)]
 
 
 def strike(served: ServedBench, way: str, process: int, dog: int) -> None:

@@ -1,6 +1,7 @@
 """A run can be found and stopped by other processes while it lasts; what a kill left behind is no run."""
 
 import fcntl
+import json
 import os
 import subprocess
 import sys
@@ -82,10 +83,11 @@ def test_a_run_tells_how_it_ended_to_whoever_had_its_file_open(spin):
     }
 
 
-def test_what_a_kill_left_behind_is_removed_and_nobody_is_asked(holder):
+def test_what_a_kill_left_behind_is_no_run_and_is_told_once_to_the_next_one(holder):
     (run,), _faults = underway.running()
     assert (run.bench, run.protocol, run.process) == ("rig", "hold", holder.pid)
     assert not run.wait(time.monotonic())
+    assert underway.lost("rig") == []  # it goes on
     holder.kill()
     holder.wait()
     assert run.wait(time.monotonic())
@@ -93,7 +95,32 @@ def test_what_a_kill_left_behind_is_removed_and_nobody_is_asked(holder):
     run.close()
     assert len(files()) == 1
     assert underway.running() == ([], [])
+    assert underway.lost("another") == []
+    said = f"process {holder.pid} of the run hold ended without a word, and its watchdog too"
+    assert underway.lost("rig") == [(said, "none")]
+    assert underway.lost("rig") == []
     assert files() == []
+
+
+@pytest.mark.parametrize(
+    ("told", "counts"),
+    [
+        ({}, True),
+        ({"safe": {"drive": {"confirmed": False, "detail": "no answer"}}}, True),
+        ({"safe": {"drive": {"confirmed": True, "detail": "off"}}}, False),
+        ({"safe": "yes"}, True),
+        ({"real": False}, False),  # its devices ended with it
+    ],
+)
+def test_a_run_that_ended_is_lost_unless_it_told_that_its_devices_are_safe(told, counts):
+    place = state_directory() / "runs" / "rig.1.0.run"
+    place.parent.mkdir(parents=True)
+    about = {"bench": "rig", "file": "rig.yaml", "protocol": "hold", "process": 1, "real": True, "run": "r.h5"} | told
+    place.write_bytes(b"--" + json.dumps(about).encode() + b"\n")
+    underway.running()
+    assert place.exists() == counts
+    assert [run for _, run in underway.lost("rig")] == (["r.h5"] if counts else [])
+    assert not place.exists()
 
 
 def test_a_file_without_a_lock_that_names_a_living_process_is_no_run():

@@ -17,7 +17,7 @@ from leactl.safety.interlocks import Interlocks
 from leactl.safety.supervisor import Axis, Supervisor
 from leactl.safety.thermal.bound import HOTTEST, ThermalBound
 from leactl.safety.thermal.box import Box
-from leactl.safety.thermal.turning import detour
+from leactl.safety.thermal.turning import detour, fastest
 from tests.driver.elmo_bench import ElmoBench
 from tests.safety.guards import LEA, SETTINGS, guard_of, passed
 from tests.safety.phases import STEP_S, Plant, advance
@@ -437,9 +437,66 @@ def test_the_shares_that_the_pages_tell_are_those_of_the_code():
     told = re.search(
         r"LEA ([\d.]+) % of the heat at 1 kHz, (\d+) % at 500 Hz, and all of it.*?below (\d+) Hz", text, re.S
     )
-    at_1_khz = detour(LEA, SETTINGS.most_current, SETTINGS.most_speed, 0.001)
+    at_1_khz = 1e-6 * detour(LEA, fastest([LEA], SETTINGS.most_current, SETTINGS.most_speed))
     assert [float(number) for number in told.groups()] == [
         round(100.0 * at_1_khz, 1),
         round(400.0 * at_1_khz),
         round(1000.0 * math.sqrt(at_1_khz)),
     ]
+
+
+def test_a_supply_that_is_switched_on_late_in_a_step_counts_as_late():
+    """A cold guard advances once a second; the current comes shortly before."""
+    guard = ready()
+    plants = [np.full(4, 28.0)]
+    plant, now, over = Plant.inside(WORST), 0.0, -math.inf
+    guard.undriven = frozenset([0])
+    for _ in range(400):
+        now += STEP_S
+        current = 20.0 if now > 0.85 else 0.0
+        guard.leads[0] = 2.0 * current**2
+        plants.append(led(plant, plants[-1], current))
+        if now >= guard.due:
+            assert guard.check(now) == ""
+            if guard.advanced == now:
+                over = max(over, plants[-1][:3].max() - guard.hottest["test"])
+    assert plants[-1][:3].max() > 33.0
+    assert over <= 0.0
+
+
+def led(plant, state, current):
+    """A plant after a fine step with a direct current through two of its phases, each of which it heats by R I^2."""
+    phases, housing = state[:3], state[3]
+    resistance = plant.phase_resistance * (1.0 + plant.resistance_coefficient * (phases - 25.0))
+    heat = np.array([1.0, 1.0, 0.0]) * resistance * (current * plant.current_gain) ** 2
+    to_housing = (phases - housing) / (3.0 * plant.winding_housing_resistance)
+    to_air = (phases - plant.ambient) / (3.0 * plant.winding_ambient_resistance)
+    out = (housing - plant.ambient) / plant.housing_ambient_resistance
+    rates = np.append((heat - to_housing - to_air) / (plant.winding_capacitance / 3.0), 0.0)
+    rates[3] = (to_housing.sum() - out) / plant.housing_capacitance
+    return state + STEP_S * rates
+
+
+def test_the_slower_of_two_rotors_on_a_shaft_is_accelerated_by_the_faster_one():
+    strong = LEA.model_copy(update={"torque_constant": 3.0 * LEA.torque_constant})
+    both, own, other = (fastest(motors, 30.0, 40.0) for motors in ([LEA, strong], [LEA], [strong]))
+    assert own < other == both
+
+
+def test_the_path_by_the_velocity_is_not_joined_across_what_was_not_looked_at():
+    """An angle that drifts, and a rotor that goes on to the next detent while next to nothing flows."""
+    guard, standing = ready(), ready()
+    half, drift, now = math.pi / LEA.pole_pairs, 0.0, 0.0
+    at, hot = 0.0, 0.0
+    for cycle in range(8000):
+        now += 0.001
+        flows = 16.0 if (cycle // 100) % 2 else 0.0
+        speed = 0.0 if flows else half / 0.1
+        at, drift = at + 0.001 * speed, drift + 0.01
+        passed(guard, 0.001, {0: flows}, (at + drift, speed))
+        passed(standing, 0.001, {0: flows})
+        for one in (guard, standing):
+            assert one.check(now) == "" if now >= one.due else True
+        hot = max(hot, standing.hottest["test"])
+    assert guard.hottest["test"] >= standing.hottest["test"] - 0.3
+    assert hot > 35.0

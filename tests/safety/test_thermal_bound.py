@@ -17,12 +17,11 @@ from tests.safety.phases import LEA, STEP_S, Plant, advance, follow
 GUARD_S = 0.1
 FINE = round(GUARD_S / STEP_S)
 ONE = np.ones(1)
-EVEN = LEA.model_copy(update={"rotor_inertia": 1e3})  # turns evenly between two samples
 
 
 def bounded(currents, speeds, box=None, start=28.0):
     """Bounds at the end of every guard's step, shape (3, n)."""
-    bound, rotor = ThermalBound([box or Box.of(LEA)], start), Rotor(EVEN, 30.0, 40.0)
+    bound, rotor = ThermalBound([box or Box.of(LEA)], start), Rotor(LEA, 40.0, 0.0)
     angles = np.cumsum(speeds * STEP_S)
     found = []
     for begin in range(0, len(currents) - FINE + 1, FINE):

@@ -19,7 +19,7 @@ from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.guard import GuardSettings, ThermalGuard
 
 Array = npt.NDArray[np.float64]
-FIRST, KEPT, RANDOM = 40, 4, 0.3  # genes drawn at first, those of each kind that are changed, and how often others are
+FIRST, KEPT, RANDOM = 6, 4, 0.3  # genes drawn at first, those of each kind that are changed, and how often others are
 CHANGED, SPREAD = 0.35, 0.15
 PART_S = 0.005  # that the plant goes on at once: a thousandth of what a winding takes to warm
 SECONDS = 8.0  # of a course
@@ -148,5 +148,8 @@ def hunts(
     motors: Sequence[tuple[str, Motor]], rates_hz: Sequence[float], readings: Sequence[str]
 ) -> list[tuple[str, Motor, float, str]]:
     """Everything that is searched, one after the other; a motor that stands in two roles is searched once."""
-    different = {motor.name: (role, motor) for role, motor in reversed(motors)}
-    return [(*one, rate, reading) for one in different.values() for rate in rates_hz for reading in readings]
+    different: list[tuple[str, Motor]] = []
+    for role, motor in motors:
+        if all(motor != other for _, other in different):
+            different.append((role, motor))
+    return [(*one, rate, reading) for one in different for rate in rates_hz for reading in readings]

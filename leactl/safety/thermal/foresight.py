@@ -18,7 +18,7 @@ from leactl.safety.thermal.bound import LONGEST_STEP_S, ThermalBound, lateness
 from leactl.safety.thermal.box import Array, Box
 from leactl.safety.thermal.demand import Demand, Held, State, either, states
 from leactl.safety.thermal.guard import MARGIN_K, STEP_S, Budgets, GuardSettings
-from leactl.safety.thermal.turning import LED_LOOSE, detour
+from leactl.safety.thermal.turning import LED_LOOSE, detour, fastest
 
 PARTS = 10  # samples of a step, where setpoints vary along a line
 KEPT_TO = np.array([0.95, 1.0, 1.05])  # of a planned speed
@@ -68,8 +68,8 @@ class Foresight:
         self._start = self._bound.state
         self._marks: list[_Mark] = []  # of the latest plan, as its actions begin
         self._interval = 0.0  # of its cycles [s]
-        most = settings.most_current, settings.most_speed
-        self._detours = np.array([detour(motor, *most, 1.0) for motor in motors.values()])
+        turned = fastest(motors.values(), settings.most_current, settings.most_speed)
+        self._detours = np.array([detour(motor, turned) for motor in motors.values()])
         self._turning_from = 0.0  # Hz
 
     def forecast(self, plan: Plan) -> Forecast:
@@ -180,14 +180,12 @@ class Foresight:
                 even = np.where(squares > 0.0, steady / np.where(squares > 0.0, squares, 1.0), 0.0)
                 aligned = 1.0 - (1.0 - _aligned(turned * step)) * even
                 late = self._late(np.full(len(squares), 0.25 * own), own)
-                if left > own:
+                if left > own and not state.listed:  # a list may change between any two of its own samples
                     count = PARTS * int(min(LONGEST_STEP_S, left) / own + LEAST_S)
                     ahead = [time + own / PARTS * (k + 0.5) for k in range(count)]
                     later, kept, _ = self._demand.squares(plan, state, ahead)
                     shared, lag = self._shared(kept, own, later)
                     better = self._kept(shared, lag) < self._kept(aligned, late)
-                    if state.listed:  # changes within a part
-                        better &= turned <= FAST / own
                     aligned, late = np.where(better, shared, aligned), np.where(better, lag, late)
             if (turning := (squares > 0.0) & (turned * own > 1.0)).any():
                 needed = math.sqrt(float(self._detours[turning].max()) / LITTLE)
@@ -225,6 +223,7 @@ class Foresight:
         behind = np.maximum(even, 0.0) + np.abs(moved - middle * stood)
         none = whole <= 0.0
         aligned = np.where(none, 1.0, np.minimum((np.abs(stood) + free) / np.where(none, 1.0, whole), 1.0))
+        behind = np.where(aligned < 1.0, behind, 2.0 * np.maximum(moment - middle * whole, 0.0))
         late = self._late(behind / np.where(none, 1.0, whole * (1.0 + aligned)), own, durations)
         kept = self._kept(aligned, late)
         worst = np.argmax(kept, axis=1)

@@ -4,8 +4,7 @@ Heat is the larger of what a drive reports and what it is asked for, by the meas
 that the rotor passed in each. The bound is advanced every `STEP_S` where anything that may flow could take a winding to
 its limit before the next step, else every `COLD_STEP_S`; budgets are looked at every `LOOK_S`, or `COLD_LOOK_S`. It
 must hold for longer than now: a drive that loses its host goes on with its last current until its own watchdog stops
-it, so that the bound is looked at
-`reserve_s` ahead, at the current that flows and standing at one electrical angle.
+it, so that the bound is looked at `reserve_s` ahead, at the current that flows and standing at one electrical angle.
 """
 
 import math
@@ -18,7 +17,7 @@ import numpy as np
 from leactl.model.motor import Motor
 from leactl.safety.thermal.bound import HOTTEST, LONGEST_STEP_S, MEAN, ThermalBound
 from leactl.safety.thermal.box import PHASE_SHARE, Array, Box
-from leactl.safety.thermal.turning import FIELDS, HEAT, LED_LOOSE, VELOCITY, Rotor, Span
+from leactl.safety.thermal.turning import FIELDS, HEAT, LED_LOOSE, VELOCITY, Rotor, Span, fastest, top
 
 LOOK_S, COLD_LOOK_S = 0.01, 0.1
 STEP_S, COLD_STEP_S = 0.1, 1.0
@@ -88,10 +87,12 @@ class ThermalGuard:
         self.leads: dict[int, float] = {}  # A^2 that heats like what flows through two leads, where any may
         self.undriven: frozenset[int] = frozenset()  # roles without a drive, by their places: nothing else heats them
         self.due = -math.inf  # when `check` is to be called again
-        self._rotors = [Rotor(motor, settings.most_current, settings.most_speed) for motor in motors.values()]
+        turned = fastest(motors.values(), settings.most_current, settings.most_speed)
+        self._rotors = [Rotor(motor, settings.most_speed, turned) for motor in motors.values()]
         # how much of each log is counted, and heat in that and through leads [A^2 s]
         self._counted, self._squares = [0] * len(boxes), [0.0] * len(boxes)
-        self._led = [0.0] * len(boxes)  # A^2 s of the latter since the last step
+        self._led, self._led_moments = [0.0] * len(boxes), [0.0] * len(boxes)  # A^2 s, A^2 s^2 of the latter by now
+        self._unseen = 0.0  # s, between two looks of this step at the longest
         self._speeds = [0.0] * len(boxes)  # rad/s, the highest in the last step
         self._budgets_of = Budgets(boxes, settings)
         self._looked = self.advanced = 0.0  # s, when heat was counted and until when the bounds hold
@@ -120,8 +121,7 @@ class ThermalGuard:
             return "the clock of the bench has gone backwards: no bound of a winding's temperature holds"
         every = LOOK_S if self._step == STEP_S else COLD_LOOK_S
         self.due = now + every
-        if now - self._looked >= every:
-            self._look(now)
+        self._look(now)
         since = now - self.advanced
         if since < self._step:
             for square, flowing, budget in zip(self._squares, self.flowing, self._budgets, strict=True):
@@ -135,6 +135,10 @@ class ThermalGuard:
         """No cycle comes any more: bring `kept` to now, and to what may flow until drives stop by themselves."""
         reserve = self._settings.reserve_s
         standing, on = [1.0] * len(self.roles), max(now - self._looked, 0.0)
+        most = self._settings.most_speed
+        self._speeds = [
+            max(speed, top(log[VELOCITY::FIELDS], most)) for speed, log in zip(self._speeds, self.logs, strict=True)
+        ]
         self._look(max(now, self._looked))
         since = max(now - self.advanced, 0.0)
         nodes = self._bound.nodes()
@@ -155,6 +159,7 @@ class ThermalGuard:
     def _look(self, now: float) -> None:
         """Count the heat since the last look."""
         since = now - self._looked
+        self._unseen = max(self._unseen, since)
         for index, log in enumerate(self.logs):
             self._squares[index] += sum(log[self._counted[index] + HEAT :: FIELDS])
             self._counted[index] = len(log)
@@ -162,6 +167,7 @@ class ThermalGuard:
             heat = square * since
             self._squares[index] += heat
             self._led[index] += heat
+            self._led_moments[index] += heat * (self._looked - self.advanced + 0.5 * since)
             alone = index in self.undriven
             self.flowing[index] = square if alone else max(self.flowing[index], square)
             self._standing[index] = LED_LOOSE if alone else 1.0
@@ -172,19 +178,21 @@ class ThermalGuard:
         for log in self.logs:
             log.clear()
         self._counted = [0] * len(self.roles)
-        self._squares, self._led = [0.0] * len(self.roles), [0.0] * len(self.roles)
+        self._squares, self._led, self._led_moments = ([0.0] * len(self.roles) for _ in range(3))
+        self._unseen = 0.0
 
     def _advance(self, now: float, duration: float) -> str:
         if now > self._looked:
             self._look(now)
         fresh = []
-        lanes = zip(self._rotors, self.logs, self._squares, self._led, self._budgets_of.heating, strict=True)
-        for rotor, log, square, led, heating in lanes:
+        led = zip(self._led, self._led_moments, strict=True)
+        lanes = zip(self._rotors, self.logs, self._squares, led, self._budgets_of.heating, strict=True)
+        for rotor, log, square, (through_leads, moment), heating in lanes:
             if square * heating < LITTLE_K_S * duration:
-                span = rotor.unlooked_at(square - led, log[VELOCITY::FIELDS], duration)
+                span = rotor.unlooked_at(square - through_leads, log[VELOCITY::FIELDS], duration)
             else:
                 span = rotor.span(np.reshape(log, (-1, FIELDS)), duration)
-            span.lead(led)
+            span.lead(through_leads, moment, self._unseen)
             fresh.append(span)
         self._speeds = [span.speed for span in fresh]
         self._forget()
@@ -199,7 +207,8 @@ class ThermalGuard:
         """
         bound, decay = self._bound, self._bound.decay_s
         joined = [before.joined(after) for before, after in zip(self._spans, fresh, strict=True)]
-        longer = self._spans[0].duration > 0.0 and joined[0].duration <= LONGEST_STEP_S
+        gap = any(rotor.lost for rotor in self._rotors)  # across which no two angles by the velocity belong together
+        longer = not gap and self._spans[0].duration > 0.0 and joined[0].duration <= LONGEST_STEP_S
         if longer and self._left(joined, joined) < self._left(self._spans, joined):
             self._spans = joined
             bound.state = self._anchor

@@ -10,7 +10,7 @@ three alike. A span is heat from one moment to a later one, to be looked at as a
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from leactl.model.motor import Motor
 from leactl.safety.thermal.bound import lateness
-from leactl.safety.thermal.box import Array
+from leactl.safety.thermal.box import Array, Box
 
 LED_LOOSE = 0.5  # of heat that two phases take in halves, which leaves (1 + 0.5) / 3 to each
 DETOUR = 1.0 / 12.0  # mean distance from a straight line, over the largest second derivative and the square of the time
@@ -54,12 +54,13 @@ class Span:
         if not self.square > 0.0:
             return 0.0
         half = 0.5 * self.duration
-        even = self.square_moment - half * self.square + self.loose_moment - half * self.loose
-        turning = max(
-            abs(self.turned_moment - half * self.turned),
-            abs(self.swept_moment - half * self.swept),
-        )
-        behind = max(0.0, even) + turning
+        whole = self.square_moment - half * self.square
+        if self.aligned < 1.0:
+            loose = self.loose_moment - half * self.loose
+            turning = max(abs(self.turned_moment - half * self.turned), abs(self.swept_moment - half * self.swept))
+            behind = max(0.0, whole + loose) + turning
+        else:  # no cycle heats a phase by more than twice its share
+            behind = 2.0 * max(0.0, whole)
         return lateness(behind / (self.square * (1.0 + self.aligned)), self.duration, self.unseen, decay)
 
     def joined(self, after: "Span") -> "Span":
@@ -79,43 +80,67 @@ class Span:
             max(self.unseen, after.unseen),
         )
 
-    def lead(self, heat: float) -> None:
-        """Add heat of a direct current through two leads [A^2 s], which comes evenly."""
+    def lead(self, heat: float, moment: float, unseen: float) -> None:
+        """Add heat of a direct current through two leads [A^2 s], with its moment [A^2 s^2].
+
+        unseen : the longest time [s] from one look at that current to the next.
+        """
         self.square += heat
-        self.square_moment += heat * 0.5 * self.duration
+        self.square_moment += moment
         self.loose += LED_LOOSE * heat
-        self.loose_moment += LED_LOOSE * heat * 0.5 * self.duration
+        self.loose_moment += LED_LOOSE * moment
+        if heat > 0.0:
+            self.unseen = max(self.unseen, unseen)
 
 
-def detour(motor: Motor, most_current: float, most_speed: float, interval: float) -> float:
-    """How far from a straight line twice the electrical angle lies in the mean between two samples, at the most [rad].
+def fastest(motors: Iterable[Motor], most_current: float, most_speed: float) -> float:
+    """How fast any rotor of a bench may be accelerated, by the largest current and friction of any of them [rad/s^2].
 
-    Nothing but currents and friction accelerates a rotor, as far as the motor file tells its inertia. Of two actuators
-    on one shaft each brings its own, so that neither is accelerated any faster than by itself.
+    Two rotors on one shaft are accelerated by the mean of what each would be by itself, weighted by inertia: no faster
+    than the faster one. Inertias are as the motor files say; friction and current are the highest within tolerances.
 
     Parameters
     ----------
     most_current, most_speed : that the bench lets pass [A, rad/s].
-    interval : from one sample to the next [s].
     """
-    torque = motor.torque_constant * most_current + motor.coulomb_friction + motor.viscous_damping * most_speed
-    return DETOUR * 2.0 * motor.pole_pairs * torque / motor.rotor_inertia * interval * interval
+    found = 0.0
+    for motor in motors:
+        box = Box.of(motor)
+        friction = box.coulomb_friction.high + box.viscous_damping.high * most_speed
+        torque = motor.torque_constant * most_current * box.current_gain + friction
+        found = max(found, torque / motor.rotor_inertia)
+    return found
+
+
+def detour(motor: Motor, acceleration: float) -> float:
+    """How far from a straight line twice the electrical angle lies in the mean between two samples, at the most.
+
+    In rad for each square second between them, where the rotor is accelerated by so much at the most [rad/s^2].
+    """
+    return DETOUR * 2.0 * motor.pole_pairs * acceleration
+
+
+def top(velocities: Sequence[float], most_speed: float) -> float:
+    """The highest of some speeds [rad/s]; the bench's where one is not known."""
+    return max(map(abs, velocities), default=0.0) if math.isfinite(sum(velocities)) else most_speed
 
 
 class Rotor:
     """One actuator's rotor, cycle by cycle."""
 
-    def __init__(self, motor: Motor, most_current: float, most_speed: float) -> None:
+    def __init__(self, motor: Motor, most_speed: float, fastest: float) -> None:
+        """Of a rotor that is turned by no more than `fastest` [rad/s^2]."""
         self._twice_electrical, self._most_speed = 2.0 * motor.pole_pairs, most_speed
-        self._detour = detour(motor, most_current, most_speed, 1.0)
+        self._detour = detour(motor, fastest)
         self._angle = self._velocity = math.nan  # of the last cycle
+        self.lost = True  # whether the path by the velocity has a gap in the latest span, or before the next one
         self._swept = 0.0  # twice the electrical angle by the velocity [rad]
         self._steps: Array = np.zeros(WINDOW)  # of the angle in the last cycles [rad]
 
     def unlooked_at(self, square: float, velocities: Sequence[float], duration: float) -> Span:
         """A span of so little heat [A^2 s] that it may all be loose, and late: the work is saved."""
-        self._angle = self._velocity = math.nan
-        speed = max(map(abs, velocities), default=0.0) if math.isfinite(sum(velocities)) else self._most_speed
+        self.lost = True
+        speed = top(velocities, self._most_speed)
         moment = square * duration
         return Span(duration, square, 0.0, 0.0, square, moment, 0.0, 0.0, moment, speed)
 
@@ -132,6 +157,7 @@ class Rotor:
         duration : of the span [s].
         """
         if not len(log):
+            self.lost = not math.isnan(self._velocity)
             return Span(duration)
         cycles, heat, angles, velocities = np.ascontiguousarray(log.T)
         at = np.cumsum(cycles) - 0.5 * cycles
@@ -139,14 +165,18 @@ class Rotor:
         found = Span(duration, float(whole), square_moment=float(moment), unseen=float(unseen))
         found.speed = self._most_speed if math.isnan(speed) else float(speed)
         before = np.concatenate([[self._velocity], velocities[:-1]])
+        if self.lost:
+            before[0] = math.nan
         steps = np.diff(angles, prepend=self._angle)
         passed = np.stack([steps, 0.5 * (velocities + before) * cycles]) * self._twice_electrical
-        known = np.isfinite(passed[0] + passed[1])
+        known = np.isfinite(passed)
+        self.lost = not known[1].all()
         if not known.all():
-            steps, passed = np.where(known, steps, 0.0), np.where(known, passed, 0.0)
+            steps, passed = np.where(known[0], steps, 0.0), np.where(known, passed, 0.0)
+        angles_known, known = known[0], known[0] & known[1]
         loose = np.where(known, self._detour * cycles * cycles + self._twice_electrical * self._gone_back(steps), 1.0)
         swept = np.cumsum(passed[1]) + self._swept
-        ends = np.stack([self._twice_electrical * np.where(known, angles, 0.0), swept])
+        ends = np.stack([self._twice_electrical * np.where(angles_known, angles, 0.0), swept])
         own, loosely = heat * (loose < 1.0), heat * np.minimum(loose, 1.0)
         turned = own * evenly(ends - 0.5 * passed, passed)
         (found.turned, found.swept), moments = turned.sum(axis=1).tolist(), turned @ at
