@@ -72,9 +72,7 @@ def forecast_text(body: Mapping[str, Any]) -> str:
     lines = [f"{body['protocol']}: hottest phases at most, limit {body['limit_degC']:g} degC"]
     lines += [f"  {role:<6}{value:8.1f} degC" for role, value in body["peaks_degC"].items()]
     if (least := body["turning_from_Hz"]) is not None:
-        lines.append(
-            f"  rate_Hz is below about {least:g}: over a tenth of a turning rotor's heat counts as standing"
-        )
+        lines.append(f"  rate_Hz is below about {least:g}: over a tenth of a turning rotor's heat counts as standing")
     passes = body["passes"]
     if passes is None:
         lines.append("may be run as it is")
