@@ -133,12 +133,13 @@ class Rotor:
         self._twice_electrical, self._most_speed = 2.0 * motor.pole_pairs, most_speed
         self._detour = detour(motor, fastest)
         self._angle = self._velocity = math.nan  # of the last cycle
-        self.lost = True  # whether the path by the velocity has a gap in the latest span, or before the next one
+        self.lost = True  # whether the path by the velocity has a gap in the latest span, or at its beginning
         self._swept = 0.0  # twice the electrical angle by the velocity [rad]
         self._steps: Array = np.zeros(WINDOW)  # of the angle in the last cycles [rad]
 
     def unlooked_at(self, square: float, velocities: Sequence[float], duration: float) -> Span:
         """A span of so little heat [A^2 s] that it may all be loose, and late: the work is saved."""
+        self._angle = self._velocity = math.nan
         self.lost = True
         speed = top(velocities, self._most_speed)
         moment = square * duration
@@ -165,8 +166,6 @@ class Rotor:
         found = Span(duration, float(whole), square_moment=float(moment), unseen=float(unseen))
         found.speed = self._most_speed if math.isnan(speed) else float(speed)
         before = np.concatenate([[self._velocity], velocities[:-1]])
-        if self.lost:
-            before[0] = math.nan
         steps = np.diff(angles, prepend=self._angle)
         passed = np.stack([steps, 0.5 * (velocities + before) * cycles]) * self._twice_electrical
         known = np.isfinite(passed)
