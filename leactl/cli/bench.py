@@ -100,7 +100,7 @@ def reset(
         raise Stopped(f"not confirmed; '{name}' stays tripped (--yes confirms without a question)")
     for held in tripped:
         held.release()
-    underway.lost(name)  # the run that the trip tells of may have left its file, which would latch the bench again
+    list(underway.lost(name))  # what the run that the trip tells of left behind would latch the bench again
     causes = [{"cause": trip.cause, "time": trip.time, "run": trip.run} for trip in tripped.values()]
     answer = {"bench": name, "tripped": False, "released": causes[0], "all_released": causes}
     typer.echo(json.dumps(answer) if as_json else f"{name}: released")

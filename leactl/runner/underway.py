@@ -206,12 +206,12 @@ class Underway:
         os.close(self.descriptor)
 
 
-def lost(bench: str) -> list[tuple[str, str]]:
+def lost(bench: str) -> Iterator[tuple[str, str]]:
     """Runs of a bench that ended without telling that its devices are safe: what is said of each, and its recording.
 
-    They are told once: what they left behind is removed.
+    They are told once: what one left behind is removed as the next is asked for, so that nothing is lost where what is
+    done about it fails.
     """
-    found = []
     for path in [path for place in state.places() for path in sorted(place.runs.glob("*.run"))]:
         with suppress(PermissionError):
             descriptor = _opened(path)
@@ -222,11 +222,10 @@ def lost(bench: str) -> list[tuple[str, str]]:
                     continue
                 if not _is_over(about):
                     run = f"process {about.get('process')} of the run {about.get('protocol')}"
-                    found.append((f"{run} ended without a word, and its watchdog too", str(about.get("run", "none"))))
+                    yield f"{run} ended without a word, and its watchdog too", str(about.get("run", "none"))
                 _forget(path, descriptor)
             finally:
                 os.close(descriptor)
-    return found
 
 
 def _forget(path: Path, descriptor: int) -> None:

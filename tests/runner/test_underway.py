@@ -87,7 +87,7 @@ def test_what_a_kill_left_behind_is_no_run_and_is_told_once_to_the_next_one(hold
     (run,), _faults = underway.running()
     assert (run.bench, run.protocol, run.process) == ("rig", "hold", holder.pid)
     assert not run.wait(time.monotonic())
-    assert underway.lost("rig") == []  # it goes on
+    assert list(underway.lost("rig")) == []  # it goes on
     holder.kill()
     holder.wait()
     assert run.wait(time.monotonic())
@@ -95,10 +95,11 @@ def test_what_a_kill_left_behind_is_no_run_and_is_told_once_to_the_next_one(hold
     run.close()
     assert len(files()) == 1
     assert underway.running() == ([], [])
-    assert underway.lost("another") == []
+    assert list(underway.lost("another")) == []
     said = f"process {holder.pid} of the run hold ended without a word, and its watchdog too"
-    assert underway.lost("rig") == [(said, "none")]
-    assert underway.lost("rig") == []
+    assert next(underway.lost("rig"))[0] == said  # whatever was to be done about it failed
+    assert list(underway.lost("rig")) == [(said, "none")]
+    assert list(underway.lost("rig")) == []
     assert files() == []
 
 
