@@ -1,14 +1,19 @@
 """`leactl thermal`: what windings may carry, how warm they may be, and what a protocol would do to them."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from leactl.cli import finite
 from leactl.cli.completion import benches, motors, protocols, settings
-from leactl.cli.helptext import examples, group_of_commands
+from leactl.cli.helptext import ON_A_BENCH, examples, group_of_commands
+from leactl.errors import AcceptanceFailed
+
+if TYPE_CHECKING:
+    from leactl.runner.session import Request
 
 app = group_of_commands()
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
@@ -141,3 +146,77 @@ def plan(
         "cooldowns": [{"start_s": round(row.start_s, 3), "duration_s": row.duration_s} for row in waits],
     }
     typer.echo(json.dumps(body) if as_json else forecast_text(body))
+
+
+@app.command(
+    epilog=examples(
+        "thermal commission thermal --set current_A=9 --actuator LEA-1 --dry-run",
+        ends=(*ON_A_BENCH, AcceptanceFailed),
+        means={AcceptanceFailed: "the actuator is outside of its motor file's tolerances"},
+    )
+)
+def commission(
+    protocol: str = typer.Argument(
+        "thermal", help="Name of a shipped heated protocol, or a path to a .yaml.", autocompletion=protocols
+    ),
+    bench: str = typer.Option(
+        "emulated-heated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches
+    ),
+    overrides: list[str] = SET,
+    actuator: str = typer.Option("", help="Label of the one that is commissioned; asked for."),
+    runs: int = typer.Option(3, min=1, max=20, help="At most, those of --given and the whole protocol included."),
+    given: list[Path] = typer.Option([], metavar="RUN", help="A heated run of this actuator that is there already."),
+    file: Path | None = typer.Option(None, help="The narrowed motor file. [ACTUATOR.yaml]"),
+    camera_gain: float = typer.Option(
+        0.02, min=0.0, max=0.2, help="Share of a rise that the camera may be off by.", callback=finite
+    ),
+    camera_offset: float = typer.Option(
+        2.0, min=0.0, max=20.0, help="That its zero may be off by [K].", callback=finite
+    ),
+    current_repeats: float = typer.Option(
+        0.005, min=0.0, max=0.2, help="Share that a supply's reading changes by from run to run.", callback=finite
+    ),
+    condition: str = typer.Option("", help="Condition of the runs."),
+    operator: str = typer.Option("", help="Who runs the bench."),
+    out: Path = typer.Option(Path("runs"), help="Directory of the run files."),
+    realtime: bool = typer.Option(False, "--realtime", help="Keep wall time on an emulated bench."),
+    served: bool = typer.Option(False, "--served", help="Meet an emulated bench that another process serves."),
+    bus: list[str] = typer.Option([], metavar="NAME=INTERFACE:CHANNEL", help="Put a bus elsewhere."),
+    cold: bool = COLD,
+    dry_run: bool = typer.Option(
+        False, "--dry-run", help="Narrow by the runs given, say what the next one would be, and move nothing."
+    ),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Heat an actuator step by step, narrow its motor file by each run, until a heated protocol is admitted and run.
+
+    The file holds for this actuator, its mounting and the supply and camera of the runs. Name it in the bench file.
+    """
+    from leactl.analysis.heating.narrowing import Accuracy
+    from leactl.cli.run import perform
+    from leactl.report.outputs import check, check_folder
+    from leactl.report.thermal import commissioned_body, commissioned_text
+    from leactl.runner.commission import Manner
+    from leactl.runner.commission import commission as commissioned
+    from leactl.runner.request import prepare
+    from leactl.runner.signals import to_the_end
+
+    target = file or Path(f"{actuator.replace('/', '-')}.yaml")
+    check([target], given)
+    check_folder(out)
+
+    def prepared(changed: Mapping[str, str]) -> "Request":
+        kept = [word for word in overrides if word.partition("=")[0] not in changed]
+        words = [*kept, *(f"{name}={value}" for name, value in changed.items())]
+        return prepare(protocol, bench, words, actuator, condition, operator, out, realtime, served, bus)
+
+    accuracy = Accuracy(camera_gain, camera_offset, current_repeats)
+    manner = Manner(prepared, perform, _tell, runs, given, accuracy, cold, dry_run)
+    with to_the_end():
+        found = commissioned(manner, target)
+    body = commissioned_body(found, protocol, actuator)
+    typer.echo(json.dumps(body) if as_json else commissioned_text(body))
+
+
+def _tell(text: str) -> None:
+    typer.echo(f"leactl: {text}", err=True)

@@ -64,8 +64,9 @@ class Thermal(ThermalSheet):
 class Tolerances(Block):
     """How far the bench's actuator may be from this file: fractions of each value, unless a unit is in the name.
 
-    `current` is that of the drive's current reading, ripple and d axis included; `ambient_K` that of the ambient that a
-    bench file tells.
+    `current` is that of the drive's current reading, ripple and d axis included; `line_current` that of a supply's
+    reading, as `current` where it is left out; `ambient_K` that of the ambient that a bench file tells;
+    `temperature_rise` that of the rises above ambient that the network gives, by a camera's gain where it was fitted.
     """
 
     phase_resistance: Tolerance
@@ -78,7 +79,9 @@ class Tolerances(Block):
     viscous_damping: Tolerance
     coulomb_friction: Tolerance
     current: Tolerance
+    line_current: Tolerance | None = None
     ambient_K: Annotated[float, Field(strict=True, ge=0, le=30)]  # noqa: N815 (a unit keeps its letter)
+    temperature_rise: Tolerance = 0.0
 
 
 class LimitsSheet(Block):

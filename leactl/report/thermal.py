@@ -1,12 +1,15 @@
 """Thermal limits, state and forecasts as text that fits 80 columns."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from leactl.model.motor import Motor
 from leactl.report.terminal import wrapped
 from leactl.report.thermal_fits import Fitted
 from leactl.safety.thermal.capability import Carried, Held, Peak
+
+if TYPE_CHECKING:
+    from leactl.runner.commission import Commissioned
 
 WIDTH = 80
 CORRELATIONS = 3  # told, the largest
@@ -83,3 +86,37 @@ def forecast_text(body: Mapping[str, Any]) -> str:
     if not body["cooldowns"]:
         lines.append("  no wait between its steps helps: shorten or lower them")
     return "\n".join(lines)
+
+
+def commissioned_body(found: "Commissioned", protocol: str, actuator: str) -> dict[str, Any]:
+    """How far the commissioning of an actuator came, as `--json` has it; temperatures are the bound's [degC]."""
+    tolerances = found.motor.tolerances
+    passing = found.forecast.passing
+    return {
+        "protocol": protocol,
+        "actuator": actuator,
+        "admitted": found.admitted,
+        "done": any(heat.whole for heat in found.heats),
+        "peak_degC": round(found.forecast.peaks["test"], 2),
+        "limit_degC": round(found.limit, 2),
+        "passes_after_s": None if passing is None else round(passing.time_s, 2),
+        "runs": [{"run": str(one.path), "heating_s": one.heating_s, "whole": one.whole} for one in found.heats],
+        "next_heating_s": found.next_heating_s,
+        "motor_file": None if found.file is None else str(found.file),
+        "tolerances": {} if tolerances is None else tolerances.model_dump(exclude_none=True),
+    }
+
+
+def commissioned_text(body: Mapping[str, Any]) -> str:
+    """What was heated, what the motor file has now, and what to do with it."""
+    state = "run" if body["done"] else "admitted" if body["admitted"] else "not admitted yet"
+    lines = [f"{body['actuator']}: protocol '{body['protocol']}' {state}"]
+    lines += [f"  {one['heating_s']:6.0f} s of heating  {one['run']}" for one in body["runs"]]
+    if body["next_heating_s"] is not None:
+        lines += [f"  {body['next_heating_s']:6.0f} s of heating come next"]
+    lines += [f"  bound {body['peak_degC']:.1f} degC, limit {body['limit_degC']:.1f} degC"]
+    if body["motor_file"] is None:
+        return "\n".join([*lines, "by the bench's own motor file"])
+    lines += [f"tolerances in {body['motor_file']}:"]
+    lines += [f"  {name}: {value:g}" for name, value in body["tolerances"].items()]
+    return "\n".join([*lines, f"name it in the bench file: motors: {{test: {body['motor_file']}}}"])

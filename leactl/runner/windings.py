@@ -16,6 +16,7 @@ from leactl.runner.moment import Moment
 from leactl.runner.state import place_of
 from leactl.runner.thermal_memory import Keeper, Memory, Recalled
 from leactl.runner.watchdog import time_to_end_s
+from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.foresight import Forecast, Foresight
 from leactl.safety.thermal.guard import GuardSettings, ThermalGuard
 
@@ -33,6 +34,7 @@ class Windings:
         actuator: str = "",
         emulated_here: bool = False,
         cold: bool = False,
+        found: Mapping[str, Recalled] | None = None,
     ) -> None:
         """Recall what is known of them.
 
@@ -40,6 +42,7 @@ class Windings:
         ----------
         actuator : label of the one under test; the bench's name and the role stand for one without.
         cold : a person says that nothing has heated them.
+        found : bounds of each role that hold, in place of what is remembered.
 
         Raises
         ------
@@ -47,6 +50,7 @@ class Windings:
         """
         check_label("--actuator", actuator)
         self.motors = motors_of(bench)
+        self._fed = as_fed(self.motors, devices)
         self.settings = guard_settings(bench, devices, self.motors)
         limit, ambient = self.settings.limit, self.settings.ambient
         self.names = {role: actuator if role == "test" and actuator else f"{bench.name}.{role}" for role in self.motors}
@@ -59,8 +63,9 @@ class Windings:
         if bench.emulated is not None:  # nothing burns that is emulated: what nothing is known of is at ambient
             fresh = {role for role, memory in memories.items() if not memory.known}
             self.recalled |= {role: memories[role].cold() for role in fresh}
+        self.recalled |= found or {}
         start = {role: found.nodes for role, found in self.recalled.items()}
-        self.guard = ThermalGuard(self.motors, self.settings, start)
+        self.guard = ThermalGuard(self._fed, self.settings, start)
         self.keeper = None if emulated_here else Keeper(memories, lambda: self.guard.kept, Moment.now)
 
     @contextmanager
@@ -138,7 +143,7 @@ class Windings:
 
     def _foresight(self) -> Foresight:
         start = {role: found.nodes for role, found in self.recalled.items()}
-        return Foresight(self.motors, self.settings, start)
+        return Foresight(self._fed, self.settings, start)
 
 
 def standing(turning_from_hz: float) -> str:
@@ -170,17 +175,30 @@ def motors_of(bench: BenchFile) -> dict[str, Motor]:
     return {"test": test, "load": load_motor(bench.motors["load"])[0] if "load" in bench.motors else test}
 
 
+def as_fed(motors: Mapping[str, Motor], devices: Sequence[CheckedDevice]) -> dict[str, Motor]:
+    """The motors with the tolerance of the current reading that each has: a supply's own where no drive feeds it."""
+    driven = {device.entry.role for device in devices if hasattr(registry.load(device.entry.driver), "engage")}
+    return {role: motor if role in driven else _supplied(motor) for role, motor in motors.items()}
+
+
+def _supplied(motor: Motor) -> Motor:
+    own = motor.tolerances
+    if own is None or own.line_current is None:
+        return motor
+    return motor.model_copy(update={"tolerances": own.model_copy(update={"current": own.line_current})})
+
+
 def guard_settings(bench: BenchFile, devices: Sequence[CheckedDevice], motors: Mapping[str, Motor]) -> GuardSettings:
     """What a bench file tells the guard; the lowest limit of bench and motors counts."""
-    limits = bench.limits
+    limits, ambient = bench.limits, bench.limits.ambient_temperature_degC
     silences = [s for s in host_silences(devices).values() if s is not None]
     # a supply waits for no sign of life: the run's watchdog sees that the loop stands still, and switches it off; where
     # the run holds its line, once the run has been ended
     supplied = any(hasattr(registry.load(device.entry.driver), "switch_on") for device in devices)
     to_end = SAFE_STATE_S + time_to_end_s(len(devices)) if supplied else 0.0
     return GuardSettings(
-        limit=min(limits.winding_temperature_degC, *(motor.limits.winding_temperature for motor in motors.values())),
-        ambient=limits.ambient_temperature_degC,
+        limit=min(Box.of(motor).limit(limits.winding_temperature_degC, ambient) for motor in motors.values()),
+        ambient=ambient,
         most_current=limits.current_A,
         most_speed=limits.velocity_rad_s,
         reserve_s=max(silences, default=SAFE_STATE_S) + to_end + STOPS_WITHIN_S,

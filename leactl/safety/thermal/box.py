@@ -46,6 +46,19 @@ class Box:
     coulomb_friction: Range
     current_gain: float  # true current over its reading, at the most
     ambient_rise: float  # K, of the true ambient over the one that is told, at the most
+    winding_limit: float  # degC, of the hottest phase
+    temperature_rise: float  # share of the true rise above ambient that the network's may lack
+
+    def limit(self, also: float, ambient: float) -> float:
+        """What the network's hottest phase may reach [degC] so that the true one stays below the motor's limit.
+
+        Parameters
+        ----------
+        also : another limit of the true temperature [degC].
+        ambient : as told [degC]; the rise is largest where the true one is as low as it may be.
+        """
+        limit = min(self.winding_limit, also)
+        return limit - self.temperature_rise * (limit - (ambient - self.ambient_rise))
 
     @classmethod
     def of(cls, motor: Motor) -> "Box":
@@ -79,7 +92,8 @@ class Box:
             for name, one in ranges.items()
             for end in [one.high if name.endswith("capacitance") else one.low]
         }
-        return cls(**kept | corner | {"current_gain": 2.0 - whole.current_gain, "ambient_rise": -whole.ambient_rise})
+        cool = {"current_gain": 2.0 - whole.current_gain, "ambient_rise": -whole.ambient_rise}
+        return cls(**kept | corner | cool | {"temperature_rise": -whole.temperature_rise})
 
     @classmethod
     def _around(cls, motor: Motor, tolerances: dict[str, float]) -> "Box":
@@ -92,4 +106,6 @@ class Box:
             reference_temperature=motor.reference_temperature,
             current_gain=1.0 + tolerances.get("current", 0.0),
             ambient_rise=tolerances.get("ambient_K", 0.0),
+            winding_limit=motor.limits.winding_temperature,
+            temperature_rise=tolerances.get("temperature_rise", 0.0),
         )

@@ -4,6 +4,7 @@ Each figure comes three times: guaranteed over the tolerances of the motor file,
 most favourable corner of the box.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -74,8 +75,8 @@ def continuous_current(motor: Motor, ambient: float, aligned: float, speed: floa
     ------
     InputError : the motor file has no tolerances.
     """
-    hottest, limit = _settled(ambient, aligned, speed), motor.limits.winding_temperature
-    return Carried(*(_at_limit(box, limit, ambient, hottest) for box in _boxes(motor)))
+    hottest = _settled(ambient, aligned, speed)
+    return Carried(*(_at_limit(box, ambient, hottest) for box in _boxes(motor)))
 
 
 def continuous(motor: Motor, ambient: float, speeds: Sequence[float]) -> list[Held]:
@@ -98,23 +99,22 @@ def peaks(motor: Motor, ambient: float, durations: Sequence[float]) -> list[Peak
     ------
     InputError : the motor file has no tolerances.
     """
-    found = [_held_for(box, motor.limits.winding_temperature, ambient, durations) for box in _boxes(motor)]
+    found = [_held_for(box, ambient, durations) for box in _boxes(motor)]
     currents = [Carried(*values) for values in zip(*found, strict=True)]
     return [Peak(duration, one, torque(motor, one)) for duration, one in zip(durations, currents, strict=True)]
 
 
 def nominal(motor: Motor, ambient: float, durations: Sequence[float]) -> Nominal:
     """What a motor file's own values promise, for one without tolerances too; ambient in degC, durations in s."""
-    box, limit = Box.exact(motor), motor.limits.winding_temperature
-    held = [_at_limit(box, limit, ambient, _settled(ambient, aligned, 0.0)) for aligned in (TURNING, STANDING)]
-    short = [tuple(_held_for(box, limit, ambient, durations, aligned)) for aligned in (TURNING, STANDING)]
+    box = Box.exact(motor)
+    held = [_at_limit(box, ambient, _settled(ambient, aligned, 0.0)) for aligned in (TURNING, STANDING)]
+    short = [tuple(_held_for(box, ambient, durations, aligned)) for aligned in (TURNING, STANDING)]
     return Nominal(held[0], held[1], short[0], short[1])
 
 
-def _held_for(
-    box: Box, limit: float, ambient: float, durations: Sequence[float], aligned: float = STANDING
-) -> list[float]:
+def _held_for(box: Box, ambient: float, durations: Sequence[float], aligned: float = STANDING) -> list[float]:
     """Many currents side by side; between two of them a chord, which lies above the convex temperature over current."""
+    limit = box.limit(math.inf, ambient)
     currents = np.geomspace(LEAST_A, HARDEST_A, CURRENTS)
     bound = ThermalBound([box] * CURRENTS, ambient + box.ambient_rise)
     still, standing = np.zeros(CURRENTS), np.full(CURRENTS, aligned)
@@ -157,9 +157,9 @@ def _settled(ambient: float, aligned: float, speed: float) -> Callable[[ThermalB
     return hottest
 
 
-def _at_limit(box: Box, limit: float, ambient: float, hottest: Callable[[ThermalBound, float], float]) -> float:
+def _at_limit(box: Box, ambient: float, hottest: Callable[[ThermalBound, float], float]) -> float:
     """The current that takes the hottest phase to its limit [A]."""
-    bound = ThermalBound([box], ambient)
+    bound, limit = ThermalBound([box], ambient), box.limit(math.inf, ambient)
 
     def over(current: float) -> float:
         return min(hottest(bound, current), 1e6) - limit

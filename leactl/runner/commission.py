@@ -1,0 +1,249 @@
+"""Bring an actuator to where a heated protocol is admitted: short heats, a narrower motor file, the next heat longer.
+
+Each heat is as long as the forecast admits by the motor file so far; all of them together make the next file. Nothing
+of the guard changes but the tolerances that it takes from that file.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack, nullcontext
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import yaml
+
+from leactl.analysis.heating.narrowing import Accuracy, narrowed
+from leactl.errors import InputError
+from leactl.model.motor import Motor, load_motor
+from leactl.runfile.publish import replacement
+from leactl.runfile.reader import Run
+from leactl.runner import exclusive
+from leactl.runner.session import Outcome, Request, rehearse
+from leactl.runner.thermal_memory import Recalled
+from leactl.runner.windings import Windings
+from leactl.safety.thermal.foresight import Forecast
+
+HEATING, COOLING = "heating_s", "cooling_s"  # parameters of the protocol
+SHARE = 0.9  # of the time after which the forecast passes the limit
+FALLING = 0.8  # of a heat that the forecast does not admit either
+SHORTEST_S = 60.0  # of a heat that tells anything
+CONSTANTS = 2.0  # of the housing, for which a short heat cools
+
+Prepare = Callable[[Mapping[str, str]], Request]
+"""The request of the protocol with these parameters in place of its own."""
+Perform = Callable[[Request, str], Outcome]
+
+
+@dataclass(frozen=True)
+class Heat:
+    """One heated run of a commissioning."""
+
+    path: Path
+    heating_s: float
+    whole: bool  # the protocol as it was asked for
+
+
+@dataclass
+class Commissioned:
+    """How far an actuator came."""
+
+    motor: Motor
+    file: Path | None  # the narrowed motor file; None where the one of the bench admits the protocol
+    forecast: Forecast  # of the protocol as it was asked for, by `motor`
+    limit: float  # degC, for the forecast
+    heats: list[Heat] = field(default_factory=list)
+    next_heating_s: float | None = None  # where no run was to be made, what the next one would be
+
+    @property
+    def admitted(self) -> bool:
+        """Whether the protocol may be run as it was asked for."""
+        return self.forecast.passing is None
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How an actuator is commissioned."""
+
+    prepare: Prepare
+    perform: Perform
+    tell: Callable[[str], None]
+    most: int  # runs, the whole protocol and those that are given included
+    given: Sequence[Path] = ()  # heated runs of this actuator that are there already
+    accuracy: Accuracy = field(default_factory=Accuracy)
+    cold: bool = False  # a person says that nothing has heated the actuators before the first run
+    rehearse: bool = False  # make no run
+
+
+def commission(manner: Manner, file: Path) -> Commissioned:
+    """Heat step by step until the protocol is admitted, and run it; the narrowed motor file is written after each heat.
+
+    Raises
+    ------
+    InputError : a protocol without heats to shorten, no heat that is admitted, or the protocol not admitted at the end.
+    AcceptanceFailed : the actuator is outside of the tolerances of its file.
+    SafetyTrip, DeviceError, Stopped : of a run; its file and those before stay, and may be given to the next start.
+    """
+    asked = manner.prepare({})
+    _refuse_other(asked)
+    _refuse_own(file, asked.bench.motors.values())
+    shipped = load_motor(asked.bench.motors["test"])[0]
+    found, told = _judged(asked, shipped, None), list(manner.given)
+    if told:
+        motor = _narrowed(asked, shipped, told, manner)
+        found = found if found.admitted else _written(asked, motor, told, file)
+    manner.tell(_state(found))
+    if manner.rehearse:
+        request = asked if found.admitted else _shorter(manner, found)
+        rehearse(_by(request, found.file))
+        found.next_heating_s = _heating(request)
+        return found
+    while not found.admitted and len(told) < manner.most - 1:
+        request = _shorter(manner, found)
+        told.append(_heated(request, found, manner, len(told)))
+        heats = [*found.heats, Heat(told[-1], _heating(request), whole=False)]
+        found = _written(asked, _narrowed(asked, shipped, told, manner), told, file)
+        found.heats = heats
+        manner.tell(_state(found))
+    if not found.admitted:
+        raise InputError(
+            f"protocol '{asked.plan.name}' is not admitted after {len(told)} heated runs, with {manner.most} at most:"
+            f" {_state(found)}; lower its current, tell the camera's own accuracy, or allow more --runs"
+        )
+    found.heats = [*found.heats, Heat(_heated(asked, found, manner, len(told)), _heating(asked), whole=True)]
+    return found
+
+
+def _heated(request: Request, found: Commissioned, manner: Manner, before: int) -> Path:
+    """Make one run by the motor file so far.
+
+    Raises
+    ------
+    SafetyTrip, DeviceError, Stopped : it did not come to its end.
+    """
+    request = replace(_by(request, found.file), insert_cooldown=True, cold=manner.cold and not found.heats)
+    outcome = manner.perform(request, f"run {before + 1} of {manner.most} at most: ")
+    if outcome.error is not None:
+        raise outcome.error
+    return outcome.path
+
+
+def _heating(request: Request) -> float:
+    return float(request.plan.parameters[HEATING])
+
+
+def _refuse_other(request: Request) -> None:
+    plan = request.plan
+    lacking = [name for name in (HEATING, COOLING) if name not in plan.parameters]
+    if plan.analysis != "thermal" or lacking:
+        raise InputError(
+            f"protocol '{plan.name}': a heated protocol was expected, with `analysis: thermal` and the parameters"
+            f" {HEATING} and {COOLING}"
+        )
+    if not request.actuator:
+        raise InputError("--actuator: which one is commissioned was expected; a narrowed motor file is of one alone")
+
+
+def _refuse_own(file: Path, motors: Iterable[str]) -> None:
+    """Refuse to replace a motor file that the bench names: what it tells is what the narrowed one is held against."""
+    if file.exists() and any(Path(name).exists() and file.samefile(name) for name in motors):
+        raise InputError(f"--file {file}: is the motor file that the bench names; name another one")
+
+
+def _judged(asked: Request, motor: Motor, file: Path | None) -> Commissioned:
+    """What the protocol would do to windings that are cold, by a motor file."""
+    request = _by(asked, file)
+    windings = Windings(request.bench, request.devices, request.actuator, request.in_process, cold=True)
+    return Commissioned(motor, file, windings.forecast(request.plan), windings.settings.limit)
+
+
+def _by(request: Request, file: Path | None) -> Request:
+    """The request on the same bench with another motor file for the actuator under test."""
+    if file is None:
+        return request
+    motors = request.bench.motors | {"test": str(file.resolve())}
+    if "load" not in request.bench.motors:
+        motors |= {"load": request.bench.motors["test"]}  # which had been taken to be like the other one
+    return replace(request, bench=request.bench.model_copy(update={"motors": motors}))
+
+
+def _shorter(manner: Manner, found: Commissioned) -> Request:
+    """The protocol with as long a heat as is admitted, and a cooling that tells the housing.
+
+    Raises
+    ------
+    InputError : no heat that is long enough.
+    """
+    asked = manner.prepare({})
+    row = max(asked.plan.timeline(), key=lambda one: one.duration_s if one.name == "heating" else 0.0)
+    passing = found.forecast.passing
+    assert passing is not None
+    seconds = SHARE * (passing.time_s - row.start_s)
+    network = found.motor.thermal
+    constant = network.housing_capacitance * (network.housing_ambient_resistance + network.winding_housing_resistance)
+    cooling = min(float(asked.plan.parameters[COOLING]), math.ceil(CONSTANTS * constant))
+    while seconds >= SHORTEST_S:
+        request = manner.prepare({HEATING: f"{math.floor(seconds)}", COOLING: f"{cooling:g}"})
+        if _judged(request, found.motor, found.file).admitted:
+            return request
+        seconds *= FALLING
+    raise InputError(
+        f"protocol '{asked.plan.name}': step '{passing.step}' may take the {passing.role} winding to its limit after"
+        f" {passing.time_s:.0f} s, and no heat of {SHORTEST_S:g} s or more is admitted; lower its current"
+    )
+
+
+def _narrowed(asked: Request, shipped: Motor, told: Sequence[Path], manner: Manner) -> Motor:
+    with ExitStack() as opened:
+        runs = [opened.enter_context(Run.open(path)) for path in told]
+        _refuse_another_actuator(runs, asked.actuator)
+        return narrowed(shipped, runs, manner.accuracy)
+
+
+def _written(asked: Request, motor: Motor, told: Sequence[Path], file: Path) -> Commissioned:
+    """Write the motor file of all heats so far, and judge the protocol by it.
+
+    To the memory of the windings a narrowed file is another motor file, of which it would know nothing. What is known
+    of the actuator by the file before holds by this one as well, so it is kept again.
+    """
+    with nullcontext() if asked.in_process else exclusive.held(asked.bench, asked.devices):
+        known = _known(asked, file)
+        _write(file, motor, asked.actuator, told)
+        request = _by(asked, file)
+        Windings(request.bench, request.devices, request.actuator, request.in_process, found=known).keep_as_found()
+    return _judged(asked, load_motor(str(file))[0], file)
+
+
+def _known(asked: Request, file: Path) -> Mapping[str, Recalled]:
+    """The lower of the bounds that the memory has by the bench's own motor file and by an earlier narrowed one."""
+    requests = [asked, *([_by(asked, file)] if file.exists() else [])]
+    several = [Windings(one.bench, one.devices, one.actuator, one.in_process).recalled for one in requests]
+    return {role: min((one[role] for one in several), key=lambda one: float(one.nodes[0])) for role in several[0]}
+
+
+def _refuse_another_actuator(runs: Sequence[Run], actuator: str) -> None:
+    if faults := [
+        f"{run.path}: of actuator '{of}'; '{actuator}' was expected"
+        for run in runs
+        if (of := str(run.attributes.get("actuator", ""))) != actuator
+    ]:
+        raise InputError(faults)
+
+
+def _write(file: Path, motor: Motor, actuator: str, told: Sequence[Path]) -> None:
+    head = [
+        f"# Actuator {actuator}, commissioned {datetime.now(UTC):%Y-%m-%d} by `leactl thermal commission` from",
+        *(f"#   {path.name}" for path in told),
+        "# For this actuator, its mounting and the supply and camera of these runs alone.",
+    ]
+    body = yaml.safe_dump(motor.model_dump(exclude_none=True, exclude_defaults=True), sort_keys=False)
+    with replacement(file) as beside:
+        beside.write_text("\n".join([*head, body]), encoding="utf-8")
+
+
+def _state(found: Commissioned) -> str:
+    by = found.file.name if found.file is not None else f"the tolerances of motor '{found.motor.name}'"
+    passing = found.forecast.passing
+    if passing is None:
+        return f"by {by}: at most {found.forecast.peaks['test']:.1f} degC of {found.limit:.1f}, admitted"
+    return f"by {by}: up to {found.limit:.1f} degC after {passing.time_s:.0f} s in step '{passing.step}', not admitted"
