@@ -114,6 +114,7 @@ class HeatedBench:
         model="winding: wye\nlimits: {winding_temperature: 130}\n",
         mechanical="heated",
         labels=None,
+        actuator="a1",
     ):
         """Write a run and return its path.
 
@@ -151,7 +152,7 @@ class HeatedBench:
             run_id=f"20261120T101530Z-thermal-{self.count:04d}",
             protocol="thermal",
             bench="synthetic",
-            actuator="a1",
+            actuator=actuator,
             condition="design",
             operator="",
             simulated=True,

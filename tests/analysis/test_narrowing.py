@@ -1,0 +1,110 @@
+"""A motor file that heated runs have narrowed keeps its promise, whatever camera and supply were off by meanwhile."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from leactl.analysis.heating.narrowing import Accuracy, narrowed
+from leactl.errors import AcceptanceFailed, InputError, NotIdentifiable
+from leactl.model.motor import load_motor
+from leactl.runfile.reader import Run
+from leactl.safety.thermal.bound import ThermalBound
+from leactl.safety.thermal.box import Box
+from tests.analysis.heated import HeatedBench, Plant, temperatures
+
+LEA = load_motor("lea")[0]
+TOLD, LIMIT, HOLD_S, READ_A = 25.0, 130.0, 4500.0, 8.5
+NEEDLESS_K = 20.0  # by which a promise may be too hot; what the air may be off by makes 8 K of it
+
+
+def drawn(seed):
+    """An actuator and instruments in corners of what they may be, and the air then and later."""
+    rng = np.random.default_rng(seed)
+
+    def off(most):
+        return most * rng.choice([-1.0, 1.0])
+
+    nominal = Plant()
+    names = ("Rwa", "Rwh", "Rha", "Cw", "Ch", "line_resistance", "alpha")
+    plant = replace(nominal, **{name: getattr(nominal, name) * (1.0 + off(0.1)) for name in names})
+    return plant, off(0.02), off(2.0), off(0.02), off(0.005), off(3.0), rng
+
+
+def heated(folder, seed):
+    """A run of an actuator whose camera and supply are off, with what its supply's readings are of the true current."""
+    plant, gain, zero, supply, repeats, air, rng = drawn(seed)
+
+    def as_read(time, camera, columns):
+        for place in camera:
+            camera[place] = camera[place] + zero  # the sensor of the air as well
+        columns["line_current"] = columns["line_current"] / (1.0 + supply)
+
+    bench = HeatedBench(folder, rng, plant)
+    path = bench.run(
+        rate_Hz=2.0, heat_s=700.0, cool_s=1600.0, current=8.0, ambient=TOLD - air, gain=1.0 + gain, edit=as_read
+    )
+    return path, plant, (1.0 + supply) * (1.0 + repeats), TOLD + air
+
+
+def narrowed_by(path, accuracy=None):
+    with Run.open(path) as run:
+        return narrowed(LEA, [run], accuracy or Accuracy())
+
+
+def bound_of(motor):
+    """Bound of the hottest phase [degC] after a hold at the current that the supply reads."""
+    own = motor.tolerances
+    box = Box.of(motor.model_copy(update={"tolerances": own.model_copy(update={"current": own.line_current})}))
+    bound = ThermalBound([box], TOLD + own.ambient_K)
+    bound.step(HOLD_S, np.array([2.0 * READ_A**2]), np.array([0.5]), np.zeros(1), TOLD, late=0.0)
+    return float(bound.hottest()[0]), box
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3, 5])  # among them both signs of each of the instruments' errors
+def test_no_actuator_passes_its_limit_at_a_current_that_its_narrowed_file_admits(tmp_path, seed):
+    path, plant, true_over_read, air = heated(tmp_path, seed)
+    bound, box = bound_of(narrowed_by(path))
+    rows = round(HOLD_S / 10.0) + 1
+    hottest = temperatures(plant, np.full(rows, READ_A * true_over_read), np.full(rows, air), 10.0)[-1].max()
+    stops = box.limit(math.inf, TOLD)  # the bound, at which the true temperature may be at the limit
+    may_be = LIMIT + (bound - stops) / (1.0 - box.temperature_rise)
+    assert may_be - NEEDLESS_K < hottest <= may_be
+
+
+def test_the_current_of_another_instrument_bears_the_tolerance_of_the_supply_as_well(tmp_path):
+    own = narrowed_by(heated(tmp_path, 0)[0]).tolerances
+    assert own.line_current == 0.005
+    assert 1.0 + own.current == pytest.approx(1.02 / 0.98, abs=0.001)
+    assert (own.viscous_damping, own.ambient_K) == (LEA.tolerances.viscous_damping, LEA.tolerances.ambient_K)
+
+
+def test_a_better_camera_lowers_the_limit_less(tmp_path):
+    path = heated(tmp_path, 1)[0]
+    plain, better = narrowed_by(path), narrowed_by(path, Accuracy(camera_gain=0.005))
+    assert plain.tolerances.temperature_rise - better.tolerances.temperature_rise == pytest.approx(0.015, abs=0.0011)
+
+
+def test_what_two_bodies_do_not_explain_widens_the_rise(tmp_path):
+    path = HeatedBench(tmp_path).run(rate_Hz=2.0, heat_s=700.0, cool_s=1600.0, current=8.0, drift=0.2)
+    assert narrowed_by(path).tolerances.temperature_rise > Accuracy().camera_gain + 0.005
+
+
+def test_an_actuator_outside_of_its_tolerances_is_refused_with_the_figure(tmp_path):
+    bench = HeatedBench(tmp_path, plant=Plant(Rha=2.3))
+    path = bench.run(rate_Hz=2.0, heat_s=700.0, cool_s=2400.0, current=7.0)
+    with pytest.raises(AcceptanceFailed, match=r"housing_ambient_resistance 2\.\d+, 1\.428 to 1\.972 was expected"):
+        narrowed_by(path)
+
+
+def test_a_run_that_is_too_short_narrows_nothing(tmp_path):
+    path = HeatedBench(tmp_path).run(rate_Hz=2.0, heat_s=200.0, cool_s=200.0, current=8.0)
+    with pytest.raises(NotIdentifiable, match=r"housing_ambient_resistance.*; heat and cool for longer"):
+        narrowed_by(path)
+
+
+def test_a_motor_file_without_tolerances_has_none_to_narrow(tmp_path):
+    path = heated(tmp_path, 2)[0]
+    with Run.open(path) as run, pytest.raises(InputError, match="no `tolerances:` to narrow"):
+        narrowed(LEA.model_copy(update={"tolerances": None}), [run], Accuracy())
