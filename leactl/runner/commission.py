@@ -13,7 +13,9 @@ from pathlib import Path
 
 import yaml
 
+from leactl.analysis.experiments import refuse_altered, refuse_repeated
 from leactl.analysis.heating.narrowing import Accuracy, narrowed
+from leactl.analysis.quality.gate import doubts_of
 from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
 from leactl.runfile.publish import replacement
@@ -196,7 +198,11 @@ def _shorter(manner: Manner, found: Commissioned) -> Request:
 def _narrowed(asked: Request, shipped: Motor, told: Sequence[Path], manner: Manner) -> Motor:
     with ExitStack() as opened:
         runs = [opened.enter_context(Run.open(path)) for path in told]
-        _refuse_another_actuator(runs, asked.actuator)
+        _refuse_others(runs, asked)
+        refuse_repeated(runs)
+        refuse_altered(runs)
+        for note in dict.fromkeys(note for run in runs for note in doubts_of(run)):
+            manner.tell(note)
         return narrowed(shipped, runs, manner.accuracy)
 
 
@@ -221,12 +227,15 @@ def _known(asked: Request, file: Path) -> Mapping[str, Recalled]:
     return {role: min((one[role] for one in several), key=lambda one: float(one.nodes[0])) for role in several[0]}
 
 
-def _refuse_another_actuator(runs: Sequence[Run], actuator: str) -> None:
-    if faults := [
-        f"{run.path}: of actuator '{of}'; '{actuator}' was expected"
-        for run in runs
-        if (of := str(run.attributes.get("actuator", ""))) != actuator
-    ]:
+def _refuse_others(runs: Sequence[Run], asked: Request) -> None:
+    """Refuse runs of another actuator, and emulated ones for a real bench."""
+    emulated, faults = asked.bench.emulated is not None, []
+    for run in runs:
+        if (of := str(run.attributes.get("actuator", ""))) != asked.actuator:
+            faults.append(f"{run.path}: of actuator '{of}'; '{asked.actuator}' was expected")
+        if bool(run.attributes.get("simulated")) and not emulated:
+            faults.append(f"{run.path}: simulated; a run of the real bench '{asked.bench.name}' was expected")
+    if faults:
         raise InputError(faults)
 
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -108,3 +109,16 @@ def test_a_motor_file_without_tolerances_has_none_to_narrow(tmp_path):
     path = heated(tmp_path, 2)[0]
     with Run.open(path) as run, pytest.raises(InputError, match="no `tolerances:` to narrow"):
         narrowed(LEA.model_copy(update={"tolerances": None}), [run], Accuracy())
+
+
+def test_the_shares_that_the_page_tells_are_those_of_the_code():
+    text = " ".join((Path(__file__).parents[2] / "docs" / "thermal.md").read_text().split())
+    own, told = LEA.tolerances, Accuracy()
+    shifted = 100.0 * LEA.resistance_coefficient * told.camera_offset
+    assert f"what {told.camera_offset:g} K of the camera's zero do to it ({shifted:g} %)" in text
+    assert f"the camera's gain ({100.0 * told.camera_gain:g} %)" in text
+    assert f"changes by from run to run ({100.0 * told.current_repeats:g} %)" in text
+    both = 100.0 * ((1.0 + own.current) / (1.0 - own.current) - 1.0)
+    assert f"{both:.1f} % for {100.0 * own.current:g} % and {100.0 * own.current:g} %" in text
+    lowered = replace(Box.of(LEA), temperature_rise=told.camera_gain).limit(math.inf, TOLD)
+    assert f"at {lowered:.1f} degC in place of {LIMIT:g}" in text

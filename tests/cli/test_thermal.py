@@ -132,3 +132,43 @@ def test_a_real_bench_of_which_nothing_is_known_is_refused_and_begins_when_it_is
     assert "--cold where nothing has heated them" in refused.stderr
     begun = leactl("run", "bursts.yaml", "--set", "current_A=8", "--bench", testbed, "--cold")
     assert begun.returncode == 5, begun.stderr  # the bus is not there
+
+
+def test_commissioning_says_what_the_first_heat_would_be_and_moves_nothing(here):
+    asked = ("thermal", "commission", "--set", "current_A=9", "--actuator", "LEA-1", "--dry-run")
+    done = leactl(*asked, COLUMNS="80")
+    assert done.returncode == 0, done.stderr
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    body = json.loads(leactl(*asked, "--json").stdout)
+    assert (body["admitted"], body["done"], body["runs"], body["motor_file"]) == (False, False, [], None)
+    assert f"{body['next_heating_s']:.0f} s of heating come next" in done.stdout
+    assert "not admitted" in done.stderr
+    assert [path.name for path in here.iterdir()] == ["bursts.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ([], "--actuator: which one is commissioned was expected"),
+        (["friction", "--actuator", "LEA-1", "--bench", "emulated"], "a heated protocol was expected"),
+        (["--actuator", "LEA-1", "--given", "no-such.h5"], "no-such.h5"),
+        (["--actuator", "LEA-1", "--camera-gain", "nan"], "--camera-gain"),
+        (["--actuator", "LEA-1", "--runs", "0"], "--runs"),
+    ],
+)
+def test_commissioning_refuses_what_it_cannot_use_in_one_line(here, words, told):
+    done = leactl("thermal", "commission", *words, "--dry-run")
+    assert done.returncode == 2
+    assert told in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.long
+def test_the_paper_s_heat_is_admitted_and_run_after_one_short_heat(here):
+    done = leactl("thermal", "commission", "--set", "current_A=9", "--actuator", "LEA-1", "--json")
+    assert done.returncode == 0, done.stderr
+    body = json.loads(done.stdout)
+    assert body["done"]
+    assert [one["whole"] for one in body["runs"]] in ([False, True], [False, False, True])
+    with Run.open(here / body["runs"][-1]["run"]) as run:
+        assert run.attributes["status"] == "complete"

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -134,6 +135,29 @@ def test_a_run_of_another_actuator_is_refused(tmp_path):
     other = bench.bench.run(rate_Hz=2.0, heat_s=800.0, cool_s=1600.0, actuator="LEA-2")
     with pytest.raises(InputError, match="of actuator 'LEA-2'; 'LEA-1' was expected"):
         commission(manner_of(bench, given=[other])[0], tmp_path / "LEA-1.yaml")
+
+
+def test_an_altered_run_narrows_nothing(tmp_path):
+    bench, file = Bench(tmp_path), tmp_path / "LEA-1.yaml"
+    path = bench.bench.run(rate_Hz=2.0, heat_s=800.0, cool_s=1600.0, actuator="LEA-1")
+    with h5py.File(path, "r+") as opened:
+        opened["streams/camera/housing_1"][10:] += 0.5
+    with pytest.raises(InputError, match="checksum"):
+        commission(manner_of(bench, given=[path])[0], file)
+    assert not file.exists()
+
+
+def test_an_emulated_run_does_not_narrow_the_file_of_a_real_bench(tmp_path):
+    bench = Bench(tmp_path)
+    run = bench.bench.run(rate_Hz=2.0, heat_s=800.0, cool_s=1600.0, actuator="LEA-1")
+    manner, _said = manner_of(bench, given=[run])
+
+    def prepared(changed):
+        request = manner.prepare(changed)
+        return replace(request, bench=request.bench.model_copy(update={"emulated": None}))
+
+    with pytest.raises(InputError, match="simulated; a run of the real bench"):
+        commission(replace(manner, prepare=prepared), tmp_path / "LEA-1.yaml")
 
 
 def test_the_motor_file_of_the_bench_is_never_replaced(tmp_path):
