@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -47,6 +48,20 @@ def test_another_bench_on_other_buses_is_not_refused(holder, real_bench):
     file, devices = real_bench(name="other")
     with exclusive.held(file.model_copy(update={"buses": file.buses | buses}), devices):
         pass
+
+
+def test_two_benches_do_not_take_their_exports_from_one_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    told = (Path(benchfile.__file__).parent / "files" / "emulated-heated.yaml").read_text()
+    loaded = []
+    for name in ("one", "other"):
+        (tmp_path / f"{name}.yaml").write_text(told.replace("name: emulated-heated", f"name: {name}"))
+        file, devices, _document = benchfile.load(f"{name}.yaml")
+        port = benchfile.SerialBus(kind="serial", port=f"/dev/ttyUSB{len(loaded)}")
+        loaded.append((file.model_copy(update={"buses": {"supply0": port}}), devices))
+    words = r"the folder .*camera of 'camera' is driven by another run"
+    with exclusive.held(*loaded[0]), pytest.raises(DeviceError, match=words), exclusive.held(*loaded[1]):
+        raise AssertionError
 
 
 def test_links_to_one_adapter_are_one_bus(tmp_path):

@@ -9,7 +9,7 @@ from leactl.model.capability import STANDING, TURNING, Winding, current_held
 from leactl.model.motor import load_motor
 from leactl.model.thermal_network import Conductances
 from leactl.safety.thermal.box import Box
-from leactl.safety.thermal.capability import PEAKS_S, nominal, peaks
+from leactl.safety.thermal.capability import HARDEST_A, PEAKS_S, nominal, peaks
 
 AMBIENT = 25.0
 RESISTANCES = ("winding_ambient_resistance", "winding_housing_resistance", "housing_ambient_resistance")
@@ -44,3 +44,17 @@ def test_nominal_peaks_are_those_of_the_exact_solution_or_a_little_less(name):
         ratios = np.array(told) / true
         assert ratios.max() <= 1.0
         assert ratios.min() > 0.99
+
+
+def test_where_the_ambient_may_be_at_the_limit_already_nothing_is_guaranteed():
+    motor = load_motor("lea")[0]
+    limits = motor.limits.model_copy(update={"winding_temperature": AMBIENT + motor.tolerances.ambient_K - 0.5})
+    for one in peaks(motor.model_copy(update={"limits": limits}), AMBIENT, (1.0, 60.0)):
+        assert one.current.guaranteed == 0.0 < one.current.nominal
+
+
+def test_a_limit_that_no_current_reaches_in_time_leaves_the_hardest_current_that_is_tried():
+    motor = load_motor("lea")[0]
+    heavy = motor.thermal.model_copy(update={"winding_capacitance": 1e9})
+    [one] = peaks(motor.model_copy(update={"thermal": heavy}), AMBIENT, (1.0,))
+    assert one.current.guaranteed == pytest.approx(HARDEST_A)

@@ -180,3 +180,24 @@ def test_actuators_side_by_side_do_not_touch_each_other():
         alone.step(GUARD_S, 400.0 * ONE, ONE, 0.0 * ONE, 25.0)
     assert both.nodes()[:, 0] == pytest.approx(alone.nodes()[:, 0], abs=1e-9)
     assert both.nodes()[:, 1] == pytest.approx(25.0, abs=0.002)
+
+
+def test_heat_leaves_as_fast_as_it_does_from_the_fastest_winding():
+    """What comes late is held against the shortest time constant, whichever actuator has it."""
+    light = LEA.model_copy(update={"thermal": LEA.thermal.model_copy(update={"winding_capacitance": 5.0})})
+    own = [ThermalBound([Box.of(motor)], 25.0).decay_s for motor in (LEA, light)]
+    assert own[1] < own[0]
+    for motors in ((LEA, light), (light, LEA)):
+        assert ThermalBound([Box.of(motor) for motor in motors], 25.0).decay_s == own[1]
+
+
+@given(tolerance=st.floats(0.0, 0.2), ambient=st.floats(-20.0, 40.0), air=st.floats(-3.0, 3.0))
+def test_a_network_at_its_limit_whose_rises_lack_a_share_leaves_the_true_winding_at_its_limit_at_most(
+    tolerance, ambient, air
+):
+    told = LEA.tolerances.model_copy(update={"temperature_rise": tolerance})
+    box = Box.of(LEA.model_copy(update={"tolerances": told}))
+    true_air = ambient + air
+    assert true_air + (box.limit(200.0, ambient) - true_air) / (1.0 - tolerance) <= 130.0 + 1e-9
+    assert Box.of(LEA).limit(200.0, ambient) == 130.0
+    assert Box.of(LEA).limit(90.0, ambient) == 90.0

@@ -6,6 +6,7 @@ import h5py
 import pytest
 
 from leactl.errors import DeviceError, InputError, Stopped
+from leactl.protocol.protocolfile import load
 from leactl.runfile.integrity import verify
 from leactl.runfile.reader import Run
 from leactl.runner.campaign import folder as place
@@ -23,6 +24,8 @@ def test_every_run_is_made_once_in_its_order_and_tells_what_it_is_part_of(bench)
     ended = bench.conduct()
     assert ended.error is None
     assert bench.begun == EVERY
+    lasts = load(str(bench.folder.parent / "spin.yaml")).duration_s
+    assert [(one.bench_s, one.wall_s > 0.0) for one in ended.journal.finished.values()] == [(lasts, True)] * 4
     for path, key in zip(sorted(bench.files, key=lambda one: one.stat().st_mtime_ns), EVERY, strict=True):
         assert verify(path) == []
         with Run.open(path) as run:
