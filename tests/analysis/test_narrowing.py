@@ -87,6 +87,13 @@ def test_a_better_camera_lowers_the_limit_less(tmp_path):
     assert plain.tolerances.temperature_rise - better.tolerances.temperature_rise == pytest.approx(0.015, abs=0.0011)
 
 
+def test_what_the_camera_s_zero_does_to_the_resistance_is_in_its_tolerance(tmp_path):
+    path = heated(tmp_path, 1)[0]
+    plain, sure = narrowed_by(path), narrowed_by(path, Accuracy(camera_offset=0.1))
+    widened = plain.tolerances.phase_resistance - sure.tolerances.phase_resistance
+    assert widened == pytest.approx(1.9 * LEA.resistance_coefficient, abs=0.0015)
+
+
 def test_what_two_bodies_do_not_explain_widens_the_rise(tmp_path):
     path = HeatedBench(tmp_path).run(rate_Hz=2.0, heat_s=700.0, cool_s=1600.0, current=8.0, drift=0.2)
     assert narrowed_by(path).tolerances.temperature_rise > Accuracy().camera_gain + 0.005
