@@ -28,6 +28,7 @@ from leactl.runner import exclusive, latch, state, underway
 from leactl.runner.channel_limits import ACCEPTANCE, Verdict
 from leactl.runner.fitting import check_fit, check_setup, limits_of
 from leactl.runner.latch import Latch
+from leactl.runner.left_on import left_on, protections
 from leactl.runner.loop import Loop, Operator
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import InlineFlush, ThreadedFlush
@@ -175,6 +176,7 @@ class Rehearsal:
     planned_bytes: float
     windings: Windings
     forecast: Forecast
+    left_on: Sequence[str]  # what comes of each supply that nobody switches off
     warnings: Sequence[str]
 
 
@@ -190,10 +192,13 @@ def rehearse(request: Request) -> Rehearsal:
         request.latch.refuse()
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
     ready, bench, _supervisor = _ready(request, windings)
+    stays_on = [one.told for one in left_on(ready.plan, windings, bench)]
     warnings = [f"{name}: {text}" for name, text in overdue(request.devices).items()]
     if fault := state.place_of(request.bench, request.in_process).fault:
         warnings.append(f"{fault}; see: leactl doctor")
-    return Rehearsal(ready.plan, _planned_bytes(request.plan, bench), windings, windings.forecast(ready.plan), warnings)
+    return Rehearsal(
+        ready.plan, _planned_bytes(request.plan, bench), windings, windings.forecast(ready.plan), stays_on, warnings
+    )
 
 
 def _alone(request: Request) -> AbstractContextManager[list[int]]:
@@ -211,6 +216,7 @@ def _ready(request: Request, windings: Windings) -> tuple[Request, Bench, Superv
     request = replace(request, plan=windings.approved(request.plan, request.insert_cooldown))
     supervisor = _supervisor(request, bench, windings)
     _check_supplies(request, supervisor)
+    supervisor.supplies.protections = protections(request.plan, windings, bench)
     return request, bench, supervisor
 
 
@@ -254,6 +260,8 @@ def _run(
         error: BaseException | None = None
         try:
             _introduce(request, windings, writer, bench)
+            for one in left_on(plan, windings, bench):
+                writer.event(0.0, "info", "supplies", one.told)
             for name, source in awaited(bench.drivers).items() if not request.in_process else ():
                 if source.exports.absent:
                     progress.warnings.append(f"{name}: there is no folder {source.exports.folder} for its exports yet")

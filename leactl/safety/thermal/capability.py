@@ -74,8 +74,8 @@ def continuous_current(motor: Motor, ambient: float, aligned: float, speed: floa
     ------
     InputError : the motor file has no tolerances.
     """
-    hottest, limit = _settled(ambient, aligned, speed), motor.limits.winding_temperature
-    return Carried(*(_at_limit(box, limit, ambient, hottest) for box in _boxes(motor)))
+    hottest, limit = settled(ambient, aligned, speed), motor.limits.winding_temperature
+    return Carried(*(at_limit(box, limit, ambient, hottest) for box in _boxes(motor)))
 
 
 def continuous(motor: Motor, ambient: float, speeds: Sequence[float]) -> list[Held]:
@@ -106,7 +106,7 @@ def peaks(motor: Motor, ambient: float, durations: Sequence[float]) -> list[Peak
 def nominal(motor: Motor, ambient: float, durations: Sequence[float]) -> Nominal:
     """What a motor file's own values promise, for one without tolerances too; ambient in degC, durations in s."""
     box, limit = Box.exact(motor), motor.limits.winding_temperature
-    held = [_at_limit(box, limit, ambient, _settled(ambient, aligned, 0.0)) for aligned in (TURNING, STANDING)]
+    held = [at_limit(box, limit, ambient, settled(ambient, aligned, 0.0)) for aligned in (TURNING, STANDING)]
     short = [tuple(_held_for(box, limit, ambient, durations, aligned)) for aligned in (TURNING, STANDING)]
     return Nominal(held[0], held[1], short[0], short[1])
 
@@ -147,7 +147,7 @@ def torque(motor: Motor, current: Carried) -> Carried:
     return Carried(*(motor.torque_constant * value for value in values))
 
 
-def _settled(ambient: float, aligned: float, speed: float) -> Callable[[ThermalBound, float], float]:
+def settled(ambient: float, aligned: float, speed: float) -> Callable[[ThermalBound, float], float]:
     """Where the hottest phase ends [degC] under a constant current [A]."""
 
     def hottest(bound: ThermalBound, current: float) -> float:
@@ -157,7 +157,7 @@ def _settled(ambient: float, aligned: float, speed: float) -> Callable[[ThermalB
     return hottest
 
 
-def _at_limit(box: Box, limit: float, ambient: float, hottest: Callable[[ThermalBound, float], float]) -> float:
+def at_limit(box: Box, limit: float, ambient: float, hottest: Callable[[ThermalBound, float], float]) -> float:
     """The current that takes the hottest phase to its limit [A]."""
     bound = ThermalBound([box], ambient)
 
