@@ -114,9 +114,9 @@ def _refusal(plan: Plan, windings: Windings, one: LeftOn) -> str:
         ways = ["a rest before"]
     return (
         f"protocol '{plan.name}': nothing switches off the supply of {one.role} if this machine fails, and"
-        f" {one.voltage:g} V, {one.current:g} A left on may bring its winding to {_hot(one.reached)}, above its limit of"
-        f" {windings.settings.limit:g} degC; what helps: {', or '.join(ways)}, or a supply whose own protection ends it"
-        " in time, or a person who stays by it: `attended: true` in the protocol, or --attended"
+        f" {one.voltage:g} V, {one.current:g} A left on may bring its winding to {_hot(one.reached)}, above its limit"
+        f" of {windings.settings.limit:g} degC; what helps: {', or '.join(ways)}, or a supply whose own protection ends"
+        " it in time, or a person who stays by it: `attended: true` in the protocol, or --attended"
     )
 
 

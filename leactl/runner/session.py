@@ -28,7 +28,6 @@ from leactl.runner import exclusive, latch, state, underway
 from leactl.runner.channel_limits import ACCEPTANCE, Verdict
 from leactl.runner.fitting import check_fit, check_setup, limits_of
 from leactl.runner.latch import Latch
-from leactl.runner.left_on import left_on, protections
 from leactl.runner.loop import Loop, Operator
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import InlineFlush, ThreadedFlush
@@ -192,7 +191,7 @@ def rehearse(request: Request) -> Rehearsal:
         request.latch.refuse()
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
     ready, bench, _supervisor = _ready(request, windings)
-    stays_on = [one.told for one in left_on(ready.plan, windings, bench)]
+    stays_on = _left_on(ready.plan, windings, bench)
     warnings = [f"{name}: {text}" for name, text in overdue(request.devices).items()]
     if fault := state.place_of(request.bench, request.in_process).fault:
         warnings.append(f"{fault}; see: leactl doctor")
@@ -216,8 +215,24 @@ def _ready(request: Request, windings: Windings) -> tuple[Request, Bench, Superv
     request = replace(request, plan=windings.approved(request.plan, request.insert_cooldown))
     supervisor = _supervisor(request, bench, windings)
     _check_supplies(request, supervisor)
-    supervisor.supplies.protections = protections(request.plan, windings, bench)
+    if _switches_on(request.plan):
+        from leactl.runner.left_on import protections  # a root finder comes with it, for which no other run waits
+
+        supervisor.supplies.protections = protections(request.plan, windings, bench)
     return request, bench, supervisor
+
+
+def _left_on(plan: Plan, windings: Windings, bench: Bench) -> list[str]:
+    """What comes of each supply that nobody switches off, a line each."""
+    if not _switches_on(plan):
+        return []
+    from leactl.runner.left_on import left_on
+
+    return [one.told for one in left_on(plan, windings, bench)]
+
+
+def _switches_on(plan: Plan) -> bool:
+    return any(isinstance(action, Supply) for action in plan.actions)
 
 
 def _watched(request: Request, locks: Sequence[int]) -> AbstractContextManager[Unwatched]:
@@ -260,8 +275,8 @@ def _run(
         error: BaseException | None = None
         try:
             _introduce(request, windings, writer, bench)
-            for one in left_on(plan, windings, bench):
-                writer.event(0.0, "info", "supplies", one.told)
+            for text in _left_on(plan, windings, bench):
+                writer.event(0.0, "info", "supplies", text)
             for name, source in awaited(bench.drivers).items() if not request.in_process else ():
                 if source.exports.absent:
                     progress.warnings.append(f"{name}: there is no folder {source.exports.folder} for its exports yet")

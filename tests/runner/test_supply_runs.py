@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,6 +36,7 @@ steps:
   - supply: {test: off}
   - hold: {name: cooling, duration_s: 3}
 """
+DEAD_MAN = Path(__file__).parents[2] / "docs" / "dead-man.md"
 OFF = (True, "output off, 0.00 V and 0.00 A")
 
 
@@ -286,10 +289,10 @@ def test_a_current_that_nothing_would_end_is_refused_with_what_helps(heat):
     with pytest.raises(InputError) as refused:
         heat(UNATTENDED)
     assert str(refused.value) == (
-        "protocol 'heat': nothing switches off the supply of test if this machine fails, and 8 V, 9 A left on may bring its"
-        " winding to 168 degC, above its limit of 130 degC; what helps: voltage_V of 5.7 at the most, where the supply"
-        " itself takes the current back, or current_A of 8 at the most, or a supply whose own protection ends it in time,"
-        " or a person who stays by it: `attended: true` in the protocol, or --attended"
+        "protocol 'heat': nothing switches off the supply of test if this machine fails, and 8 V, 9 A left on may bring"
+        " its winding to 168 degC, above its limit of 130 degC; what helps: voltage_V of 5.7 at the most, where the"
+        " supply itself takes the current back, or current_A of 8 at the most, or a supply whose own protection ends it"
+        " in time, or a person who stays by it: `attended: true` in the protocol, or --attended"
     )
 
 
@@ -345,3 +348,19 @@ def test_the_protection_ends_the_current_where_every_process_is_dead(heat, tmp_p
     assert outcome.status == "tripped"  # the loop wakes up long after, if it does
     assert bench.far_ends["supply"].over_voltage.tripped
     assert 0.57 < max(hottest) < 0.528 * (1 + 0.004 * (130 - 25))
+
+
+def test_the_page_tells_what_stays_on(tmp_path):
+    """Each row of the table, for either supply: what is reached, and what ends it."""
+    rows = re.findall(
+        r"^\| ([\d.]+) V, ([\d.]+) A \| (\d+) degC \| (.*) \| (.*) \|$", DEAD_MAN.read_text(), re.MULTILINE
+    )
+    assert len(rows) == 4
+    for volts, amperes, hottest, *ends in rows:
+        for bench, end in zip(("emulated-heated", protected(tmp_path)), ends, strict=True):
+            words = ["--bench", bench, "--set", f"voltage_V={volts}", "--set", f"current_A={amperes}", "--json"]
+            done = leactl("protocol", "plan", "winding-rise", *words)
+            [told] = json.loads(done.stdout)["left_on"]
+            assert f"at {volts} V, {amperes} A: winding {hottest} degC" in told
+            said = {"outlived": "which it outlives", "refused, or attended": "nothing ends it"}
+            assert told.endswith(said.get(end, f"protection at {end.removeprefix('ended at ')}"))

@@ -1,9 +1,10 @@
 """A supply that nobody switches off: what two leads carry for ever, and where a supply's own protection has to end it.
 
 A supply waits for no sign of life: when every process is dead it keeps its levels. Its current limit bounds the heat by
-R i^2, which rises with the winding; both limits together bound it by voltage times current, whatever the resistance, of
-which no more flows than through the coldest winding of the lowest resistance. Where the bound settles under the most heat that its limit allows is a ceiling: a winding that begins below it in every node
-stays below it under no more heat than that, for the bound is a cooperative system.
+R i^2, which rises with the winding. Both limits together bound it by voltage times current, whatever the resistance; no
+more current flows than through the coldest winding of the lowest resistance. Where the bound settles under the most
+heat that its limit allows is a ceiling: a winding that begins below it in every node stays below it under no more heat
+than that, for the bound is a cooperative system.
 """
 
 import math

@@ -120,8 +120,8 @@ class ScpiDialogue:
             armed = yield from _asked(Question(protection.armed, answers.truth))
             if armed and level < limit - _off_by(limit):
                 raise DeviceError(
-                    f"{protection.name} is armed at {level:g}, below {key} of {limit:g}, and is not loosened: raise it at"
-                    " the instrument, or lower the limit in the bench file"
+                    f"{protection.name} is armed at {level:g}, below {key} of {limit:g}, and is not loosened: raise it"
+                    " at the instrument, or lower the limit in the bench file"
                 )
             found.append(Found(protection, level, armed))
         return found
