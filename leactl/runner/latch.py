@@ -6,6 +6,7 @@ that no tripped rehearsal holds another one. A latch in any place where one may 
 
 import json
 import os
+import secrets
 import shlex
 from collections.abc import Iterator
 from contextlib import suppress
@@ -96,6 +97,9 @@ class Latch:
                 continue
             with suppress(OSError):
                 path.unlink()
+                continue
+            with suppress(OSError):  # a folder, whatever is in it
+                path.rename(path.with_name(f"{path.name}.{secrets.token_hex(4)}.aside"))
                 continue
             try:  # another user's in a sticky directory
                 descriptor = state.opened(path, self.shared)

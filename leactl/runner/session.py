@@ -130,7 +130,7 @@ def execute(
             request, bench, supervisor = _ready(request, windings)
             for source in (announcement.asked, *stops):
                 stop.heed(source)
-            with windings.remembered():
+            with windings.remembered(announcement.renew):
                 bench.open()
                 try:
                     wishes = Wishes(partial(_paused, announcement, pauses), announcement.remarks)

@@ -115,6 +115,8 @@ class Memory:
             text = (json.dumps(body, indent=1) + "\n").encode().ljust(BYTES)
             if os.pwrite(descriptor, text, 0) < len(text):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            if os.fstat(descriptor).st_size > len(text):  # something else has written here
+                os.ftruncate(descriptor, len(text))
         finally:
             os.close(descriptor)
 
@@ -152,6 +154,9 @@ class Memory:
             raise TypeError("boot: the identifier of a boot was expected")
         if type(kept["running"]) is not bool:
             raise ValueError("running: true or false was expected")
+        for key in ("time", "since_boot_s"):
+            if type(kept[key]) not in (int, float):
+                raise ValueError(f"{key} {kept[key]!r}: seconds were expected")
         moment = Moment(float(kept["time"]), kept["boot"], float(kept["since_boot_s"]))
         return np.array(nodes, float), moment, kept["running"]
 
@@ -166,6 +171,7 @@ class Keeper:
         self._ended = threading.Event()
         self._fault = ""
         self._written = clock()
+        self.beside: Callable[[], None] = lambda: None  # what else is to be looked after as often
         self.doubted = False  # whether something may go on heating them when the run has ended
         self._thread = threading.Thread(target=self._keep_on, name="leactl-thermal", daemon=True)
 
@@ -196,6 +202,7 @@ class Keeper:
 
     def _keep_on(self) -> None:
         while not self._ended.wait(WRITTEN_EVERY_S):
+            self.beside()
             try:
                 self._write(running=True)
             except OSError as error:

@@ -3,7 +3,7 @@
 An emulated bench of this process is at ambient whenever it begins, by its own clock; every other bench has a memory.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 from leactl.bench.benchfile import BenchFile, CheckedDevice, host_silences
@@ -64,8 +64,10 @@ class Windings:
         self.keeper = None if emulated_here else Keeper(memories, lambda: self.guard.kept, Moment.now)
 
     @contextmanager
-    def remembered(self) -> Iterator[None]:
+    def remembered(self, beside: Callable[[], None] = lambda: None) -> Iterator[None]:
         """Keep the bounds for the next run while the block lasts, and once more at its end.
+
+        `beside` is called as often, from the same thread.
 
         Raises
         ------
@@ -74,6 +76,7 @@ class Windings:
         if self.keeper is None:
             yield
             return
+        self.keeper.beside = beside
         self.keeper.start()
         self.guard.remember(self.keeper.fault)
         try:

@@ -96,6 +96,12 @@ def test_a_protection_trips_before_a_supply_that_is_low_takes_the_current_back(a
     assert level < trip_level(BOX, LIMIT - MARGIN, 0.0, 8.0, 9.0, PROTECTION)
 
 
+def test_of_two_phases_that_differ_the_hotter_one_counts():
+    """The instrument sees the mean of both."""
+    apart = trip_level(BOX, LIMIT - MARGIN, 30.0, 8.0, 9.0, PROTECTION)
+    assert apart == pytest.approx(trip_level(BOX, LIMIT - MARGIN - 15.0, 0.0, 8.0, 9.0, PROTECTION), abs=1e-9)
+
+
 def test_a_protection_that_would_end_the_current_at_once_is_none():
     assert trip_level(BOX, LIMIT - MARGIN, 0.0, 5.0, 9.0, PROTECTION) is None
     assert trip_level(BOX, LIMIT - MARGIN, 0.0, 8.0, 2.0, PROTECTION) is None
