@@ -167,6 +167,15 @@ def opened(path: Path, shared: bool) -> int:
     return descriptor
 
 
+def in_place(descriptor: int, path: Path) -> bool:
+    """Whether an open file is still the one at its path: not removed, moved or exchanged; takes no descriptor."""
+    try:
+        there, own = os.lstat(path), os.fstat(descriptor)
+    except OSError:
+        return False
+    return (there.st_dev, there.st_ino) == (own.st_dev, own.st_ino)
+
+
 def _machine_directory() -> Path:
     return _absolute("LEACTL_MACHINE_STATE", os.environ.get("LEACTL_MACHINE_STATE") or MACHINE)
 

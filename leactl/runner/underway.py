@@ -50,13 +50,10 @@ class Announcement:
         if self._path is None:
             return
         with suppress(OSError), self._telling:
-            try:
-                there, own = os.lstat(self._path), os.fstat(self._descriptor)
-                if (there.st_dev, there.st_ino) == (own.st_dev, own.st_ino):
-                    return
+            if state.in_place(self._descriptor, self._path):
+                return
+            with suppress(FileNotFoundError):
                 self._path.rename(self._path.with_name(f"{self._path.name}.{secrets.token_hex(4)}.aside"))
-            except FileNotFoundError:
-                pass
             told = os.pread(self._descriptor, MOST_TOLD, 0)
             descriptor = _locked(self._path, told, self._shared)
             self._descriptor, self._head = descriptor, mmap.mmap(descriptor, HEAD, prot=mmap.PROT_READ)
