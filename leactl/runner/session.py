@@ -357,6 +357,7 @@ def _run(
         writer.event(loop.time, "info" if verdict.met else "warning", ACCEPTANCE, verdict.told)
     try:
         writer.close(*_status(error))
+        notes += writer.notes()
         notes += collect(bench.drivers, request.bench_document, writer.path)
     except Exception as failure:  # noqa: BLE001 (as above)
         error = _joined(error, failure)

@@ -3,6 +3,7 @@
 import json
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,7 +14,10 @@ import numpy as np
 import pytest
 
 from leactl.model.motor import load_motor
-from leactl.runner import latch, state, watchdog_process
+from leactl.runfile import writer
+from leactl.runfile.integrity import verify
+from leactl.runfile.reader import Run
+from leactl.runner import latch, recorder, state, watchdog_process
 from leactl.runner.latch import BYTES, Ready
 from leactl.runner.moment import Moment
 from leactl.runner.thermal_memory import Keeper, Memory
@@ -176,3 +180,76 @@ def test_what_is_in_memory_is_locked_there_and_the_kernel_asked(monkeypatch, tmp
     assert (asked, score.read_text()) == ([1], "-1000")
     monkeypatch.setattr(watchdog_process, "OOM_SCORE", tmp_path / "none" / "score")
     watchdog_process.hold_on()
+
+
+# -- the folder of the run's file ------------------------------------------------------------------------------------
+
+
+def folder_removed(runs):
+    shutil.rmtree(runs)
+
+
+def folder_moved(runs):
+    runs.rename(runs.with_name("old"))
+
+
+def file_exchanged(runs):
+    [file] = runs.glob("*.h5")
+    file.unlink()
+    file.write_text("another")
+
+
+@pytest.mark.parametrize("vanish", [folder_removed, folder_moved, file_exchanged])
+@pytest.mark.parametrize("at", [0.2, 0.75])  # s, of which the second is in the run's last flush
+def test_rows_of_a_run_whose_folder_vanishes_go_elsewhere_and_that_is_told(spin, tmp_path, monkeypatch, vanish, at):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
+    outcome, _bench = spin(at=[(at, lambda _bench: vanish(tmp_path / "runs"))])
+    assert (outcome.status, outcome.error) == ("complete", None)
+    elsewhere = tmp_path if vanish is file_exchanged else tmp_path / "runs"
+    assert outcome.path.parent == elsewhere
+    assert verify(outcome.path) == []
+    with Run.open(outcome.path) as run:
+        assert run.status == "complete"
+        time = run.channel("q_axis_current", role="test").time
+    assert time[0] < 0.05
+    assert time[-1] > 0.75
+    assert np.diff(time) == pytest.approx(0.01)
+    [told] = [note for note in outcome.notes if "was removed or moved while it was written" in note]
+    assert told.endswith(f"every row of the run is in {outcome.path}")
+
+
+def test_a_folder_that_can_be_nowhere_ends_the_run(spin, tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
+
+    def nowhere(_rows, _name, _folders):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(writer, "copied", nowhere)
+    outcome, _bench = spin(at=[(0.3, lambda _bench: shutil.rmtree(tmp_path / "runs"))])
+    assert outcome.status == "failed"
+    assert "recording failed" in outcome.reason
+    assert all(confirmation.safe for confirmation in outcome.safe.values())
+
+
+@pytest.mark.parametrize(
+    ("number", "helps"),
+    [
+        (28, "free space on the disk"),
+        (24, "raise the limit of open files (ulimit -n)"),
+        (13, "let this user write there, or choose --out"),
+        (2, "make the folder again, or choose --out"),
+        (12, "end other programs, for memory is short"),
+        (5, "free space on the disk"),
+    ],
+)
+def test_each_cause_has_its_own_advice_and_all_have_one_status(spin, tmp_path, monkeypatch, number, helps):
+    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
+
+    def refused(*_reserved):
+        raise OSError(number, os.strerror(number))
+
+    outcome, _bench = spin(at=[(0.3, lambda _bench: monkeypatch.setattr(writer, "reserve", refused))])
+    assert (outcome.status, outcome.error.exit_status) == ("failed", 2)
+    assert outcome.reason.endswith(f"{os.strerror(number)}; {helps}, then run: leactl runs recover")
+    assert all(confirmation.safe for confirmation in outcome.safe.values())

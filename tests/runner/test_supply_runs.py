@@ -364,3 +364,15 @@ def test_the_page_tells_what_stays_on(tmp_path):
             assert f"at {volts} V, {amperes} A: winding {hottest} degC" in told
             said = {"outlived": "which it outlives", "refused, or attended": "nothing ends it"}
             assert told.endswith(said.get(end, f"protection at {end.removeprefix('ended at ')}"))
+
+
+def test_a_person_attends_by_a_word_at_the_command_line(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "heat.yaml").write_text(UNATTENDED)
+    words = ["run", "heat.yaml", "--bench", "emulated-heated", "--dry-run"]
+    refused = leactl(*words)
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "nothing switches off the supply of test" in refused.stderr
+    done = leactl(*words, "--attended")
+    assert done.returncode == 0, done.stderr
+    assert "test supply left on at 8 V, 9 A: winding 168 degC; the run is attended\n" in done.stdout
