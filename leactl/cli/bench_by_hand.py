@@ -43,7 +43,7 @@ def stop(
     from leactl.runner import underway
 
     found, faults = underway.running()
-    found = _runs_on(bench, found)
+    found = _runs_on(bench, found, faults)
     asked = []
     for run in found:  # every one is asked before any is waited for
         try:
@@ -98,7 +98,7 @@ def _ask_each(bench: str, as_json: bool, ask: "Callable[[Underway], None]", answ
     from leactl.runner import underway
 
     found, faults = underway.running()
-    found = _runs_on(bench, found)
+    found = _runs_on(bench, found, faults)
     asked = []
     for run in found:
         try:
@@ -116,8 +116,13 @@ def _ask_each(bench: str, as_json: bool, ask: "Callable[[Underway], None]", answ
         raise DeviceError("; ".join(faults))
 
 
-def _runs_on(bench: str, found: "list[Underway]") -> "list[Underway]":
-    """Those of a bench as its run was told it; its file is read only where that does not settle it."""
+def _runs_on(bench: str, found: "list[Underway]", faults: list[str]) -> "list[Underway]":
+    """Those of a bench as its run was told it; its file is read only where that does not settle it.
+
+    A run that holds the bench, and whose file cannot be found, is added to the faults.
+    """
+    from leactl.runner.underway import unseen
+
     if not bench:
         return found
     path = str(Path(bench).resolve())
@@ -126,8 +131,13 @@ def _runs_on(bench: str, found: "list[Underway]") -> "list[Underway]":
         return named
     from leactl.bench.benchfile import load
 
-    name = load(bench)[0].name
-    return [run for run in found if run.bench == name]
+    hidden = unseen(bench)
+    name = bench if hidden else load(bench)[0].name
+    named = [run for run in found if run.bench == name]
+    hidden = hidden or ("" if named else unseen(name))
+    if hidden:
+        faults.append(hidden)
+    return named
 
 
 def _end(run: "Underway", ended: bool, waited_s: float) -> dict[str, Any]:

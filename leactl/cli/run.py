@@ -33,6 +33,9 @@ def run(
     ),
     cold: bool = typer.Option(False, "--cold", help="Nothing has heated the actuators since they were at ambient."),
     insert_cooldown: bool = typer.Option(False, "--insert-cooldown", help="Wait where a winding would grow too hot."),
+    attended: bool = typer.Option(
+        False, "--attended", help="Somebody stays by the bench, to switch off a supply if this machine fails."
+    ),
     dry_run: bool = typer.Option(False, "--dry-run", help="Check everything, print the plan, and move nothing."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
@@ -41,7 +44,8 @@ def run(
     from leactl.runner.signals import to_the_end
 
     request = prepare(protocol, bench, settings, actuator, condition, operator, out, realtime, served, bus)
-    request = replace(request, cold=cold, insert_cooldown=insert_cooldown)
+    plan = replace(request.plan, attended=attended or request.plan.attended)
+    request = replace(request, plan=plan, cold=cold, insert_cooldown=insert_cooldown)
     if dry_run:
         from leactl.report.outputs import check_folder
         from leactl.report.plan import rehearsal_body, rehearsal_text

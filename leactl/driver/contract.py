@@ -108,6 +108,17 @@ class Block(NamedTuple):
             yield Row(self.stream, time, values)
 
 
+class TripAccuracy(NamedTuple):
+    """How far from its level an instrument's protection may trip: a share of the level, and so much beside it."""
+
+    share: float
+    beside: float
+
+    def level_below(self, highest: float) -> float:
+        """The level at which it has tripped at this value at the latest."""
+        return (highest - self.beside) / (1.0 + self.share)
+
+
 class Mode(StrEnum):
     """What a motion device follows."""
 
@@ -267,3 +278,20 @@ class PowerSupply(Protocol):
     @property
     def supplying(self) -> bool:
         """True from when the device itself has reported its output on until it has reported it off."""
+
+
+@runtime_checkable
+class ProtectedSupply(Protocol):
+    """A supply whose own over-voltage protection switches its output off, whoever is dead; armed and read back."""
+
+    @property
+    def trip_accuracy(self) -> TripAccuracy:
+        """How far from its level [V] the protection may trip."""
+
+    def protect(self, level: float) -> None:
+        """Have the protection trip at this level [V], from the next `supply` on and with it.
+
+        Raises
+        ------
+        InputError : a value that is not finite, not above zero, or above the highest voltage; nothing is passed on.
+        """

@@ -16,6 +16,7 @@ from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 
 MOST_LOST = 3  # rounds in a row
+LEAVE_S = 2.0
 QUANTITIES = {"leads": ("line_voltage", "line_current"), "bus": ("bus_voltage", "bus_current")}
 
 
@@ -55,6 +56,14 @@ class Dialogue(Protocol):
         DeviceError : another instrument, or a setting that does not stick.
         """
 
+    def leave(self) -> Script[Sequence[str]]:
+        """Put back what `set_up` has changed and somebody else may count on; what that was.
+
+        Raises
+        ------
+        DeviceError : it does not stick.
+        """
+
     def in_step(self) -> Script[object]:
         """Drop answers that were meant for earlier questions."""
 
@@ -91,6 +100,7 @@ class SupplyLine:
         self.stream = StreamSpec(name, tuple(channels))
         self.supplying = False
         self._opened = False
+        self._seen_off = False  # since it was last switched on
         self._talk: Talk[None] | None = None
         self._levels: tuple[float, float] | None = None  # to be set
         self._switch: bool | None = None  # to be switched
@@ -102,6 +112,7 @@ class SupplyLine:
     def make_safe(self, deadline_s: float) -> Confirmation:
         """Switch off and see that it is, from any state, over a fresh connection if need be; never raises."""
         self._forget_demands()
+        self._seen_off = False
         until = self._clock.now() + deadline_s
         trouble, progress = "", Progress()
         while self._clock.now() < until:
@@ -117,7 +128,7 @@ class SupplyLine:
                     trouble = progress.said or str(error)
                 self._start_afresh(until)
                 continue
-            self.supplying = False
+            self.supplying, self._seen_off = False, True
             break
         else:
             confirmed = Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble or 'no time was left'}")
@@ -171,13 +182,26 @@ class SupplyLine:
             raise NoAnswer(f"{self._name}: {error}") from None
         except DeviceError as error:
             raise type(error)(f"{self._name}: {error}") from None
-        self.supplying = False
+        self.supplying, self._seen_off = False, True
 
     def close(self) -> None:
-        """Let the line go."""
+        """Put back what was found, where the output is off, and let the line go.
+
+        Raises
+        ------
+        DeviceError : it could not be put back; the line is let go all the same.
+        """
         self._talk = None
-        if self._opened:
-            self._opened = False
+        if not self._opened:
+            return
+        self._opened = False
+        try:
+            if self._seen_off:
+                self._port.discard()
+                Talk(self._port, self._dialogue.leave(), self._answer_s).finish(self._clock.now() + LEAVE_S)
+        except DeviceError as error:
+            raise type(error)(f"its protections were not put back as they were found: {error}") from None
+        finally:
             self._port.close()
 
     # -- demands -----------------------------------------------------------------------------------------------------
@@ -200,7 +224,7 @@ class SupplyLine:
 
     def switch_on(self) -> None:
         """Begin to switch the output on."""
-        self._switch = True
+        self._switch, self._seen_off = True, False
 
     def switch_off(self) -> None:
         """Begin to switch the output off: at once, and then until it is confirmed.

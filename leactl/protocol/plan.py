@@ -381,6 +381,7 @@ class Plan:
     separates: tuple[str, ...] = ()  # effects of the gap's vocabulary that its runs tell apart
     needs: tuple[str, ...] = ()  # quantities without which its runs would be of no use
     wants: tuple[str, ...] = ()  # quantities that its analysis takes; what no device measures comes by another record
+    attended: bool = False  # a person says that they stay by the bench, and switch off what stays on
 
     @property
     def duration_s(self) -> float:

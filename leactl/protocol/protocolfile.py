@@ -15,6 +15,7 @@ acceptance:
 wants: [winding_temperature]    # that the analysis takes; a run says which of them no device of its bench measures
 separates: [time_skew, torque_sensor_lag]     # effects that `leactl gap diagnose` can tell apart by its runs
 needs: [phase_voltage_ab]                     # refused on a bench without; opens devices that are `on_demand` there
+attended: true                  # somebody stays by the bench: a supply that could burn a winding may be switched on
 """
 
 import math
@@ -140,6 +141,7 @@ def expanded(document: yamlfile.Document, folder: Path, overrides: Mapping[str, 
         separates=head.separates,
         needs=head.needs,
         wants=head.wants,
+        attended=head.attended,
     )
 
 

@@ -160,6 +160,7 @@ class Head(Block):
     separates: tuple[EffectName, ...] = ()
     needs: tuple[Quantity, ...] = ()
     wants: tuple[Quantity, ...] = ()
+    attended: Annotated[bool, Field(strict=True)] = False
 
 
 def divides(part_hz: float, whole_hz: float) -> bool:

@@ -4,11 +4,16 @@ The live file is uncompressed and in HDF5's single-writer/multiple-reader mode, 
 every flushed row readable; an orderly close repacks it. Appending never waits for the disk: `flush` may run elsewhere.
 """
 
+import errno
+import os
+import shutil
+import tempfile
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
 import h5py
 import numpy as np
@@ -53,6 +58,7 @@ class RunWriter:
             raise InputError(faults)
         self.path = directory / f"{info.run_id}.h5"
         self.closed = False
+        self._streams, self._notes = streams, list[str]()
         self._fault = ""  # the first one, for whoever comes after it
         self._disk, self._wait_for_disk = threading.Lock(), wait_for_disk
         self._buffers = {name: RowBuffer(len(specs)) for name, specs in streams.items()}
@@ -102,6 +108,12 @@ class RunWriter:
         """Bring everything so far into the file, where a reader or a recovery finds it."""
         with self._disk:
             self._on_disk(self._write_pending)
+            self._stay_in_place()
+
+    def notes(self) -> list[str]:
+        """What a person should know of the file since this was asked last."""
+        told, self._notes = self._notes, []
+        return told
 
     def close(self, status: str, reason: str = "") -> None:
         """Write what is left, repack compressed with checksums, and replace the live file in one step."""
@@ -112,6 +124,7 @@ class RunWriter:
                 raise self._ended()
             if not self.closed:
                 self._on_disk(self._write_pending)
+                self._stay_in_place()
                 self._on_disk(self._file.close)
                 self._on_disk(lambda: self._repack(status, reason))
                 self.closed = True
@@ -146,6 +159,33 @@ class RunWriter:
                 write_live_table(self._file[name], layout.TABLES[name], self._tables_written[name], pending)
                 self._tables_written[name] += len(pending)
 
+    def _stay_in_place(self) -> None:
+        """Where the file or its folder was removed, moved or exchanged, go on in a copy that can be found."""
+        own = os.fstat(self._file.id.get_vfd_handle())
+        with suppress(OSError):
+            there = os.lstat(self.path)
+            if (there.st_dev, there.st_ino) == (own.st_dev, own.st_ino):
+                return
+        self._on_disk(self._go_on_elsewhere)
+
+    def _go_on_elsewhere(self) -> None:
+        """In a new folder of the same name, else in the working directory, else where temporary files are."""
+        before = self.path
+        descriptor = os.dup(self._file.id.get_vfd_handle())
+        try:
+            self._file.close()
+            with os.fdopen(descriptor, "rb", closefd=False) as rows:
+                self.path = copied(rows, before.name, [before.parent, Path.cwd(), Path(tempfile.gettempdir())])
+        finally:
+            os.close(descriptor)
+        self._file = h5py.File(self.path, "r+", libver=layout.HDF5_FORMAT)
+        self._file.swmr_mode = True
+        groups = self._file["streams"]
+        self._datasets = {name: opened_columns(groups[name], specs) for name, specs in self._streams.items()}
+        self._notes.append(
+            f"{before}: was removed or moved while it was written; every row of the run is in {self.path}"
+        )
+
     def _reserve(self, taken: Mapping[str, np.ndarray[Any, Any]], tables: Mapping[str, Sequence[Any]]) -> None:
         """Take room for the rows, for a chunk that each column may begin, and for the tables' fixed-length text."""
         size = sum(rows.nbytes + 8 * LIVE_CHUNK_ROWS * rows.shape[1] for rows in taken.values() if len(rows))
@@ -170,7 +210,7 @@ class RunWriter:
             action()
         # HDF5 reports a full disk as OSError while writing and as RuntimeError while flushing or closing
         except (OSError, RuntimeError, NotWritten) as fault:
-            hint = "free space on the disk, then run: leactl runs recover"
+            hint = f"{advice(fault)}, then run: leactl runs recover"
             self._fault = f"{self.path}: recording failed: {one_line(str(fault))}; {hint}"
             self._abandon()
             raise RecordingFailed(self._fault) from fault
@@ -185,6 +225,41 @@ class RunWriter:
 
 
 KEPT_OPEN: list[Any] = []
+ADVICE = {
+    "free space on the disk": (errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
+    "raise the limit of open files (ulimit -n)": (errno.EMFILE, errno.ENFILE),
+    "let this user write there, or choose --out": (errno.EACCES, errno.EPERM, errno.EROFS),
+    "make the folder again, or choose --out": (errno.ENOENT, errno.ENOTDIR, errno.ESTALE),
+    "end other programs, for memory is short": (errno.ENOMEM,),
+}
+
+
+def advice(fault: BaseException) -> str:
+    """What helps where a file takes no more; HDF5 tells no cause of what it could not write, and that is the room."""
+    number = getattr(fault, "errno", None)
+    return next((text for text, numbers in ADVICE.items() if number in numbers), "free space on the disk")
+
+
+def copied(rows: BinaryIO, name: str, folders: Sequence[Path]) -> Path:
+    """Copy a file into the first folder that takes it; nothing is overwritten.
+
+    Raises
+    ------
+    OSError : none does.
+    """
+    fault = OSError("there is no folder for it")
+    for folder in folders:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with (folder / name).open("xb") as copy:
+                rows.seek(0)
+                shutil.copyfileobj(rows, copy)
+                os.fsync(copy.fileno())
+        except OSError as refused:
+            fault = refused
+        else:
+            return folder / name
+    raise fault
 
 
 def create(partial: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> Any:

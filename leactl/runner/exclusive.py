@@ -13,18 +13,15 @@ import pwd
 import re
 import socket
 import stat
-import struct
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from hashlib import sha256
 from pathlib import Path
 
 from leactl.bench.benchfile import BenchFile, Bus, CheckedDevice, I2cBus, SerialBus
 from leactl.driver.batch import RecordSettings
 from leactl.errors import DeviceError, InputError
-from leactl.runner import state
+from leactl.runner import holding, state
 
-LONGEST_NAME = 100  # bytes of an abstract socket's name; the kernel takes 107
 WAITING = 4096  # who asks for the holder stays in its queue; beyond this, or the kernel's bound, it is unknown
 UDP_MULTICAST_PORT = 43113  # of python-can, where no option names another
 
@@ -69,12 +66,10 @@ def alone(place: str, taken: str) -> Iterator[int]:
     ------
     DeviceError : another process holds it.
     """
-    name = f"leactl/{place}".encode(errors="surrogateescape")
-    if len(name) > LONGEST_NAME:
-        name = f"leactl/{sha256(name).hexdigest()}".encode()
+    name = holding.lock_of(place)
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as lock:
         try:
-            lock.bind(b"\0" + name)
+            lock.bind(name)
         except OSError as error:
             if error.errno != errno.EADDRINUSE:
                 raise DeviceError(f"{place}: cannot be held: {error.strerror}") from None
@@ -85,13 +80,10 @@ def alone(place: str, taken: str) -> Iterator[int]:
 
 def _holder(name: bytes) -> str:
     """The process that holds a lock, as the kernel tells it, with its user where that is another one."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
-        asking.setblocking(False)
-        try:
-            asking.connect(b"\0" + name)
-        except OSError:  # on its way to the lock, or asked too often
-            return "process unknown"
-        process, user, _group = struct.unpack("3i", asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+    found = holding.holder(name)
+    if found is None:  # on its way to the lock, or asked too often
+        return "process unknown"
+    process, user = found
     if user == os.geteuid():
         return f"process {process}"
     try:

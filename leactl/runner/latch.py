@@ -4,8 +4,10 @@ A bench on real buses latches for the machine, by its name; one that is emulated
 that no tripped rehearsal holds another one. A latch in any place where one may lie holds the bench.
 """
 
+import errno
 import json
 import os
+import secrets
 import shlex
 from collections.abc import Iterator
 from contextlib import suppress
@@ -22,6 +24,7 @@ from leactl.runner import state
 
 SUFFIX = ".trip.json"
 RELEASED = b'{"released": true}\n'  # in the file of another user, whom it takes to remove it
+BYTES = 4096  # of a latch that is held ready, so that setting it takes no room
 DIGITS = 16  # of a file's digest in the name of its latch
 
 
@@ -51,13 +54,12 @@ class Latch:
         ------
         LeactlError : the latch could not be written; the bench is safe, but the next run will not know.
         """
-        trip = Trip(self.bench, cause, datetime.now(UTC).isoformat(timespec="seconds"), str(run))
         path = Path(self.paths[0])
         try:
             descriptor = state.opened(path, self.shared)
             try:
                 os.ftruncate(descriptor, 0)
-                os.write(descriptor, json.dumps(asdict(trip), indent=1).encode() + b"\n")
+                os.write(descriptor, _told(self.bench, cause, run))
                 os.fsync(descriptor)
             finally:
                 os.close(descriptor)
@@ -97,6 +99,9 @@ class Latch:
             with suppress(OSError):
                 path.unlink()
                 continue
+            with suppress(OSError):  # a folder, whatever is in it
+                path.rename(path.with_name(f"{path.name}.{secrets.token_hex(4)}.aside"))
+                continue
             try:  # another user's in a sticky directory
                 descriptor = state.opened(path, self.shared)
                 try:
@@ -109,6 +114,69 @@ class Latch:
                 raise InputError(
                     f"{path}: the latch cannot be released: {reason}; its owner may, as root may"
                 ) from None
+
+
+class Ready:
+    """A latch whose file is open before the first move, with its room: to set it takes no descriptor and no disk space.
+
+    Until it is set it says that it is released. Where its file was removed or exchanged meanwhile, it is made anew.
+    """
+
+    def __init__(self, latch: Latch) -> None:
+        """Open it, or make it.
+
+        Raises
+        ------
+        LeactlError : it cannot be.
+        """
+        self._latch, self._path = latch, Path(latch.paths[0])
+        self._cut_short = json.dumps(asdict(Trip(latch.bench, "unknown, for want of memory", "", ""))).encode()
+        try:
+            self._descriptor = state.opened(self._path, latch.shared)
+            if os.pread(self._descriptor, BYTES, 0).strip() in (b"", RELEASED.strip()):
+                self._write(RELEASED)
+                force_to_disk(self._path.parent)
+        except OSError as error:
+            raise LeactlError(f"{self._path}: no trip could be latched: {error.strerror or error}") from None
+
+    def set(self, cause: str, run: Path) -> None:
+        """Latch the bench, on the disk when this returns; as `Latch.set`.
+
+        Raises
+        ------
+        LeactlError : the latch could not be written; the bench is safe, but the next run will not know.
+        """
+        try:
+            text = _told(self._latch.bench, cause, run)
+        except MemoryError:
+            text = self._cut_short
+        if not state.in_place(self._descriptor, self._path):
+            self._latch.set(cause, run)
+            return
+        try:
+            self._write(text)
+        except OSError as error:
+            raise LeactlError(f"{self._path}: the trip could not be latched: {error.strerror or error}") from None
+
+    def close(self) -> None:
+        """Let it go, and take it away where it was not set."""
+        with suppress(OSError):
+            if (
+                state.in_place(self._descriptor, self._path)
+                and os.pread(self._descriptor, BYTES, 0).strip() == RELEASED.strip()
+            ):
+                self._path.unlink()
+        os.close(self._descriptor)
+
+    def _write(self, text: bytes) -> None:
+        if os.pwrite(self._descriptor, text.ljust(BYTES), 0) < len(text):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        os.fsync(self._descriptor)
+
+
+def _told(bench: str, cause: str, run: Path) -> bytes:
+    trip = Trip(bench, cause, datetime.now(UTC).isoformat(timespec="seconds"), str(run))
+    return json.dumps(asdict(trip), indent=1).encode() + b"\n"
 
 
 def of(bench: BenchFile, file: str, in_process: bool) -> Latch:
@@ -160,7 +228,7 @@ def _trip(bench: str, path: Path) -> Trip | None:
         return None
     except OSError as error:
         return Trip(bench, f"unknown, {path} cannot be read: {error.strerror or error}", "", "")
-    if text == RELEASED:
+    if text.strip() == RELEASED.strip():
         return None
     try:
         return Trip(**json.loads(text))

@@ -230,6 +230,9 @@ class Loop:
             self._note("warning", "runner", f"cycle late by {late * 1e3:.1f} ms; {self.overruns} so far")
 
     def _pass_on_notices(self) -> None:
+        for text in self._writer.notes():
+            self._note("warning", "recorder", text)
+            self._progress.warnings.append(text)
         for source, text in self._bench.notices():
             self._note("warning", source, text)
         for text in self._wishes.remarks():

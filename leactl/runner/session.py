@@ -27,7 +27,7 @@ from leactl.runfile.writer import RunInfo, RunWriter, new_run_id
 from leactl.runner import exclusive, latch, state, underway
 from leactl.runner.channel_limits import ACCEPTANCE, Verdict
 from leactl.runner.fitting import check_fit, check_setup, limits_of
-from leactl.runner.latch import Latch
+from leactl.runner.latch import Latch, Ready
 from leactl.runner.loop import Loop, Operator
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import InlineFlush, ThreadedFlush
@@ -116,11 +116,12 @@ def execute(
     run_id = request.run_id or new_run_id(request.plan.name, datetime.now(UTC))
     devices = placed(request.devices, request.directory, run_id if request.in_process else "")
     request = replace(request, run_id=run_id, devices=devices)
-    with _alone(request) as locks, listening() as stop:
+    with _alone(request) as locks, listening() as stop, ExitStack() as lasting:
         place = state.place_of(request.bench, request.in_process)
         if not request.in_process:
             _latch_lost(request)
         request.latch.refuse()
+        bench_latch = _held_ready(request, lasting)
         about = request.bench.name, request.bench_document.name, request.plan.name
         with (
             _watched(request, locks) as watchdog,
@@ -130,12 +131,22 @@ def execute(
             request, bench, supervisor = _ready(request, windings)
             for source in (announcement.asked, *stops):
                 stop.heed(source)
-            with windings.remembered():
+            with windings.remembered(announcement.renew):
                 bench.open()
                 try:
                     wishes = Wishes(partial(_paused, announcement, pauses), announcement.remarks)
                     outcome = _run(
-                        request, bench, windings, supervisor, stop, wishes, operator, watch, announcement, watchdog
+                        request,
+                        bench,
+                        windings,
+                        supervisor,
+                        stop,
+                        wishes,
+                        operator,
+                        watch,
+                        announcement,
+                        watchdog,
+                        bench_latch,
                     )
                 finally:
                     left = bench.close()
@@ -175,6 +186,7 @@ class Rehearsal:
     planned_bytes: float
     windings: Windings
     forecast: Forecast
+    left_on: Sequence[str]  # what comes of each supply that nobody switches off
     warnings: Sequence[str]
 
 
@@ -190,10 +202,13 @@ def rehearse(request: Request) -> Rehearsal:
         request.latch.refuse()
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
     ready, bench, _supervisor = _ready(request, windings)
+    stays_on = _left_on(ready.plan, windings, bench)
     warnings = [f"{name}: {text}" for name, text in overdue(request.devices).items()]
     if fault := state.place_of(request.bench, request.in_process).fault:
         warnings.append(f"{fault}; see: leactl doctor")
-    return Rehearsal(ready.plan, _planned_bytes(request.plan, bench), windings, windings.forecast(ready.plan), warnings)
+    return Rehearsal(
+        ready.plan, _planned_bytes(request.plan, bench), windings, windings.forecast(ready.plan), stays_on, warnings
+    )
 
 
 def _alone(request: Request) -> AbstractContextManager[list[int]]:
@@ -211,12 +226,47 @@ def _ready(request: Request, windings: Windings) -> tuple[Request, Bench, Superv
     request = replace(request, plan=windings.approved(request.plan, request.insert_cooldown))
     supervisor = _supervisor(request, bench, windings)
     _check_supplies(request, supervisor)
+    if _switches_on(request.plan):
+        from leactl.runner.left_on import protections  # a root finder comes with it, for which no other run waits
+
+        supervisor.supplies.protections = protections(request.plan, windings, bench)
     return request, bench, supervisor
+
+
+def _left_on(plan: Plan, windings: Windings, bench: Bench) -> list[str]:
+    """What comes of each supply that nobody switches off, a line each."""
+    if not _switches_on(plan):
+        return []
+    from leactl.runner.left_on import left_on
+
+    return [one.told for one in left_on(plan, windings, bench)]
+
+
+def _switches_on(plan: Plan) -> bool:
+    return any(isinstance(action, Supply) for action in plan.actions)
+
+
+def _held_ready(request: Request, lasting: ExitStack) -> Latch | Ready:
+    """The latch, opened before the first move where a watchdog stands by; a rehearsal's is made if it trips.
+
+    Raises
+    ------
+    LeactlError : it cannot be opened.
+    """
+    if not _has_watchdog(request):
+        return request.latch
+    ready = Ready(request.latch)
+    lasting.callback(ready.close)
+    return ready
+
+
+def _has_watchdog(request: Request) -> bool:
+    return request.realtime or not request.in_process
 
 
 def _watched(request: Request, locks: Sequence[int]) -> AbstractContextManager[Unwatched]:
     """The run's watchdog; no other process reaches devices that are emulated in this one."""
-    if request.in_process and not request.realtime:
+    if not _has_watchdog(request):
         return nullcontext(Unwatched())
     return beside(request.bench, [] if request.in_process else request.devices, locks, request.latch)
 
@@ -232,6 +282,7 @@ def _run(
     watch: Watch,
     announcement: Announcement,
     watchdog: Unwatched,
+    bench_latch: Latch | Ready,
 ) -> Outcome:
     """Run on an open bench, and leave it safe."""
     plan = request.plan
@@ -254,6 +305,8 @@ def _run(
         error: BaseException | None = None
         try:
             _introduce(request, windings, writer, bench)
+            for text in _left_on(plan, windings, bench):
+                writer.event(0.0, "info", "supplies", text)
             for name, source in awaited(bench.drivers).items() if not request.in_process else ():
                 if source.exports.absent:
                     progress.warnings.append(f"{name}: there is no folder {source.exports.folder} for its exports yet")
@@ -284,7 +337,7 @@ def _run(
             error = _joined(SafetyTrip(watchdog.verdict()), error)
         error = _unconfirmed(error, safe)
         if error is not None and (unsafe or isinstance(error, SafetyTrip)):
-            _latch(request.latch, error, writer.path)
+            _latch(bench_latch, error, writer.path)
         announcement.tell_safe(safe)
     notes = [progress.view_fault] if progress.view_fault else []
     try:
@@ -304,6 +357,7 @@ def _run(
         writer.event(loop.time, "info" if verdict.met else "warning", ACCEPTANCE, verdict.told)
     try:
         writer.close(*_status(error))
+        notes += writer.notes()
         notes += collect(bench.drivers, request.bench_document, writer.path)
     except Exception as failure:  # noqa: BLE001 (as above)
         error = _joined(error, failure)
@@ -349,7 +403,7 @@ def _latch_lost(request: Request) -> None:
             request.latch.set(cause, Path(run))
 
 
-def _latch(bench: Latch, error: BaseException, run: Path) -> None:
+def _latch(bench: Latch | Ready, error: BaseException, run: Path) -> None:
     """Latch what ended a run; where that fails it is still what ended it."""
     try:
         bench.set(_status(error)[1], run)

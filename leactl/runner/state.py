@@ -48,11 +48,11 @@ def state_directory() -> Path:
 
     Raises
     ------
-    InputError : there is neither, nor a home.
+    InputError : there is neither, nor a home; `LEACTL_STATE` is relative, which would be another one in every folder.
     """
     named = os.environ.get("LEACTL_STATE")
     if named:
-        return Path(named).absolute()
+        return _absolute("LEACTL_STATE", named)
     xdg = os.environ.get("XDG_STATE_HOME", "")
     try:
         # the specification has relative paths ignored: they would be another directory in every folder
@@ -88,6 +88,23 @@ def place_of(bench: "BenchFile", in_process: bool) -> Place:
 def places() -> list[Place]:
     """Every place that may hold something to be read: the machine's, whether it can be written to or not, first."""
     return [Place(_machine_directory(), shared=True), of_user()]
+
+
+def reachable() -> tuple[list[Place], list[str]]:
+    """As `places`, for whoever must go on without those that cannot be; a line for each of these."""
+    found: list[Place] = []
+    faults: list[str] = []
+    for shared, directory in ((True, _machine_directory), (False, state_directory)):
+        try:
+            place = Place(directory(), shared)
+        except InputError as error:
+            faults.append(str(error))
+            continue
+        if os.path.lexists(place.runs) and not place.runs.is_dir():
+            faults.append(f"{place.runs}: a directory of runs was expected; what runs there cannot be seen")
+        else:
+            found.append(place)
+    return found, faults
 
 
 def examine() -> "Finding":
@@ -150,8 +167,23 @@ def opened(path: Path, shared: bool) -> int:
     return descriptor
 
 
+def in_place(descriptor: int, path: Path) -> bool:
+    """Whether an open file is still the one at its path: not removed, moved or exchanged; takes no descriptor."""
+    try:
+        there, own = os.lstat(path), os.fstat(descriptor)
+    except OSError:
+        return False
+    return (there.st_dev, there.st_ino) == (own.st_dev, own.st_ino)
+
+
 def _machine_directory() -> Path:
-    return Path(os.environ.get("LEACTL_MACHINE_STATE") or MACHINE)
+    return _absolute("LEACTL_MACHINE_STATE", os.environ.get("LEACTL_MACHINE_STATE") or MACHINE)
+
+
+def _absolute(variable: str, named: str) -> Path:
+    if not Path(named).is_absolute():
+        raise InputError(f"{variable} is {named}: an absolute path was expected, for a relative one leads elsewhere")
+    return Path(named)
 
 
 def _made(directory: Path) -> str:

@@ -49,6 +49,7 @@ class Memory:
         self.actuator, self._motor, self._limit, self._ambient = actuator, motor, limit, ambient
         self._digest = sha256(motor.model_dump_json().encode()).hexdigest()
         self._place, self.path = place, place.windings(_file_name(actuator))
+        self._held: int | None = None  # its file, open from the first writing on: the last one needs no descriptor
 
     def recall(self, now: Moment) -> Recalled:
         """Bounds of this actuator at a moment; hot where nothing can be told.
@@ -110,13 +111,21 @@ class Memory:
             "running": running,
             "nodes_degC": [round(float(value), 4) for value in nodes],
         }
-        descriptor = state.opened(self.path, self._place.shared)
-        try:
-            text = (json.dumps(body, indent=1) + "\n").encode().ljust(BYTES)
-            if os.pwrite(descriptor, text, 0) < len(text):
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        finally:
-            os.close(descriptor)
+        text = (json.dumps(body, indent=1) + "\n").encode().ljust(BYTES)
+        if self._held is not None and not state.in_place(self._held, self.path):
+            self.let_go()
+        if self._held is None:
+            self._held = state.opened(self.path, self._place.shared)
+        if os.pwrite(self._held, text, 0) < len(text):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        if os.fstat(self._held).st_size > len(text):  # something else has written here
+            os.ftruncate(self._held, len(text))
+
+    def let_go(self) -> None:
+        """Close the file that is kept open between writings."""
+        held, self._held = self._held, None
+        if held is not None:
+            os.close(held)
 
     def cold(self) -> Recalled:
         """At ambient throughout, as a person says."""
@@ -152,6 +161,9 @@ class Memory:
             raise TypeError("boot: the identifier of a boot was expected")
         if type(kept["running"]) is not bool:
             raise ValueError("running: true or false was expected")
+        for key in ("time", "since_boot_s"):
+            if type(kept[key]) not in (int, float):
+                raise ValueError(f"{key} {kept[key]!r}: seconds were expected")
         moment = Moment(float(kept["time"]), kept["boot"], float(kept["since_boot_s"]))
         return np.array(nodes, float), moment, kept["running"]
 
@@ -166,6 +178,7 @@ class Keeper:
         self._ended = threading.Event()
         self._fault = ""
         self._written = clock()
+        self.beside: Callable[[], None] = lambda: None  # what else is to be looked after as often
         self.doubted = False  # whether something may go on heating them when the run has ended
         self._thread = threading.Thread(target=self._keep_on, name="leactl-thermal", daemon=True)
 
@@ -193,9 +206,12 @@ class Keeper:
         self._thread.join(OVERDUE_S)
         with suppress(OSError):
             self._write(running=self.doubted)
+        for memory in self._memories.values():
+            memory.let_go()
 
     def _keep_on(self) -> None:
         while not self._ended.wait(WRITTEN_EVERY_S):
+            self.beside()
             try:
                 self._write(running=True)
             except OSError as error:

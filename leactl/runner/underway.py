@@ -12,6 +12,7 @@ import mmap
 import os
 import secrets
 import stat
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -21,7 +22,7 @@ from typing import Any
 
 from leactl.driver.contract import Confirmation
 from leactl.errors import DeviceError, InputError
-from leactl.runner import state
+from leactl.runner import holding, state
 from leactl.runner.state import Place
 
 GOES_ON, STOP, PAUSE = b"-", b"!", b"="
@@ -34,11 +35,28 @@ MOST_TOLD = 1 << 22  # bytes, with thousands of remarks
 class Announcement:
     """The run's own end of its file."""
 
-    def __init__(self, descriptor: int, fault: str = "") -> None:
+    def __init__(self, descriptor: int, fault: str = "", path: Path | None = None, shared: bool = False) -> None:
         self.fault = fault  # why nobody can find it
-        self._descriptor = descriptor
+        self._descriptor, self._path, self._shared = descriptor, path, shared
         self._head = mmap.mmap(descriptor, HEAD, prot=mmap.PROT_READ)
         self._read_to = HEAD
+        self._telling = threading.Lock()
+
+    def renew(self) -> None:
+        """Make the file anew where it was removed, exchanged or moved: nobody else could find this run any more.
+
+        It is called beside the loop, whose next look is at the new file; a disk that takes nothing is nothing to a run.
+        """
+        if self._path is None:
+            return
+        with suppress(OSError), self._telling:
+            if state.in_place(self._descriptor, self._path):
+                return
+            with suppress(FileNotFoundError):
+                self._path.rename(self._path.with_name(f"{self._path.name}.{secrets.token_hex(4)}.aside"))
+            told = os.pread(self._descriptor, MOST_TOLD, 0)
+            descriptor = _locked(self._path, told, self._shared)
+            self._descriptor, self._head = descriptor, mmap.mmap(descriptor, HEAD, prot=mmap.PROT_READ)
 
     def asked(self) -> str:
         """The cause to stop for, once somebody has asked; empty before."""
@@ -64,7 +82,7 @@ class Announcement:
 
     def tell(self, **what: Any) -> None:
         """Add to what the file tells; a disk that takes nothing is nothing to a run."""
-        with suppress(OSError):
+        with suppress(OSError), self._telling:
             os.lseek(self._descriptor, 0, os.SEEK_END)
             os.write(self._descriptor, _line(what))
 
@@ -96,7 +114,8 @@ def announced(
     file = str(Path(bench_file).resolve())
     about = {"bench": bench, "file": file, "protocol": protocol, "process": os.getpid(), "real": needed}
     try:
-        announcement = Announcement(_locked(path, 2 * GOES_ON + _line(about), place.shared))
+        descriptor = _locked(path, 2 * GOES_ON + _line(about), place.shared)
+        announcement = Announcement(descriptor, path=path, shared=place.shared)
     except OSError as error:
         fault = f"{path.parent}: `leactl bench stop` cannot reach this run: {error.strerror or error}"
         if needed:
@@ -213,7 +232,7 @@ def lost(bench: str) -> Iterator[tuple[str, str]]:
     done about it fails.
     """
     for path in [path for place in state.places() for path in sorted(place.runs.glob("*.run"))]:
-        with suppress(PermissionError):
+        with suppress(OSError):  # what is no run's file is told by whoever asks what runs
             descriptor = _opened(path)
             if descriptor is None:
                 continue
@@ -243,8 +262,12 @@ def _is_over(told: Mapping[str, Any]) -> bool:
     if not told.get("real"):
         return True
     safe = told.get("safe")
+    return isinstance(safe, dict) and all(device["confirmed"] is True for device in safe.values())
+
+
+def _is_of_devices(safe: object) -> bool:
     return isinstance(safe, dict) and all(
-        isinstance(device, dict) and device.get("confirmed") is True for device in safe.values()
+        isinstance(device, dict) and {"confirmed", "detail"} <= device.keys() for device in safe.values()
     )
 
 
@@ -253,13 +276,13 @@ def running() -> tuple[list[Underway], list[str]]:
 
     What a run left behind that ended with safe devices is removed; the next run is told of the others (`lost`).
     """
-    faults: list[str] = []
+    places, faults = state.reachable()
     underway = []
-    for path in [path for place in state.places() for path in sorted(place.runs.glob("*.run"))]:
+    for path in [path for place in places for path in sorted(place.runs.glob("*.run"))]:
         try:
             descriptor = _opened(path)
-        except PermissionError:
-            faults.append(f"{path}: no permission to read what runs")
+        except OSError as error:
+            faults.append(f"{path}: cannot be read, and may hide what runs: {error.strerror or error}")
             continue
         if descriptor is None:
             continue
@@ -270,28 +293,44 @@ def running() -> tuple[list[Underway], list[str]]:
             os.close(descriptor)
             continue
         about = _told(descriptor)
-        unknown = {"bench": "unknown", "file": "", "protocol": path.name, "process": 0}
-        bench, file, protocol, process = (about.get(key, default) for key, default in unknown.items())
-        underway.append(Underway(bench, file, protocol, process, descriptor))
+        unknown = {"bench": "unknown", "file": "", "protocol": path.name}
+        texts = {key: about[key] if isinstance(about.get(key), str) else other for key, other in unknown.items()}
+        process = about.get("process")
+        process = process if isinstance(process, int) else 0
+        underway.append(Underway(**texts, process=process, descriptor=descriptor))
     return underway, faults
 
 
+def unseen(bench: str) -> str:
+    """What is said of a real bench that a process holds, although no run's file tells of it; empty where none does."""
+    held = holding.holder(holding.lock_of(f"bench-{bench}"))
+    if held is None:
+        return ""
+    return (
+        f"bench '{bench}' is driven by process {held[0]}, whose file cannot be found: switch off the supply, or end it"
+        f" in order by: kill {held[0]}"
+    )
+
+
 def _opened(path: Path) -> int | None:
-    """Open a run's file, for reading alone where another user's permits no more; None where there is no run's file."""
+    """Open a run's file, for reading alone where another user's permits no more; None where it has gone.
+
+    Raises
+    ------
+    OSError : it is a link or no regular file, which no run makes, or this user may not.
+    """
     safely = os.O_NOFOLLOW | os.O_NONBLOCK
     try:
         try:
             descriptor = os.open(path, os.O_RDWR | safely)
-        except PermissionError:
+        except (PermissionError, IsADirectoryError):
             descriptor = os.open(path, os.O_RDONLY | safely)
-    except PermissionError:
-        raise
-    except OSError:  # it has gone, or is a link or a folder, which no run makes
+    except FileNotFoundError:
         return None
     if stat.S_ISREG(os.fstat(descriptor).st_mode):
         return descriptor
     os.close(descriptor)
-    return None
+    raise OSError("a regular file was expected; remove what lies there")
 
 
 def _ended(descriptor: int) -> bool:
@@ -306,13 +345,15 @@ def _told(descriptor: int) -> dict[str, Any]:
     told: dict[str, Any] = {}
     for line in _lines(os.pread(descriptor, MOST_TOLD, HEAD)):
         told |= line
+    if not _is_of_devices(told.get("safe", {})):
+        del told["safe"]
     return told
 
 
 def _lines(text: bytes) -> Iterator[dict[str, Any]]:
     """Objects, one a line."""
     for line in text.split(b"\n")[:-1]:  # the last one is empty, or not whole yet
-        with suppress(ValueError):  # cut short by a full disk
+        with suppress(ValueError, RecursionError):  # cut short by a full disk, or bent
             told = json.loads(line)
             if isinstance(told, dict):
                 yield told

@@ -3,6 +3,7 @@
 It is told by lines on stdin, whose end is the run's death; what it does then it does over connections of its own.
 """
 
+import ctypes
 import json
 import mmap
 import os
@@ -19,9 +20,11 @@ from leactl.bench.wiring import MachineWiring
 from leactl.driver.contract import Confirmation
 from leactl.driver.stopping import doubt, make_safe
 from leactl.errors import LeactlError
-from leactl.runner.latch import Latch
+from leactl.runner.latch import Latch, Ready
 from leactl.runner.watchdog import ALLOWED_NS, CYCLES, FIRED_NS, WORDS, hung, time_to_end_s
 
+MCL_CURRENT = 1  # <sys/mman.h>
+OOM_SCORE, KILLED_LAST = Path("/proc/self/oom_score_adj"), "-1000"
 LOOKS = 10  # within an allowed silence
 IDLE_S = 0.1  # between two looks while no silence counts
 KILLED_S = 5.0  # until the end of a killed process shows
@@ -85,11 +88,18 @@ def main() -> None:
     except Exception as error:  # noqa: BLE001 (a foreign plug-in may fail in any way; the run is told, and not begun)
         print(f"{type(error).__name__}: {error}".splitlines()[0], flush=True)
         return
+    try:
+        latch = Ready(Latch(**orders["latch"]))
+    except LeactlError as error:
+        print(error, flush=True)
+        return
+    hold_on()
     print("ready", flush=True)
     process = int(orders["process"])
     cause = watched(process, sign, inbox)
     if cause:
-        act(Latch(**orders["latch"]), bench, process, cause, inbox)
+        act(latch, bench, process, cause, inbox)
+    latch.close()
 
 
 def watched(process: int, sign: "memoryview[int]", inbox: Inbox) -> str:
@@ -112,7 +122,14 @@ def watched(process: int, sign: "memoryview[int]", inbox: Inbox) -> str:
             return hung(process, now - since, allowed)
 
 
-def act(latch: Latch, bench: Bench | None, process: int, cause: str, inbox: Inbox) -> None:
+def hold_on() -> None:
+    """Be the last that the kernel ends for want of memory, and keep what is in memory there, as far as it permits."""
+    with suppress(OSError):
+        OOM_SCORE.write_text(KILLED_LAST, encoding="ascii")
+    ctypes.CDLL(None).mlockall(MCL_CURRENT)  # refused where RLIMIT_MEMLOCK is less than what is in use
+
+
+def act(latch: Ready, bench: Bench | None, process: int, cause: str, inbox: Inbox) -> None:
     """Take the power away, end the process, take the power away again where that was in doubt, and latch the bench."""
     devices = bench.in_order_of_stop if bench else []
     safe = stopped(bench)

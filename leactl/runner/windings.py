@@ -3,7 +3,7 @@
 An emulated bench of this process is at ambient whenever it begins, by its own clock; every other bench has a memory.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 from leactl.bench.benchfile import BenchFile, CheckedDevice, host_silences
@@ -50,7 +50,7 @@ class Windings:
         """
         check_label("--actuator", actuator)
         self.motors = motors_of(bench)
-        self._fed = as_fed(self.motors, devices)
+        self.fed = as_fed(self.motors, devices)
         self.settings = guard_settings(bench, devices, self.motors)
         limit, ambient = self.settings.limit, self.settings.ambient
         self.names = {role: actuator if role == "test" and actuator else f"{bench.name}.{role}" for role in self.motors}
@@ -65,12 +65,14 @@ class Windings:
             self.recalled |= {role: memories[role].cold() for role in fresh}
         self.recalled |= found or {}
         start = {role: found.nodes for role, found in self.recalled.items()}
-        self.guard = ThermalGuard(self._fed, self.settings, start)
+        self.guard = ThermalGuard(self.fed, self.settings, start)
         self.keeper = None if emulated_here else Keeper(memories, lambda: self.guard.kept, Moment.now)
 
     @contextmanager
-    def remembered(self) -> Iterator[None]:
+    def remembered(self, beside: Callable[[], None] = lambda: None) -> Iterator[None]:
         """Keep the bounds for the next run while the block lasts, and once more at its end.
+
+        `beside` is called as often, from the same thread.
 
         Raises
         ------
@@ -79,6 +81,7 @@ class Windings:
         if self.keeper is None:
             yield
             return
+        self.keeper.beside = beside
         self.keeper.start()
         self.guard.remember(self.keeper.fault)
         try:
@@ -143,7 +146,7 @@ class Windings:
 
     def _foresight(self) -> Foresight:
         start = {role: found.nodes for role, found in self.recalled.items()}
-        return Foresight(self._fed, self.settings, start)
+        return Foresight(self.fed, self.settings, start)
 
 
 def standing(turning_from_hz: float) -> str:

@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import NoReturn
 
-from leactl.driver.contract import Driver, PowerSupply, Row
+from leactl.driver.contract import Driver, PowerSupply, ProtectedSupply, Row
 from leactl.errors import InputError
 from leactl.safety.limits import LEADS, Limits
 from leactl.safety.thermal.guard import ThermalGuard
@@ -18,6 +18,7 @@ from leactl.safety.thermal.measured import Leads
 
 QUANTITY = "line_current"
 TRUSTED = 2  # readings after a command, from which on they tell what came of it
+Levels = tuple[str, float, float]  # role, V, A
 
 
 @dataclass
@@ -54,15 +55,8 @@ class Supplies:
         """
         self._limits, self._guard, self._leads = limits, guard, leads
         self._refuse_latched, self._trip = refuse_latched, trip
-        self._fed: dict[str, _Fed] = {}
-        for device in devices:
-            for stream in device.streams if isinstance(device, PowerSupply) else ():
-                for place, channel in enumerate(stream.channels):
-                    if channel.quantity == QUANTITY and channel.role in guard.roles:
-                        if channel.role in self._fed:
-                            raise InputError(f"two supplies at the leads of {channel.role}; one was expected")
-                        assert isinstance(device, PowerSupply)
-                        self._fed[channel.role] = _Fed(device, channel.role, stream.name, place)
+        self.protections: Mapping[Levels, float] = {}  # V, at which a supply's own protection ends these levels
+        self._fed = _at_leads(devices, guard.roles)
         self._by_stream = {fed.stream: fed for fed in self._fed.values()}
 
     @property
@@ -95,6 +89,8 @@ class Supplies:
                 f"{role} winding: {allowed:.1f} A may flow through two leads now, {current:g} A were asked for: its"
                 f" hottest phase may be at {self._guard.hottest[role]:.1f} degC"
             )
+        if isinstance(fed.device, ProtectedSupply):
+            fed.device.protect(self.protections.get((role, voltage, current), fed.device.most[0]))
         fed.device.supply(voltage, current)
         self._command(fed, current)
         fed.device.switch_on()
@@ -152,3 +148,27 @@ class Supplies:
         if role not in self._fed:
             raise InputError(f"no supply feeds the leads of {role}")
         return self._fed[role]
+
+
+def at_leads(devices: Iterable[Driver], roles: Iterable[str]) -> dict[str, PowerSupply]:
+    """The supply at the leads of each role that has one.
+
+    Raises
+    ------
+    InputError : two supplies at the leads of one role.
+    """
+    return {role: fed.device for role, fed in _at_leads(devices, roles).items()}
+
+
+def _at_leads(devices: Iterable[Driver], roles: Iterable[str]) -> dict[str, _Fed]:
+    found: dict[str, _Fed] = {}
+    roles = tuple(roles)
+    for device in devices:
+        for stream in device.streams if isinstance(device, PowerSupply) else ():
+            for place, channel in enumerate(stream.channels):
+                if channel.quantity == QUANTITY and channel.role in roles:
+                    if channel.role in found:
+                        raise InputError(f"two supplies at the leads of {channel.role}; one was expected")
+                    assert isinstance(device, PowerSupply)
+                    found[channel.role] = _Fed(device, channel.role, stream.name, place)
+    return found

@@ -219,6 +219,15 @@ class FailingSupplyEnd(FailingLine, ScpiSupplyEmulator):
         """Have an entry in the error queue."""
         self._fail((number, text))
 
+    def protect_itself(self, volts: float, over_voltage: bool, amperes: float, over_current: bool) -> None:
+        """Have protections at these levels, each armed or not, as somebody has left them."""
+        self.over_voltage.level, self.over_voltage.armed = volts, over_voltage
+        self.over_current.level, self.over_current.armed = amperes, over_current
+
+    def armed(self) -> list:
+        """Whether either protection is armed."""
+        return [self.over_voltage.armed, self.over_current.armed]
+
     def levels(self) -> list:
         """Both settings and both protections' levels."""
         return [self.set_volts, self.set_amperes, self.over_voltage.level, self.over_current.level]

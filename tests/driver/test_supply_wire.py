@@ -11,7 +11,7 @@ from leactl_plugins.scpi_supply.dialects import DIALECTS
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 from pydantic import ValidationError
 
-from leactl.driver.contract import PowerSupply
+from leactl.driver.contract import PowerSupply, ProtectedSupply
 from leactl.driver.conversation import Unreadable
 from leactl.driver.serial_port import LONGEST_LINE, SerialPort
 from leactl.emulation.clock import EmulatedClock
@@ -32,6 +32,10 @@ E36XX = [
     (b"VOLT?", b"+0.00000000E+00\r"),
     (b"CURR 0.0000", b""),
     (b"CURR?", b"+0.00000000E+00\r"),
+    (b"VOLT:PROT?", b"+2.20000000E+01\r"),
+    (b"VOLT:PROT:STAT?", b"1\r"),
+    (b"CURR:PROT?", b"+2.20000000E+01\r"),
+    (b"CURR:PROT:STAT?", b"1\r"),
     (b"VOLT:PROT 8.0000", b""),
     (b"VOLT:PROT?", b"+8.00000000E+00\r"),
     (b"VOLT:PROT:STAT ON", b""),
@@ -56,6 +60,10 @@ DP800 = [
     (b"VOLT?", b"0.0000"),
     (b"CURR 0.0000", b""),
     (b"CURR?", b"0.0000"),
+    (b"OUTP:OVP:VAL?", b"66.0000"),
+    (b"OUTP:OVP?", b"ON"),
+    (b"OUTP:OCP:VAL?", b"66.0000"),
+    (b"OUTP:OCP?", b"ON"),
     (b"OUTP:OVP:VAL 8.0000", b""),
     (b"OUTP:OVP:VAL?", b"8.0000"),
     (b"OUTP:OVP ON", b""),
@@ -197,6 +205,132 @@ def test_an_output_that_does_not_go_on_is_a_fault(bench):
     bench.supply.switch_on()
     with pytest.raises(DeviceFault, match="supply: the output does not switch on"):
         bench.until(lambda _: False)
+
+
+# -- protections -----------------------------------------------------------------------------------------------------
+
+
+def test_protections_are_put_back_as_they_were_found(bench):
+    bench.far.protect_itself(12.0, False, 15.0, True)
+    bench.supply.open()
+    assert bench.far.levels()[2:] == [8.0, 10.0]
+    assert bench.far.armed() == [True, True]
+    bench.lines()
+    bench.supply.close()
+    assert bench.lines() == [
+        b"*IDN?",
+        b"VOLT:PROT 12.0000",
+        b"VOLT:PROT?",
+        b"VOLT:PROT:STAT OFF",
+        b"VOLT:PROT:STAT?",
+        b"CURR:PROT 15.0000",
+        b"CURR:PROT?",
+        b"CURR:PROT:STAT ON",
+        b"CURR:PROT:STAT?",
+    ]
+    assert bench.far.levels()[2:] == [12.0, 15.0]
+    assert bench.far.armed() == [False, True]
+
+
+def test_protections_are_put_back_behind_an_output_that_was_on_and_is_off(bench):
+    bench.energise()
+    assert bench.made_safe().safe
+    bench.supply.close()
+    assert bench.far.levels()[2:] == [22.0, 22.0]
+
+
+def test_protections_stay_where_the_output_may_be_on(here):
+    here.energise()
+    here.far.stuck_on()
+    assert not here.made_safe().safe
+    here.lines()
+    here.supply.close()
+    assert here.lines() == []
+    assert here.far.levels()[2:] == [8.0, 10.0]
+
+
+def test_a_protection_that_is_not_put_back_is_told_and_the_line_let_go(here):
+    here.supply.open()
+    here.far.ignore("VOLT:PROT 22")
+    with pytest.raises(DeviceError, match="not put back as they were found: VOLT:PROT holds 8 after 22 was written"):
+        here.supply.close()
+    assert not here.port.connected
+
+
+@pytest.mark.parametrize(
+    ("armed", "complaint"),
+    [
+        (
+            (5.0, True, 22.0, True),
+            "over-voltage protection is armed at 5, below voltage_limit_V of 8, and is not loosened",
+        ),
+        ((22.0, True, 9.5, True), "over-current protection is armed at 9.5, below current_limit_A of 10, and is not"),
+    ],
+)
+def test_a_protection_that_somebody_armed_closer_is_not_loosened(here, armed, complaint):
+    here.far.leave_on(6.0, 5.0)
+    here.far.protect_itself(*armed)
+    with pytest.raises(DeviceError) as refused:
+        here.supply.open()
+    assert complaint in str(refused.value)
+    assert here.far.output() == [False, 0.0, 0.0]
+    here.supply.close()
+    assert here.far.levels()[2:] == [armed[0], armed[2]]
+
+
+def test_a_protection_that_somebody_switched_off_is_taken_over_whatever_its_level(here):
+    here.far.protect_itself(5.0, False, 3.0, False)
+    here.supply.open()
+    assert here.far.levels()[2:] == [8.0, 10.0]
+    assert here.far.armed() == [True, True]
+
+
+def test_a_protection_of_its_own_is_raised_before_a_larger_current_and_lowered_after_a_smaller_one(bench):
+    bench.supply.open()
+    assert isinstance(bench.supply, ProtectedSupply)
+    bench.lines()
+    armed = [b"VOLT:PROT?", b"VOLT:PROT:STAT ON", b"VOLT:PROT:STAT?", b"VOLT:PROT:TRIP?"]
+    bench.supply.protect(6.5)
+    bench.supply.supply(8.0, 9.0)
+    bench.rows()
+    assert bench.lines()[1:8] == [b"VOLT:PROT 6.5000", *armed, b"CURR 9.0000", b"CURR?"]
+    bench.supply.protect(4.0)
+    bench.supply.supply(8.0, 5.0)
+    bench.rows(2)
+    sent = bench.lines()
+    begins = sent.index(b"CURR 5.0000")
+    assert sent[begins : begins + 9] == [
+        b"CURR 5.0000",
+        b"CURR?",
+        b"VOLT 8.0000",
+        b"VOLT?",
+        b"VOLT:PROT 4.0000",
+        *armed,
+    ]
+
+
+def test_a_protection_switches_the_output_off_by_itself(bench):
+    bench.energise(8.0, 9.0)  # 5.4 V
+    bench.supply.protect(5.0)
+    bench.supply.supply(8.0, 9.0)
+    with pytest.raises(DeviceFault, match="over-voltage protection has tripped"):
+        bench.until(lambda rows: rows and rows[-1].fault)
+    assert bench.far.output()[1:] == [0.0, 0.0]
+
+
+def test_a_protection_that_does_not_stick_is_refused(here):
+    here.supply.open()
+    here.far.ignore("VOLT:PROT 6")
+    here.supply.protect(6.0)
+    here.supply.supply(8.0, 9.0)
+    with pytest.raises(DeviceError, match="supply: VOLT:PROT holds 8 after 6 was written"):
+        here.until(lambda _: False)
+
+
+@pytest.mark.parametrize("level", [0.0, -1.0, 8.1, math.nan, math.inf])
+def test_a_protection_beyond_the_limit_goes_nowhere(here, level):
+    with pytest.raises(InputError, match="above 0 and at most 8 V was expected"):
+        here.supply.protect(level)
 
 
 # -- readings --------------------------------------------------------------------------------------------------------

@@ -1,9 +1,10 @@
-"""The emulated bench of heated leads in a process of its own: `python -m tests.kills.heated`.
+"""The emulated bench of heated leads in a process of its own: `python -m tests.kills.heated [BENCH]`.
 
 It tells by lines of JSON on stdout where its serial line is, then when the current through the leads begins and ends.
 """
 
 import json
+import sys
 
 from leactl.bench import benchfile
 from leactl.emulation.emulated_bench import EmulatedBench
@@ -14,7 +15,7 @@ FLOWING_A = 0.05
 
 
 def main():
-    file, devices, _document = benchfile.load("emulated-heated")
+    file, devices, _document = benchfile.load(sys.argv[1] if len(sys.argv) > 1 else "emulated-heated")
     bench = EmulatedBench(file, benchfile.asked_for(devices, ()), "heated", "")
     flowing = False
 

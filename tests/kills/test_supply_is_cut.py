@@ -1,15 +1,23 @@
-"""A run that heats through two leads is killed, or hangs: its watchdog switches the supply off, by the plant itself."""
+"""A run that heats through two leads is killed, or hangs: its watchdog switches the supply off, by the plant itself.
+
+Where the watchdog is killed with it, the supply's own protection does.
+"""
 
 import json
 import os
+import select
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+import yaml
 
+from leactl.bench import benchfile
 from tests.cli.terminal import COMMAND
+from tests.kills.trial import watchdog_of
 
 ROOT = Path(__file__).parents[2]
 PROTOCOL = """
@@ -23,15 +31,22 @@ steps:
 """
 
 
-@pytest.fixture
-def served():
+@contextmanager
+def heated(bench):
+    """A served bench of heated leads, and its serial line."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.kills.heated"], cwd=ROOT, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "tests.kills.heated", bench], cwd=ROOT, stdout=subprocess.PIPE, text=True
     )
     yield process, json.loads(process.stdout.readline()).split()[-1]
     process.send_signal(signal.SIGINT)
     process.wait()
     process.stdout.close()
+
+
+@pytest.fixture
+def served():
+    with heated("emulated-heated") as bench:
+        yield bench
 
 
 @pytest.mark.parametrize(
@@ -60,3 +75,28 @@ def test_the_current_ends_when_the_run_cannot_end_it(served, tmp_path, how, said
         run.wait()
         run.stderr.close()
     assert said in told
+
+
+def test_the_current_ends_where_run_and_watchdog_are_both_killed(tmp_path):
+    """13 A at 8 V warm the winding to where the protection is within two seconds."""
+    bench = yaml.safe_load((benchfile.SHIPPED / "emulated-heated.yaml").read_text())
+    del bench["devices"]["camera"]
+    settings = {"dialect": "e36xx", "model": "E3633A", "feeds": "leads", "voltage_limit_V": 8, "current_limit_A": 14}
+    bench["devices"]["supply"] = {"driver": "scpi_supply", "bus": "supply0", "role": "test", "settings": settings}
+    bench["limits"]["current_A"] = 20
+    (tmp_path / "bench.yaml").write_text(yaml.safe_dump(bench))
+    hot = PROTOCOL.replace("current_A: 8", "current_A: 13").replace("duration_s: 60", "duration_s: 10")
+    (tmp_path / "heat.yaml").write_text(hot)
+    with heated(str(tmp_path / "bench.yaml")) as (bench, line):
+        command = ["run", "heat.yaml", "--bench", "bench.yaml", "--served", f"--bus=supply0=serial:{line}"]
+        environment = os.environ | {"LEACTL_STATE": str(tmp_path / "state")}
+        run = subprocess.Popen([*COMMAND, *command], cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL)
+        try:
+            assert json.loads(bench.stdout.readline()) == {"flowing": True}
+            for process in (watchdog_of(run.pid), run.pid):
+                os.kill(process, signal.SIGKILL)
+            assert select.select([bench.stdout], [], [], 30.0)[0], "the current flows on"
+            assert json.loads(bench.stdout.readline()) == {"flowing": False}
+        finally:
+            run.kill()
+            run.wait()

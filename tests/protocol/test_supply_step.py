@@ -70,3 +70,14 @@ def test_a_quantity_that_nobody_knows_is_not_wanted():
         InputError, match=r"wants\[0\]: .*'temperature' is not in the vocabulary; known: ambient_temperature"
     ):
         read("wants: [temperature]\n" + protocol(ON))
+
+
+@pytest.mark.parametrize("said", ["1", "'true'", "[true]", "maybe"])
+def test_attended_is_true_or_false(said):
+    with pytest.raises(InputError, match=r":\d+:\d+  attended: "):
+        read(protocol(ON) + f"attended: {said}\n")
+
+
+@pytest.mark.parametrize(("said", "attended"), [("attended: true\n", True), ("attended: false\n", False), ("", False)])
+def test_a_run_is_attended_where_its_protocol_says_so(said, attended):
+    assert read(protocol(ON) + said).attended is attended

@@ -179,10 +179,6 @@ def test_a_latch_that_is_no_plain_file_holds_and_can_be_released(machine, testbe
     bent(path, kind)
     with pytest.raises(SafetyTrip, match="cannot be read"):
         held.refuse()
-    if kind == "folder":
-        with pytest.raises(InputError, match="cannot be released"):
-            held.release()
-        return
     done = leactl("bench", "reset", f"testbed-{os.getpid()}", "--yes")
     assert done.returncode == 0, done.stderr
     assert held.trip() is None
@@ -213,7 +209,8 @@ def test_files_that_are_no_run_s_stop_no_stop(tmp_path):
         bent(place / f"{kind}.run", kind)
     with underway.announced("rig", "rig.yaml", "hold", needed=True):
         runs, faults = underway.running()
-    assert ([run.bench for run in runs], faults) == (["rig"], [])
+    assert [run.bench for run in runs] == ["rig"]
+    assert len(faults) == 4  # one of them may stand where the file of a run was
 
 
 # -- several users -----------------------------------------------------------------------------------------------------

@@ -2,16 +2,22 @@
 
 import json
 import os
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
 from leactl.bench import benchfile
+from leactl.bench.bench import Bench
 from leactl.bench.benchfile import load
+from leactl.bench.wiring import MachineWiring
 from leactl.errors import DeviceError, DeviceFault, InputError
 from leactl.protocol import protocolfile
 from leactl.runfile.reader import Run
+from leactl.runner.left_on import protections
+from leactl.runner.thermal_memory import Recalled
 from leactl.runner.windings import Windings
 from tests.cli.terminal import leactl
 from tests.latches import trip_of
@@ -20,6 +26,7 @@ from tests.runner.test_pause import GO_ON, PAUSE
 HEAT = """
 name: heat
 setup: heated
+attended: true
 rate_Hz: 30
 parameters: {current_A: 9, voltage_V: 8, heat_s: 20}
 steps:
@@ -29,6 +36,7 @@ steps:
   - supply: {test: off}
   - hold: {name: cooling, duration_s: 3}
 """
+DEAD_MAN = Path(__file__).parents[2] / "docs" / "dead-man.md"
 OFF = (True, "output off, 0.00 V and 0.00 A")
 
 
@@ -246,3 +254,125 @@ def test_a_plan_is_told_at_the_command_line(tmp_path, monkeypatch):
     assert peak == {"role": "test", "quantity": "line_current", "value": 8.0, "unit": "A"}
     assert [row["setpoints"] for row in plan["timeline"] if row["name"] == "supply"] == ["test 8 V, 8 A", "test off"]
     assert plan["duration_s"] == 9060.0
+
+
+# -- if nobody switches it off ---------------------------------------------------------------------------------------
+
+UNATTENDED = HEAT.replace("attended: true\n", "")
+SCPI = {
+    "driver": "scpi_supply",
+    "bus": "supply0",
+    "role": "test",
+    "settings": {
+        "dialect": "e36xx",
+        "model": "E3633A",
+        "feeds": "leads",
+        "voltage_limit_V": 8,
+        "current_limit_A": 10,
+        "period_s": 0.3,
+    },
+}
+
+
+def protected(tmp_path, **changed):
+    """The shipped bench of heated leads with a supply that has an over-voltage protection."""
+    bench = yaml.safe_load((benchfile.SHIPPED / "emulated-heated.yaml").read_text())
+    del bench["devices"]["camera"]
+    bench["devices"]["supply"] = SCPI
+    bench["limits"] |= changed
+    path = tmp_path / "protected.yaml"
+    path.write_text(yaml.safe_dump(bench))
+    return str(path)
+
+
+def test_a_current_that_nothing_would_end_is_refused_with_what_helps(heat):
+    with pytest.raises(InputError) as refused:
+        heat(UNATTENDED)
+    assert str(refused.value) == (
+        "protocol 'heat': nothing switches off the supply of test if this machine fails, and 8 V, 9 A left on may bring"
+        " its winding to 168 degC, above its limit of 130 degC; what helps: voltage_V of 5.7 at the most, where the"
+        " supply itself takes the current back, or current_A of 8 at the most, or a supply whose own protection ends it"
+        " in time, or a person who stays by it: `attended: true` in the protocol, or --attended"
+    )
+
+
+@pytest.mark.parametrize("sets", [{"voltage_V": 5.7}, {"current_A": 8.0}])
+def test_what_is_said_to_help_does(heat, sets):
+    outcome, _bench = heat(UNATTENDED, **sets)
+    assert outcome.status == "complete"
+    assert any(text.endswith("which it outlives") for text in told(outcome.path))
+
+
+def test_an_attended_run_says_so_in_its_file(heat):
+    outcome, _bench = heat()
+    assert "test supply left on at 8 V, 9 A: winding 168 degC; the run is attended" in told(outcome.path)
+
+
+def test_a_hot_housing_outlives_no_supply_and_a_rest_is_what_helps(tmp_path):
+    file, devices, _document = load("emulated-heated")
+    windings = Windings(file, devices, emulated_here=True)
+    windings.recalled["test"] = Recalled(np.array([120.0, 115.0, 108.0]), "made up")
+    bench = Bench(file, devices, MachineWiring())
+    plan = protocolfile.load("thermal", {"current_A": "2"})
+    with pytest.raises(InputError, match="what helps: a rest before, or a supply"):
+        protections(plan, windings, bench)
+
+
+def test_a_supply_with_a_protection_has_it_armed_while_it_heats_and_put_back(heat, tmp_path):
+    levels = []
+
+    def look(bench):
+        far = bench.far_ends["supply"]
+        levels.append((far.on, far.over_voltage.level, far.over_voltage.armed))
+
+    outcome, bench = heat(UNATTENDED, bench=protected(tmp_path), heat_s=10, at=[(0.0, look), (6.0, look)])
+    assert outcome.status == "complete", outcome.reason
+    [said] = [text for text in told(outcome.path) if text.startswith("test supply left on")]
+    assert said == "test supply left on at 8 V, 9 A: winding 168 degC, but for the supply's own protection at 5.16 V"
+    assert levels[1] == (True, pytest.approx(5.16, abs=0.005), True)
+    look(bench)
+    assert levels[2] == (False, levels[0][1], levels[0][2])
+
+
+def test_the_protection_ends_the_current_where_every_process_is_dead(heat, tmp_path):
+    """Nobody says a word to the supply any more, and the plant goes on."""
+    hottest = []
+
+    def die(bench):
+        bench.serial_wires["supply0"].cut = True
+        while bench.rig.line_current:
+            bench.time.sleep_until(bench.time.now() + 0.5)
+            hottest.append(bench.rig.lead_resistance)
+
+    outcome, bench = heat(UNATTENDED, bench=protected(tmp_path), heat_s=200, at=[(8.0, die)])
+    assert outcome.status == "tripped"  # the loop wakes up long after, if it does
+    assert bench.far_ends["supply"].over_voltage.tripped
+    assert 0.57 < max(hottest) < 0.528 * (1 + 0.004 * (130 - 25))
+
+
+def test_the_page_tells_what_stays_on(tmp_path):
+    """Each row of the table, for either supply: what is reached, and what ends it."""
+    rows = re.findall(
+        r"^\| ([\d.]+) V, ([\d.]+) A \| (\d+) degC \| (.*) \| (.*) \|$", DEAD_MAN.read_text(), re.MULTILINE
+    )
+    assert len(rows) == 4
+    for volts, amperes, hottest, *ends in rows:
+        for bench, end in zip(("emulated-heated", protected(tmp_path)), ends, strict=True):
+            words = ["--bench", bench, "--set", f"voltage_V={volts}", "--set", f"current_A={amperes}", "--json"]
+            done = leactl("protocol", "plan", "winding-rise", *words)
+            [told] = json.loads(done.stdout)["left_on"]
+            assert f"at {volts} V, {amperes} A: winding {hottest} degC" in told
+            said = {"outlived": "which it outlives", "refused, or attended": "nothing ends it"}
+            assert told.endswith(said.get(end, f"protection at {end.removeprefix('ended at ')}"))
+
+
+def test_a_person_attends_by_a_word_at_the_command_line(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "heat.yaml").write_text(UNATTENDED)
+    words = ["run", "heat.yaml", "--bench", "emulated-heated", "--dry-run"]
+    refused = leactl(*words)
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "nothing switches off the supply of test" in refused.stderr
+    done = leactl(*words, "--attended")
+    assert done.returncode == 0, done.stderr
+    assert "test supply left on at 8 V, 9 A: winding 168 degC; the run is attended\n" in done.stdout

@@ -75,8 +75,8 @@ def continuous_current(motor: Motor, ambient: float, aligned: float, speed: floa
     ------
     InputError : the motor file has no tolerances.
     """
-    hottest = _settled(ambient, aligned, speed)
-    return Carried(*(_at_limit(box, ambient, hottest) for box in _boxes(motor)))
+    hottest = settled(ambient, aligned, speed)
+    return Carried(*(at_limit(box, box.limit(math.inf, ambient), ambient, hottest) for box in _boxes(motor)))
 
 
 def continuous(motor: Motor, ambient: float, speeds: Sequence[float]) -> list[Held]:
@@ -107,8 +107,9 @@ def peaks(motor: Motor, ambient: float, durations: Sequence[float]) -> list[Peak
 def nominal(motor: Motor, ambient: float, durations: Sequence[float]) -> Nominal:
     """What a motor file's own values promise, for one without tolerances too; ambient in degC, durations in s."""
     box = Box.exact(motor)
-    held = [_at_limit(box, ambient, _settled(ambient, aligned, 0.0)) for aligned in (TURNING, STANDING)]
-    short = [tuple(_held_for(box, ambient, durations, aligned)) for aligned in (TURNING, STANDING)]
+    limit, motions = box.limit(math.inf, ambient), (TURNING, STANDING)
+    held = [at_limit(box, limit, ambient, settled(ambient, aligned, 0.0)) for aligned in motions]
+    short = [tuple(_held_for(box, ambient, durations, aligned)) for aligned in motions]
     return Nominal(held[0], held[1], short[0], short[1])
 
 
@@ -147,7 +148,7 @@ def torque(motor: Motor, current: Carried) -> Carried:
     return Carried(*(motor.torque_constant * value for value in values))
 
 
-def _settled(ambient: float, aligned: float, speed: float) -> Callable[[ThermalBound, float], float]:
+def settled(ambient: float, aligned: float, speed: float) -> Callable[[ThermalBound, float], float]:
     """Where the hottest phase ends [degC] under a constant current [A]."""
 
     def hottest(bound: ThermalBound, current: float) -> float:
@@ -157,9 +158,9 @@ def _settled(ambient: float, aligned: float, speed: float) -> Callable[[ThermalB
     return hottest
 
 
-def _at_limit(box: Box, ambient: float, hottest: Callable[[ThermalBound, float], float]) -> float:
+def at_limit(box: Box, limit: float, ambient: float, hottest: Callable[[ThermalBound, float], float]) -> float:
     """The current that takes the hottest phase to its limit [A]."""
-    bound, limit = ThermalBound([box], ambient), box.limit(math.inf, ambient)
+    bound = ThermalBound([box], ambient)
 
     def over(current: float) -> float:
         return min(hottest(bound, current), 1e6) - limit

@@ -91,6 +91,11 @@ class Bk1688bDialogue:
         yield from self._put(Levels(round(LEAST_V / STEP_V), 0))
         return found
 
+    def leave(self) -> Script[Sequence[str]]:
+        """Nothing: it has no protections that could be set, and its levels were not kept."""
+        yield from ()
+        return ()
+
     def put(self, voltage: float, current: float) -> Script[None]:
         """Set both levels [V, A] and read them back.
 

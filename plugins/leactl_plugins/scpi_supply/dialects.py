@@ -10,7 +10,7 @@ class Protection(NamedTuple):
     name: str
     set_level: str
     level: str
-    arm: str
+    switch: str
     armed: str
     tripped: str
 
@@ -36,7 +36,7 @@ DIALECTS: Final = {
             "over-voltage protection",
             "VOLT:PROT",
             "VOLT:PROT?",
-            "VOLT:PROT:STAT ON",
+            "VOLT:PROT:STAT",
             "VOLT:PROT:STAT?",
             "VOLT:PROT:TRIP?",
         ),
@@ -44,7 +44,7 @@ DIALECTS: Final = {
             "over-current protection",
             "CURR:PROT",
             "CURR:PROT?",
-            "CURR:PROT:STAT ON",
+            "CURR:PROT:STAT",
             "CURR:PROT:STAT?",
             "CURR:PROT:TRIP?",
         ),
@@ -54,10 +54,10 @@ DIALECTS: Final = {
     ),
     "dp800": Dialect(
         Protection(
-            "over-voltage protection", "OUTP:OVP:VAL", "OUTP:OVP:VAL?", "OUTP:OVP ON", "OUTP:OVP?", "OUTP:OVP:QUES?"
+            "over-voltage protection", "OUTP:OVP:VAL", "OUTP:OVP:VAL?", "OUTP:OVP", "OUTP:OVP?", "OUTP:OVP:QUES?"
         ),
         Protection(
-            "over-current protection", "OUTP:OCP:VAL", "OUTP:OCP:VAL?", "OUTP:OCP ON", "OUTP:OCP?", "OUTP:OCP:QUES?"
+            "over-current protection", "OUTP:OCP:VAL", "OUTP:OCP:VAL?", "OUTP:OCP", "OUTP:OCP?", "OUTP:OCP:QUES?"
         ),
         "",
         re.compile(r"-?\d{1,2}\.\d{3,4}", re.ASCII),  # 12.0035; three decimals stand in the guide as well

@@ -3,9 +3,9 @@
 Every setting is read back, so that no more than one command is ever under way and what was refused is seen at once.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from leactl.driver.contract import Confirmation
 from leactl.driver.conversation import Question, Script
@@ -16,6 +16,7 @@ from leactl_plugins.scpi_supply.answers import Entry, Identity
 from leactl_plugins.scpi_supply.dialects import DIALECTS, Protection
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 
+ROUNDED, ROUNDED_BESIDE = 0.005, 0.01  # share of a level, and V or A
 MOST_ERRORS = 32  # the queue of an E36xx holds 20
 REGULATED = {1: "constant current", 2: "constant voltage"}  # STAT:QUES:COND?, the same in both families
 IDENTIFY = Question("*IDN?", answers.identity, patient=True)
@@ -25,12 +26,24 @@ CONDITION = Question("STAT:QUES:COND?", answers.register)
 ERROR = Question("SYST:ERR?", answers.entry)
 
 
+class Found(NamedTuple):
+    """How a protection stood before it was set."""
+
+    protection: Protection
+    level: float
+    armed: bool
+
+
 class ScpiDialogue:
     """What is said to the supply of these settings."""
 
     def __init__(self, settings: ScpiSupplySettings) -> None:
         self._settings, self._dialect = settings, DIALECTS[settings.dialect]
         self.met: Identity | None = None  # who answered last
+        self.trips_at = settings.voltage_limit_V  # of the over-voltage protection, from the next levels on
+        self._armed_at = settings.voltage_limit_V
+        self._held = 0.0  # A, the level of the current
+        self._found: list[Found] = []  # protections of whoever had the supply before, to be put back
         volts, amperes = models.most(settings.model)
         reading = partial(answers.reading, form=self._dialect.reading)
         self._voltage = Question("MEAS:VOLT?", partial(reading, rating=volts))
@@ -76,32 +89,79 @@ class ScpiDialogue:
 
         Raises
         ------
-        DeviceError : another instrument, a setting that does not stick, a protection that has tripped, an output that
-            cannot be switched off.
+        DeviceError : another instrument, a setting that does not stick, a protection that has tripped or that somebody
+            has armed at a lower level than the limit, an output that cannot be switched off.
         """
         settings = self._settings
+        self._found, self._held = [], 0.0
         yield from self.output_off(progress)
         before = yield from _errors()
         if settings.output_range:
             yield f"{self._dialect.set_range} {settings.output_range.upper()}"
         yield from _written("VOLT", "VOLT?", 0.0)
         yield from _written("CURR", "CURR?", 0.0)
+        limits = {"voltage_limit_V": settings.voltage_limit_V, "current_limit_A": settings.current_limit_A}
+        self._found = yield from self._as_found(limits)
         yield from _protect(self._dialect.voltage, settings.voltage_limit_V)
         yield from _protect(self._dialect.current, settings.current_limit_A)
+        self.trips_at = self._armed_at = settings.voltage_limit_V
         refused = yield from _errors()
         if refused:
             raise DeviceError("; ".join(f"error {number}, {text}" for number, text in refused))
         return [f"had an error from before: {number}, {text}" for number, text in before]
 
+    def _as_found(self, limits: Mapping[str, float]) -> Script[list[Found]]:
+        """How the protections stand; one that somebody has armed closer than the limits is not loosened."""
+        found = []
+        for protection, (key, limit) in zip(
+            (self._dialect.voltage, self._dialect.current), limits.items(), strict=True
+        ):
+            level = yield from _asked(Question(protection.level, answers.number))
+            armed = yield from _asked(Question(protection.armed, answers.truth))
+            if armed and level < limit - _off_by(limit):
+                raise DeviceError(
+                    f"{protection.name} is armed at {level:g}, below {key} of {limit:g}, and is not loosened: raise it"
+                    " at the instrument, or lower the limit in the bench file"
+                )
+            found.append(Found(protection, level, armed))
+        return found
+
     def put(self, voltage: float, current: float) -> Script[None]:
-        """Set both levels [V, A] and read them back.
+        """Set both levels [V, A], arm the over-voltage protection at its own, and read everything back.
+
+        The voltage follows the current: the protection is raised before a larger one, and lowered after a smaller one.
 
         Raises
         ------
         DeviceError : one comes back as another.
         """
+        larger = current > self._held
+        if larger:
+            yield from self._protected()
         yield from _written("CURR", "CURR?", current)
         yield from _written("VOLT", "VOLT?", voltage)
+        self._held = current
+        if not larger:
+            yield from self._protected()
+
+    def _protected(self) -> Script[None]:
+        level = self.trips_at
+        if level != self._armed_at:
+            yield from _protect(self._dialect.voltage, level)
+            self._armed_at = level
+
+    def leave(self) -> Script[Sequence[str]]:
+        """Put both protections back as they were found; what was put back."""
+        found, self._found = self._found, []
+        if not found:
+            return ()
+        yield from self.in_step()
+        for protection, level, armed in found:
+            yield from _written(protection.set_level, protection.level, level)
+            yield f"{protection.switch} {'ON' if armed else 'OFF'}"
+            if (yield from _asked(Question(protection.armed, answers.truth))) is not armed:
+                raise DeviceError(f"{protection.name} is not switched {'on' if armed else 'off'} as it was found")
+        return [one.protection.name for one in found]
 
     def switched(self, on: bool) -> Script[None]:
         """Switch the output and see that it is.
@@ -139,7 +199,7 @@ class ScpiDialogue:
 
 def _protect(protection: Protection, level: float) -> Script[None]:
     yield from _written(protection.set_level, protection.level, level)
-    yield protection.arm
+    yield f"{protection.switch} ON"
     if not (yield from _asked(Question(protection.armed, answers.truth))):
         raise DeviceError(f"{protection.name} does not stay on")
     if (yield from _asked(Question(protection.tripped, answers.truth))):
@@ -147,11 +207,16 @@ def _protect(protection: Protection, level: float) -> Script[None]:
 
 
 def _written(command: str, query: str, value: float) -> Script[None]:
-    """Write a level and read it back; more than 0.5 % and 10 m of its unit away it was refused."""
+    """Write a level and read it back; further away than rounding takes it, it was refused."""
     yield f"{command} {value:.4f}"
     held = yield from _asked(Question(query, answers.number))
-    if not abs(held - value) <= 0.005 * value + 0.01:
+    if not abs(held - value) <= _off_by(value):
         raise DeviceError(f"{command} holds {held:g} after {value:g} was written")
+
+
+def _off_by(value: float) -> float:
+    """By how much a level may come back otherwise than it was written."""
+    return ROUNDED * value + ROUNDED_BESIDE
 
 
 def _errors() -> Script[tuple[Entry, ...]]:

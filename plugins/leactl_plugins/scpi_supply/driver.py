@@ -6,14 +6,17 @@ The instrument takes tens of milliseconds for an answer, and nothing waits for o
 from collections.abc import Sequence
 
 from leactl.driver.clock import Clock
-from leactl.driver.contract import Confirmation, Driver, Identity, Row, StreamSpec
+from leactl.driver.contract import Confirmation, Driver, Identity, Row, StreamSpec, TripAccuracy
 from leactl.driver.far_end import Physics, SerialEmulator
 from leactl.driver.serial_port import SerialPort
 from leactl.driver.serial_supply import SupplyLine
-from leactl_plugins.scpi_supply.dialogue import ScpiDialogue
+from leactl.errors import InputError
+from leactl_plugins.scpi_supply.dialogue import ROUNDED, ROUNDED_BESIDE, ScpiDialogue
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 
 OPEN_S = 8.0  # some forty exchanges at 9600 baud take 2.5 s
+# the data sheets of the E36xx have 0.5 % and 0.5 V for the over-voltage protection; so has Rigol for its supplies
+PROTECTION = TripAccuracy(0.005 + ROUNDED, 0.5 + ROUNDED_BESIDE)
 
 
 class ScpiSupply(Driver):
@@ -86,6 +89,23 @@ class ScpiSupply(Driver):
         InputError : a value is not finite, negative, or above the protection's level; nothing is passed on.
         """
         self._line.supply(voltage, current, self.most)
+
+    @property
+    def trip_accuracy(self) -> TripAccuracy:
+        """How far from its level [V] the over-voltage protection may trip."""
+        return PROTECTION
+
+    def protect(self, level: float) -> None:
+        """Have the over-voltage protection trip at this level [V], from the next `supply` on and with it.
+
+        Raises
+        ------
+        InputError : not above zero, or above `voltage_limit_V`; nothing is passed on.
+        """
+        most = self.settings.voltage_limit_V
+        if not 0.0 < level <= most:
+            raise InputError(f"{self.name}: a protection at {level:g} V; above 0 and at most {most:g} V was expected")
+        self._dialogue.trips_at = level
 
     def switch_on(self) -> None:
         """Begin to switch the output on."""

@@ -1,0 +1,307 @@
+"""What a person, another program or a broken disk may leave where state is kept: nothing is followed or waited for.
+
+Whatever cannot be read is latched and hot; `bench stop` stops what it can read and then complains; `bench reset` clears
+all that can latch. One table of bent files over latch, winding memory, file of a run and lock of a folder.
+"""
+
+import json
+import os
+import socket
+import threading
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from leactl.bench import benchfile
+from leactl.errors import DeviceError, InputError, SafetyTrip
+from leactl.model.motor import load_motor
+from leactl.runner import exclusive, holding, state, underway
+from leactl.runner.moment import Moment
+from leactl.runner.thermal_memory import Memory
+from tests.cli.terminal import leactl
+from tests.latches import latch_of
+
+LIMIT = 130.0
+NOW = Moment(1.7e9, "this boot", 5000.0)
+
+
+def sparse(path):
+    path.touch()
+    os.truncate(path, 1 << 30)
+
+
+def listening(path):
+    with socket.socket(socket.AF_UNIX) as made:
+        here = Path.cwd()
+        os.chdir(path.parent)  # a socket's address is short
+        try:
+            made.bind(path.name)
+        finally:
+            os.chdir(here)
+
+
+def full_folder(path):
+    (path / "deeper").mkdir(parents=True)
+    (path / "deeper" / "file").write_text("kept")
+
+
+def link_to(target, text=None):
+    def make(path):
+        there = path.parent / target
+        if text is not None:
+            there.write_text(text)
+        path.symlink_to(there)
+
+    return make
+
+
+BENT = {
+    "pipe": os.mkfifo,
+    "socket": listening,
+    "link to zeros without end": link_to("/dev/zero"),
+    "dangling link": link_to("nowhere"),
+    "link to itself": lambda path: path.symlink_to(path.name),
+    "link to a folder": link_to("/proc"),
+    "link to a good file": link_to("good", "{}\n"),
+    "empty folder": Path.mkdir,
+    "full folder": full_folder,
+    "empty": Path.touch,
+    "a gigabyte of holes": sparse,
+    "deep JSON": lambda path: path.write_text("[" * 50_000),
+    "deep JSON in a line": lambda path: path.write_text("--" + "[" * 50_000 + "\n"),
+    "cut short": lambda path: path.write_text('{"bench": "testb'),
+    "a list": lambda path: path.write_text("[1, 2, 3]\n"),
+    "a number": lambda path: path.write_text("7\n"),
+    "null": lambda path: path.write_text("null\n"),
+    "noise": lambda path: path.write_bytes(bytes(range(256)) * 8),
+    "NaN": lambda path: path.write_text('{"time": NaN, "nodes_degC": [NaN, 1e999, -1e999]}\n'),
+}
+
+
+@pytest.fixture(params=BENT, ids=[name.replace(" ", "-") for name in BENT])
+def bend(request):
+    def bent(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        BENT[request.param](path)
+        return request.param
+
+    return bent
+
+
+@pytest.fixture
+def held(testbed):
+    return latch_of(str(testbed), in_process=False)
+
+
+def test_a_bent_latch_holds_and_a_reset_clears_it(held, bend, tmp_path):
+    path = Path(held.paths[0])
+    bend(path)
+    with pytest.raises(SafetyTrip, match=r"unknown, .* cannot be read"):
+        held.refuse()
+    done = leactl("bench", "reset", held.bench, "--yes")
+    assert (done.returncode, done.stdout) == (0, f"{held.bench}: released\n"), done.stderr
+    held.refuse()
+    held.set("too fast", tmp_path)
+    with pytest.raises(SafetyTrip, match="too fast"):
+        held.refuse()
+
+
+def test_a_bent_winding_memory_is_hot_and_a_new_one_goes_nowhere_else(bend, tmp_path):
+    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state.Place(tmp_path / "state", shared=False))
+    bend(memory.path)
+    before = sorted(tmp_path.rglob("*"))
+    found = memory.recall(NOW)
+    assert found.nodes.tolist() == [LIMIT] * 3
+    assert found.known.startswith("counts as hot: ")
+    with suppress(OSError):  # a file that can be written is mended by the next run
+        memory.keep(np.full(3, 40.0), NOW, running=False)
+        assert memory.recall(NOW).nodes[0] < LIMIT
+    assert sorted(tmp_path.rglob("*")) == before
+    good = memory.path.parent / "good"
+    assert not good.exists() or good.read_text() == "{}\n"
+
+
+def test_a_bent_file_beside_that_of_a_run_keeps_nobody_from_stopping_it(bend):
+    runs = state.of_user().runs
+    kind = bend(runs / "other.1.abcd.run")
+    regular = (runs / "other.1.abcd.run").is_file() and not (runs / "other.1.abcd.run").is_symlink()
+    with underway.announced("rig", "rig.yaml", "hold", needed=True) as run:
+        answers = []
+        asking = threading.Thread(target=lambda: answers.append(leactl("bench", "stop", "--wait", "0", "--json")))
+        asking.start()
+        asking.join(60.0)
+        assert run.asked(), kind
+    [done] = answers
+    assert done.returncode == 5
+    assert done.stdout.count('"bench": "rig"') == 1
+    assert ("other.1.abcd.run: cannot be read" in done.stderr) is not regular, done.stderr
+    assert "internal" not in done.stderr
+
+
+def test_a_bent_lock_of_a_folder_is_refused_or_held(bend, tmp_path):
+    path = tmp_path / "campaign" / ".lock"
+    kind = bend(path)
+    if path.is_file() and not path.is_symlink():
+        with (
+            exclusive.locked(path, "taken"),
+            pytest.raises(DeviceError, match="taken"),
+            exclusive.locked(path, "taken"),
+        ):
+            raise AssertionError
+        return
+    with pytest.raises(InputError, match="no lock can be kept here"), exclusive.locked(path, "taken"):
+        raise AssertionError(kind)
+
+
+# -- directories -----------------------------------------------------------------------------------------------------
+
+DIRECTORIES = ("pipe", "dangling link", "link to itself", "link to zeros without end", "empty", "noise")
+
+
+@pytest.mark.parametrize("kind", DIRECTORIES)
+def test_where_the_user_s_runs_are_bent_those_of_the_machine_are_stopped(tmp_path, monkeypatch, kind):
+    monkeypatch.setenv("LEACTL_MACHINE_STATE", str(tmp_path / "machine"))
+    bent = state.of_user().runs
+    bent.parent.mkdir(parents=True, exist_ok=True)
+    BENT[kind](bent)
+    with underway.announced("rig", "rig.yaml", "hold", needed=True, place=state.of_machine()) as run:
+        done = leactl("bench", "stop", "--wait", "0")
+        assert run.asked()
+    assert done.returncode == 5
+    assert f"{bent}: a directory of runs was expected" in done.stderr
+
+
+@pytest.mark.parametrize("kind", DIRECTORIES)
+def test_where_the_machine_s_directory_is_bent_a_latch_is_kept_and_found_elsewhere(
+    testbed, tmp_path, monkeypatch, kind
+):
+    bent = tmp_path / "bent"
+    BENT[kind](bent)
+    monkeypatch.setenv("LEACTL_MACHINE_STATE", str(bent))
+    held = latch_of(str(testbed), in_process=False)
+    assert held.paths[0].startswith(str(tmp_path / "state"))
+    with suppress(SafetyTrip):  # where what is bent may have held a latch
+        held.refuse()
+    held.set("too fast", tmp_path)
+    with pytest.raises(SafetyTrip):
+        held.refuse()
+
+
+@pytest.mark.parametrize(
+    ("variable", "words"),
+    [
+        ("LEACTL_STATE", ["run", "friction", "--dry-run"]),  # which keeps nothing in the machine's
+        ("LEACTL_STATE", ["bench", "stop"]),
+        ("LEACTL_STATE", ["bench", "reset", "testbed"]),
+        ("LEACTL_MACHINE_STATE", ["bench", "stop"]),
+        ("LEACTL_MACHINE_STATE", ["bench", "reset", "testbed"]),
+    ],
+)
+def test_a_relative_directory_of_state_is_refused(tmp_path, monkeypatch, variable, words):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "state"))
+    monkeypatch.setenv(variable, "here")
+    done = leactl(*words)
+    assert done.returncode == (5 if words[1] == "stop" else 2), done.stderr
+    assert f"{variable} is here: an absolute path was expected" in done.stderr
+    assert not (tmp_path / "here").exists()
+
+
+@pytest.mark.parametrize("xdg", ["relative/state", "./state", ".", ""])
+def test_a_relative_xdg_directory_is_that_of_the_home(tmp_path, monkeypatch, xdg):
+    monkeypatch.delenv("LEACTL_STATE")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("XDG_STATE_HOME", xdg)
+    assert state.state_directory() == tmp_path / ".local" / "state" / "leactl"
+
+
+def test_without_a_home_the_machine_s_runs_are_stopped_all_the_same(tmp_path, monkeypatch):
+    monkeypatch.setenv("LEACTL_MACHINE_STATE", str(tmp_path / "machine"))
+    monkeypatch.delenv("LEACTL_STATE")
+    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
+
+    def homeless():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", homeless)
+    with underway.announced("rig", "rig.yaml", "hold", needed=True, place=state.of_machine()):
+        runs, faults = underway.running()
+    assert [run.bench for run in runs] == ["rig"]
+    assert faults == ["there is no home directory for leactl's state; set LEACTL_STATE to a directory"]
+
+
+# -- in a run --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("how", ["removed", "moved", "replaced", "bent", "folder removed"])
+def test_a_run_whose_file_goes_is_found_again(how):
+    with underway.announced("rig", "rig.yaml", "hold", needed=True) as run:
+        run.renew()
+        [path] = state.of_user().runs.glob("*.run")
+        run.tell(run="here.h5")
+        if how == "moved":
+            path.rename(path.with_suffix(".old"))
+        else:
+            path.unlink()
+        if how == "replaced":
+            path.write_text('--{"bench": "other"}\n')
+        elif how == "bent":
+            os.mkfifo(path)
+        elif how == "folder removed":
+            path.parent.rmdir()
+        run.renew()
+        [found], faults = underway.running()
+        assert (found.bench, found.told()["run"], faults) == ("rig", "here.h5", [])
+        found.ask_to_stop()
+        assert run.asked()
+        found.close()
+    assert not list(state.of_user().runs.glob("*.run"))
+
+
+def test_a_bench_that_is_held_without_a_file_is_said_to_be(testbed, holder):
+    name = benchfile.load(str(testbed))[0].name
+    assert holding.holder(holding.lock_of(f"bench-{name}"))[0] == holder.pid
+    for word in (name, str(testbed)):
+        done = leactl("bench", "stop", word)
+        assert done.returncode == 5
+        assert f"bench '{name}' is driven by process {holder.pid}, whose file cannot be found" in done.stderr
+        assert f"kill {holder.pid}" in done.stderr
+
+
+# -- clocks ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "bent",
+    [
+        {"time": "yesterday"},
+        {"time": None},
+        {"time": 1e400},
+        {"time": float("nan")},
+        {"since_boot_s": -1.0},
+        {"since_boot_s": 5000.1},  # of the same boot, and to come
+        {"since_boot_s": float("nan")},
+        {"since_boot_s": "5"},
+        {"since_boot_s": []},
+        {"boot": 7},
+        {"boot": None},
+        {"running": 0},
+        {"running": "false"},
+    ],
+    ids=str,
+)
+def test_a_bent_clock_in_a_memory_is_hot(tmp_path, bent):
+    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state.Place(tmp_path, shared=False))
+    memory.keep(np.full(3, 40.0), NOW, running=False)
+    assert memory.recall(NOW).nodes[0] < 41.0
+    kept = json.loads(memory.path.read_text()) | bent
+    memory.path.write_text(json.dumps(kept))
+    assert memory.recall(NOW).nodes.tolist() == [LIMIT] * 3
+
+
+@pytest.fixture(autouse=True)
+def own_state(tmp_path, monkeypatch):
+    monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "state"))
+    monkeypatch.setenv("LEACTL_MACHINE_STATE", str(tmp_path / "machine"))
