@@ -95,19 +95,22 @@ def plan(
     expanded = load(protocol, read_overrides(overrides), condition)
     hottest: dict[str, float] = {}
     passes, limits, slow = "", None, ""
+    alone: list[str] = []
     if bench:
         from leactl.bench.bench import Bench
         from leactl.bench.benchfile import host_silences
         from leactl.bench.wiring import MachineWiring
         from leactl.runner.checked_bench import load_checked
-        from leactl.runner.fitting import check_fit
+        from leactl.runner.fitting import check_fit, unwitnessed
         from leactl.runner.windings import Windings, standing
         from leactl.safety.refusals import check_rate
 
         file, devices, _document = load_checked(bench)
         if file.emulated is not None:
             file.emulated.expect(condition)
-        check_fit(expanded, Bench(file, devices, MachineWiring()))
+        there = Bench(file, devices, MachineWiring())
+        check_fit(expanded, there)
+        alone = unwitnessed(expanded, there)
         check_rate(expanded.rate_Hz, host_silences(devices))
         limits = file.limits
         forecast = Windings(file, devices, "", cold=True).forecast(expanded)
@@ -119,12 +122,14 @@ def plan(
         )
     if as_json:
         rows = [row._asdict() for row in expanded.timeline()]
-        heat = {"searches": searches(expanded)} | ({"hottest_degC": hottest} if bench else {})
+        heat = {"searches": searches(expanded)} | ({"hottest_degC": hottest, "one_sensor": alone} if bench else {})
         typer.echo(json.dumps({**head(expanded), "peaks": peaks(expanded, limits), "timeline": rows, **heat}))
         return
     typer.echo("\n".join(plan_lines(expanded, limits)))
     for role, value in hottest.items():
         typer.echo(f"winding {role} at most {value:g} degC from ambient{passes}; see: leactl thermal plan")
+    for line in alone:
+        typer.echo(line)
     if slow:
         typer.echo(slow, err=True)
 

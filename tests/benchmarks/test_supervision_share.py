@@ -5,12 +5,12 @@ from leactl.driver.contract import Row, StreamSpec
 from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.emulated_bench import EmulatedBench
 from leactl.quantities import ChannelSpec
-from leactl.safety.cross_checks import TorqueModel
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.supervisor import Axis, Supervisor
+from leactl.safety.witnesses import TorqueModel
 from tests.benchmarks import test_control_cycle as cycle
 from tests.benchmarks.rounds import compare
-from tests.safety.guards import guard_of
+from tests.safety.guards import LEA, guard_of
 
 LIMIT = 0.10  # of the cycle's CPU time
 INTERLOCKS = """
@@ -49,10 +49,10 @@ def test_the_supervisor_takes_a_tenth_of_a_cycle_at_the_most(tmp_path, figure):
     def prepare_next():
         loop, bench, writer, _wiring = cycle.prepared(request, machine, len(loops))
         axes = {role: Axis(drive, drive) for role, drive in bench.drives.items()}
-        model = TorqueModel(0.49, 0.208, 0.0238, 0.0024)
+        models = dict.fromkeys(axes, TorqueModel.of(LEA))
         interlocks = yamlfile.parse(INTERLOCKS).validate(Interlocks)
         devices, clock = [Sensor([torque])], EmulatedClock()
-        judge = Supervisor(request.bench.limits, axes, devices, clock, guard_of(axes), interlocks, model)
+        judge = Supervisor(request.bench.limits, axes, devices, clock, guard_of(axes), interlocks, models)
         judge.begin(0.001)
         loops.append((loop, bench, writer, judge))
 
