@@ -1,7 +1,4 @@
-"""Every fault in a whole run: what ends it, how fast, and whether the drives are as they are said to be.
-
-What passes unnoticed today stands in `UNNOTICED`.
-"""
+"""Every fault in a whole run: what ends it, how fast, and whether the drives are as they are said to be."""
 
 from typing import NamedTuple
 
@@ -49,6 +46,11 @@ CAUGHT = [
     ("{fault: lost_frames, bus: can0, direction: to_host}", End("tripped", SILENT, 0.05, DRIVES)),
     ("{fault: lost_frames, bus: can0, direction: to_devices}", End("tripped", SILENT, 0.05, DRIVES)),
     ("{fault: late_frames, bus: can0, delay_s: 0.1, direction: to_host}", End("tripped", SILENT, 0.05)),
+    (
+        "{fault: late_frames, bus: can0, delay_s: 0.04, direction: to_host}, "
+        "{fault: late_frames, at_s: 2, bus: can0, delay_s: 0.04, direction: to_host}",
+        End("failed", "drive_test: its answers are 0.08 s late by its own clock", 0.75),
+    ),
     ("{fault: bus_off, bus: can0}", End("failed", "bus 'can0': cannot send 0x201: Failed to transmit", 0.01, DRIVES)),
     (
         "{fault: saturated_sensor, device: torque_sensor, quantity: torque}",
@@ -116,11 +118,11 @@ CAUGHT = [
     ),
     (
         "{fault: stuck_sensor, device: drive_load, quantity: angle}",
-        End("tripped", "load angle has been exactly ", 2.0),
+        End("tripped", "load velocity is 5 rad/s from the change of the angle", 2.0),
     ),
     (
         "{fault: disconnected_sensor, device: torque_sensor, quantity: torque}",
-        End("tripped", "test q_axis_current of 4.009 A contradicts test torque, by which 0 A flow", 0.3),
+        End("tripped", "test q_axis_current of 4.01 A contradicts test torque, by which 0.667", 0.3),
     ),
     (
         "{fault: disconnected_sensor, device: drive_test, quantity: q_axis_current}",
@@ -128,7 +130,7 @@ CAUGHT = [
     ),
     (
         "{fault: scaled_sensor, device: torque_sensor, quantity: torque, gain: 4}",
-        End("tripped", "test q_axis_current of 4.009 A contradicts test torque, by which ", 0.3),
+        End("tripped", "test q_axis_current of 4.01 A contradicts test torque, by which 1", 0.3),
     ),
     (
         "{fault: scaled_sensor, device: drive_test, quantity: q_axis_current, gain: 1000}",
@@ -136,13 +138,6 @@ CAUGHT = [
     ),
 ]
 
-UNNOTICED = [
-    (
-        "{fault: late_frames, bus: can0, delay_s: 0.04, direction: to_host}, "
-        "{fault: late_frames, at_s: 2, bus: can0, delay_s: 0.04, direction: to_host}",
-        "an answer carries no mark of its SYNC: readings that grow old by less than the age at a time pass for fresh",
-    ),
-]
 ELSEWHERE = {"supply_stuck_on", "supply_out_of_regulation"}  # tests/emulation/test_supply_feeds_the_bench.py
 
 
@@ -174,20 +169,6 @@ def test_a_fault_ends_the_run_in_time_and_what_is_said_of_the_drives_is_true(reh
     assert {name for name, confirmation in outcome.safe.items() if not confirmation.safe} == end.unconfirmed
     assert {role for role, actuator in bench.rig.actuators.items() if actuator.mode != "off"} == end.energised
     assert verify(outcome.path) == []
-
-
-@pytest.mark.parametrize(
-    "fault",
-    [
-        pytest.param(
-            fault, id=fault[8:].rstrip("}"), marks=pytest.mark.xfail(strict=True, raises=AssertionError, reason=reason)
-        )
-        for fault, reason in UNNOTICED
-    ],
-)
-def test_a_fault_does_not_pass_unnoticed(rehearse, fault):
-    outcome, _bench = rehearse(fault)
-    assert outcome.status in ("tripped", "failed")
 
 
 def test_a_fault_that_is_there_from_the_start_is_met_when_the_bench_is_opened(rehearse):
@@ -264,5 +245,5 @@ def test_a_disk_that_falls_behind_is_noted(rehearse):
 
 
 def test_every_fault_of_the_catalogue_is_rehearsed_here():
-    rehearsed = " ".join([SLOW, *(fault for fault, _ in CAUGHT + UNNOTICED)])
+    rehearsed = " ".join([SLOW, *(fault for fault, _ in CAUGHT)])
     assert {name for name in known_faults() if f"fault: {name}," not in rehearsed} == ELSEWHERE
