@@ -167,12 +167,10 @@ class Supervisor:
             for watch in panel.watches:
                 if (watch.channel.quantity, watch.channel.role) == ("torque", "test"):
                     panel.values = panel.values or [math.nan] * len(panel.watches)  # until the first reading
-                    witnesses = Witnesses(settings.for_s, self.trip)
-                    torque = witnesses.log(panel, watch.index)
-                    for role, model in models.items():
-                        sense = 1.0 if role == "test" else -1.0
-                        self._hold(witnesses, role, ByTorque(settings, model, sense), torque)
-                    return [witnesses]
+                    senses = {role: 1.0 if role == "test" else -1.0 for role in models}
+                    told = [self._account(role, ByTorque(settings, models[role], senses[role])) for role in models]
+                    accounts = [account for account in told if account is not None]
+                    return [Witnesses(settings.for_s, panel, watch.index, accounts, self.trip)] if accounts else []
         return []
 
     def _by_voltage(self) -> list[Witnesses]:
@@ -180,14 +178,16 @@ class Supervisor:
         settings = self._interlocks.voltage_disagreement
         if settings is None:
             return []
-        witnesses = Witnesses(settings.for_s, self.trip)
+        found = []
         for role, guarded in self._axes.items():
             for watch in guarded.panel.watches:
                 if watch.channel.quantity == "q_axis_voltage" and role in self._voltage_needs:
                     constant = self._voltage_needs[role].back_emf_constant
                     by_voltage = ByVoltage(watch.label, settings, constant, partial(self._thermal.resistances, role))
-                    self._hold(witnesses, role, by_voltage, witnesses.log(guarded.panel, watch.index))
-        return [witnesses]
+                    account = self._account(role, by_voltage)
+                    if account is not None:
+                        found.append(Witnesses(settings.for_s, guarded.panel, watch.index, [account], self.trip))
+        return found
 
     def _by_angle(self) -> Velocities | None:
         """What holds velocities against angles."""
@@ -195,11 +195,12 @@ class Supervisor:
         rotors = {role: rotor for role, rotor in zip(guard.roles, guard.rotors, strict=True) if role in self._axes}
         return None if settings is None else Velocities(settings, rotors, self.trip)
 
-    def _hold(self, witnesses: Witnesses, role: str, witness: ByTorque | ByVoltage, evidence: int) -> None:
+    def _account(self, role: str, witness: ByTorque | ByVoltage) -> Account | None:
+        """The current of a role, where its drive tells it and how fast it turns."""
         guarded = self._axes.get(role)
-        if guarded is not None and guarded.velocity is not None:
-            current = witnesses.log(guarded.panel, guarded.current, guarded.velocity)
-            witnesses.hold(Account(f"{role} q_axis_current", witness, evidence, current, current + 1))
+        if guarded is None or guarded.velocity is None:
+            return None
+        return Account(f"{role} q_axis_current", witness, guarded.panel, guarded.current, guarded.velocity)
 
     def begin(self, period: float) -> None:
         """The loop begins: ages count from here, for opening devices and making a file take what time they take."""

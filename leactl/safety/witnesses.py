@@ -9,7 +9,6 @@ cost the cycle little; squares are what heats, and do not cancel where a current
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from operator import itemgetter
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -24,6 +23,9 @@ from leactl.safety.watching import Panel, Trip
 WEAKER = 0.1  # of a torque constant, that hot magnets (0.1 %/K) and saturation take away
 WINDOWS = 3  # in a row that have to contradict alike: a blow that falls into two of them is none of the current
 LEAST_CYCLES = 4  # of a window
+GLANCE = (
+    4  # every so many cycles of a long window are looked at first: where these agree plainly, nothing is worked out
+)
 SENSED_ROLES = {"coupled": ("test", "load"), "locked": ("test",)}  # whose torques pass the sensor, by set-up
 MOST_NAMED = 2  # conventions, of those that a contradiction allows the nearest
 CONVENTIONS = {
@@ -43,6 +45,16 @@ def conventions(least: float, ratio: float, most: float) -> str:
     near = [factor for factor in CONVENTIONS if least <= factor <= most]
     near.sort(key=lambda factor: abs(math.log(ratio / factor)))
     return ", or ".join(CONVENTIONS[factor] for factor in near[:MOST_NAMED])
+
+
+Ends = tuple[float, float]
+
+
+def _magnitudes(low: float, high: float) -> Ends:
+    """The smallest and the largest magnitude between two ends."""
+    if low > 0.0 or high < 0.0:
+        return (low, high) if low > 0.0 else (-high, -low)
+    return 0.0, max(-low, high)
 
 
 class Currents(NamedTuple):
@@ -80,11 +92,14 @@ class ByTorque:
     def __init__(self, settings: TorqueDisagreement, model: TorqueModel, sense: float) -> None:
         """`sense` is 1 for the actuator whose torque the sensor shows, -1 for the one that takes it."""
         self._settings, self._model, self._sense = settings, model, sense
+        # by names of their own: `extremes` is asked for every window
+        self._coulomb, self._viscous = model.coulomb_friction, model.viscous_damping
+        self._less, self._more = 1.0 - 0.01 * settings.share_percent, 1.0 + 0.01 * settings.share_percent
+        self._weakest = model.torque_constant * (1.0 - WEAKER)
 
     def currents(self, torque: Array, velocity: Array, before: float, period: float) -> Currents:
         """By the torques [N*m] and velocities [rad/s] of cycles that last `period`, and the velocity before them."""
-        settings, model = self._settings, self._model
-        coulomb, viscous = model.coulomb_friction, model.viscous_damping
+        model, coulomb, viscous = self._model, self._coulomb, self._viscous
         given, speed = self._sense * torque, np.abs(velocity)
         least, most = coulomb.low + viscous.low * speed, coulomb.high + viscous.high * speed
         if speed.min() > TURNING_RAD_S and abs(np.sign(velocity).sum()) == len(velocity):
@@ -93,13 +108,40 @@ class ByTorque:
         else:
             either = most
         acceleration = np.diff(velocity, prepend=before) / period
-        either = either + model.rotor_inertia * np.abs(acceleration) + settings.tolerance_Nm
-        share, magnitude = 0.01 * settings.share_percent, np.abs(given)
+        either = either + model.rotor_inertia * np.abs(acceleration) + self._settings.tolerance_Nm
+        magnitude = np.abs(given)
         return Currents(
             np.sign(given),
-            np.maximum(magnitude * (1.0 - share) - either, 0.0) / model.torque_constant,
+            np.maximum(magnitude * self._less - either, 0.0) / model.torque_constant,
             magnitude / model.torque_constant,
-            (magnitude * (1.0 + share) + either) / (model.torque_constant * (1.0 - WEAKER)),
+            (magnitude * self._more + either) / self._weakest,
+        )
+
+    def way(self, torque: float, _velocity: float) -> float:
+        """Positive where such a torque is of a positive current."""
+        return self._sense * torque
+
+    def extremes(self, torques: Ends, velocities: Ends) -> Ends:
+        """No `low` of `currents` is above the first, and no `high` below the second, for what lies between these ends.
+
+        What acceleration explains is left out: it makes either less.
+        """
+        coulomb, viscous = self._coulomb, self._viscous
+        slowest, fastest = _magnitudes(*velocities)
+        most = coulomb.high + viscous.high * slowest
+        low, high = torques if self._sense > 0.0 else (-torques[1], -torques[0])
+        if slowest > TURNING_RAD_S:
+            least, most_of_all = coulomb.low + viscous.low * slowest, coulomb.high + viscous.high * fastest
+            helped = (least, most_of_all) if velocities[0] > 0.0 else (-most_of_all, -least)
+            low, high, either = low + helped[0], high + helped[1], 0.5 * (most - least)
+        else:
+            either = most
+        either += self._settings.tolerance_Nm
+        smallest, largest = _magnitudes(low, high)
+        flows = largest * self._less - either
+        return (
+            flows / self._model.torque_constant if flows > 0.0 else 0.0,
+            (smallest * self._more + either) / self._weakest,
         )
 
 
@@ -126,44 +168,57 @@ class ByVoltage:
             (across + either) / resistance.low,
         )
 
+    def way(self, voltage: float, velocity: float) -> float:
+        """Positive where such a voltage drives a positive current."""
+        return voltage - self._back_emf_constant * velocity
+
+    def extremes(self, voltages: Ends, velocities: Ends) -> Ends:
+        """No `low` of `currents` is above the first, and no `high` below the second, for what lies between these ends.
+
+        What grows with the voltage is left out of the tolerance: it makes either less.
+        """
+        resistance, (slow, fast) = self._resistances(), sorted(self._back_emf_constant * each for each in velocities)
+        smallest, largest = _magnitudes(voltages[0] - fast, voltages[1] - slow)
+        tolerance = self._settings.tolerance_V
+        return max(largest - tolerance, 0.0) / resistance.high, (smallest + tolerance) / resistance.low
+
 
 AGREES, LESS, MORE, TURNED = range(4)  # what is read beside what flows; turned: it flows the other way
 
 
 @dataclass
 class Account:
-    """One current and what else tells of it, as columns of what is logged every cycle."""
+    """One drive's current, and what else tells of it."""
 
     label: str
     witness: ByTorque | ByVoltage
-    evidence: int
-    current: int
+    panel: Panel
+    current: int  # where they stand among the panel's values
     velocity: int
-    side: int = 0  # of the last window: one of the constants below
+    side: int = AGREES  # of the last window
     windows: int = 0  # in a row to that side
 
 
+EVIDENCE, VELOCITY, CURRENTS = range(3)  # columns of what is logged; the second drive's current comes last
+WIDTH = 4  # numbers of a cycle
+
+
 class Witnesses:
-    """Trips on a current that a second sensor contradicts for `WINDOWS` windows in a row."""
+    """Trips on the current of a drive that a second sensor contradicts for `WINDOWS` windows in a row.
 
-    def __init__(self, for_s: float, trip: Trip) -> None:
+    Two drives that share the sensor share a shaft too, so that the velocity of the first serves both.
+    """
+
+    def __init__(self, for_s: float, evidence: Panel, place: int, accounts: Sequence[Account], trip: Trip) -> None:
+        """`place` is where the second sensor's reading stands among the values of its panel."""
         self._for_s, self._trip = for_s, trip
-        self._sources: list[tuple[Panel, Callable[[Sequence[float]], Sequence[float]]]] = []
-        self._accounts: list[Account] = []
+        self._accounts = accounts
+        # by names of their own: `look` runs in every cycle, and one drive's current is logged twice
+        first, second = accounts[0], accounts[-1]
+        self._sources = evidence, place, first.panel, first.velocity, first.current, second.panel, second.current
         self._log: list[float] = []
-        self._width, self._window, self._due = 0, math.inf, math.inf
+        self._window = self._due = math.inf
         self._began, self._kept = 0.0, 0  # rows that the last window has left
-
-    def log(self, panel: Panel, *places: int) -> int:
-        """Have these values of a panel logged every cycle; the column of the first."""
-        column, self._width = self._width, self._width + len(places)
-        get = itemgetter(*places) if len(places) > 1 else itemgetter(slice(places[0], places[0] + 1))
-        self._sources.append((panel, get))
-        return column
-
-    def hold(self, account: Account) -> None:
-        """Judge a current from now on."""
-        self._accounts.append(account)
 
     def begin(self, period: float, now: float) -> None:
         """The loop begins with cycles of this length."""
@@ -179,32 +234,55 @@ class Witnesses:
         ------
         SafetyTrip : by way of `trip`.
         """
+        evidence, place, drive, velocity, current, other, second = self._sources
+        values = drive.values
         log = self._log
-        for panel, get in self._sources:
-            log += get(panel.values)
+        log += evidence.values[place], values[velocity], values[current], other.values[second]
         if now >= self._due:
             self._judge(now)
 
     def _judge(self, now: float) -> None:
-        rows = np.reshape(self._log, (-1, self._width))
-        fresh = rows[self._kept :]
-        for account in self._accounts:
-            self._hold_against(account, fresh, rows, (now - self._began) / len(fresh))
-        self._kept = min(APART_CYCLES, len(rows))
-        del self._log[: (len(rows) - self._kept) * self._width]
+        log = self._log
+        cycles = len(log) // WIDTH
+        step = WIDTH * (GLANCE if cycles >= GLANCE * GLANCE else 1)
+        columns = [log[column::step] for column in range(CURRENTS + len(self._accounts))]
+        ends = [(min(column), max(column)) for column in columns]
+        for current, account in enumerate(self._accounts, start=CURRENTS):
+            if not self._plainly_agrees(account, current, columns, ends):
+                rows = np.reshape(log, (-1, WIDTH))
+                self._hold_against(account, current, rows, (now - self._began) / (cycles - self._kept))
+        self._kept = min(APART_CYCLES, cycles)
+        del log[: -self._kept * WIDTH]
         self._began, self._due = now, now + self._window
 
-    def _hold_against(self, account: Account, fresh: Array, rows: Array, period: float) -> None:
+    @staticmethod
+    def _plainly_agrees(
+        account: Account, current: int, columns: Sequence[Sequence[float]], ends: Sequence[Ends]
+    ) -> bool:
+        """Whether the ends of what was read tell already that no sample contradicts any other: most windows' work."""
+        witness = account.witness
+        low, high = witness.extremes(ends[EVIDENCE], ends[VELOCITY])
+        smallest, largest = _magnitudes(*ends[current])
+        agrees = low <= smallest and largest <= high
+        if agrees and low > 0.0:
+            agrees = witness.way(sum(columns[EVIDENCE]), sum(columns[VELOCITY])) * sum(columns[current]) > 0.0
+        if agrees:
+            account.side = account.windows = AGREES
+        return agrees
+
+    def _hold_against(self, account: Account, current: int, rows: Array, period: float) -> None:
         """Judge one window; what cannot be told, a reading that is no number among it, contradicts nothing."""
-        squares = rows[:, account.current] ** 2
-        read = float(squares[-len(fresh) :].mean())
-        # the two are not sampled at the same moment: a current that changes may be read some cycles apart
-        apart = min(1.0, APART_CYCLES / len(fresh)) * float(squares.max() - squares.min())
-        velocity = fresh[:, account.velocity]
-        before = float(rows[-len(fresh) - 1, account.velocity]) if len(rows) > len(fresh) else float(velocity[0])
-        found = account.witness.currents(fresh[:, account.evidence], velocity, before, period)
+        fresh, squares = rows[self._kept :], rows[:, current] ** 2
+        read = float(squares[self._kept :].mean())
+        # the two are not sampled at the same moment: a current that changes may be read some cycles apart, and a sensor
+        # that is slower than the loop may meet every other sample of a swing
+        spread = APART_CYCLES / len(fresh) * float(squares.max() - squares.min())
+        apart = spread + (float(np.abs(np.diff(squares)).mean()) if len(squares) > 1 else 0.0)
+        velocity = fresh[:, VELOCITY]
+        before = float(rows[self._kept - 1, VELOCITY]) if self._kept else float(velocity[0])
+        found = account.witness.currents(fresh[:, EVIDENCE], velocity, before, period)
         low, likely, high = (float(each @ each) / len(fresh) for each in (found.low, found.likely, found.high))
-        with_it = float((found.way * found.low) @ fresh[:, account.current]) / len(fresh)
+        with_it = float((found.way * found.low) @ fresh[:, current]) / len(fresh)
         side = TURNED if with_it < -apart else LESS if low > read + apart else MORE if read > high + apart else AGREES
         account.windows = account.windows + 1 if side == account.side != AGREES else int(side != AGREES)
         account.side = side

@@ -12,7 +12,7 @@ from tests.benchmarks import test_control_cycle as cycle
 from tests.benchmarks.rounds import compare
 from tests.safety.guards import LEA, guard_of
 
-LIMIT = 0.10  # of the cycle's CPU time
+LIMIT = 0.12  # of the cycle's CPU time; 0.10 before both currents were held against the torque sensor
 INTERLOCKS = """
 q_axis_current: {warn_A: 26, trip_A: 28, for_s: 0.5, stuck_s: 1}
 velocity: {warn_rad_s: 36, trip_rad_s: 38, for_s: 0.1, rate_rad_s_per_s: 10000}
@@ -41,7 +41,7 @@ def readings_of(second):
     return [(row, start + 0.001, start + 0.002) for row, start in zip(rows, starts, strict=True)]
 
 
-def test_the_supervisor_takes_a_tenth_of_a_cycle_at_the_most(tmp_path, figure):
+def test_the_supervisor_takes_an_eighth_of_a_cycle_at_the_most(tmp_path, figure):
     request, loops, seconds = cycle.request_in(tmp_path), [], [readings_of(k) for k in range(cycle.CYCLES // 1000)]
     machine = EmulatedBench(request.bench, request.devices, "free", "", seed=1)
     torque = StreamSpec("torque_sensor", (ChannelSpec("torque", "torque", "test", "torque_sensor"),))
