@@ -7,6 +7,7 @@ import math
 
 import pytest
 import yaml
+from leactl_plugins.bk1688b.driver import Bk1688b
 
 from leactl.bench import benchfile
 from leactl.emulation.witness import witnessed
@@ -100,3 +101,27 @@ def test_friction_of_other_preloads_is_left_alone(misread, condition):
             bench["emulated"][role] = dict(shipped)
 
     assert misread(quick, [], 1.0, preloaded)[0].status == "complete"
+
+
+HEATED = """
+name: heated
+setup: heated
+rate_Hz: 20
+steps:
+  - supply: {test: {voltage_V: 10, current_A: 6}}
+  - hold: {duration_s: 60}
+  - supply: {test: off}
+"""
+
+
+@pytest.mark.parametrize("factor", FACTORS[1:])
+def test_the_voltage_of_a_supply_tells_of_a_current_that_it_reads_too_low(misread, monkeypatch, factor):
+    measured = Bk1688b.take
+
+    def too_low(self):
+        return [row._replace(values=(row.values[0], row.values[1] / factor)) for row in measured(self)]
+
+    monkeypatch.setattr(Bk1688b, "take", too_low)
+    outcome, hottest = misread(HEATED, [], 1.0, lambda bench: bench["emulated"].pop("effects"), name="emulated-heated")
+    assert (outcome.status, hottest < FIFTH_DEGC) == ("tripped", True)
+    assert outcome.reason.startswith("test winding is by its resistance at ")
