@@ -96,12 +96,13 @@ def plan(
     hottest: dict[str, float] = {}
     passes, limits, slow = "", None, ""
     stays_on: list[str] = []
+    alone: list[str] = []
     if bench:
         from leactl.bench.bench import Bench
         from leactl.bench.benchfile import host_silences
         from leactl.bench.wiring import MachineWiring
         from leactl.runner.checked_bench import load_checked
-        from leactl.runner.fitting import check_fit
+        from leactl.runner.fitting import check_fit, unwitnessed
         from leactl.runner.left_on import left_on
         from leactl.runner.windings import Windings, standing
         from leactl.safety.refusals import check_rate
@@ -109,13 +110,14 @@ def plan(
         file, devices, _document = load_checked(bench)
         if file.emulated is not None:
             file.emulated.expect(condition)
-        made = Bench(file, devices, MachineWiring())
-        check_fit(expanded, made)
+        there = Bench(file, devices, MachineWiring())
+        check_fit(expanded, there)
+        alone = unwitnessed(expanded, there)
         check_rate(expanded.rate_Hz, host_silences(devices))
         limits = file.limits
         windings = Windings(file, devices, "", cold=True)
         forecast = windings.forecast(expanded)
-        stays_on = [one.told for one in left_on(expanded, windings, made)]
+        stays_on = [one.told for one in left_on(expanded, windings, there)]
         hottest = {role: round(value, 2) for role, value in forecast.peaks.items()}
         if forecast.turning_from_hz is not None:
             slow = f"note: {standing(forecast.turning_from_hz)}; rate_Hz is {expanded.rate_Hz:g}"
@@ -124,13 +126,14 @@ def plan(
         )
     if as_json:
         rows = [row._asdict() for row in expanded.timeline()]
-        heat = {"searches": searches(expanded)} | ({"hottest_degC": hottest, "left_on": stays_on} if bench else {})
+        told = {"hottest_degC": hottest, "left_on": stays_on, "one_sensor": alone} if bench else {}
+        heat = {"searches": searches(expanded)} | told
         typer.echo(json.dumps({**head(expanded), "peaks": peaks(expanded, limits), "timeline": rows, **heat}))
         return
     typer.echo("\n".join(plan_lines(expanded, limits)))
     for role, value in hottest.items():
         typer.echo(f"winding {role} at most {value:g} degC from ambient{passes}; see: leactl thermal plan")
-    for line in stays_on:
+    for line in [*stays_on, *alone]:
         typer.echo(line)
     if slow:
         typer.echo(slow, err=True)

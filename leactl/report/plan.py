@@ -81,6 +81,7 @@ def rehearsal_body(request: Request, rehearsal: Rehearsal) -> dict[str, Any]:
         "held": False,
         "searches": searches(plan),
         "timeline": [row._asdict() for row in plan.timeline()],
+        "one_sensor": list(rehearsal.one_sensor),
         "warnings": list(rehearsal.warnings),
     }
 
@@ -96,7 +97,7 @@ def rehearsal_text(request: Request, rehearsal: Rehearsal, body: Mapping[str, An
     for role, winding in body["windings"].items():
         hottest, limit = winding["hottest_degC"], winding["limit_degC"]
         lines.append(f"winding {role} at most {hottest:g} degC, limit {limit:g} degC; {winding['known']}")
-    lines += body["left_on"]
+    lines += [*body["left_on"], *body["one_sensor"]]
     lines.append(f"bench '{body['bench']}' is not tripped, and no other run holds it")
     lines.append(f"would write {body['planned_bytes'] / 1e6:.1f} MB at most, as {body['run']}")
     return "\n".join(lines)

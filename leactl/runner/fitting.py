@@ -2,10 +2,12 @@
 
 from leactl.bench.bench import Bench
 from leactl.bench.benchfile import BenchFile
+from leactl.driver.contract import Mode
 from leactl.errors import InputError
-from leactl.protocol.plan import ChannelLimit, Engage, InRange, Plan, Segment, Until, WaitUntil, When
+from leactl.protocol.plan import ChannelLimit, Engage, InRange, Plan, Segment, Supply, Until, WaitUntil, When
 from leactl.runner.channel_limits import ChannelLimits
 from leactl.safety.refusals import check_setpoints
+from leactl.safety.witnesses import lone_sensors
 
 
 def check_fit(plan: Plan, bench: Bench) -> None:
@@ -38,6 +40,18 @@ def limits_of(plan: Plan, bench: Bench) -> ChannelLimits:
     """
     limits = [limit for limit in plan.acceptance if isinstance(limit, ChannelLimit)]
     return ChannelLimits(limits, bench.streams(), bench.file.name)
+
+
+def unwitnessed(plan: Plan, bench: Bench) -> list[str]:
+    """One line for each winding that a plan heats and whose bound rests on one sensor."""
+    heated: dict[str, str] = {}
+    for action in plan.actions:
+        if isinstance(action, Engage):
+            heated |= {role: "q_axis_current" for role, mode in action.modes.items() if mode is not Mode.OFF}
+        elif isinstance(action, Supply):
+            heated |= {role: "line_current" for role, output in action.outputs.items() if output is not None}
+    channels = [channel for several in bench.streams().values() for channel in several]
+    return lone_sensors(bench.file.interlocks, channels, plan.setup, dict(sorted(heated.items(), reverse=True)))
 
 
 def _check_roles(plan: Plan, bench: Bench) -> None:

@@ -239,9 +239,10 @@ class Loop:
             self._note("info", "operator", f"remark: {text}")
         wanted = "paused" if self._pausing else "pauses at the next rest"
         self._progress.pause = wanted if self._wishes.paused() else ""
-        for text in self._supervisor.take_warnings():
-            self._note("warning", "safety", text)
-            self._progress.warnings.append(text)
+        for source, texts in (("safety", self._supervisor.take_warnings()), ("recording", self._flush.warnings())):
+            for text in texts:
+                self._note("warning", source, text)
+                self._progress.warnings.append(text)
 
     def _see_watchdog(self) -> None:
         fault = self._watchdog.fault()

@@ -3,11 +3,14 @@
 import math
 import threading
 import time
+from collections import deque
 
 from leactl.runfile.writer import RecordingFailed, RunWriter
 from leactl.safety.disk import free_bytes
 
 FLUSH_S = 0.8  # a kill may cost a second (run-format), of which the writing itself takes some
+PROMISED_S = 1.0  # from one flush to the next, by which the run format says that rows are on the disk
+QUIET_S = 60.0  # at most one warning of a slow disk in this time
 
 
 class InlineFlush:
@@ -30,6 +33,10 @@ class InlineFlush:
             self.free_bytes = free_bytes(self._writer.path)
             self._due = time.monotonic() + FLUSH_S
 
+    def warnings(self) -> list[str]:
+        """None: the loop's own time stands still while this writes."""
+        return []
+
     def stop(self) -> None:
         """Nothing goes on by itself."""
 
@@ -40,6 +47,8 @@ class ThreadedFlush:
     def __init__(self, writer: RunWriter) -> None:
         self._writer = writer
         self.free_bytes = math.inf  # on the disk, after the last flush
+        self._warnings: deque[str] = deque()
+        self._flushed, self._quiet_until = time.monotonic(), -math.inf
         self._ended = threading.Event()
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="leactl-flush", daemon=True)
@@ -49,10 +58,25 @@ class ThreadedFlush:
         while not self._ended.wait(FLUSH_S):
             try:
                 self._writer.flush()
+                self._see_pace(time.monotonic())
                 self.free_bytes = free_bytes(self._writer.path)
             except BaseException as failure:  # noqa: BLE001 (a thread that dies in silence would record nothing more)
                 self._failure = failure
                 return
+
+    def _see_pace(self, now: float) -> None:
+        """Note a disk that takes so long that a kill now would cost more than the run format says."""
+        took, self._flushed = now - self._flushed, now
+        if took > PROMISED_S and now >= self._quiet_until:
+            self._quiet_until = now + QUIET_S
+            self._warnings.append(
+                f"the disk is slow: rows were on it {took:.2g} s after those before, {PROMISED_S:g} s at most were"
+                " expected; a crash now may cost as much of the run"
+            )
+
+    def warnings(self) -> list[str]:
+        """What there is to tell of the disk since the last call."""
+        return [self._warnings.popleft() for _ in range(len(self._warnings))]
 
     def after_cycle(self) -> None:
         """Tell the loop of a failure.

@@ -26,7 +26,7 @@ from leactl.protocol.plan import Plan, Record, SearchLimit, Supply
 from leactl.runfile.writer import RunInfo, RunWriter, new_run_id
 from leactl.runner import exclusive, latch, state, underway
 from leactl.runner.channel_limits import ACCEPTANCE, Verdict
-from leactl.runner.fitting import check_fit, check_setup, limits_of
+from leactl.runner.fitting import check_fit, check_setup, limits_of, unwitnessed
 from leactl.runner.latch import Latch, Ready
 from leactl.runner.loop import Loop, Operator
 from leactl.runner.progress import Progress
@@ -35,13 +35,12 @@ from leactl.runner.signals import StopRequest, StopSource, Wishes, listening
 from leactl.runner.underway import Announcement
 from leactl.runner.watchdog import Unwatched, beside
 from leactl.runner.windings import Windings
-from leactl.safety.cross_checks import TorqueModel
 from leactl.safety.current_tracking import VoltageNeed
 from leactl.safety.disk import check_room, free_bytes, planned_bytes
 from leactl.safety.supervisor import Axis, Supervisor
 from leactl.safety.thermal.foresight import Forecast
+from leactl.safety.witnesses import SENSED_ROLES, TorqueModel
 
-SENSED_SETUPS = ("coupled", "locked")  # where the torque sensor sees what the test actuator gives
 Watch = Callable[[Progress], AbstractContextManager[object]]
 
 
@@ -188,6 +187,7 @@ class Rehearsal:
     forecast: Forecast
     left_on: Sequence[str]  # what comes of each supply that nobody switches off
     warnings: Sequence[str]
+    one_sensor: Sequence[str]  # of each winding whose bound rests on one
 
 
 def rehearse(request: Request) -> Rehearsal:
@@ -202,13 +202,12 @@ def rehearse(request: Request) -> Rehearsal:
         request.latch.refuse()
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
     ready, bench, _supervisor = _ready(request, windings)
-    stays_on = _left_on(ready.plan, windings, bench)
+    stays_on, alone = _left_on(ready.plan, windings, bench), unwitnessed(ready.plan, bench)
     warnings = [f"{name}: {text}" for name, text in overdue(request.devices).items()]
     if fault := state.place_of(request.bench, request.in_process).fault:
         warnings.append(f"{fault}; see: leactl doctor")
-    return Rehearsal(
-        ready.plan, _planned_bytes(request.plan, bench), windings, windings.forecast(ready.plan), stays_on, warnings
-    )
+    planned, forecast = _planned_bytes(request.plan, bench), windings.forecast(ready.plan)
+    return Rehearsal(ready.plan, planned, windings, forecast, stays_on, warnings, alone)
 
 
 def _alone(request: Request) -> AbstractContextManager[list[int]]:
@@ -344,6 +343,9 @@ def _run(
         flush.stop()
     except Exception as failure:  # noqa: BLE001 (what ended the run is told whatever becomes of its file)
         error = _joined(error, failure)
+    for text in flush.warnings():  # of the last flush, which no cycle came after
+        writer.event(loop.time, "warning", "recording", text)
+        progress.warnings.append(text)
     for name, confirmation in safe.items():
         level = "info" if confirmation.safe else "error"
         writer.event(loop.time, level, name, f"safe state: {confirmation.detail}")
@@ -456,9 +458,7 @@ def _supervisor(request: Request, bench: Bench, windings: Windings) -> Superviso
     for role, driver in bench.drives.items():
         assert isinstance(driver, MotionDevice)
         axes[role] = Axis(driver, driver)
-    test = windings.motors["test"]
-    torque = TorqueModel(test.torque_constant, test.coulomb_friction, test.viscous_damping, test.rotor_inertia)
-    joined = request.plan.setup in SENSED_SETUPS
+    sensed = SENSED_ROLES.get(request.plan.setup, ())
     return Supervisor(
         request.bench.limits,
         axes,
@@ -466,7 +466,7 @@ def _supervisor(request: Request, bench: Bench, windings: Windings) -> Superviso
         bench.clock,
         windings.guard,
         request.bench.interlocks,
-        torque_model=torque if joined else None,
+        torque_models={role: TorqueModel.of(windings.motors[role]) for role in sensed},
         voltage_needs={
             role: VoltageNeed(motor.back_emf_constant, motor.resistance(request.bench.limits.winding_temperature_degC))
             for role, motor in windings.motors.items()
@@ -511,6 +511,8 @@ def _introduce(request: Request, windings: Windings, writer: RunWriter, bench: B
         writer.event(0.0, "warning", name, text)
     if (seed := _seed(request)) is not None:
         writer.event(0.0, "info", "emulation", f"seed = {seed}")
+    for line in unwitnessed(request.plan, bench):
+        writer.event(0.0, "info", "safety", line)
     for role, found in windings.recalled.items():
         writer.event(0.0, "info", "windings", f"{role} winding: {found.known}, at most {found.nodes[0]:.1f} degC")
 

@@ -1,17 +1,15 @@
-"""What no channel shows by itself: a reading that stands still while others move, and two torques that disagree."""
+"""What no channel shows by itself: a reading that stands still while others move, a velocity beside its angle."""
 
 import math
-from collections import deque
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Container, Mapping, Sequence
 
-from leactl.safety.interlocks import Interlocks, TorqueDisagreement
-from leactl.safety.watching import Panel, Watch
+from leactl.safety.interlocks import Interlocks, VelocityDisagreement
+from leactl.safety.thermal.turning import Rotor
+from leactl.safety.watching import Panel, Trip, Watch
 
 TEMPERATURE_STUCK_S = 600.0  # a temperature without a word on it: at a thousandth of a kelvin none stands still so long
 TURNING_RAD_S = 0.1  # far above the noise of a velocity: below, nothing is said of an angle or a velocity that stands
 APART_CYCLES = 3  # that a torque and a current which stand side by side may have been measured apart
-NAN = math.nan  # by a name of this module in what runs every cycle
 OTHERS_EVERY = 16  # cycles in which others are looked at: that they move at all shows soon enough
 
 
@@ -109,67 +107,39 @@ class Stuck:
         return False
 
 
-class TorqueModel(NamedTuple):
-    """What a motor file says of the torque that reaches the shaft, SI."""
+class Velocities:
+    """Trips on a velocity that contradicts the angle, by what the guard's rotors have looked at.
 
-    torque_constant: float
-    coulomb_friction: float
-    viscous_damping: float
-    rotor_inertia: float
-
-
-class TorqueEstimates:
-    """Kt i of the test actuator against the torque sensor.
-
-    The sensor sees Kt i less friction and less what accelerates the rotor. Friction at rest has any sign and size up to
-    the Coulomb friction, so that its bound is allowed for, and |J acceleration| from the velocities of two cycles. The
-    two are not read at the same moment: what Kt i has gone through within `APART_CYCLES` is allowed for too.
+    An angle that changes unevenly from cycle to cycle is no measure of the speed at one moment: so much is allowed for,
+    and in angle mode, where a drive goes from one setpoint to the next and rests when it is sampled, nothing is judged.
     """
 
-    def __init__(
-        self, settings: TorqueDisagreement, model: TorqueModel, sensor: tuple[Panel, Watch], drive: Panel
-    ) -> None:
-        self._settings, self._model = settings, model
-        (self._sensor, self._watch), self._drive = sensor, drive
-        place = {watch.channel.quantity: watch.index for watch in drive.watches}
-        self._current, self._speed, self._torque = place["q_axis_current"], place["velocity"], self._watch.index
-        self._torque_constant = model.torque_constant
-        self._least = settings.tolerance_Nm + model.coulomb_friction
-        self._since = math.nan
-        self._velocity, self._at = math.nan, -math.inf
-        self._currents: deque[float] = deque(maxlen=APART_CYCLES + 1)
+    def __init__(self, settings: VelocityDisagreement, rotors: Mapping[str, Rotor], trip: Trip) -> None:
+        self._settings, self._rotors, self._trip = settings, rotors, trip
+        self._lasting = dict.fromkeys(rotors, 0.0)  # s
+        self._advanced = math.nan
 
-    def look(self, now: float) -> None:
-        """Judge the newest sensor reading, which there must be, by the exchange that has just ended.
+    def look(self, advanced: float, judged: Container[str]) -> None:
+        """Judge a step of the guard that has ended at this time, once; only the roles that are `judged`.
 
         Raises
         ------
-        SafetyTrip : by way of the watch's `trip`.
+        SafetyTrip : by way of `trip`.
         """
-        values, least = self._drive.values, self._least
-        apart = self._sensor.values[self._torque] - self._torque_constant * values[self._current]
-        if -least <= apart <= least:
-            self._since = NAN
-        else:
-            self._look_closer(apart, values[self._current], values[self._speed], now)
-
-    def _look_closer(self, apart: float, current: float, velocity: float, now: float) -> None:
-        # from one closer look to the next: at the first the acceleration is unknown, and counts as none for a cycle
-        acceleration = (velocity - self._velocity) / (now - self._at) if now > self._at else 0.0
-        self._velocity, self._at = velocity, now
-        if current == current:
-            self._currents.append(current)
-        allowed = self._least + self._model.viscous_damping * abs(velocity)
-        allowed += self._model.rotor_inertia * abs(acceleration)
-        allowed += self._torque_constant * (max(self._currents, default=0.0) - min(self._currents, default=0.0))
-        if not abs(apart) > allowed:  # NaN: its age tells
-            self._since = math.nan
+        step, self._advanced = advanced - self._advanced, advanced
+        if not step > 0.0:
             return
-        if not self._since <= now:
-            self._since = now
-        if now - self._since >= self._settings.for_s:
-            self._watch.trip(
-                f"{self._watch.label} is {apart:+.4g} N*m from Kt i at {current:.4g} A for {now - self._since:.3g} s;"
-                f" {allowed:.4g} N*m are explained by friction, inertia and the tolerance of"
-                f" {self._settings.tolerance_Nm:g} N*m"
-            )
+        settings = self._settings
+        for role, rotor in self._rotors.items():
+            motion = rotor.motion
+            if motion is None or role not in judged:
+                self._lasting[role] = 0.0
+                continue
+            allowed = settings.tolerance_rad_s + 0.01 * settings.share_percent * motion.speed + motion.unsteady
+            self._lasting[role] = self._lasting[role] + step if motion.apart > allowed else 0.0
+            if self._lasting[role] >= settings.for_s:
+                self._trip(
+                    f"{role} velocity is {motion.apart:.3g} rad/s from the change of the angle in the mean of"
+                    f" {self._lasting[role]:.3g} s, at {motion.speed:.3g} rad/s; {allowed:.3g} rad/s are allowed: is it"
+                    " noisy, or are the two of different shafts?"
+                )

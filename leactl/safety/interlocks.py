@@ -167,11 +167,38 @@ Entries = Annotated[
 ]
 
 
+Share = Annotated[float, Field(strict=True, ge=0, le=50)]
+
+
 class TorqueDisagreement(Block):
-    """How far the torque sensor may be from Kt i, friction and inertia allowed for, coupled or locked."""
+    """How far the torque sensor may be from Kt i, friction and inertia allowed for, coupled or locked.
+
+    `tolerance_Nm` is for what does not grow with the torque, as the sensor's zero and cogging; `share_percent` for what
+    does: the sensor's gain, the torque constant and the current's reading.
+    """
 
     tolerance_Nm: Positive  # noqa: N815 (a unit keeps its letter)
+    share_percent: Share = 5.0
     for_s: Annotated[float, Field(strict=True, gt=0, le=60, allow_inf_nan=False)] = 0.1
+
+
+class VoltageDisagreement(Block):
+    """How far a drive's q-axis voltage may be from R i and back-EMF, beyond the tolerances of R and its temperature.
+
+    `tolerance_V` is for what does not grow with the voltage, as dead time; `share_percent` for what does.
+    """
+
+    tolerance_V: Positive  # noqa: N815 (a unit keeps its letter)
+    share_percent: Share = 5.0
+    for_s: Annotated[float, Field(strict=True, gt=0, le=60, allow_inf_nan=False)] = 0.2
+
+
+class VelocityDisagreement(Block):
+    """How far a velocity may be from the change of the angle, in the mean over the cycles of `for_s` and longer."""
+
+    tolerance_rad_s: Positive
+    share_percent: Share = 20.0  # of the speed: filters lag behind what swings
+    for_s: Annotated[float, Field(strict=True, gt=0, le=60, allow_inf_nan=False)] = 0.5
 
 
 class CurrentDisagreement(Block):
@@ -251,6 +278,8 @@ class Interlocks(Block):
     winding_temperature: Entries[InDegrees] = ()
     ambient_temperature: Entries[InDegrees] = ()
     torque_disagreement: TorqueDisagreement | None = None
+    voltage_disagreement: VoltageDisagreement | None = None
+    velocity_disagreement: VelocityDisagreement | None = None
     current_disagreement: CurrentDisagreement = CurrentDisagreement()
     supply: Supply | None = None
     loop_overruns: LoopOverruns = LoopOverruns()
@@ -302,6 +331,11 @@ class Interlocks(Block):
         if self.torque_disagreement and not {("torque", "test"), ("q_axis_current", "test")} <= measured:
             message = "no device measures both torque and q_axis_current of role 'test'; it would never trip"
             faults.append((("torque_disagreement",), message))
+        if self.voltage_disagreement and "q_axis_voltage" not in quantities:
+            faults.append((("voltage_disagreement",), "no device measures a q_axis_voltage; it would never trip"))
+        if self.velocity_disagreement and not {"velocity", "angle"} <= quantities:
+            message = "no device measures both velocity and angle; it would never trip"
+            faults.append((("velocity_disagreement",), message))
         for channel in channels:
             entries = self.of(channel.quantity, channel.role)
             if channel.quantity in NEED_A_TRIP and not any(math.isfinite(e.window("trip")[1]) for e in entries):

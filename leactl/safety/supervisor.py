@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, NoReturn
 
 from leactl.driver import stopping
@@ -16,7 +17,7 @@ from leactl.driver.contract import Block, Confirmation, Driver, Mode, MotionDevi
 from leactl.errors import SafetyTrip
 from leactl.quantities import ChannelSpec
 from leactl.safety.angle_path import AnglePath
-from leactl.safety.cross_checks import Stuck, TorqueEstimates, TorqueModel
+from leactl.safety.cross_checks import Stuck, Velocities
 from leactl.safety.current_tracking import CurrentTracking, VoltageNeed
 from leactl.safety.disk import Disk
 from leactl.safety.interlocks import Interlocks
@@ -26,6 +27,7 @@ from leactl.safety.supplies import Supplies
 from leactl.safety.thermal.guard import ThermalGuard
 from leactl.safety.thermal.measured import Leads, Measured
 from leactl.safety.watching import UNLIMITED, Panel
+from leactl.safety.witnesses import Account, ByTorque, ByVoltage, TorqueModel, Witnesses
 
 CURRENT_REFERENCE = "q_axis_current_reference"
 STALL_CYCLES = 2.5  # between two, from which a loop has stalled
@@ -98,13 +100,13 @@ class Supervisor:
         clock: Clock,
         guard: ThermalGuard,
         interlocks: Interlocks = DEFAULTS,
-        torque_model: TorqueModel | None = None,
+        torque_models: Mapping[str, TorqueModel] | None = None,
         voltage_needs: Mapping[str, VoltageNeed] | None = None,
     ) -> None:
         """The guard knows the axes by the same roles.
 
-        Without a torque model the torque sensor is not held against Kt i: nothing couples the two. Without voltage
-        needs every current counts as one that the bus can drive.
+        A role without a torque model is not held against the torque sensor: nothing couples the two. Without voltage
+        needs every current counts as one that the bus can drive, and no voltage tells of a current.
         """
         self._limits, self._interlocks, self._clock, self._others = limits, interlocks, clock, list(others)
         self._thermal, self._worst = guard, limits.current_A**2
@@ -126,9 +128,10 @@ class Supervisor:
         guard.undriven = frozenset(place for place, role in enumerate(guard.roles) if role not in self._axes)
         panels = [*[guarded.panel for guarded in self._axes.values()], *self._own.values()]
         self._stuck = Stuck(panels, interlocks)
+        self._velocities = self._by_angle()
         self._pace = Pace(interlocks.loop_overruns, interlocks.clock, self.trip, now)
         self._disk = Disk(interlocks.disk_space, self.trip, self.warnings.append)
-        self._torques = self._torque_estimates(torque_model)
+        self._witnesses = [*self._by_torque(torque_models or {}), *self._by_voltage()]
         self._due = self._ages_due = -math.inf
         # by names of their own: `check` runs in every cycle
         self._judged = [
@@ -155,16 +158,49 @@ class Supervisor:
         tracking.turn_to(judges=True)
         return _Guarded(axis, panel, place["q_axis_current"], place.get("velocity"), place.get("angle"), tracking)
 
-    def _torque_estimates(self, model: TorqueModel | None) -> TorqueEstimates | None:
-        settings, test = self._interlocks.torque_disagreement, self._axes.get("test")
-        if model is None or settings is None or test is None:
-            return None
+    def _by_torque(self, models: Mapping[str, TorqueModel]) -> list[Witnesses]:
+        """What holds currents against the torque sensor, where there is one."""
+        settings = self._interlocks.torque_disagreement
+        if settings is None or not models:
+            return []
         for panel in self._own.values():
             for watch in panel.watches:
                 if (watch.channel.quantity, watch.channel.role) == ("torque", "test"):
                     panel.values = panel.values or [math.nan] * len(panel.watches)  # until the first reading
-                    return TorqueEstimates(settings, model, (panel, watch), test.panel)
-        return None
+                    senses = {role: 1.0 if role == "test" else -1.0 for role in models}
+                    told = [self._account(role, ByTorque(settings, models[role], senses[role])) for role in models]
+                    accounts = [account for account in told if account is not None]
+                    return [Witnesses(settings.for_s, panel, watch.index, accounts, self.trip)] if accounts else []
+        return []
+
+    def _by_voltage(self) -> list[Witnesses]:
+        """What holds currents against the voltages at their windings, where drives tell those."""
+        settings = self._interlocks.voltage_disagreement
+        if settings is None:
+            return []
+        found = []
+        for role, guarded in self._axes.items():
+            for watch in guarded.panel.watches:
+                if watch.channel.quantity == "q_axis_voltage" and role in self._voltage_needs:
+                    constant = self._voltage_needs[role].back_emf_constant
+                    by_voltage = ByVoltage(watch.label, settings, constant, partial(self._thermal.resistances, role))
+                    account = self._account(role, by_voltage)
+                    if account is not None:
+                        found.append(Witnesses(settings.for_s, guarded.panel, watch.index, [account], self.trip))
+        return found
+
+    def _by_angle(self) -> Velocities | None:
+        """What holds velocities against angles."""
+        settings, guard = self._interlocks.velocity_disagreement, self._thermal
+        rotors = {role: rotor for role, rotor in zip(guard.roles, guard.rotors, strict=True) if role in self._axes}
+        return None if settings is None else Velocities(settings, rotors, self.trip)
+
+    def _account(self, role: str, witness: ByTorque | ByVoltage) -> Account | None:
+        """The current of a role, where its drive tells it and how fast it turns."""
+        guarded = self._axes.get(role)
+        if guarded is None or guarded.velocity is None:
+            return None
+        return Account(f"{role} q_axis_current", witness, guarded.panel, guarded.current, guarded.velocity)
 
     def begin(self, period: float) -> None:
         """The loop begins: ages count from here, for opening devices and making a file take what time they take."""
@@ -177,6 +213,8 @@ class Supervisor:
         for panel in self._own.values():
             panel.begin(now, self._limits.age_s)
         self._pace.begin(period, now)
+        for witnesses in self._witnesses:
+            witnesses.begin(period, now)
         self._due = self._ages_due = -math.inf
 
     # -- commands ----------------------------------------------------------------------------------------------------
@@ -316,8 +354,8 @@ class Supervisor:
             flowing[place] = square if square > asked else asked
         if now >= self._due:
             self._look_at_all(now)
-        if self._torques is not None:
-            self._torques.look(now)
+        for witnesses in self._witnesses:
+            witnesses.look(now)
 
     def _look_at_all(self, now: float) -> None:
         """What need not be looked at in every cycle: windings, ages of the devices' own streams, what stands still."""
@@ -326,6 +364,9 @@ class Supervisor:
             too_hot = guard.check(now)
             if too_hot:
                 self.trip(too_hot)
+            if self._velocities is not None:
+                servoed = any(guarded.path is not None for guarded in self._axes.values())
+                self._velocities.look(guard.advanced, () if servoed else self._axes)
         if now >= self._ages_due:
             self._ages_due = min((panel.check_age(now) for panel in self._lasting), default=math.inf)
         if now >= self._stuck.due:

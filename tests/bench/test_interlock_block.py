@@ -131,7 +131,9 @@ def test_a_bench_without_limits_is_refused_and_one_without_interlocks_has_defaul
 
 def test_the_check_shows_interlocks_and_refuses_with_status_2(tmp_path):
     shown = leactl("bench", "check", "testbed")
-    assert "  interlock torque_disagreement    tolerance_Nm 2.0, for_s 0.2" in shown.stdout.splitlines()
+    assert (
+        "  interlock torque_disagreement    tolerance_Nm 0.5, share_percent 5.0, for_s 0.2" in shown.stdout.splitlines()
+    )
     answer = json.loads(leactl("bench", "check", "testbed", "--json").stdout)
     assert answer["interlocks"]["supply"] == {"expected_V": 29.6, "band_V": 5.0, "for_s": 0.0}
     done = leactl("bench", "check", str(written(tmp_path, "drive_temperature: {trip_degC: 85}")))

@@ -91,6 +91,9 @@ class FlushByCycles:
         self._writer, self._cycles = writer, 0
         self.free_bytes = math.inf
 
+    def warnings(self):
+        return []
+
     def after_cycle(self) -> None:
         self._cycles += 1
         if self._cycles % FLUSH_EVERY == 0:

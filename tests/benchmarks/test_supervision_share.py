@@ -5,14 +5,14 @@ from leactl.driver.contract import Row, StreamSpec
 from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.emulated_bench import EmulatedBench
 from leactl.quantities import ChannelSpec
-from leactl.safety.cross_checks import TorqueModel
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.supervisor import Axis, Supervisor
+from leactl.safety.witnesses import TorqueModel
 from tests.benchmarks import test_control_cycle as cycle
 from tests.benchmarks.rounds import compare
-from tests.safety.guards import guard_of
+from tests.safety.guards import LEA, guard_of
 
-LIMIT = 0.10  # of the cycle's CPU time
+LIMIT = 0.12  # of the cycle's CPU time; 0.10 before both currents were held against the torque sensor
 INTERLOCKS = """
 q_axis_current: {warn_A: 26, trip_A: 28, for_s: 0.5, stuck_s: 1}
 velocity: {warn_rad_s: 36, trip_rad_s: 38, for_s: 0.1, rate_rad_s_per_s: 10000}
@@ -41,7 +41,7 @@ def readings_of(second):
     return [(row, start + 0.001, start + 0.002) for row, start in zip(rows, starts, strict=True)]
 
 
-def test_the_supervisor_takes_a_tenth_of_a_cycle_at_the_most(tmp_path, figure):
+def test_the_supervisor_takes_an_eighth_of_a_cycle_at_the_most(tmp_path, figure):
     request, loops, seconds = cycle.request_in(tmp_path), [], [readings_of(k) for k in range(cycle.CYCLES // 1000)]
     machine = EmulatedBench(request.bench, request.devices, "free", "", seed=1)
     torque = StreamSpec("torque_sensor", (ChannelSpec("torque", "torque", "test", "torque_sensor"),))
@@ -49,10 +49,10 @@ def test_the_supervisor_takes_a_tenth_of_a_cycle_at_the_most(tmp_path, figure):
     def prepare_next():
         loop, bench, writer, _wiring = cycle.prepared(request, machine, len(loops))
         axes = {role: Axis(drive, drive) for role, drive in bench.drives.items()}
-        model = TorqueModel(0.49, 0.208, 0.0238, 0.0024)
+        models = dict.fromkeys(axes, TorqueModel.of(LEA))
         interlocks = yamlfile.parse(INTERLOCKS).validate(Interlocks)
         devices, clock = [Sensor([torque])], EmulatedClock()
-        judge = Supervisor(request.bench.limits, axes, devices, clock, guard_of(axes), interlocks, model)
+        judge = Supervisor(request.bench.limits, axes, devices, clock, guard_of(axes), interlocks, models)
         judge.begin(0.001)
         loops.append((loop, bench, writer, judge))
 

@@ -211,6 +211,18 @@ def test_a_value_that_cannot_be_used(mine, given, words):
     assert words in done.stderr
 
 
+def test_plan_says_where_the_bound_of_a_winding_rests_on_one_sensor(mine, tmp_path):
+    text = "the bound of the test winding rests on one sensor, q_axis_current: in set-up "
+    said = leactl("protocol", "plan", "friction", "--bench", "emulated").stdout.splitlines()
+    assert f"{text}'free' nothing else shows a current that is misread" in said
+    assert text not in leactl("protocol", "plan", mine, "--bench", "emulated").stdout  # beside a torque sensor
+    bench = (SHIPPED / "emulated.yaml").read_text().replace("name: emulated", "name: mine")
+    (tmp_path / "bench.yaml").write_text("".join(x for x in bench.splitlines(True) if "torque_disagreement" not in x))
+    answer = json.loads(leactl("protocol", "plan", mine, "--bench", tmp_path / "bench.yaml", "--json").stdout)
+    (line,) = answer["one_sensor"]
+    assert line.endswith("; interlocks.torque_disagreement would hold a second one against it")
+
+
 @pytest.mark.parametrize("command", ["show", "check", "plan"])
 def test_a_protocol_that_is_not_known(command):
     done = leactl("protocol", command, "torque")

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from leactl_plugins.elmo_can.cia402 import State, state_of
+from leactl_plugins.elmo_can.emulator import ElmoEmulator
 from leactl_plugins.elmo_can.settings import ElmoSettings
 from pydantic import ValidationError
 
@@ -15,7 +16,7 @@ from leactl.driver.far_end import Frame
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 
 from .elmo_bench import ElmoBench, q_axis
-from .failing import FailingDrive
+from .failing import COUNTS, RATED_MA, FailingDrive, Shaft
 from .transports import CanInProcess
 
 
@@ -228,6 +229,46 @@ def test_a_voltage_that_stays_away_is_nan_beside_what_came():
     values = bench.cycle()
     assert [math.isnan(value) for value in values[3:]] == [False] * 4 + [True]
     bench.close()
+
+
+class Clocked(ElmoEmulator):
+    """A drive whose clock goes its own way, and whose answers stand for a moment that is past."""
+
+    def __init__(self):
+        self.shaft, self.late, self.rate = Shaft(), 0.0, 1.0
+        super().__init__(1, self.shaft, rated_current_ma=RATED_MA, counts_per_turn=COUNTS, clock_object=(0x2F10, 0))
+
+    def _sync(self, now):
+        return super()._sync(4294.0 + self.rate * now - self.late)  # its 32 bits go round within a second
+
+
+@pytest.fixture
+def clocked():
+    wire = CanInProcess()
+    far = Clocked()
+    wire.wire.attach(far)
+    wire.drive = lambda _node: far
+    bench = ElmoBench(wire=wire, drive_clock={"index": 0x2F10})
+    bench.drive.open()
+    yield bench
+    bench.close()
+
+
+def test_answers_that_grow_old_are_told_by_the_clock_they_are_stamped_with(clocked):
+    for late in (0.0, 0.025, 0.049):
+        clocked.far.late = late
+        for _ in range(1000):
+            clocked.cycle()
+    clocked.far.late = 0.09
+    with pytest.raises(DeviceFault, match=r"its answers are 0\.0\d+ s late by its own clock; 0\.05 s are allowed"):
+        for _ in range(21):
+            clocked.cycle()
+
+
+def test_a_clock_that_drifts_makes_no_answer_late(clocked):
+    clocked.far.rate = 1.0 - 1.9e-4  # 57 ms behind after 300 s
+    for _ in range(10_000):
+        clocked.cycle(period=0.03)
 
 
 def test_a_fault_at_start_is_named_and_reset_only_on_request(make_bench):

@@ -245,7 +245,8 @@ class DirectSensor(Driver):
     def take(self) -> list[Row]:
         """The torque of now."""
         bench = self._bench
-        return [Row("torque", bench.clock.now(), (bench.rotors.torque + NOISE_NM * bench.noise(),))]
+        reading = bench.truth.torque_gain * bench.rotors.torque + bench.truth.torque_zero + NOISE_NM * bench.noise()
+        return [Row("torque", bench.clock.now(), (reading,))]
 
 
 class DirectBench:
@@ -253,7 +254,7 @@ class DirectBench:
 
     def __init__(self, truth: Truth, setup: str, fault: Fault | None, seed: int, name: str = "direct") -> None:
         self.setup, self.fault, self.dead, self.file = setup, fault, False, _Named(name)
-        self.rotors = Rotors(truth, setup)
+        self.truth, self.rotors = truth, Rotors(truth, setup)
         self.time = EmulatedClock()
         self.clock = HostClock(self.time)
         self.time.follow(self._advance)

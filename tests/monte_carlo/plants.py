@@ -19,6 +19,8 @@ WIDTHS: dict[str, float] = LEA.tolerances.model_dump()
 ROLES = ("test", "load")
 HOTTEST_SHARE = 0.5  # of the corners, that are the one at which an actuator becomes hottest
 OUTSIDE = ("third node", "blocked air", "wrong convention")
+MISREAD = {"2/3": 2 / 3, "sqrt(3/2)": math.sqrt(1.5), "sqrt(2)": math.sqrt(2.0), "3/2": 1.5, "sqrt(3)": math.sqrt(3.0)}
+TORQUE_SHARE, TORQUE_ZERO_NM = 0.03, 0.1  # of the sensor; with 2 % of the current that is the bench's share of 5 %
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,9 @@ class Truth:
     corner: bool
     outside: str  # what no tolerance allows for; "" where the plant lies inside
     angle: float  # rad, of the rotors at the start
+    misread: str = ""  # by which factor, and of which drives
+    torque_gain: float = 1.0  # of the torque sensor
+    torque_zero: float = 0.0  # N*m
 
 
 def drawn(draw: np.random.Generator, outside: str, duration_s: float) -> Truth:
@@ -53,10 +58,17 @@ def drawn(draw: np.random.Generator, outside: str, duration_s: float) -> Truth:
             phases |= {"blocked_air_factor": factor, "blocked_air_from": float(draw.uniform(0.0, duration_s))}
         actuators[role] = _actuator(place, phases)
         factors[role] = 1.0 + WIDTHS["current"] * place("current")
-        if outside == "wrong convention":
-            factors[role] *= math.sqrt(2.0)
     ambient = TOLD_AMBIENT_DEGC + WIDTHS["ambient_K"] * place("ambient_K")
-    return Truth(actuators, factors, ambient, corner, outside, float(draw.uniform(0.0, 2.0 * math.pi)))
+    angle, misread = float(draw.uniform(0.0, 2.0 * math.pi)), ""
+    if outside == "wrong convention":
+        name, whose = str(draw.choice(list(MISREAD))), str(draw.choice([*ROLES, "both"]))
+        misread = f"{name} {whose}"
+        factors = {r: factor * (MISREAD[name] if whose in (r, "both") else 1.0) for r, factor in factors.items()}
+    gain, zero = float(draw.uniform(-1.0, 1.0)), float(draw.uniform(-1.0, 1.0))
+    if corner:
+        gain, zero = math.copysign(1.0, gain), math.copysign(1.0, zero)
+    sensor = 1.0 + TORQUE_SHARE * gain, TORQUE_ZERO_NM * zero
+    return Truth(actuators, factors, ambient, corner, outside, angle, misread, *sensor)
 
 
 def at_the_corner(offset: float) -> Truth:

@@ -84,6 +84,9 @@ def report(told: Sequence[Told], campaign: Campaign) -> str:
     lines += [_group(kind, [item for item in beyond if item["outside"] == kind]) for kind in OUTSIDE]
     lines += ["", "| outside the model, above 130 degC | of all trials | 95 % interval |", "|---|---|---|"]
     lines += [_above(kind, [item for item in beyond if item["outside"] == kind]) for kind in OUTSIDE]
+    lines += ["", "| misread current | trials | above 130 degC | highest, degC | what told |", "|---" * 5 + "|"]
+    misread = [item for item in beyond if item.get("misread")]
+    lines += [_misread(kind, [i for i in misread if _class(i) == kind]) for kind in sorted(set(map(_class, misread)))]
     lines += ["", "| outside the model: what ended the run | trials |", "|---|---|"]
     lines += [f"| {name} | {count} |" for name, count in _causes(beyond)]
     bad = [item for item in inside if violations(item)]
@@ -129,10 +132,30 @@ def _above(kind: str, items: Sequence[Told]) -> str:
     return f"| {kind} | {hits} of {len(items)} | {100 * low:.2f} to {100 * high:.2f} % |"
 
 
+def _class(item: Told) -> str:
+    """What a misread current is called: its factor, whose it is, and the set-up, on which hangs what else tells."""
+    return f"{item['misread']}, {item['setup']}"
+
+
+def _misread(kind: str, items: Sequence[Told]) -> str:
+    hot = sum(item["peak_degC"] > LIMIT_DEGC for item in items)
+    told = Counter(_what_told(item) for item in items)
+    causes = ", ".join(f"{name} {count}" for name, count in told.most_common())
+    return f"| {kind} | {len(items)} | {hot} | {max(item['peak_degC'] for item in items):.1f} | {causes} |"
+
+
+def _what_told(item: Told) -> str:
+    """The sensor that contradicted, or what else ended the run."""
+    if " contradicts " in item["reason"]:
+        return str(item["reason"]).partition(" contradicts ")[2].partition(",")[0]
+    return "the bound" if THERMAL in item["reason"] else "a limit" if item["reason"] else "nothing"
+
+
 def _causes(items: Iterable[Told]) -> list[tuple[str, int]]:
     """Reasons with their numbers left out."""
     found: Counter[str] = Counter()
     for item in items:
-        cause = NUMBERS.sub("#", item["reason"]).replace("|", "/") if item["reason"] else item["status"]
+        reason = item["reason"].partition(" times as much")[0]  # the conventions near it are in a table of their own
+        cause = NUMBERS.sub("#", reason).replace("|", "/") if reason else item["status"]
         found[f"{item['outside']}: {cause}"] += 1
     return found.most_common()

@@ -13,15 +13,14 @@ from leactl.runner.channel_limits import ChannelLimits
 from leactl.runner.loop import Loop
 from leactl.runner.operators import granted
 from leactl.runner.progress import Progress
-from leactl.runner.session import SENSED_SETUPS
 from leactl.runner.signals import StopRequest, Wishes
 from leactl.runner.watchdog import Unwatched
 from leactl.runner.windings import guard_settings, motors_of
-from leactl.safety.cross_checks import TorqueModel
 from leactl.safety.current_tracking import VoltageNeed
 from leactl.safety.supervisor import Axis, Supervisor
 from leactl.safety.thermal.box import Array
 from leactl.safety.thermal.guard import GuardSettings, ThermalGuard
+from leactl.safety.witnesses import SENSED_ROLES, TorqueModel
 from tests.monte_carlo.direct import DirectBench, Fault, Killed
 from tests.monte_carlo.plants import LEA, Truth
 from tests.monte_carlo.rotors import CONSUMER_S
@@ -65,6 +64,10 @@ class NoFile:
 
     def step(self, *_what: object) -> None:
         """Nothing is kept."""
+
+    def warnings(self) -> list[str]:
+        """None."""
+        return []
 
     def after_cycle(self) -> None:
         """Nothing is kept."""
@@ -128,8 +131,6 @@ def run(
     bench = DirectBench(truth, plan.setup, fault, seed)
     guard = guard_of(motors_of(file), settings, start)
     axes = {role: Axis(drive, drive) for role, drive in bench.drives.items()}
-    joined = plan.setup in SENSED_SETUPS
-    torque = TorqueModel(LEA.torque_constant, LEA.coulomb_friction, LEA.viscous_damping, LEA.rotor_inertia)
     supervisor = Supervisor(
         file.limits,
         axes,
@@ -137,7 +138,7 @@ def run(
         bench.clock,
         guard,
         file.interlocks,
-        torque if joined else None,
+        dict.fromkeys(SENSED_ROLES.get(plan.setup, ()), TorqueModel.of(LEA)),
         dict.fromkeys(axes, VoltageNeed(LEA.back_emf_constant, LEA.resistance(LEA.limits.winding_temperature))),
     )
     status, reason, warnings = _loop(plan, bench, supervisor)

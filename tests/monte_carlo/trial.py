@@ -99,6 +99,7 @@ def _direct(draw: np.random.Generator, number: int, beyond: bool, guard_of: Make
         "number": number,
         "kind": "outside" if beyond else "direct",
         "outside": outside,
+        "misread": truth.misread,
         "setup": plan.setup,
         "rate_Hz": plan.rate_Hz,
         "duration_s": round(plan.duration_s, 2),

@@ -1,7 +1,4 @@
-"""Every fault in a whole run: what ends it, how fast, and whether the drives are as they are said to be.
-
-What passes unnoticed today stands in `UNNOTICED`.
-"""
+"""Every fault in a whole run: what ends it, how fast, and whether the drives are as they are said to be."""
 
 from typing import NamedTuple
 
@@ -49,6 +46,11 @@ CAUGHT = [
     ("{fault: lost_frames, bus: can0, direction: to_host}", End("tripped", SILENT, 0.05, DRIVES)),
     ("{fault: lost_frames, bus: can0, direction: to_devices}", End("tripped", SILENT, 0.05, DRIVES)),
     ("{fault: late_frames, bus: can0, delay_s: 0.1, direction: to_host}", End("tripped", SILENT, 0.05)),
+    (
+        "{fault: late_frames, bus: can0, delay_s: 0.04, direction: to_host}, "
+        "{fault: late_frames, at_s: 2, bus: can0, delay_s: 0.04, direction: to_host}",
+        End("failed", "drive_test: its answers are 0.08 s late by its own clock", 0.75),
+    ),
     ("{fault: bus_off, bus: can0}", End("failed", "bus 'can0': cannot send 0x201: Failed to transmit", 0.01, DRIVES)),
     (
         "{fault: saturated_sensor, device: torque_sensor, quantity: torque}",
@@ -61,6 +63,10 @@ CAUGHT = [
     (
         "{fault: noisy_sensor, device: torque_sensor, quantity: torque, spread: 6, unit: N*m}",
         End("tripped", "", 0.3),
+    ),
+    (
+        "{fault: noisy_sensor, device: drive_test, quantity: velocity, spread: 5, unit: rad/s}",
+        End("tripped", "test velocity is ", 2.0),
     ),
     (
         "{fault: disconnected_sensor, device: torque_sensor}",
@@ -85,11 +91,15 @@ CAUGHT = [
     ),
     (
         "{fault: over_voltage, bus_voltage_V: 75}",
-        End("tripped", "test bus_voltage of 75 V passed the limit of 60 V", 1.01),
+        End("tripped", "test bus_voltage of 75 V passed the limit of 60 V", 0.21),
     ),
     (
         "{fault: under_voltage, bus_voltage_V: 12}",
-        End("tripped", "test bus_voltage of 12 V fell below the limit of 20 V", 1.01),
+        End("tripped", "test bus_voltage of 12 V fell below the limit of 20 V", 0.21),
+    ),
+    (
+        "{fault: under_voltage, bus_voltage_V: 12, for_s: 0.3}",
+        End("tripped", "test bus_voltage of 12 V fell below the limit of 20 V", 0.21),
     ),
     ("{fault: clock_jump, jump_s: 1}", End("failed", "drive_test: no heartbeat of node 1 for 1.0", 1.01)),
     ("{fault: clock_jump, jump_s: -1}", End("tripped", "the bench's clock went back by 0.99 s", 0.02)),
@@ -108,19 +118,19 @@ CAUGHT = [
     ),
     (
         "{fault: stuck_sensor, device: drive_load, quantity: angle}",
-        End("tripped", "load angle has been exactly ", 2.0),
+        End("tripped", "load velocity is 5 rad/s from the change of the angle", 2.0),
     ),
     (
         "{fault: disconnected_sensor, device: torque_sensor, quantity: torque}",
-        End("tripped", "test torque has been exactly 0 N*m for 1 s", 2.0),
+        End("tripped", "test q_axis_current of 4.01 A contradicts test torque, by which 0.667", 0.3),
     ),
     (
         "{fault: disconnected_sensor, device: drive_test, quantity: q_axis_current}",
-        End("tripped", "test q_axis_current of 0 A contradicts its demand of ", 0.3),
+        End("tripped", "test q_axis_current of 0 A contradicts test torque, by which ", 0.3),
     ),
     (
         "{fault: scaled_sensor, device: torque_sensor, quantity: torque, gain: 4}",
-        End("tripped", "test torque is +", 0.3),
+        End("tripped", "test q_axis_current of 4.01 A contradicts test torque, by which 1", 0.3),
     ),
     (
         "{fault: scaled_sensor, device: drive_test, quantity: q_axis_current, gain: 1000}",
@@ -128,21 +138,6 @@ CAUGHT = [
     ),
 ]
 
-UNNOTICED = [
-    (
-        "{fault: noisy_sensor, device: drive_test, quantity: velocity, spread: 5, unit: rad/s}",
-        "a rate that no motion passes allows steps of 100 rad/s from one cycle of 10 ms to the next",
-    ),
-    (
-        "{fault: late_frames, bus: can0, delay_s: 0.04, direction: to_host}, "
-        "{fault: late_frames, at_s: 2, bus: can0, delay_s: 0.04, direction: to_host}",
-        "an answer carries no mark of its SYNC: readings that grow old by less than the age at a time pass for fresh",
-    ),
-    (
-        "{fault: under_voltage, bus_voltage_V: 12, for_s: 0.3}",
-        "the bus voltage is read once a second: a shorter sag falls between two readings",
-    ),
-]
 ELSEWHERE = {"supply_stuck_on", "supply_out_of_regulation"}  # tests/emulation/test_supply_feeds_the_bench.py
 
 
@@ -174,20 +169,6 @@ def test_a_fault_ends_the_run_in_time_and_what_is_said_of_the_drives_is_true(reh
     assert {name for name, confirmation in outcome.safe.items() if not confirmation.safe} == end.unconfirmed
     assert {role for role, actuator in bench.rig.actuators.items() if actuator.mode != "off"} == end.energised
     assert verify(outcome.path) == []
-
-
-@pytest.mark.parametrize(
-    "fault",
-    [
-        pytest.param(
-            fault, id=fault[8:].rstrip("}"), marks=pytest.mark.xfail(strict=True, raises=AssertionError, reason=reason)
-        )
-        for fault, reason in UNNOTICED
-    ],
-)
-def test_a_fault_does_not_pass_unnoticed(rehearse, fault):
-    outcome, _bench = rehearse(fault)
-    assert outcome.status in ("tripped", "failed")
 
 
 def test_a_fault_that_is_there_from_the_start_is_met_when_the_bench_is_opened(rehearse):
@@ -257,9 +238,6 @@ def test_every_write_of_the_run_file_waits_for_a_slow_disk(rehearse, monkeypatch
     assert waited.count(0.4) == len(waited) >= 2  # the first flush and the last
 
 
-@pytest.mark.xfail(
-    strict=True, raises=AssertionError, reason="rows that reach the disk later than the run format says are not noted"
-)
 def test_a_disk_that_falls_behind_is_noted(rehearse):
     outcome, _bench = rehearse(SLOW, SPIN, sets=("hold_s=1.2",), realtime=True)
     with Run.open(outcome.path) as run:
@@ -267,5 +245,5 @@ def test_a_disk_that_falls_behind_is_noted(rehearse):
 
 
 def test_every_fault_of_the_catalogue_is_rehearsed_here():
-    rehearsed = " ".join([SLOW, *(fault for fault, _ in CAUGHT + UNNOTICED)])
+    rehearsed = " ".join([SLOW, *(fault for fault, _ in CAUGHT)])
     assert {name for name in known_faults() if f"fault: {name}," not in rehearsed} == ELSEWHERE

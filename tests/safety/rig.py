@@ -7,13 +7,13 @@ from leactl import yamlfile
 from leactl.driver.contract import Mode
 from leactl.driver.i2c_port import I2cPort
 from leactl.emulation.wires import EmulatedI2cBus
-from leactl.safety.cross_checks import TorqueModel
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.limits import Limits
 from leactl.safety.supervisor import Axis, Supervisor
+from leactl.safety.witnesses import TorqueModel
 from tests.driver.elmo_bench import ElmoBench
 from tests.driver.failing import FailingConverter
-from tests.safety.guards import guard_of
+from tests.safety.guards import LEA, guard_of
 
 LIMITS = Limits(
     current_A=30,
@@ -24,7 +24,6 @@ LIMITS = Limits(
     age_s=2.5,
     winding_temperature_degC=130,
 )
-LEA_TORQUE = TorqueModel(torque_constant=0.49, coulomb_friction=0.208, viscous_damping=0.0238, rotor_inertia=0.0024)
 TORQUE = {"name": "torque", "quantity": "torque", "role": "test", "pins": "A0", "scale_per_V": 5.0, "range_V": 6.144}
 HOUSING = {"name": "t", "quantity": "housing_temperature", "role": "test", "pins": "A0", "scale_per_V": 100.0}
 
@@ -41,8 +40,8 @@ class Rig(ElmoBench):
         self.sensor = Ads1115("sensor", "bench", checked, I2cPort(lambda: bus, "i2c-1"), self.clock)
         self.sensor.open()
         block = yamlfile.parse(interlocks).validate(Interlocks)
-        axes = {"test": Axis(self.drive, self.drive)}
-        self.supervisor = Supervisor(limits, axes, [self.sensor], self.clock, guard_of(start=start), block, LEA_TORQUE)
+        axes, models = {"test": Axis(self.drive, self.drive)}, {"test": TorqueModel.of(LEA)}
+        self.supervisor = Supervisor(limits, axes, [self.sensor], self.clock, guard_of(start=start), block, models)
         self.supervisor.begin(period)
         self.period = period
 

@@ -83,7 +83,7 @@ class Wrong(ThermalGuard):
 
     def __init__(self, *arguments):
         super().__init__(*arguments)
-        for rotor in self._rotors:
+        for rotor in self.rotors:
             self.spoil(rotor)
 
 

@@ -223,46 +223,6 @@ def test_a_saturated_sensor_trips_by_its_driver_s_word(make):
     assert trips_after(rig, r"input t is saturated at \+4.096 V", 0.1) < 5 * rig.period
 
 
-def test_the_torque_sensor_disagrees_with_the_current(make):
-    rig = make("torque_disagreement: {tolerance_Nm: 0.5, for_s: 0.05}")
-    rig.engage()
-    rig.supervisor.command("test", 10.0)  # 4.9 N*m by Kt i
-    rig.converter.apply(4.9 / 5.0)
-    rig.run(0.3)
-    rig.converter.apply((4.9 - 0.69) / 5.0)  # less 0.5 N*m of tolerance and 0.208 N*m of friction
-    rig.run(0.3)
-    rig.converter.apply((4.9 - 0.75) / 5.0)
-    assert trips_after(rig, r"test torque is -0.7\d+ N\*m from Kt i at 10 A", 1) == pytest.approx(0.05, abs=0.01)
-
-
-def test_viscous_friction_and_inertia_explain_a_difference_of_torques(make):
-    rig = make("torque_disagreement: {tolerance_Nm: 0.3, for_s: 0.02}")
-    rig.shaft.velocity = -39.0
-    rig.converter.apply(1.4 / 5.0)  # 0.208 N*m + 39 rad/s x 0.0238 N*m*s/rad + 0.3 N*m = 1.44 N*m
-    rig.run(0.2)
-    speeds = itertools.cycle((0.2, -0.2))  # 400 rad/s^2 x 0.0024 kg*m^2 = 0.96 N*m
-    rig.run(0.2, lambda: setattr(rig.shaft, "velocity", next(speeds)))
-    rig.shaft.velocity = 0.0
-    assert trips_after(rig, "from Kt i", 1) < 0.03
-
-
-def test_a_torque_that_is_read_cycles_apart_from_its_current_agrees_with_it(make):
-    """A sine of 10 A in 40 cycles changes by 1.6 A, 0.77 N*m, in one of them; a torque half a period late disagrees."""
-    rig = make("torque_disagreement: {tolerance_Nm: 0.1, for_s: 0.005}")
-    rig.engage()
-    asked = [10.0 * math.sin(2.0 * math.pi * k / 40) for k in range(240)]
-
-    def follow(late):
-        for k in range(late, len(asked)):
-            rig.supervisor.command("test", asked[k])
-            rig.converter.apply(0.49 * asked[k - late] / 5.0)
-            rig.run(rig.period)
-
-    follow(0)  # the converter takes its time
-    with pytest.raises(SafetyTrip, match="from Kt i"):
-        follow(20)
-
-
 # -- ages --------------------------------------------------------------------------------------------------------------
 
 

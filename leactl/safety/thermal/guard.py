@@ -16,7 +16,7 @@ import numpy as np
 
 from leactl.model.motor import Motor
 from leactl.safety.thermal.bound import HOTTEST, LONGEST_STEP_S, MEAN, ThermalBound
-from leactl.safety.thermal.box import PHASE_SHARE, Array, Box
+from leactl.safety.thermal.box import PHASE_SHARE, Array, Box, Range
 from leactl.safety.thermal.turning import FIELDS, HEAT, LED_LOOSE, VELOCITY, Rotor, Span, fastest, top
 
 LOOK_S, COLD_LOOK_S = 0.01, 0.1
@@ -88,7 +88,7 @@ class ThermalGuard:
         self.undriven: frozenset[int] = frozenset()  # roles without a drive, by their places: nothing else heats them
         self.due = -math.inf  # when `check` is to be called again
         turned = fastest(motors.values(), settings.most_current, settings.most_speed)
-        self._rotors = [Rotor(motor, settings.most_speed, turned) for motor in motors.values()]
+        self.rotors = [Rotor(motor, settings.most_speed, turned) for motor in motors.values()]
         # how much of each log is counted, and heat in that and through leads [A^2 s]
         self._counted, self._squares = [0] * len(boxes), [0.0] * len(boxes)
         self._led, self._led_moments = [0.0] * len(boxes), [0.0] * len(boxes)  # A^2 s, A^2 s^2 of the latter by now
@@ -110,6 +110,17 @@ class ThermalGuard:
     def remember(self, fault: Callable[[], str]) -> None:
         """Ask here why the bounds cannot be kept beyond this process; a guard that is forgotten stops the bench."""
         self._forgotten = fault
+
+    def resistances(self, role: str) -> Range:
+        """Of a phase, from what it is at the coldest ambient to what it is where its bound stands [ohm]."""
+        box = self.boxes[role]
+        coldest = self._settings.ambient - box.ambient_rise - box.reference_temperature
+        warmest = self.hottest[role] - box.reference_temperature
+        slow, fast = box.resistance_coefficient.low, box.resistance_coefficient.high
+        return Range(
+            box.phase_resistance.low * (1.0 + min(slow * coldest, fast * coldest)),
+            box.phase_resistance.high * (1.0 + max(slow * warmest, fast * warmest)),
+        )
 
     def begin(self, now: float) -> None:
         """Time counts from here."""
@@ -186,7 +197,7 @@ class ThermalGuard:
             self._look(now)
         fresh = []
         led = zip(self._led, self._led_moments, strict=True)
-        lanes = zip(self._rotors, self.logs, self._squares, led, self._budgets_of.heating, strict=True)
+        lanes = zip(self.rotors, self.logs, self._squares, led, self._budgets_of.heating, strict=True)
         for rotor, log, square, (through_leads, moment), heating in lanes:
             if square * heating < LITTLE_K_S * duration:
                 span = rotor.unlooked_at(square - through_leads, log[VELOCITY::FIELDS], duration)
@@ -207,7 +218,7 @@ class ThermalGuard:
         """
         bound, decay = self._bound, self._bound.decay_s
         joined = [before.joined(after) for before, after in zip(self._spans, fresh, strict=True)]
-        gap = any(rotor.lost for rotor in self._rotors)  # across which no two angles by the velocity belong together
+        gap = any(rotor.lost for rotor in self.rotors)  # across which no two angles by the velocity belong together
         longer = not gap and self._spans[0].duration > 0.0 and joined[0].duration <= LONGEST_STEP_S
         if longer and self._left(joined, joined) < self._left(self._spans, joined):
             self._spans = joined

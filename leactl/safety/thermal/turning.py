@@ -12,6 +12,7 @@ three alike. A span is heat from one moment to a later one, to be looked at as a
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -125,6 +126,14 @@ def top(velocities: Sequence[float], most_speed: float) -> float:
     return max(map(abs, velocities), default=0.0) if math.isfinite(sum(velocities)) else most_speed
 
 
+class Motion(NamedTuple):
+    """How a rotor's two sensors told of its motion over some cycles, in the mean [rad/s]."""
+
+    apart: float  # speed by the velocity and by the angle
+    speed: float  # by the angle
+    unsteady: float  # change of that from one cycle to the next, an encoder's steps included
+
+
 class Rotor:
     """One actuator's rotor, cycle by cycle."""
 
@@ -136,11 +145,12 @@ class Rotor:
         self.lost = True  # whether the path by the velocity has a gap in the latest span, or at its beginning
         self._swept = 0.0  # twice the electrical angle by the velocity [rad]
         self._steps: Array = np.zeros(WINDOW)  # of the angle in the last cycles [rad]
+        self.motion: Motion | None = None  # in the latest span, where it was looked at and all of it is known
 
     def unlooked_at(self, square: float, velocities: Sequence[float], duration: float) -> Span:
         """A span of so little heat [A^2 s] that it may all be loose, and late: the work is saved."""
         self._angle = self._velocity = math.nan
-        self.lost = True
+        self.lost, self.motion = True, None
         speed = top(velocities, self._most_speed)
         moment = square * duration
         return Span(duration, square, 0.0, 0.0, square, moment, 0.0, 0.0, moment, speed)
@@ -157,6 +167,7 @@ class Rotor:
             (cycles, 4); NaN is not known, and a velocity that is not counts as full speed.
         duration : of the span [s].
         """
+        self.motion = None
         if not len(log):
             self.lost = not math.isnan(self._velocity)
             return Span(duration)
@@ -166,11 +177,13 @@ class Rotor:
         found = Span(duration, float(whole), square_moment=float(moment), unseen=float(unseen))
         found.speed = self._most_speed if math.isnan(speed) else float(speed)
         before = np.concatenate([[self._velocity], velocities[:-1]])
-        steps = np.diff(angles, prepend=self._angle)
-        passed = np.stack([steps, 0.5 * (velocities + before) * cycles]) * self._twice_electrical
+        steps, swept_steps = np.diff(angles, prepend=self._angle), 0.5 * (velocities + before) * cycles
+        passed = np.stack([steps, swept_steps]) * self._twice_electrical
         known = np.isfinite(passed)
         self.lost = not known[1].all()
-        if not known.all():
+        if known.all():
+            self.motion = _motion(steps / cycles, swept_steps / cycles)
+        else:
             steps, passed = np.where(known[0], steps, 0.0), np.where(known, passed, 0.0)
         angles_known, known = known[0], known[0] & known[1]
         loose = np.where(known, self._detour * cycles * cycles + self._twice_electrical * self._gone_back(steps), 1.0)
@@ -194,6 +207,11 @@ class Rotor:
         forth, back = (np.concatenate([[0.0], np.cumsum(np.maximum(way, 0.0))]) for way in (steps, -steps))
         both = np.minimum(forth[WINDOW:] - forth[:-WINDOW], back[WINDOW:] - back[:-WINDOW])
         return np.asarray(both[1:], np.float64)
+
+
+def _motion(by_angle: Array, by_velocity: Array) -> Motion:
+    unsteady = float(np.abs(np.diff(by_angle)).mean()) if len(by_angle) > 1 else math.inf
+    return Motion(float(np.abs(by_velocity - by_angle).mean()), float(np.abs(by_angle).mean()), unsteady)
 
 
 def evenly(middle: Array, passed: Array) -> npt.NDArray[np.complex128]:

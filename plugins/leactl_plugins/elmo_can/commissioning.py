@@ -7,6 +7,8 @@ from leactl_plugins.elmo_can.cia402 import FAULTS
 from leactl_plugins.elmo_can.sdo import Sdo
 from leactl_plugins.elmo_can.settings import ElmoSettings
 
+CLOCK_EVERY = 10  # SYNCs, at which a drive tells its clock: a hundredth of the bus at 1 kHz
+
 
 class Commissioning:
     """The set-up of one drive; every method raises `DeviceError` where the drive is silent or refuses."""
@@ -134,13 +136,16 @@ class Commissioning:
         if voltage is not None:
             bits = 16 if voltage.type == "i16" else 32
             self._map(0x1802, 0x1A02, 0x380 + node, (voltage.index << 16 | voltage.subindex << 8 | bits,))
+        clock = self._settings.drive_clock
+        if clock is not None:
+            self._map(0x1803, 0x1A03, 0x480 + node, (clock.index << 16 | clock.subindex << 8 | 32,), CLOCK_EVERY)
         if self._settings.torque_slope_per_mille_s is not None:
             self._sdo.write_verified(0x6087, 0, "u32", self._settings.torque_slope_per_mille_s)
 
-    def _map(self, communication: int, mapping: int, identifier: int, entries: tuple[int, ...]) -> None:
+    def _map(self, communication: int, mapping: int, identifier: int, entries: tuple[int, ...], syncs: int = 1) -> None:
         """Remap one PDO in the order CiA 301 asks for: invalid, type, empty, entries, count, valid."""
         self._sdo.write(communication, 1, "u32", 0x80000000 | identifier)
-        self._sdo.write(communication, 2, "u8", 1)
+        self._sdo.write(communication, 2, "u8", syncs)
         self._sdo.write(mapping, 0, "u8", 0)
         for number, entry in enumerate(entries, start=1):
             self._sdo.write(mapping, number, "u32", entry)

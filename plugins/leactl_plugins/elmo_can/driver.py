@@ -40,6 +40,8 @@ ENABLE_TIME_S = 2.0
 DISABLE_VOLTAGE_BY_SDO = bytes.fromhex("2b40600000000000")
 READ_BUS_VOLTAGE = bytes.fromhex("4079600000000000")
 NAN, NEVER = math.nan, -math.inf
+LATE_S = 0.05  # that an answer may be late, which is as old as the supervisor lets a reading be at 60 Hz and above
+CLOCKS_APART = 2e-4  # s in a second, that the drive's clock may go faster than the host's
 
 _torque_demand = struct.Struct("<Hhb")
 _motion_demand = struct.Struct("<ii")
@@ -52,10 +54,30 @@ def _of_32_bits(counts: int) -> int:
     return (counts + 0x80000000 & 0xFFFFFFFF) - 0x80000000
 
 
+class _Lateness:
+    """How much later than at best the drive's answers come, by the clock that it stamps some of them with."""
+
+    def __init__(self) -> None:
+        self._clock, self._at = 0, NAN  # microseconds of the drive, going on where its 32 bits go round; s of the host
+        self._least, self._late = math.inf, 0
+
+    def see(self, clock: int, now: float) -> float:
+        """How late an answer is that came now [s], once two in a row are too late; else 0."""
+        passed = _of_32_bits(clock - self._clock) if self._at == self._at else clock
+        elapsed = now - self._at if self._at == self._at else 0.0
+        self._clock, self._at = self._clock + passed, now
+        behind = now - 1e-6 * self._clock
+        self._least = min(self._least + CLOCKS_APART * elapsed, behind)
+        late = behind - self._least
+        self._late = self._late + 1 if late > LATE_S else 0  # one may have come while the host was held up
+        return late if self._late >= 2 else 0.0
+
+
 class _SignsOfLife:
     """When the drive was heard, and what it was sent at a pace slower than the cycle's."""
 
     def __init__(self) -> None:
+        self.lateness = _Lateness()
         self.heard_until = NEVER  # its last heartbeat counts
         self.fed = NEVER  # the host's heartbeat was sent
         self.asked = NEVER  # for the bus voltage
@@ -183,6 +205,7 @@ class ElmoCan(Driver):
         setup.arm_dead_man()
         # what was sent before counts no more: writing 0x1016 ends the monitoring
         self._life.fed = self._life.due = NEVER
+        self._life.lateness = _Lateness()
         self._nmt(NMT_PRE_OPERATIONAL)
         setup.map_pdos()
         setup.start_heartbeat()
@@ -207,7 +230,7 @@ class ElmoCan(Driver):
         """A drive at this node, rated as the settings' emulation says, that turns the bench's machine."""
         from leactl_plugins.elmo_can.emulator import ElmoEmulator
 
-        voltage = settings.q_axis_voltage
+        voltage, clock = settings.q_axis_voltage, settings.drive_clock
         return ElmoEmulator(
             settings.node,
             physics.machine(role),
@@ -215,6 +238,7 @@ class ElmoCan(Driver):
             counts_per_turn=settings.counts_per_turn,
             q_axis_per_ampere=settings.current_convention.to_q_axis,
             voltage_object=(voltage.index, voltage.subindex, voltage.type, voltage.scale_V) if voltage else None,
+            clock_object=(clock.index, clock.subindex) if clock else None,
         )
 
     # -- one cycle ---------------------------------------------------------------------------------------------------
@@ -391,6 +415,7 @@ class ElmoCan(Driver):
             0x180 + self._node: self._on_status,
             0x280 + self._node: self._on_motion,
             0x380 + self._node: self._on_voltage,
+            0x480 + self._node: self._on_clock,
             0x580 + self._node: self._on_sdo,
             0x700 + self._node: self._on_heartbeat,
         }
@@ -448,6 +473,12 @@ class ElmoCan(Driver):
         if voltage is not None and len(data) == (2 if voltage.type == "i16" else 4):
             self.values[7] = int.from_bytes(data, "little", signed=True) * voltage.scale_V
             self._fresh[2] = True
+
+    def _on_clock(self, data: bytearray, _timestamp: float) -> None:
+        if self.settings.drive_clock is not None and len(data) == 4:
+            late = self._life.lateness.see(int.from_bytes(data, "little"), self._clock.now())
+            if late:
+                self._emergency = f"its answers are {late:.3f} s late by its own clock; {LATE_S:g} s are allowed"
 
     def _on_sdo(self, data: bytearray, timestamp: float) -> None:
         if data[:4] == b"\x43\x79\x60\x00":

@@ -55,6 +55,7 @@ class ElmoEmulator:
         counts_per_turn: int,
         q_axis_per_ampere: float = math.sqrt(1.5),
         voltage_object: tuple[int, int, str, float] | None = None,
+        clock_object: tuple[int, int] | None = None,
     ) -> None:
         self.node = node
         self._machine = machine
@@ -64,6 +65,9 @@ class ElmoEmulator:
         self._voltage = voltage_object
         if voltage_object is not None:
             self._entries[voltage_object[0], voltage_object[1]] = Entry(voltage_object[2], mappable=True)
+        self._clock, self._syncs = clock_object, 0
+        if clock_object is not None:
+            self._entries[clock_object] = Entry("u32", mappable=True)
         self._values = {key: entry.default for key, entry in self._entries.items()}
         self._values[0x6075, 0] = self._values[0x6076, 0] = rated_current_ma
         self.nmt = PRE_OPERATIONAL
@@ -97,7 +101,7 @@ class ElmoEmulator:
             return [*self.tick(now), *self.receive(frame, now)]  # it answers nobody before it has booted
         identifier, data = frame
         if identifier == 0x080 and self.nmt == OPERATIONAL:
-            return self._sync()
+            return self._sync(now)
         if identifier == 0x000 and len(data) == 2 and data[1] in (0, self.node):
             return self._network(data[0], now)
         if identifier == 0x600 + self.node and self.nmt != STOPPED and len(data) == 8:
@@ -299,7 +303,7 @@ class ElmoEmulator:
             if key == _CONTROLWORD:
                 self._control(previous, value)
 
-    def _sync(self) -> list[Frame]:
+    def _sync(self, now: float) -> list[Frame]:
         if self._pending:
             for pdo in self._receive:
                 data = self._pending.pop(pdo.identifier, None)
@@ -308,9 +312,12 @@ class ElmoEmulator:
             self._follow()
         self._sample()
         values = self._values
+        if self._clock is not None:
+            values[self._clock] = round(now * 1e6) & 0xFFFFFFFF
+        self._syncs += 1
         frames = []
         for identifier, kind, objects, layout in self._transmit:
-            if kind <= 240:
+            if kind <= 1 or (kind <= 240 and self._syncs % kind == 0):
                 frames.append(Frame(identifier, layout.pack(*[values[key] for key in objects])))
         return frames + self._flush() if self._emergencies else frames
 

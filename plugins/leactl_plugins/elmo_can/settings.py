@@ -33,6 +33,15 @@ class VoltageObject(BaseModel):
     scale_V: Annotated[float, Field(strict=True, gt=0)]  # noqa: N815 (a unit keeps its letter)
 
 
+class ClockObject(BaseModel):
+    """The mappable object of 32 bits that holds the drive's own clock in microseconds; never assumed either."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    index: Annotated[int, Field(strict=True, ge=0x2000, le=0x9FFF)]
+    subindex: Annotated[int, Field(strict=True, ge=0, le=255)] = 0
+
+
 class ElmoSettings(DriverSettings):
     """Everything that differs from drive to drive; scales come from the drive itself."""
 
@@ -46,7 +55,8 @@ class ElmoSettings(DriverSettings):
     abort_option: Literal[1, 2, 3] = 2
     torque_slope_per_mille_s: Annotated[int, Field(strict=True, ge=1, le=2**32 - 1)] | None = None
     q_axis_voltage: VoltageObject | None = None
-    bus_voltage_period_s: Annotated[float, Field(strict=True, ge=0.05, le=60)] = 1.0
+    drive_clock: ClockObject | None = None
+    bus_voltage_period_s: Annotated[float, Field(strict=True, ge=0.05, le=60)] = 0.2
     sdo_timeout_s: Annotated[float, Field(strict=True, gt=0, le=SAFE_STATE_S)] = 0.3
     reset_fault_at_start: bool = False
     # what the emulated drive holds in 0x6075; a real drive's own value is read from it. 13.7 A continuous / sqrt(3/2)
