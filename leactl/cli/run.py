@@ -13,6 +13,10 @@ from leactl.cli.completion import benches, protocols, settings
 if TYPE_CHECKING:
     from leactl.runner.session import Outcome, Request
 
+ATTENDED = typer.Option(
+    False, "--attended", help="Somebody stays by the bench, to switch off a supply if this machine fails."
+)
+
 
 def run(
     protocol: str = typer.Argument(help="Name of a shipped protocol, or a path to a .yaml.", autocompletion=protocols),
@@ -33,9 +37,7 @@ def run(
     ),
     cold: bool = typer.Option(False, "--cold", help="Nothing has heated the actuators since they were at ambient."),
     insert_cooldown: bool = typer.Option(False, "--insert-cooldown", help="Wait where a winding would grow too hot."),
-    attended: bool = typer.Option(
-        False, "--attended", help="Somebody stays by the bench, to switch off a supply if this machine fails."
-    ),
+    attended: bool = ATTENDED,
     dry_run: bool = typer.Option(False, "--dry-run", help="Check everything, print the plan, and move nothing."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:

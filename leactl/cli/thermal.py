@@ -10,6 +10,7 @@ import typer
 from leactl.cli import finite
 from leactl.cli.completion import benches, motors, protocols, settings
 from leactl.cli.helptext import ON_A_BENCH, examples, group_of_commands
+from leactl.cli.run import ATTENDED
 from leactl.errors import AcceptanceFailed
 
 if TYPE_CHECKING:
@@ -150,7 +151,7 @@ def plan(
 
 @app.command(
     epilog=examples(
-        "thermal commission thermal --set current_A=9 --actuator LEA-1 --dry-run",
+        "thermal commission thermal --set current_A=9 --actuator LEA-1 --attended --dry-run",
         ends=(*ON_A_BENCH, AcceptanceFailed),
         means={AcceptanceFailed: "the actuator is outside of its motor file's tolerances"},
     )
@@ -183,6 +184,7 @@ def commission(
     served: bool = typer.Option(False, "--served", help="Meet an emulated bench that another process serves."),
     bus: list[str] = typer.Option([], metavar="NAME=INTERFACE:CHANNEL", help="Put a bus elsewhere."),
     cold: bool = COLD,
+    attended: bool = ATTENDED,
     dry_run: bool = typer.Option(
         False, "--dry-run", help="Narrow by the runs given, say what the next one would be, and move nothing."
     ),
@@ -192,6 +194,8 @@ def commission(
 
     The file holds for this actuator, its mounting and the supply and camera of the runs. Name it in the bench file.
     """
+    from dataclasses import replace
+
     from leactl.analysis.heating.narrowing import Accuracy
     from leactl.cli.run import perform
     from leactl.report.outputs import check, check_folder
@@ -208,7 +212,8 @@ def commission(
     def prepared(changed: Mapping[str, str]) -> "Request":
         kept = [word for word in overrides if word.partition("=")[0] not in changed]
         words = [*kept, *(f"{name}={value}" for name, value in changed.items())]
-        return prepare(protocol, bench, words, actuator, condition, operator, out, realtime, served, bus)
+        made = prepare(protocol, bench, words, actuator, condition, operator, out, realtime, served, bus)
+        return replace(made, plan=replace(made.plan, attended=attended or made.plan.attended))
 
     accuracy = Accuracy(camera_gain, camera_offset, current_repeats)
     manner = Manner(prepared, perform, _tell, runs, given, accuracy, cold, dry_run)

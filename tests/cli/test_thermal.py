@@ -135,7 +135,7 @@ def test_a_real_bench_of_which_nothing_is_known_is_refused_and_begins_when_it_is
 
 
 def test_commissioning_says_what_the_first_heat_would_be_and_moves_nothing(here):
-    asked = ("thermal", "commission", "--set", "current_A=9", "--actuator", "LEA-1", "--dry-run")
+    asked = ("thermal", "commission", "--set", "current_A=9", "--actuator", "LEA-1", "--attended", "--dry-run")
     done = leactl(*asked, COLUMNS="80")
     assert done.returncode == 0, done.stderr
     assert max(map(len, done.stdout.splitlines())) <= 80
@@ -165,7 +165,7 @@ def test_commissioning_refuses_what_it_cannot_use_in_one_line(here, words, told)
 
 @pytest.mark.long
 def test_the_paper_s_heat_is_admitted_and_run_after_one_short_heat(here):
-    done = leactl("thermal", "commission", "--set", "current_A=9", "--actuator", "LEA-1", "--json")
+    done = leactl("thermal", "commission", "--set", "current_A=9", "--actuator", "LEA-1", "--attended", "--json")
     assert done.returncode == 0, done.stderr
     body = json.loads(done.stdout)
     assert body["done"]

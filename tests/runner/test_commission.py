@@ -42,7 +42,8 @@ class Bench:
 def manner_of(bench, asked=HOT, protocol="thermal", **how):
     def prepared(changed):
         words = [f"{name}={value}" for name, value in (asked | dict(changed)).items()]
-        return prepare(protocol, "emulated-heated", words, "LEA-1", "", "", Path("runs"), realtime=False)
+        made = prepare(protocol, "emulated-heated", words, "LEA-1", "", "", Path("runs"), realtime=False)
+        return replace(made, plan=replace(made.plan, attended=True))
 
     said = []
     return Manner(prepared, bench.perform, said.append, **({"most": 3} | how)), said
