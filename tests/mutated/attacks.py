@@ -114,10 +114,12 @@ def zeros_packed(size):
 
 
 def more_than_its_chunk(at):
-    """A chunk of 8 KiB whose packed bytes give 512 MiB."""
+    """A chunk of 512 KiB whose packed bytes, no more than these, give 512 MiB."""
 
     def attack(file, outside):
-        dataset = file.create_dataset(place(file, at), (ROWS,), "f8", chunks=(1024,), maxshape=(None,), compression=9)
+        dataset = file.create_dataset(
+            place(file, at), (ROWS,), "f8", chunks=(1 << 16,), maxshape=(None,), compression=9
+        )
         dataset.id.write_direct_chunk((0,), zeros_packed(1 << 29))
 
     return keeping(at, attack)
@@ -150,11 +152,11 @@ def texts_again_and_again(at, count, size):
     return attack
 
 
-def attribute_texts_again_and_again(count, size, at="streams/loop/test_iq"):
+def attribute_texts_again_and_again(count, size):
     """The like in an attribute, in the oldest format, in which no checksum covers it."""
 
     def attack(file, outside):
-        group = file[at]
+        group = file.create_group("more")
         texts = np.array(["x" * size, *["y"] * (count - 1)], layout.TEXT)
         group.attrs.create("more", texts)
         file.flush()
@@ -357,7 +359,7 @@ ATTACKS = {
     "a packed chunk of 1 GiB": one_packed_chunk(1 << 27),
     "a packed chunk of 1 GiB of stamps": one_packed_chunk(1 << 27, "streams/loop/time"),
     "a packed chunk of 60 MiB": one_packed_chunk(60 << 17),
-    "a chunk packed twice": one_packed_chunk(1 << 22, filters=2),
+    "a chunk packed twice": one_packed_chunk(1 << 19, filters=2),
     "a chunk that unpacks to more than it is": more_than_its_chunk("streams/loop/test_iq"),
     "stamps that unpack to more than they are": more_than_its_chunk("streams/loop/time"),
     "1 GiB of packed chunks": many_packed(1 << 27),
