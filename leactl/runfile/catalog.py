@@ -11,6 +11,7 @@ import numpy as np
 from leactl.errors import InputError
 from leactl.runfile import layout
 from leactl.runfile.opening import open_run_file, reading
+from leactl.runfile.packing import last_value
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ def summary(path: Path) -> Summary:
     size = path.stat().st_size if path.exists() else 0  # of a link that leads nowhere
     try:
         root: dict[str, Any] = {}
-        file, _ = open_run_file(path, root)
+        file, _ = open_run_file(path, root, values=False)
         with file, reading(path):
             keys = ("run_id", "protocol", "actuator", "condition", "bench", "operator", "status", "created")
             known = {key: str(root.get(key, "")) for key in keys}
@@ -76,7 +77,9 @@ def duration(file: Any) -> float:
     groups = [group for group in file.get("streams", {}).values() if isinstance(group, h5py.Group)]
     times = [group["time"] for group in groups if "time" in group]
     last = [
-        time[-1:] for time in times if isinstance(time, h5py.Dataset) and time.dtype.kind in "fiu" and time.ndim == 1
+        last_value(time)
+        for time in times
+        if isinstance(time, h5py.Dataset) and time.dtype.kind in "fiu" and time.ndim == 1
     ]
     stamps = np.concatenate([*last, np.zeros(1)])
     return float(stamps[np.isfinite(stamps)].max())

@@ -9,7 +9,7 @@ import numpy as np
 from leactl.errors import InputError
 from leactl.runfile import layout
 from leactl.runfile.integrity import checksums
-from leactl.runfile.opening import reading
+from leactl.runfile.opening import open_run_file, reading
 from leactl.runfile.publish import replacement
 from leactl.runfile.reader import Run
 from leactl.runfile.space import reserve, trim
@@ -27,7 +27,8 @@ def convert(path: Path) -> None:
             raise InputError(f"{path}: still being written or left by a kill; close or recover it first")
     before = checksums(path)
     with replacement(path) as copy:
-        with h5py.File(path, "r") as source, reading(path), h5py.File(copy, "w", libver=layout.HDF5_FORMAT) as target:
+        source, _ = open_run_file(path)
+        with source, reading(path), h5py.File(copy, "w", libver=layout.HDF5_FORMAT) as target:
             reserve(target, 0)
             copy_group(source, target)
             attach_scales(source, target)

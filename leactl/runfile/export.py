@@ -19,6 +19,8 @@ from leactl.runfile.publish import new_file, refuse_existing
 from leactl.runfile.reader import Run
 
 Format = Literal["csv", "mat", "parquet"]
+FORMULA = ("=", "+", "-", "@")  # how a cell begins that a spreadsheet runs (OWASP, "CSV injection")
+CONTROL = re.compile("[\x00-\x1f\x7f]")  # a carriage return alone begins a new row for some readers
 FIELD_LENGTH = 63  # MATLAB's longest name
 
 
@@ -59,11 +61,17 @@ def csv_writers(run: Run) -> dict[str, Writer]:
     def write(stream: str, target: Path) -> None:
         with target.open("x", encoding="utf-8", newline="") as file:
             table = csv.writer(file, lineterminator="\n")
-            table.writerow(["time [s]", *(f"{spec.name} [{spec.units}]" for spec in run.streams[stream])])
+            table.writerow(["time [s]", *(heading(f"{spec.name} [{spec.units}]") for spec in run.streams[stream])])
             for block in run.blocks(stream, rows=1 << 14):
                 table.writerows(zip(*(numerals(column) for column in block.values()), strict=True))
 
     return {f".{stream}.csv": partial(write, stream) for stream in run.streams}
+
+
+def heading(text: str) -> str:
+    """A heading that a spreadsheet takes for text: what begins as a formula would be run where the file is opened."""
+    plain = CONTROL.sub("\N{REPLACEMENT CHARACTER}", text)
+    return f"'{plain}" if plain.startswith(FORMULA) else plain
 
 
 def numerals(column: np.ndarray[Any, Any]) -> Iterator[str]:

@@ -264,7 +264,8 @@ def checksums(path: Path, apart_from: Sequence[str] = ()) -> dict[str, str]:
     apart_from : places below which datasets are left out.
     """
     left_out = tuple(f"{place}/" for place in apart_from)
-    with h5py.File(path, "r") as file, reading(path):
+    file, _ = open_run_file(path)
+    with file, reading(path):
         if findings := wrong_checksums(file):
             raise InputError([f"{path}: {finding}" for finding in findings])
         return {place: layout.digest(item) for place, item in layout.datasets(file) if not place.startswith(left_out)}

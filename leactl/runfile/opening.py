@@ -6,15 +6,25 @@ A file left by a kill, or one still being written, opens only in HDF5's SWMR rea
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import h5py
 
 from leactl.errors import InputError
 from leactl.regular import open_regular
 from leactl.runfile import layout
-from leactl.runfile.heaps import endless_heaps
-from leactl.runfile.tree import attribute_bytes, faults_of_attributes, faults_of_tree
+from leactl.runfile.heaps import longest_text
+from leactl.runfile.live import FLAGS_AT, OPEN_FOR_WRITE, SIGNATURE, SWMR_WRITE, VERSION_AT, AsClosed
+from leactl.runfile.tree import (
+    MOST_ATTRIBUTES,
+    MOST_NAMES,
+    Node,
+    attribute_bytes,
+    faults_of_attributes,
+    faults_of_foreign_tree,
+    faults_of_texts_in_attributes,
+    faults_of_tree,
+)
 from leactl.yamlfile import shown
 
 TOO_NEW = (
@@ -23,53 +33,102 @@ TOO_NEW = (
 )
 # h5py meets a spoiled header with any of these: a type without a NumPy one is TypeError, a wrong length ValueError
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError)
-SIGNATURE = b"\x89HDF\r\n\x1a\n"
-# Byte 11 of superblock version 3: bit 0, a writer has it open; bit 2, it writes in SWMR mode (HDF5 file format 3.0)
-FLAGS_AT, OPEN_FOR_WRITE, SWMR_WRITE = 11, 0x01, 0x04
+USUAL_SIZES = (8, 8)  # bytes of addresses and of lengths
 
 
-def open_run_file(path: Path, root: dict[str, Any] | None = None) -> tuple[Any, bool]:
+def open_run_file(path: Path, root: dict[str, Any] | None = None, values: bool = True) -> tuple[Any, bool]:
     """Open a run file for reading; says whether a writer has it open or was killed while it had.
 
-    Its attributes are read here in any case: they are added to `root`, where that is given.
+    Parameters
+    ----------
+    root : gets the attributes of the root, which are read here in any case.
+    values : whether more values will be read than the last of each stream, by `packing.last_value`.
+
+    Raises
+    ------
+    InputError : not a run file, or one that cannot be read safely; one line for each fault.
     """
     try:
-        with open_regular(path) as raw:
-            head = raw.read(FLAGS_AT + 1)
-            endless = endless_heaps(raw) if head.startswith(SIGNATURE) and len(head) > FLAGS_AT else []
+        raw = open_regular(path)
     except IsADirectoryError:
         raise InputError(f"{path}: a folder; run files were expected, such as {path / '*.h5'}") from None
     except OSError as fault:
         raise InputError(f"{path}: cannot be read: {fault.strerror}") from fault
-    flags = head[FLAGS_AT] if head.startswith(SIGNATURE) and len(head) > FLAGS_AT and head[8] >= 3 else 0
-    if flags & OPEN_FOR_WRITE and not flags & SWMR_WRITE:
-        raise InputError(f"{path}: the recording never started (its writer ended while preparing the file); delete it")
-    if endless:
-        raise InputError(f"{path}: damaged: the texts that begin at byte {endless[0]} are not whole")
-    live = bool(flags & SWMR_WRITE)
-    try:
-        if live:
-            refuse_spoiled_head(path)
-        file = h5py.File(path, "r", swmr=live)
-    except DAMAGE as fault:
-        raise InputError(f"{path}: {why(fault)}") from fault
-    try:
-        faults = faults_of_root(file, {} if root is None else root) or faults_of_tree(file)
-    except DAMAGE as fault:
-        faults = [damage(fault)]
-    if faults:
-        file.close()
-        raise InputError([f"{path}: {fault}" for fault in faults])
+    with raw:
+        head = raw.read(FLAGS_AT + 1)
+        flags = head[FLAGS_AT] if is_hdf5(head) and len(head) > FLAGS_AT and head[VERSION_AT] >= 3 else 0
+        if flags & OPEN_FOR_WRITE and not flags & SWMR_WRITE:
+            text = "the recording never started (its writer ended while preparing the file); delete it"
+            raise InputError(f"{path}: {text}")
+        live = bool(flags & SWMR_WRITE)
+        try:
+            file = h5py.File(AsClosed(raw) if live else path, "r")
+        except DAMAGE as fault:
+            raise InputError(f"{path}: {why(fault)}") from fault
+        try:
+            faults = faults_of_form(file, head) or faults_of_file(file, raw, {} if root is None else root, values)
+        except DAMAGE as fault:
+            faults = [damage(fault)]
+        if faults:
+            file.close()
+            raise InputError([f"{path}: {fault}" for fault in faults])
     return file, live
 
 
-def refuse_spoiled_head(path: Path) -> None:
-    """Raise OSError where the superblock is spoiled: in SWMR mode HDF5 would wait for a writer to mend it, for ever."""
+def open_foreign(path: Path) -> Any:
+    """Open an HDF5 file that is no run for reading, such as a MAT file of version 7.3.
+
+    Raises
+    ------
+    InputError : not an HDF5 file, or one that cannot be read safely; one line for each fault.
+    """
     try:
-        h5py.File(path, "r").close()
+        raw = open_regular(path)
     except OSError as fault:
-        if "checksum" in str(fault):  # else that it is open for writing, as is known
-            raise
+        raise InputError(f"{path}: cannot be read: {fault.strerror}") from fault
+    with raw:
+        try:
+            file = h5py.File(path, "r")
+        except DAMAGE as fault:
+            raise InputError(f"{path}: {why(fault)}") from fault
+        try:
+            faults = faults_of_sizes(file) or faults_of_foreign_tree(file, raw, longest_text(raw))
+        except InputError as fault:
+            faults = fault.faults
+        except DAMAGE as fault:
+            faults = [damage(fault)]
+        if faults:
+            file.close()
+            raise InputError([f"{path}: {fault}" for fault in faults])
+    return file
+
+
+def is_hdf5(head: bytes) -> bool:
+    """Whether a file begins as HDF5."""
+    return head.startswith(SIGNATURE)
+
+
+def faults_of_form(file: Any, head: bytes) -> list[str]:
+    """Whether HDF5's own structures begin with the first byte and are of the usual sizes."""
+    if not is_hdf5(head):
+        return ["begins with bytes that are not HDF5's; none were expected before its part"]
+    return faults_of_sizes(file)
+
+
+def faults_of_sizes(file: Any) -> list[str]:
+    """Whether its texts can be looked through, whose heaps are of the usual sizes."""
+    if (sizes := file.id.get_create_plist().get_sizes()) != USUAL_SIZES:
+        return [f"its addresses and lengths have {sizes[0]} and {sizes[1]} bytes; 8 were expected"]
+    return []
+
+
+def faults_of_file(file: Any, raw: BinaryIO, root: dict[str, Any], values: bool) -> list[str]:
+    """Whether the file is a run, and everything that makes it unfit to be read; adds its attributes to `root`."""
+    try:
+        longest = longest_text(raw)
+        return faults_of_root(file, longest, root) or faults_of_tree(file, raw, longest, values)
+    except InputError as fault:
+        return fault.faults
 
 
 @contextmanager
@@ -100,10 +159,16 @@ def why(fault: Exception) -> str:
     return f"HDF5 cannot open it: {' '.join(text.split())}"
 
 
-def faults_of_root(file: Any, root: dict[str, Any]) -> list[str]:
+def faults_of_root(file: Any, longest: int, root: dict[str, Any]) -> list[str]:
     """Whether the file is a run of a version that this program reads; adds its attributes to `root`."""
     try:
-        if faults := faults_of_attributes(attribute_bytes(file.id), "/"):
+        if (names := int(h5py.h5a.get_num_attrs(file.id))) > MOST_NAMES:
+            return [f"/: {names} attributes; at most {MOST_NAMES} were expected"]
+        size = attribute_bytes(file.id)
+        texts = [Node("/", h5py.h5o.open(file.id, b"/"))]
+        if faults := (
+            faults_of_attributes(size, "/") or faults_of_texts_in_attributes(texts, size, longest, MOST_ATTRIBUTES)
+        ):
             return faults
         root |= layout.attributes(file)
     except DAMAGE as fault:

@@ -4,6 +4,7 @@ import csv
 import sys
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from pyarrow import parquet
@@ -12,6 +13,8 @@ from scipy.io import loadmat
 from leactl.errors import InputError
 from leactl.runfile.export import export
 from leactl.runfile.reader import Run
+
+from .specimen import unseal
 
 
 def test_csv_reads_back_exactly(complete: Path, tmp_path: Path):
@@ -26,6 +29,26 @@ def test_csv_reads_back_exactly(complete: Path, tmp_path: Path):
     np.testing.assert_array_equal([float(row[0]) for row in rows], current.time)
     np.testing.assert_array_equal(np.array([row[1] for row in rows], "f4").astype("f8"), current.values)
     assert rows[500][3] == "nan"
+
+
+@pytest.mark.parametrize("name", ["=cmd|' C'!A0", "+1", "-1", "@SUM(A1)"])
+def test_no_heading_is_a_formula(complete: Path, tmp_path: Path, name: str):
+    with h5py.File(complete, "r+") as file:
+        unseal(file)
+        file.move("streams/loop/iq", f"streams/loop/{name}")
+    loop = next(path for path in export(complete, "csv", tmp_path / "out") if "loop" in path.name)
+    with loop.open(newline="") as file:
+        header = next(csv.reader(file))
+    assert f"'{name} [A]" in header
+    assert not any(cell.startswith(tuple("=+-@")) for cell in header)
+
+
+def test_a_heading_is_one_cell_of_one_row(complete: Path, tmp_path: Path):
+    with h5py.File(complete, "r+") as file:
+        unseal(file)
+        file.move("streams/loop/iq", "streams/loop/a\r=1\n=2\t=3")
+    loop = next(path for path in export(complete, "csv", tmp_path / "out") if "loop" in path.name)
+    assert "a\ufffd=1\ufffd=2\ufffd=3 [A]" in loop.read_text(encoding="utf-8").splitlines()[0].split(",")
 
 
 def test_mat_holds_structs(complete: Path, tmp_path: Path):

@@ -10,12 +10,23 @@ import pytest
 from leactl.errors import InputError
 from leactl.runfile import tree
 from leactl.runfile.catalog import list_runs
-from leactl.runfile.heaps import HEAD
+from leactl.runfile.heaps import HEAD, MOST_BYTES
 from leactl.runfile.integrity import altered, recover, verify
-from leactl.runfile.opening import FLAGS_AT, OPEN_FOR_WRITE, SWMR_WRITE
+from leactl.runfile.live import (
+    CHECKSUM_AT,
+    FLAGS_AT,
+    LENGTH,
+    OPEN_FOR_WRITE,
+    SWMR_WRITE,
+    as_closed,
+    checksum,
+)
+from leactl.runfile.packing import DEFLATE_AT_MOST
 from leactl.runfile.reader import Run
 from leactl.runfile.writer import RunWriter
 from tests.cli.terminal import leactl
+from tests.mutated.child import outcome
+from tests.mutated.test_mutated_files import command
 
 from .specimen import STREAMS, info
 
@@ -74,6 +85,12 @@ HOSTILE = {
     ),
     "lies in more than 8 groups": nested,
     "more than 10000 groups and datasets": crowd,
+    "/streams/loop: more than 8192 attributes": lambda file: [
+        file["streams/loop"].attrs.create(f"more_{number}", number) for number in range(8200)
+    ],
+    "/: 82[0-9]{2} attributes; at most 8192": lambda file: [
+        file.attrs.create(f"more_{number}", number) for number in range(8200)
+    ],
     "/extra: chunks of 800000000 bytes": lambda file: file.create_dataset(
         "extra", (1,), "f8", maxshape=(None,), chunks=(10**8,)
     ),
@@ -93,6 +110,24 @@ def test_what_no_run_holds_is_refused_by_every_door(complete: Path, words: str):
     assert verify(complete) == caught.value.faults
     (listed,) = list_runs(complete.parent)
     assert listed.fault == str(caught.value)
+
+
+def test_the_manual_has_the_numbers_of_the_door():
+    text = (Path(__file__).parents[2] / "docs" / "run-format.md").read_text(encoding="utf-8")
+    said = " ".join(text.partition("## What a reader refuses")[2].partition("\n## ")[0].split())
+    times, beside = tree.MOST_UNPACKED
+    for words in (
+        f"groups deeper than {tree.DEEPEST} in one another or more than {tree.MOST_OBJECTS:,} objects",
+        f"more than {tree.MOST_NAMES:,} attributes, {tree.MOST_ATTRIBUTES >> 20} MiB of them on one object",
+        f"or {tree.MOST_ATTRIBUTES_OF_FILE >> 20} MiB on all",
+        f"a text of more than {MOST_BYTES >> 20} MiB, texts of more than {tree.MOST_TEXT >> 20} MiB",
+        f"more than {tree.MOST_TEXTS:,} of them, and more than {tree.MOST_ROWS_OF_TABLE:,} rows",
+        f"chunks above {tree.LARGEST_CHUNK >> 20} MiB",
+        f"more than {tree.MOST_UNWRITTEN >> 20} MiB of values that were announced and never written",
+        f"deflate packs {DEFLATE_AT_MOST} bytes into one",
+        f"more than {times} times the size of the file and {beside >> 20} MiB beside",
+    ):
+        assert words in said, words
 
 
 def test_a_list_goes_on_beside_what_is_no_file(complete: Path):
@@ -116,6 +151,31 @@ def test_a_fifo_holds_no_command(tmp_path: Path, command: list[str]):
     ended = leactl(*command, str(tmp_path / "run.h5"))
     assert ended.returncode == 2
     assert "a regular file was expected" in ended.stderr
+
+
+@pytest.mark.parametrize("signature", [b"OHDR", b"OCHK", b"EAHD", b"EAIB", b"FRHP", b"BTHD"])
+def test_a_byte_spoiled_in_a_recording_that_was_cut_off_holds_no_command(tmp_path: Path, signature: bytes):
+    """In SWMR mode HDF5 waits for the writer to mend a checksum, twice as long each time."""
+    writer = RunWriter(tmp_path, info(), STREAMS)
+    writer.append("loop", np.arange(5000) * 1e-3, np.zeros((5000, 3)))
+    writer.flush()
+    raw = bytearray(writer.path.read_bytes())
+    writer.close("complete")
+    cut_off = tmp_path / "cut_off.h5"
+    cut_off.write_bytes(raw)
+    with Run.open(cut_off) as run:
+        assert run.rows["loop"] == 5000
+    raw[raw.index(signature) + 12] ^= 0xFF
+    cut_off.write_bytes(raw)
+    ended = outcome(command("runs", "show", cut_off))
+    assert ended.status == 2, ended.said
+    assert "checksum" in ended.said
+
+
+def test_the_checksum_of_a_head_is_that_of_hdf5(complete: Path):
+    head = complete.read_bytes()[:LENGTH]
+    assert checksum(head[: CHECKSUM_AT.start]) == int.from_bytes(head[CHECKSUM_AT], "little")
+    assert as_closed(head, complete.stat().st_size) == head
 
 
 def unchecked(file):
@@ -183,7 +243,7 @@ def test_a_spoiled_head_that_tells_of_a_writer_is_refused(complete: Path):
 
 def test_thousands_of_attributes_are_weighed_at_once(complete: Path):
     def change(file):
-        for number in range(12_000):  # begun anew for each of them, HDF5 takes a minute and more
+        for number in range(8_000):  # begun anew for each of them, HDF5 takes a minute and more
             file["streams"].attrs[f"more_{number}"] = number
 
     changed(complete, change)

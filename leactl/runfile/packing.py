@@ -1,0 +1,54 @@
+"""What packed chunks unpack to: HDF5 believes no header here, but unpacks a chunk to its end, however much that is.
+
+A chunk that is announced with 8 KiB may give a thousand times the bytes that it takes in the file, and HDF5 keeps all
+of them in memory as long as the dataset is open.
+"""
+
+import zlib
+from typing import Any, Final
+
+import h5py
+import numpy as np
+
+DEFLATE_AT_MOST: Final = 1032  # values packed into one byte by deflate (zlib's technical details)
+MORE: Final = 1 << 12  # bytes, and a thousandth, that deflate may add to what it cannot pack
+
+
+def chunks(dataset: Any) -> list[Any]:
+    """Every chunk of a dataset that was written, with its place in the dataset and in the file and its size there."""
+    found: list[Any] = []
+    dataset.chunk_iter(found.append)
+    return found
+
+
+def gives_more(dataset: Any, chunk: Any, most: int) -> bool:
+    """Whether a packed chunk takes or gives more bytes than it announces; where it is damaged, HDF5 says so itself."""
+    if chunk.size > most + most // 1000 + MORE:
+        return True
+    _, packed = dataset.read_direct_chunk(chunk.chunk_offset)
+    try:
+        return len(zlib.decompressobj().decompress(packed, most + 1)) > most
+    except zlib.error:
+        return False
+
+
+def last_value(dataset: Any) -> "np.ndarray[Any, Any]":
+    """The last value of a dataset of one dimension, none where it has none.
+
+    Raises
+    ------
+    OSError : its chunk unpacks to more than it announces.
+    """
+    rows = len(dataset)
+    if rows and dataset.chunks and h5py.h5z.FILTER_DEFLATE in filters(dataset.id.get_create_plist()):
+        length = dataset.chunks[0]
+        chunk = dataset.id.get_chunk_info_by_coord(((rows - 1) // length * length,))
+        if chunk.size and gives_more(dataset.id, chunk, length * dataset.dtype.itemsize):
+            raise OSError(f"the last chunk of {dataset.name} unpacks to more than it announces")
+    values: np.ndarray[Any, Any] = dataset[-1:]
+    return values
+
+
+def filters(plist: Any) -> tuple[int, ...]:
+    """The filters that a dataset's chunks went through, in their order."""
+    return tuple(plist.get_filter(index)[0] for index in range(plist.get_nfilters()))
