@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 
 DEFLATE_AT_MOST: Final = 1032  # values packed into one byte by deflate (zlib's technical details)
+CHECKSUM: Final = 4  # bytes of Fletcher's, behind the values
 MORE: Final = 1 << 12  # bytes, and a thousandth, that deflate may add to what it cannot pack
 
 
@@ -30,6 +31,27 @@ def gives_more(dataset: Any, chunk: Any, most: int) -> bool:
         return len(zlib.decompressobj().decompress(packed, most + 1)) > most
     except zlib.error:
         return False
+
+
+def unpacked(dataset: Any, chunk: Any, most: int, value_size: int) -> bytes | None:
+    """The bytes of a packed chunk; None where it is damaged or gives more bytes than it announces."""
+    _, left = dataset.read_direct_chunk(chunk.chunk_offset)
+    used = [code for bit, code in enumerate(filters(dataset.get_create_plist())) if not chunk.filter_mask >> bit & 1]
+    room = most + CHECKSUM * (h5py.h5z.FILTER_FLETCHER32 in used)
+    for code in reversed(used):
+        if code == h5py.h5z.FILTER_FLETCHER32:
+            left = left[:-CHECKSUM]
+        elif code == h5py.h5z.FILTER_SHUFFLE:  # first bytes of all values, second bytes of all values ...
+            rows = len(left) // value_size
+            left = np.frombuffer(left, np.uint8, rows * value_size).reshape(value_size, rows).T.tobytes()
+        else:
+            try:
+                left = zlib.decompressobj().decompress(left, room + 1)
+            except zlib.error:
+                return None
+            if len(left) > room:
+                return None
+    return left
 
 
 def last_value(dataset: Any) -> "np.ndarray[Any, Any]":

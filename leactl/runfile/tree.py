@@ -15,7 +15,7 @@ import numpy as np
 
 from leactl.errors import InputError
 from leactl.runfile import layout
-from leactl.runfile.packing import DEFLATE_AT_MOST, chunks, filters, gives_more
+from leactl.runfile.packing import DEFLATE_AT_MOST, chunks, filters, gives_more, unpacked
 
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 DEEPEST: Final = 8  # groups in one another; the layout has 3
@@ -29,10 +29,10 @@ MOST_ATTRIBUTES: Final = 1 << 20  # bytes of one object; what is written here sh
 MOST_ATTRIBUTES_OF_FILE: Final = 1 << 24  # bytes
 MOST_UNWRITTEN: Final = 1 << 26  # bytes of values that were announced and not written, as a kill leaves them
 ATTRIBUTE_HEADER: Final = 64  # bytes, about, of an attribute beside its value
-MOST_UNPACKED: Final = 8, 1 << 28  # bytes of all values: times those of the file, and as many beside
+MOST_UNPACKED: Final = 32, 1 << 28  # bytes of all values: times those of the file, and as many beside
 TEXT_IN_HEAP: Final = np.dtype([("length", "<u4"), ("heap", "<u8"), ("number", "<u4")])  # as a dataset holds a text
 MOST_UNSEEN: Final = 1 << 26  # bytes that the chunks of a file may give without being looked at
-LARGEST_CHUNK: Final = 1 << 23  # bytes, which HDF5 takes at once to read a single value
+LARGEST_CHUNK: Final = 1 << 26  # bytes, which HDF5 takes at once to read a single value
 
 GROUPS: Final = ("setup", "streams", "notes", *layout.SOURCES, *layout.TABLES)
 TABLES: Final[dict[str, dict[str, int | None]]] = {**layout.TABLES, "notes": layout.NOTES}
@@ -82,7 +82,7 @@ class Storage(NamedTuple):
     @property
     def chunk_size(self) -> int:
         """Bytes of one chunk, unpacked; 0 where it is not chunked."""
-        return self.chunk_values * self.dtype.itemsize
+        return self.chunk_values * (TEXT_IN_HEAP.itemsize if self.is_text_of_any_length else self.dtype.itemsize)
 
     @property
     def is_packed(self) -> bool:
@@ -210,18 +210,28 @@ class Tree:
             if not storage.is_text_of_any_length:
                 size += storage.size
                 continue
-            if storage.chunk_values and storage.filters:
-                return [f"{path}: texts of any length in packed chunks; plain ones were expected"]
             if storage.in_header and storage.announced * self._longest > MOST_TEXT:
                 return [f"{path}: {storage.announced} texts in its header; one of the file has {self._longest} bytes"]
             lengths = self._lengths(item, storage)
+            if lengths is None:
+                return [f"{path}: damaged: a chunk of texts cannot be unpacked to what it announces"]
             if (longest := int(lengths.max(initial=0))) > self._file_size:
                 return [f"{path}: damaged: announces a text of {longest} bytes in a file of {self._file_size}"]
             size += int(lengths.sum())
         return [] if size <= MOST_TEXT else [f"{size} bytes of text; at most {MOST_TEXT} were expected"]
 
-    def _lengths(self, item: Any, storage: Storage) -> "np.ndarray[Any, Any]":
-        """How long the texts of a dataset are, from its references; none where these are in its header."""
+    def _lengths(self, item: Any, storage: Storage) -> "np.ndarray[Any, Any] | None":
+        """How long the texts of a dataset are, from its references; none where these are in its header.
+
+        None stands for references that cannot be had.
+        """
+        size = TEXT_IN_HEAP.itemsize
+        if storage.is_packed:
+            given = [unpacked(item, chunk, storage.chunk_size, size) for chunk in chunks(item)]
+            if any(one is None for one in given):
+                return None
+            taken = b"".join(one for one in given if one is not None)
+            return np.frombuffer(taken, TEXT_IN_HEAP, len(taken) // size)["length"].astype(np.int64)
         if storage.chunk_values:
             parts = [(chunk.byte_offset, chunk.size) for chunk in chunks(item)]
         else:

@@ -269,9 +269,13 @@ def text_of_width(width, rows=10):
     return attack
 
 
-def packed_texts(at):
+def spoiled_texts(at):
+    """A column of texts whose packed references are no data."""
+
     def attack(file, outside):
-        file.create_dataset(place(file, at), data=["a", "b"], dtype=layout.TEXT, chunks=(2,), compression="gzip")
+        made = file.create_dataset(place(file, at), data=["a", "b"], dtype=layout.TEXT, chunks=(2,), compression="gzip")
+        file.flush()
+        made.id.write_direct_chunk((0,), b"no packed data")
 
     return attack
 
@@ -358,7 +362,7 @@ ATTACKS = {
     "1e6 fixed texts of 60 kB": text_of_width(60_000, 10**6),
     "a packed chunk of 1 GiB": one_packed_chunk(1 << 27),
     "a packed chunk of 1 GiB of stamps": one_packed_chunk(1 << 27, "streams/loop/time"),
-    "a packed chunk of 60 MiB": one_packed_chunk(60 << 17),
+    "a packed chunk of 65 MiB": one_packed_chunk(65 << 17),
     "a chunk packed twice": one_packed_chunk(1 << 19, filters=2),
     "a chunk that unpacks to more than it is": more_than_its_chunk("streams/loop/test_iq"),
     "stamps that unpack to more than they are": more_than_its_chunk("streams/loop/time"),
@@ -380,7 +384,7 @@ ATTACKS = {
     "references": kind("streams/loop/test_iq", h5py.ref_dtype),
     "region references": kind("streams/loop/test_iq", h5py.regionref_dtype),
     "values of any length": kind("streams/loop/test_iq", h5py.vlen_dtype("f8")),
-    "texts in packed chunks": packed_texts("steps/name"),
+    "texts in packed chunks that are spoiled": spoiled_texts("steps/name"),
     "texts in a header that are one": texts_in_header("events/message", 3000, 1_000_000),
     "a user block before the file": user_block,
     "addresses of four bytes": small_addresses,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from leactl.errors import InputError
-from leactl.runfile import tree
+from leactl.runfile import layout, tree
 from leactl.runfile.catalog import list_runs
 from leactl.runfile.heaps import HEAD, MOST_BYTES
 from leactl.runfile.integrity import altered, recover, verify
@@ -21,7 +21,7 @@ from leactl.runfile.live import (
     as_closed,
     checksum,
 )
-from leactl.runfile.packing import DEFLATE_AT_MOST
+from leactl.runfile.packing import DEFLATE_AT_MOST, chunks, unpacked
 from leactl.runfile.reader import Run
 from leactl.runfile.writer import RunWriter
 from tests.cli.terminal import leactl
@@ -110,6 +110,27 @@ def test_what_no_run_holds_is_refused_by_every_door(complete: Path, words: str):
     assert verify(complete) == caught.value.faults
     (listed,) = list_runs(complete.parent)
     assert listed.fault == str(caught.value)
+
+
+def test_texts_that_another_program_packed_are_read(complete: Path):
+    with h5py.File(complete, "r+") as file:
+        texts = file["events/message"][:]
+        del file["events/message"]
+        file["events"].create_dataset("message", data=texts, dtype=layout.TEXT, chunks=(1,), compression="gzip")
+    with Run.open(complete) as run:
+        assert [event.message.encode() for event in run.events] == list(texts)
+
+
+def test_packed_references_are_unpacked_as_hdf5_does(tmp_path: Path):
+    """The bytes of a chunk after the filters, whatever their order and those that one chunk went without."""
+    values = np.arange(64, dtype="<u8").reshape(-1, 2)
+    rows = values.copy().view([("a", "<u8"), ("b", "<u8")]).ravel()
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        made = file.create_dataset("x", data=rows, chunks=(10,), compression="gzip", shuffle=True, fletcher32=True)
+        file.flush()
+        given = [unpacked(made.id, chunk, 160, 16) for chunk in chunks(made.id)]
+        assert b"".join(given)[: rows.nbytes] == rows.tobytes()
+        assert [unpacked(made.id, chunk, 100, 16) for chunk in chunks(made.id)] == [None] * len(given)
 
 
 def test_the_manual_has_the_numbers_of_the_door():

@@ -13,6 +13,7 @@ OWN = {
     ("runfile/integrity.py", "r+"),  # a copy of a run that has passed the door
     ("runfile/repack.py", "x"),
     ("runfile/writer.py", "r"),  # the live file of the run that it closes
+    ("runfile/writer.py", "r+"),  # its copy where the file's folder vanished
     ("runfile/writer.py", "x"),
 }
 DOOR = {("runfile/opening.py", "r")}
