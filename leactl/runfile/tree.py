@@ -82,7 +82,8 @@ class Storage(NamedTuple):
     @property
     def chunk_size(self) -> int:
         """Bytes of one chunk, unpacked; 0 where it is not chunked."""
-        return self.chunk_values * (TEXT_IN_HEAP.itemsize if self.is_text_of_any_length else self.dtype.itemsize)
+        value = TEXT_IN_HEAP if self.is_text_of_any_length else self.dtype
+        return self.chunk_values * int(value.itemsize)
 
     @property
     def is_packed(self) -> bool:
