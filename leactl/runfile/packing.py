@@ -35,7 +35,7 @@ def gives_more(dataset: Any, chunk: Any, most: int) -> bool:
 
 def unpacked(dataset: Any, chunk: Any, most: int, value_size: int) -> bytes | None:
     """The bytes of a packed chunk; None where it is damaged or gives more bytes than it announces."""
-    _, left = dataset.read_direct_chunk(chunk.chunk_offset)
+    left: bytes = dataset.read_direct_chunk(chunk.chunk_offset)[1]
     used = [code for bit, code in enumerate(filters(dataset.get_create_plist())) if not chunk.filter_mask >> bit & 1]
     room = most + CHECKSUM * (h5py.h5z.FILTER_FLETCHER32 in used)
     for code in reversed(used):
