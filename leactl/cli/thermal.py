@@ -151,7 +151,7 @@ def plan(
 
 @app.command(
     epilog=examples(
-        "thermal commission thermal --set current_A=9 --actuator LEA-1 --attended --dry-run",
+        "thermal commission --set current_A=9 --actuator LEA-1 --attended",
         ends=(*ON_A_BENCH, AcceptanceFailed),
         means={AcceptanceFailed: "the actuator is outside of its motor file's tolerances"},
     )

@@ -103,6 +103,7 @@ def commissioned_body(found: "Commissioned", protocol: str, actuator: str) -> di
         "runs": [{"run": str(one.path), "heating_s": one.heating_s, "whole": one.whole} for one in found.heats],
         "next_heating_s": found.next_heating_s,
         "motor_file": None if found.file is None else str(found.file),
+        "load_motor": found.load_motor,
         "tolerances": {} if tolerances is None else tolerances.model_dump(exclude_none=True),
     }
 
@@ -119,4 +120,5 @@ def commissioned_text(body: Mapping[str, Any]) -> str:
         return "\n".join([*lines, "by the bench's own motor file"])
     lines += [f"tolerances in {body['motor_file']}:"]
     lines += [f"  {name}: {value:g}" for name, value in body["tolerances"].items()]
-    return "\n".join([*lines, f"name it in the bench file: motors: {{test: {body['motor_file']}}}"])
+    told = f"name it in the bench file: motors: {{test: {body['motor_file']}, load: {body['load_motor']}}}"
+    return "\n".join([*lines, told])

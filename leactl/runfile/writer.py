@@ -175,7 +175,8 @@ class RunWriter:
         try:
             self._file.close()
             with os.fdopen(descriptor, "rb", closefd=False) as rows:
-                self.path = copied(rows, before.name, [before.parent, Path.cwd(), Path(tempfile.gettempdir())])
+                places = [before.parent, *working_directory(), Path(tempfile.gettempdir())]
+                self.path = copied(rows, before.name, places)
         finally:
             os.close(descriptor)
         self._file = h5py.File(self.path, "r+", libver=layout.HDF5_FORMAT)
@@ -238,6 +239,14 @@ def advice(fault: BaseException) -> str:
     """What helps where a file takes no more; HDF5 tells no cause of what it could not write, and that is the room."""
     number = getattr(fault, "errno", None)
     return next((text for text, numbers in ADVICE.items() if number in numbers), "free space on the disk")
+
+
+def working_directory() -> list[Path]:
+    """The working directory, unless it is gone as well."""
+    try:
+        return [Path.cwd()]
+    except OSError:
+        return []
 
 
 def copied(rows: BinaryIO, name: str, folders: Sequence[Path]) -> Path:

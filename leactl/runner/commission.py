@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 from leactl.analysis.experiments import refuse_altered, refuse_repeated
@@ -30,6 +31,8 @@ HEATING, COOLING = "heating_s", "cooling_s"  # parameters of the protocol
 SHARE = 0.9  # of the time after which the forecast passes the limit
 FALLING = 0.8  # of a heat that the forecast does not admit either
 SHORTEST_S = 60.0  # of a heat that tells anything
+ON = 0.5  # of the largest current, above which a reading counts as heating
+LONGER = 3.0  # times the longest heat so far, that the next one may last: a body that warms later shows by then
 CONSTANTS = 2.0  # of the housing, for which a short heat cools
 
 Prepare = Callable[[Mapping[str, str]], Request]
@@ -54,8 +57,10 @@ class Commissioned:
     file: Path | None  # the narrowed motor file; None where the one of the bench admits the protocol
     forecast: Forecast  # of the protocol as it was asked for, by `motor`
     limit: float  # degC, for the forecast
+    load_motor: str  # the bench's motor file of the other actuator
     heats: list[Heat] = field(default_factory=list)
     next_heating_s: float | None = None  # where no run was to be made, what the next one would be
+    longest_s: float = math.inf  # that a heat may last by the ones that its file is made of
 
     @property
     def admitted(self) -> bool:
@@ -96,18 +101,18 @@ def commission(manner: Manner, file: Path) -> Commissioned:
         found = found if found.admitted else _written(asked, motor, told, file)
     manner.tell(_state(found))
     if manner.rehearse:
-        request = asked if found.admitted else _shorter(manner, found)
+        request = asked if _may_be_run(found, asked) else _shorter(manner, found)
         rehearse(_by(request, found.file))
         found.next_heating_s = _heating(request)
         return found
-    while not found.admitted and len(told) < manner.most - 1:
+    while not _may_be_run(found, asked) and len(told) < manner.most - 1:
         request = _shorter(manner, found)
         told.append(_heated(request, found, manner, len(told)))
         heats = [*found.heats, Heat(told[-1], _heating(request), whole=False)]
         found = _written(asked, _narrowed(asked, shipped, told, manner), told, file)
         found.heats = heats
         manner.tell(_state(found))
-    if not found.admitted:
+    if not _may_be_run(found, asked):
         raise InputError(
             f"protocol '{asked.plan.name}' is not admitted after {len(told)} heated runs, with {manner.most} at most:"
             f" {_state(found)}; lower its current, tell the camera's own accuracy, or allow more --runs"
@@ -128,6 +133,11 @@ def _heated(request: Request, found: Commissioned, manner: Manner, before: int) 
     if outcome.error is not None:
         raise outcome.error
     return outcome.path
+
+
+def _may_be_run(found: Commissioned, asked: Request) -> bool:
+    """Whether the whole protocol is admitted, and no more than a few times as long as what its file was made of."""
+    return found.admitted and _heating(asked) <= found.longest_s
 
 
 def _heating(request: Request) -> float:
@@ -156,7 +166,8 @@ def _judged(asked: Request, motor: Motor, file: Path | None) -> Commissioned:
     """What the protocol would do to windings that are cold, by a motor file."""
     request = _by(asked, file)
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, cold=True)
-    return Commissioned(motor, file, windings.forecast(request.plan), windings.settings.limit)
+    load = asked.bench.motors.get("load", asked.bench.motors["test"])
+    return Commissioned(motor, file, windings.forecast(request.plan), windings.settings.limit, load)
 
 
 def _by(request: Request, file: Path | None) -> Request:
@@ -176,11 +187,11 @@ def _shorter(manner: Manner, found: Commissioned) -> Request:
     ------
     InputError : no heat that is long enough.
     """
-    asked = manner.prepare({})
-    row = max(asked.plan.timeline(), key=lambda one: one.duration_s if one.name == "heating" else 0.0)
-    passing = found.forecast.passing
-    assert passing is not None
-    seconds = SHARE * (passing.time_s - row.start_s)
+    asked, passing = manner.prepare({}), found.forecast.passing
+    seconds = min(_heating(asked), found.longest_s)
+    if passing is not None:
+        row = max(asked.plan.timeline(), key=lambda one: one.duration_s if one.name == "heating" else 0.0)
+        seconds = min(seconds, SHARE * (passing.time_s - row.start_s))
     network = found.motor.thermal
     constant = network.housing_capacitance * (network.housing_ambient_resistance + network.winding_housing_resistance)
     cooling = min(float(asked.plan.parameters[COOLING]), math.ceil(CONSTANTS * constant))
@@ -189,9 +200,10 @@ def _shorter(manner: Manner, found: Commissioned) -> Request:
         if _judged(request, found.motor, found.file).admitted:
             return request
         seconds *= FALLING
+    told = "" if passing is None else f" step '{passing.step}' may take the {passing.role} winding to its limit after"
+    told += "" if passing is None else f" {passing.time_s:.0f} s, and"
     raise InputError(
-        f"protocol '{asked.plan.name}': step '{passing.step}' may take the {passing.role} winding to its limit after"
-        f" {passing.time_s:.0f} s, and no heat of {SHORTEST_S:g} s or more is admitted; lower its current"
+        f"protocol '{asked.plan.name}':{told} no heat of {SHORTEST_S:g} s or more is admitted; lower its current"
     )
 
 
@@ -217,7 +229,17 @@ def _written(asked: Request, motor: Motor, told: Sequence[Path], file: Path) -> 
         _write(file, motor, asked.actuator, told)
         request = _by(asked, file)
         Windings(request.bench, request.devices, request.actuator, request.in_process, found=known).keep_as_found()
-    return _judged(asked, load_motor(str(file))[0], file)
+    found = _judged(asked, load_motor(str(file))[0], file)
+    found.longest_s = LONGER * max(_heated_s(path) for path in told)
+    return found
+
+
+def _heated_s(path: Path) -> float:
+    """How long a run was heated [s]."""
+    with Run.open(path) as run:
+        current = run.channel("line_current")
+        on = np.abs(current.values) > ON * np.nanmax(np.abs(current.values))
+        return float(np.sum(np.diff(current.time)[on[1:] & on[:-1]]))
 
 
 def _known(asked: Request, file: Path) -> Mapping[str, Recalled]:
@@ -228,11 +250,13 @@ def _known(asked: Request, file: Path) -> Mapping[str, Recalled]:
 
 
 def _refuse_others(runs: Sequence[Run], asked: Request) -> None:
-    """Refuse runs of another actuator, and emulated ones for a real bench."""
+    """Refuse runs of another actuator or of another bench, whose instruments read otherwise, and emulated ones."""
     emulated, faults = asked.bench.emulated is not None, []
     for run in runs:
         if (of := str(run.attributes.get("actuator", ""))) != asked.actuator:
             faults.append(f"{run.path}: of actuator '{of}'; '{asked.actuator}' was expected")
+        if (at := str(run.attributes.get("bench", ""))) != asked.bench.name:
+            faults.append(f"{run.path}: of bench '{at}'; '{asked.bench.name}' was expected: its supply, its camera")
         if bool(run.attributes.get("simulated")) and not emulated:
             faults.append(f"{run.path}: simulated; a run of the real bench '{asked.bench.name}' was expected")
     if faults:
@@ -254,5 +278,6 @@ def _state(found: Commissioned) -> str:
     by = found.file.name if found.file is not None else f"the tolerances of motor '{found.motor.name}'"
     passing = found.forecast.passing
     if passing is None:
-        return f"by {by}: at most {found.forecast.peaks['test']:.1f} degC of {found.limit:.1f}, admitted"
+        told = f"by {by}: at most {found.forecast.peaks['test']:.1f} degC of {found.limit:.1f}, admitted"
+        return told if math.isinf(found.longest_s) else f"{told} for heats of up to {found.longest_s:.0f} s"
     return f"by {by}: up to {found.limit:.1f} degC after {passing.time_s:.0f} s in step '{passing.step}', not admitted"

@@ -4,6 +4,7 @@ Either the winding outlives levels that stay on for ever, or the instrument's ow
 that they attend the run; a plan without any of the three is refused.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -83,7 +84,10 @@ def protections(plan: Plan, windings: Windings, bench: Bench) -> dict[Levels, fl
 def _judged(
     windings: Windings, supply: PowerSupply, attended: bool, role: str, voltage: float, current: float
 ) -> LeftOn:
-    box, settings = Box.of(windings.fed[role]), windings.settings
+    motor, settings = windings.fed[role], windings.settings
+    if motor.winding != "wye":  # what two leads heat, and their resistance, is known of a wye alone
+        return LeftOn(role, voltage, current, math.inf, EndedBy.ATTENDED if attended else EndedBy.NOTHING)
+    box = Box.of(motor)
     start: Sequence[float] = windings.recalled[role].nodes.tolist()
     hottest = reached(box, settings.ambient, voltage, current)
     if _endured(windings, role).outlives(voltage, current, start):

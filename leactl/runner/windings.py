@@ -175,6 +175,11 @@ def motors_of(bench: BenchFile) -> dict[str, Motor]:
     InputError : a motor that is not known, or faults in its file.
     """
     test = load_motor(bench.motors["test"])[0]
+    if "load" not in bench.motors and test.tolerances is not None and test.tolerances.line_current is not None:
+        raise InputError(
+            f"bench '{bench.name}': motors.test names a file that is narrowed to one actuator; motors.load was expected"
+            " beside it, with the motor file that holds for the other one"
+        )
     return {"test": test, "load": load_motor(bench.motors["load"])[0] if "load" in bench.motors else test}
 
 

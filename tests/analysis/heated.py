@@ -115,6 +115,7 @@ class HeatedBench:
         mechanical="heated",
         labels=None,
         actuator="a1",
+        bench="synthetic",
     ):
         """Write a run and return its path.
 
@@ -151,7 +152,7 @@ class HeatedBench:
         info = RunInfo(
             run_id=f"20261120T101530Z-thermal-{self.count:04d}",
             protocol="thermal",
-            bench="synthetic",
+            bench=bench,
             actuator=actuator,
             condition="design",
             operator="",

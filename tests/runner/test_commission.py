@@ -7,6 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
+from leactl.analysis.heating.narrowing import Accuracy
 from leactl.errors import AcceptanceFailed, InputError, Stopped
 from leactl.model.motor import load_motor
 from leactl.runner.commission import Manner, commission
@@ -35,6 +36,7 @@ class Bench:
             cool_s=own["cooling_s"],
             current=own["current_A"],
             actuator=self.label,
+            bench="emulated-heated",
         )
         return Outcome(path, "complete", "", None, {}, request.plan.duration_s, 0)
 
@@ -69,6 +71,24 @@ def test_one_short_heat_narrows_the_file_until_the_whole_protocol_is_admitted_an
     assert found.heats[0].path.name in text
 
 
+def test_no_heat_lasts_more_than_a_few_times_the_longest_before_it(tmp_path):
+    """A body that warms for an hour shows nothing in a quarter of it, and the bound of the whole is none then."""
+    bench = Bench(tmp_path)
+    manner, said = manner_of(bench, HOT | {"heating_s": "4500"}, accuracy=Accuracy(0.005, 0.5))
+    found = commission(manner, tmp_path / "LEA-1.yaml")
+    first, second, whole = (heat.heating_s for heat in found.heats)
+    assert 2.0 * first < second <= 3.0 * first + 1.0
+    assert whole == 4500
+    assert "admitted for heats of up to" in said[1]
+
+
+def test_a_run_of_another_bench_is_refused(tmp_path):
+    bench = Bench(tmp_path)
+    other = bench.bench.run(rate_Hz=2.0, heat_s=800.0, cool_s=1600.0, actuator="LEA-1")
+    with pytest.raises(InputError, match="of bench 'synthetic'; 'emulated-heated' was expected"):
+        commission(manner_of(bench, given=[other])[0], tmp_path / "LEA-1.yaml")
+
+
 def test_what_is_admitted_already_is_run_at_once_and_writes_no_file(tmp_path):
     bench, file = Bench(tmp_path), tmp_path / "LEA-1.yaml"
     found = commission(manner_of(bench, HOT | {"current_A": "6"})[0], file)
@@ -86,7 +106,7 @@ def test_a_rehearsal_says_how_long_the_first_heat_is_and_runs_nothing(tmp_path):
 
 def test_runs_that_are_there_already_count_and_are_not_made_again(tmp_path):
     bench, file = Bench(tmp_path), tmp_path / "LEA-1.yaml"
-    before = bench.bench.run(rate_Hz=2.0, heat_s=800.0, cool_s=1600.0, actuator="LEA-1")
+    before = bench.bench.run(rate_Hz=2.0, heat_s=800.0, cool_s=1600.0, actuator="LEA-1", bench="emulated-heated")
     found = commission(manner_of(bench, given=[before])[0], file)
     assert [heat.whole for heat in found.heats] == [True]
     assert before.name in file.read_text()
@@ -133,14 +153,14 @@ def test_a_protocol_that_cannot_be_commissioned_is_refused_before_anything_moves
 
 def test_a_run_of_another_actuator_is_refused(tmp_path):
     bench = Bench(tmp_path)
-    other = bench.bench.run(rate_Hz=2.0, heat_s=800.0, cool_s=1600.0, actuator="LEA-2")
+    other = bench.bench.run(rate_Hz=2.0, heat_s=800.0, cool_s=1600.0, actuator="LEA-2", bench="emulated-heated")
     with pytest.raises(InputError, match="of actuator 'LEA-2'; 'LEA-1' was expected"):
         commission(manner_of(bench, given=[other])[0], tmp_path / "LEA-1.yaml")
 
 
 def test_an_altered_run_narrows_nothing(tmp_path):
     bench, file = Bench(tmp_path), tmp_path / "LEA-1.yaml"
-    path = bench.bench.run(rate_Hz=2.0, heat_s=800.0, cool_s=1600.0, actuator="LEA-1")
+    path = bench.bench.run(rate_Hz=2.0, heat_s=800.0, cool_s=1600.0, actuator="LEA-1", bench="emulated-heated")
     with h5py.File(path, "r+") as opened:
         opened["streams/camera/housing_1"][10:] += 0.5
     with pytest.raises(InputError, match="checksum"):
@@ -150,7 +170,7 @@ def test_an_altered_run_narrows_nothing(tmp_path):
 
 def test_an_emulated_run_does_not_narrow_the_file_of_a_real_bench(tmp_path):
     bench = Bench(tmp_path)
-    run = bench.bench.run(rate_Hz=2.0, heat_s=800.0, cool_s=1600.0, actuator="LEA-1")
+    run = bench.bench.run(rate_Hz=2.0, heat_s=800.0, cool_s=1600.0, actuator="LEA-1", bench="emulated-heated")
     manner, _said = manner_of(bench, given=[run])
 
     def prepared(changed):

@@ -33,7 +33,7 @@ class Accuracy:
     """What the instruments of heated runs may be off by, at the most."""
 
     camera_gain: float = 0.02  # of the rise that it shows; thermal cameras are sold with +-2 K or +-2 %
-    camera_offset: float = 2.0  # K
+    camera_offset: float = 2.0  # K, of its zero, and of any rise beside what its zero was when cold
     current_repeats: float = 0.005  # of the supply's reading, from one run to the next
 
 
@@ -53,6 +53,8 @@ def narrowed(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> Motor:
     """
     if motor.tolerances is None:
         raise InputError(f"motor '{motor.name}': no `tolerances:` to narrow")
+    if motor.winding != "wye":
+        raise InputError(f"motor '{motor.name}': a {motor.winding}; what two leads heat is known of a wye alone")
     found = analyze(
         runs,
         camera_offset_std=0.5 * accuracy.camera_offset,
@@ -72,7 +74,7 @@ def narrowed(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> Motor:
         | {
             "line_current": accuracy.current_repeats,
             "current": _rounded((1.0 + motor.tolerances.current) / (1.0 - reading) - 1.0),
-            "temperature_rise": _rounded(accuracy.camera_gain + _unexplained(values, runs)),
+            "temperature_rise": _rounded(_camera(accuracy, runs) + _unexplained(values, runs)),
         }
     )
     return motor.model_copy(
@@ -101,13 +103,22 @@ def _tolerances(found: Result, values: dict[str, float], accuracy: Accuracy) -> 
     }
 
 
+def _camera(accuracy: Accuracy, runs: Sequence[Run]) -> float:
+    """Share of a rise that the camera may be off by: data sheets tell kelvins or a share, whichever is more."""
+    return max(accuracy.camera_gain, accuracy.camera_offset / _rise(runs))
+
+
 def _unexplained(values: dict[str, float], runs: Sequence[Run]) -> float:
     """What two bodies leave of the temperatures beyond noise, as a share of the largest rise."""
     over = values["rmse_over_noise"]
     beyond = 1.0 if not math.isfinite(over) else math.sqrt(max(1.0 - 1.0 / over**2, 0.0))
+    return DEVIATIONS * beyond * values["rmse"] / _rise(runs)
+
+
+def _rise(runs: Sequence[Run]) -> float:
+    """The largest rise [K] that a place of the winding showed."""
     readings = [channel.values for run in runs for channel in run.channels("winding_temperature")]
-    rise = max(float(np.nanmax(one) - np.nanmin(one)) for one in readings)
-    return DEVIATIONS * beyond * values["rmse"] / rise
+    return max(float(np.nanmax(one) - np.nanmin(one)) for one in readings)
 
 
 def _refuse_another(motor: Motor, tolerances: Tolerances, values: dict[str, float], accuracy: Accuracy) -> None:
