@@ -33,6 +33,8 @@ TOO_NEW = (
 )
 # h5py meets a spoiled header with any of these: a type without a NumPy one is TypeError, a wrong length ValueError
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError)
+GROWING = 3  # times that a live file is opened anew where it grew meanwhile
+BEYOND_ITS_END = "addr overflow"  # what HDF5 calls a place behind the end that a file had when it was opened
 USUAL_SIZES = (8, 8)  # bytes of addresses and of lengths
 
 
@@ -61,16 +63,20 @@ def open_run_file(path: Path, root: dict[str, Any] | None = None, values: bool =
             text = "the recording never started (its writer ended while preparing the file); delete it"
             raise InputError(f"{path}: {text}")
         live = bool(flags & SWMR_WRITE)
-        try:
-            file = h5py.File(AsClosed(raw) if live else path, "r")
-        except DAMAGE as fault:
-            raise InputError(f"{path}: {why(fault)}") from fault
-        try:
-            faults = faults_of_form(file, head) or faults_of_file(file, raw, {} if root is None else root, values)
-        except DAMAGE as fault:
-            faults = [damage(fault)]
+        for tries in range(GROWING, -1, -1):
+            try:
+                file = h5py.File(AsClosed(raw) if live else path, "r")
+            except DAMAGE as fault:
+                raise InputError(f"{path}: {why(fault)}") from fault
+            try:
+                faults = faults_of_form(file, head) or faults_of_file(file, raw, {} if root is None else root, values)
+            except DAMAGE as fault:
+                faults = [damage(fault)]
+            if faults:
+                file.close()
+            if not (tries and live and any(BEYOND_ITS_END in fault for fault in faults)):
+                break
         if faults:
-            file.close()
             raise InputError([f"{path}: {fault}" for fault in faults])
     return file, live
 

@@ -58,7 +58,7 @@ class LeftOn:
 
 def left_on(plan: Plan, windings: Windings, bench: Bench) -> list[LeftOn]:
     """Each pair of levels that a plan has the bench's supplies put out, once."""
-    supplies = at_leads(bench.others, windings.fed)
+    supplies = at_leads(bench.others, windings.motors)
     levels: dict[Levels, None] = {}
     for action in plan.actions:
         for role, output in action.outputs.items() if isinstance(action, Supply) else ():
@@ -84,7 +84,7 @@ def protections(plan: Plan, windings: Windings, bench: Bench) -> dict[Levels, fl
 def _judged(
     windings: Windings, supply: PowerSupply, attended: bool, role: str, voltage: float, current: float
 ) -> LeftOn:
-    motor, settings = windings.fed[role], windings.settings
+    motor, settings = windings.motors[role], windings.settings  # a reading that repeats says nothing of a setting
     if motor.winding != "wye":  # what two leads heat, and their resistance, is known of a wye alone
         return LeftOn(role, voltage, current, math.inf, EndedBy.ATTENDED if attended else EndedBy.NOTHING)
     box = Box.of(motor)
@@ -103,7 +103,7 @@ def _judged(
 
 def _endured(windings: Windings, role: str) -> Endured:
     settings = windings.settings
-    return endured(Box.of(windings.fed[role]), settings.limit - MARGIN_K, settings.ambient)
+    return endured(Box.of(windings.motors[role]), settings.limit - MARGIN_K, settings.ambient)
 
 
 def _refusal(plan: Plan, windings: Windings, one: LeftOn) -> str:
