@@ -83,11 +83,8 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
 
     from rich.console import Console
 
-    from leactl.bench.bench import Bench
     from leactl.bench.provenance import overdue
-    from leactl.bench.wiring import MachineWiring
     from leactl.report.live import live_view
-    from leactl.runner.fitting import unwitnessed
     from leactl.runner.operators import granted, keyboard
     from leactl.runner.progress import Progress
     from leactl.runner.session import execute
@@ -97,9 +94,6 @@ def perform(request: "Request", heading: str = "") -> "Outcome":
     check_operator(request)
     for name, text in overdue(request.devices).items():
         print(f"leactl: warning: {name}: {text}", file=sys.stderr)
-    if not request.in_process:  # nothing burns that is emulated here; the run's file says so all the same
-        for line in unwitnessed(request.plan, Bench(request.bench, request.devices, MachineWiring())):
-            print(f"leactl: note: {line}", file=sys.stderr)
     with keyboard(shown=console.is_terminal) as keys:
 
         def watch(progress: Progress) -> AbstractContextManager[object]:

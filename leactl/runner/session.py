@@ -304,6 +304,8 @@ def _run(
         error: BaseException | None = None
         try:
             _introduce(request, windings, writer, bench)
+            if not request.in_process:  # nothing burns that is emulated here
+                progress.warnings += unwitnessed(plan, bench)
             for text in _left_on(plan, windings, bench):
                 writer.event(0.0, "info", "supplies", text)
             for name, source in awaited(bench.drivers).items() if not request.in_process else ():
@@ -512,7 +514,7 @@ def _introduce(request: Request, windings: Windings, writer: RunWriter, bench: B
     if (seed := _seed(request)) is not None:
         writer.event(0.0, "info", "emulation", f"seed = {seed}")
     for line in unwitnessed(request.plan, bench):
-        writer.event(0.0, "info", "safety", line)
+        writer.event(0.0, "info", "windings", line)
     for role, found in windings.recalled.items():
         writer.event(0.0, "info", "windings", f"{role} winding: {found.known}, at most {found.nodes[0]:.1f} degC")
 

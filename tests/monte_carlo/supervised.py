@@ -69,6 +69,10 @@ class NoFile:
         """None."""
         return []
 
+    def notes(self) -> list[str]:
+        """None."""
+        return []
+
     def after_cycle(self) -> None:
         """Nothing is kept."""
 
