@@ -55,7 +55,8 @@ class Commissioned:
 
     motor: Motor
     file: Path | None  # the narrowed motor file; None where the one of the bench admits the protocol
-    forecast: Forecast  # of the protocol as it was asked for, by `motor`
+    heating_s: float  # of the protocol as it was asked for
+    forecast: Forecast  # of that protocol, by `motor`
     limit: float  # degC, for the forecast
     load_motor: str  # the bench's motor file of the other actuator
     heats: list[Heat] = field(default_factory=list)
@@ -64,8 +65,8 @@ class Commissioned:
 
     @property
     def admitted(self) -> bool:
-        """Whether the protocol may be run as it was asked for."""
-        return self.forecast.passing is None
+        """Whether the protocol may be run as asked for: below the limit, and no longer than the file is good for."""
+        return self.forecast.passing is None and self.heating_s <= self.longest_s
 
 
 @dataclass(frozen=True)
@@ -101,18 +102,18 @@ def commission(manner: Manner, file: Path) -> Commissioned:
         found = found if found.admitted else _written(asked, motor, told, file)
     manner.tell(_state(found))
     if manner.rehearse:
-        request = asked if _may_be_run(found, asked) else _shorter(manner, found)
+        request = asked if found.admitted else _shorter(manner, found)
         rehearse(_by(request, found.file))
         found.next_heating_s = _heating(request)
         return found
-    while not _may_be_run(found, asked) and len(told) < manner.most - 1:
+    while not found.admitted and len(told) < manner.most - 1:
         request = _shorter(manner, found)
         told.append(_heated(request, found, manner, len(told)))
         heats = [*found.heats, Heat(told[-1], _heating(request), whole=False)]
         found = _written(asked, _narrowed(asked, shipped, told, manner), told, file)
         found.heats = heats
         manner.tell(_state(found))
-    if not _may_be_run(found, asked):
+    if not found.admitted:
         raise InputError(
             f"protocol '{asked.plan.name}' is not admitted after {len(told)} heated runs, with {manner.most} at most:"
             f" {_state(found)}; lower its current, tell the camera's own accuracy, or allow more --runs"
@@ -133,11 +134,6 @@ def _heated(request: Request, found: Commissioned, manner: Manner, before: int) 
     if outcome.error is not None:
         raise outcome.error
     return outcome.path
-
-
-def _may_be_run(found: Commissioned, asked: Request) -> bool:
-    """Whether the whole protocol is admitted, and no more than a few times as long as what its file was made of."""
-    return found.admitted and _heating(asked) <= found.longest_s
 
 
 def _heating(request: Request) -> float:
@@ -167,7 +163,8 @@ def _judged(asked: Request, motor: Motor, file: Path | None) -> Commissioned:
     request = _by(asked, file)
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, cold=True)
     load = asked.bench.motors.get("load", asked.bench.motors["test"])
-    return Commissioned(motor, file, windings.forecast(request.plan), windings.settings.limit, load)
+    forecast, limit = windings.forecast(request.plan), windings.settings.limit
+    return Commissioned(motor, file, _heating(request), forecast, limit, load)
 
 
 def _by(request: Request, file: Path | None) -> Request:
@@ -279,5 +276,5 @@ def _state(found: Commissioned) -> str:
     passing = found.forecast.passing
     if passing is None:
         told = f"by {by}: at most {found.forecast.peaks['test']:.1f} degC of {found.limit:.1f}, admitted"
-        return told if math.isinf(found.longest_s) else f"{told} for heats of up to {found.longest_s:.0f} s"
+        return told if found.admitted else f"{told} for heats of up to {found.longest_s:.0f} s"
     return f"by {by}: up to {found.limit:.1f} degC after {passing.time_s:.0f} s in step '{passing.step}', not admitted"
