@@ -123,7 +123,7 @@ def test_a_run_that_is_too_short_narrows_nothing(tmp_path):
 
 def test_what_two_leads_of_a_delta_heat_is_not_known(tmp_path):
     path = heated(tmp_path, 2)[0]
-    with Run.open(path) as run, pytest.raises(InputError, match="a delta; what two leads heat"):
+    with Run.open(path) as run, pytest.raises(InputError, match="a delta; how two leads heat it"):
         narrowed(LEA.model_copy(update={"winding": "delta"}), [run], Accuracy())
 
 

@@ -1,10 +1,9 @@
 """A motor file narrowed to one actuator, by its own heated runs.
 
-What a camera and a supply are off by need not be known for that. A camera that shows a share of every rise makes a
-network whose rises are that share of the true ones; it is told as `temperature_rise`, by which the guard stops earlier.
-A supply that shows a share of its current makes a network that heats as the true one does at the same reading; the
-tolerance of `line_current` is then what a reading changes by from one run to the next, and any other instrument's has
-the supply's to bear as well. What is left are the errors of the fit.
+The gain errors of camera and supply need not be known. A camera that reads low by a share scales all fitted rises by
+that share; `temperature_rise` covers it, so that the guard stops earlier. A supply's error cancels as long as the same
+supply is used: `line_current` covers what its reading changes by from run to run, and `current`, the tolerance of any
+other meter, covers the error of this supply too. The rest is the error of the fit.
 """
 
 import math
@@ -33,7 +32,7 @@ class Accuracy:
     """What the instruments of heated runs may be off by, at the most."""
 
     camera_gain: float = 0.02  # of the rise that it shows; thermal cameras are sold with +-2 K or +-2 %
-    camera_offset: float = 2.0  # K, of its zero, and of any rise beside what its zero was when cold
+    camera_offset: float = 2.0  # K, of its zero; also what the zero may drift by from cold to hot
     current_repeats: float = 0.005  # of the supply's reading, from one run to the next
 
 
@@ -54,7 +53,9 @@ def narrowed(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> Motor:
     if motor.tolerances is None:
         raise InputError(f"motor '{motor.name}': no `tolerances:` to narrow")
     if motor.winding != "wye":
-        raise InputError(f"motor '{motor.name}': a {motor.winding}; what two leads heat is known of a wye alone")
+        raise InputError(
+            f"motor '{motor.name}': a {motor.winding}; how two leads heat it is not modelled, a wye was expected"
+        )
     found = analyze(
         runs,
         camera_offset_std=0.5 * accuracy.camera_offset,
@@ -67,13 +68,14 @@ def narrowed(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> Motor:
         raise NotIdentifiable(
             f"{found.runs[-1]}: tells no {', '.join(untold)}; heat and cool for longer: {'; '.join(found.notes)}"
         )
-    _refuse_another(motor, motor.tolerances, values, accuracy)
-    reading = motor.tolerances.current if motor.tolerances.line_current is None else motor.tolerances.line_current
+    _refuse_outside(motor, motor.tolerances, values, accuracy)
+    supply = motor.tolerances.current if motor.tolerances.line_current is None else motor.tolerances.line_current
     tolerances = motor.tolerances.model_copy(
         update=_tolerances(found, values, accuracy)
         | {
             "line_current": accuracy.current_repeats,
-            "current": _rounded((1.0 + motor.tolerances.current) / (1.0 - reading) - 1.0),
+            # at the worst the other meter reads low where the supply of the runs read high
+            "current": _rounded((1.0 + motor.tolerances.current) / (1.0 - supply) - 1.0),
             "temperature_rise": _rounded(_camera(accuracy, runs) + _unexplained(values, runs)),
         }
     )
@@ -88,18 +90,23 @@ def narrowed(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> Motor:
 
 
 def _tolerances(found: Result, values: dict[str, float], accuracy: Accuracy) -> dict[str, float]:
-    """Of network and resistance; what the camera's zero does to the resistance counts in full, not by its deviation."""
+    """Tolerances of network and resistance, of a fit that was told `camera_offset` as two standard uncertainties.
+
+    A zero that is off shifts the temperature at which the resistance has its value, and leaves its slope in ohm/K. So
+    the whole offset counts for the resistance, in place of its standard uncertainty, and nothing for the coefficient.
+    """
     names, covariance = found.covariances[0].names, np.array(found.covariances[0].values)
     spread = {name: math.sqrt(covariance[k, k]) / values[name] for k, name in enumerate(names)}
-    shifted = values["resistance_coefficient"] * accuracy.camera_offset  # of the resistance at one temperature
-    by_zero = 0.5 * shifted  # as a standard uncertainty, which the covariance holds
+    offset = values["resistance_coefficient"] * accuracy.camera_offset  # of the resistance, relative
+    offset_std = 0.5 * offset
 
-    def by_noise(name: str) -> float:
-        return DEVIATIONS * math.sqrt(max(spread[name] ** 2 - by_zero**2, 0.0))
+    def without_offset(name: str) -> float:
+        return DEVIATIONS * math.sqrt(max(spread[name] ** 2 - offset_std**2, 0.0))
 
     return {name: _rounded(DEVIATIONS * spread[name]) for name in NETWORK} | {
-        "phase_resistance": _rounded(by_noise("line_resistance") + shifted),
-        "resistance_coefficient": _rounded(by_noise("resistance_coefficient")),
+        # relative, that of two phases in series is that of one
+        "phase_resistance": _rounded(without_offset("line_resistance") + offset),
+        "resistance_coefficient": _rounded(without_offset("resistance_coefficient")),
     }
 
 
@@ -109,10 +116,10 @@ def _camera(accuracy: Accuracy, runs: Sequence[Run]) -> float:
 
 
 def _unexplained(values: dict[str, float], runs: Sequence[Run]) -> float:
-    """What two bodies leave of the temperatures beyond noise, as a share of the largest rise."""
-    over = values["rmse_over_noise"]
-    beyond = 1.0 if not math.isfinite(over) else math.sqrt(max(1.0 - 1.0 / over**2, 0.0))
-    return DEVIATIONS * beyond * values["rmse"] / _rise(runs)
+    """What two bodies do not follow beyond noise, as a share of the largest rise; all, where the noise is not known."""
+    over_noise = values["rmse_over_noise"]
+    misfit = 1.0 if not math.isfinite(over_noise) else math.sqrt(max(1.0 - 1.0 / over_noise**2, 0.0))
+    return DEVIATIONS * misfit * values["rmse"] / _rise(runs)
 
 
 def _rise(runs: Sequence[Run]) -> float:
@@ -121,21 +128,23 @@ def _rise(runs: Sequence[Run]) -> float:
     return max(float(np.nanmax(one) - np.nanmin(one)) for one in readings)
 
 
-def _refuse_another(motor: Motor, tolerances: Tolerances, values: dict[str, float], accuracy: Accuracy) -> None:
+def _refuse_outside(motor: Motor, tolerances: Tolerances, values: dict[str, float], accuracy: Accuracy) -> None:
     nominal = motor.thermal.model_dump() | {
         "phase_resistance": motor.resistance(REFERENCE),
         "resistance_coefficient": motor.resistance_coefficient * motor.phase_resistance / motor.resistance(REFERENCE),
     }
-    reading = max(tolerances.current, tolerances.line_current or 0.0)
+    current = max(tolerances.current, tolerances.line_current or 0.0)
     faults = []
     for name in (*NETWORK, *WINDING):
-        within = getattr(tolerances, name) + accuracy.camera_gain + 2.0 * reading
+        # the supply tells the heat by its current and its voltage, which may be as far off
+        within = getattr(tolerances, name) + accuracy.camera_gain + 2.0 * current
         low, high = (nominal[name] * (1.0 + sign * within) for sign in (-1.0, 1.0))
         if not low <= values[name] <= high:
             faults.append(f"{name} {values[name]:.4g}, {low:.4g} to {high:.4g} was expected")
     if faults:
         raise AcceptanceFailed(
-            f"motor '{motor.name}': not the actuator that was heated, or not as it was measured: {'; '.join(faults)}"
+            f"motor '{motor.name}': what was fitted lies outside of its tolerances: another actuator or mounting was"
+            f" heated, or a reading is wrong: {'; '.join(faults)}"
         )
 
 
