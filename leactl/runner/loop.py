@@ -239,7 +239,7 @@ class Loop:
             self._note("info", "operator", f"remark: {text}")
         wanted = "paused" if self._pausing else "pauses at the next rest"
         self._progress.pause = wanted if self._wishes.paused() else ""
-        for source, texts in (("safety", self._supervisor.take_warnings()), ("recording", self._flush.warnings())):
+        for source, texts in (("safety", self._supervisor.take_warnings()), ("recorder", self._flush.warnings())):
             for text in texts:
                 self._note("warning", source, text)
                 self._progress.warnings.append(text)

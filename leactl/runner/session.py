@@ -346,7 +346,7 @@ def _run(
     except Exception as failure:  # noqa: BLE001 (what ended the run is told whatever becomes of its file)
         error = _joined(error, failure)
     for text in flush.warnings():  # of the last flush, which no cycle came after
-        writer.event(loop.time, "warning", "recording", text)
+        writer.event(loop.time, "warning", "recorder", text)
         progress.warnings.append(text)
     for name, confirmation in safe.items():
         level = "info" if confirmation.safe else "error"
