@@ -134,12 +134,14 @@ class Supervisor:
         self._witnesses = [*self._by_torque(torque_models or {}), *self._by_voltage()]
         self._due = self._ages_due = -math.inf
         # by names of their own: `check` runs in every cycle
+        self._witnessed = [witnesses.logged for witnesses in self._witnesses]
         self._judged = [
-            (guard.roles.index(role), each, each.tracking, each.axis.motion, *each.places, each.panel.look)
+            (place, each, each.tracking, each.axis.motion, *each.places, each.panel.look, guard.logs[place])
             for role, each in self._axes.items()
+            for place in [guard.roles.index(role)]
         ]
         guard.begin(now)
-        self._heating = guard.logs, guard.flowing, math.inf
+        self._heating = guard.flowing, math.inf
         self.windings = guard.estimate, guard.hottest  # degC by role, kept up to date
         self.time_left = guard.time_left
 
@@ -207,7 +209,7 @@ class Supervisor:
         now, self._period = self._clock.now(), period
         guard = self._thermal
         guard.begin(now)
-        self._heating = guard.logs, guard.flowing, STALL_CYCLES * period
+        self._heating = guard.flowing, STALL_CYCLES * period
         for guarded in self._axes.values():
             guarded.panel.begin(now, self._limits.cyclic_age(period))
         for panel in self._own.values():
@@ -326,9 +328,9 @@ class Supervisor:
             pace.latest += pace.period
         else:
             pace.look(now)
-        logs, flowing, stall = self._heating
+        flowing, stall = self._heating
         on_time = elapsed < stall
-        for place, guarded, tracking, motion, where, angle, velocity, look in self._judged:
+        for place, guarded, tracking, motion, where, angle, velocity, look, log in self._judged:
             values = motion.values
             look(values, now)
             if guarded.path is not None:
@@ -344,7 +346,7 @@ class Supervisor:
                 square = guarded.held if square == square else self._worst
             # a stall of the loop is longer than a cycle: what flowed before it may have gone on
             heat = (square if on_time or square > flowing[place] else flowing[place]) * elapsed
-            logs[place] += (
+            log += (
                 elapsed,
                 heat,
                 NAN if angle is None else values[angle],
@@ -352,10 +354,11 @@ class Supervisor:
             )
             guarded.held = asked
             flowing[place] = square if square > asked else asked
+        for log, evidence, place, drive, velocity, current, other, second in self._witnessed:
+            read = drive.values
+            log += (evidence.values[place], read[velocity], read[current], other.values[second])
         if now >= self._due:
             self._look_at_all(now)
-        for witnesses in self._witnesses:
-            witnesses.look(now)
 
     def _look_at_all(self, now: float) -> None:
         """What need not be looked at in every cycle: windings, ages of the devices' own streams, what stands still."""
@@ -371,7 +374,11 @@ class Supervisor:
             self._ages_due = min((panel.check_age(now) for panel in self._lasting), default=math.inf)
         if now >= self._stuck.due:
             self._stuck.look(now)
-        self._due = min(guard.due, self._ages_due, self._stuck.due)
+        due = min(guard.due, self._ages_due, self._stuck.due)
+        for witnesses in self._witnesses:
+            witnesses.look(now)
+            due = min(due, witnesses.due)
+        self._due = due
 
     def receive(self, row: Row | Block) -> None:
         """Judge a sample of a device's own stream, or many.

@@ -213,11 +213,11 @@ class Witnesses:
         """`place` is where the second sensor's reading stands among the values of its panel."""
         self._for_s, self._trip = for_s, trip
         self._accounts = accounts
-        # by names of their own: `look` runs in every cycle, and one drive's current is logged twice
+        # one drive's current is logged twice
         first, second = accounts[0], accounts[-1]
         self._sources = evidence, place, first.panel, first.velocity, first.current, second.panel, second.current
         self._log: list[float] = []
-        self._window = self._due = math.inf
+        self._window = self.due = math.inf
         self._began, self._kept = 0.0, 0  # rows that the last window has left
 
     def begin(self, period: float, now: float) -> None:
@@ -225,20 +225,21 @@ class Witnesses:
         self._window = max(self._for_s / WINDOWS, LEAST_CYCLES * period)
         self._log.clear()
         self._kept = 0
-        self._began, self._due = now, now + self._window
+        self._began, self.due = now, now + self._window
+
+    @property
+    def logged(self) -> tuple[list[float], Panel, int, Panel, int, int, Panel, int]:
+        """Where each exchange is logged, and what: three panels, each with the places of its values."""
+        return self._log, *self._sources
 
     def look(self, now: float) -> None:
-        """Log the exchange that has just ended, and judge the window where it ends with it.
+        """Judge the window where it ends with the exchange that has just been logged.
 
         Raises
         ------
         SafetyTrip : by way of `trip`.
         """
-        evidence, place, drive, velocity, current, other, second = self._sources
-        values = drive.values
-        log = self._log
-        log += evidence.values[place], values[velocity], values[current], other.values[second]
-        if now >= self._due:
+        if now >= self.due:
             self._judge(now)
 
     def _judge(self, now: float) -> None:
@@ -253,7 +254,7 @@ class Witnesses:
                 self._hold_against(account, current, rows, (now - self._began) / (cycles - self._kept))
         self._kept = min(APART_CYCLES, cycles)
         del log[: -self._kept * WIDTH]
-        self._began, self._due = now, now + self._window
+        self._began, self.due = now, now + self._window
 
     @staticmethod
     def _plainly_agrees(
