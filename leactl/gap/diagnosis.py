@@ -118,6 +118,7 @@ class Rest:
     """What is not explained: of the channel that is farthest from a sound machine's, what it depends on."""
 
     depends_on: tuple[str, ...]  # variables of the state, or time, or nothing that is logged
+    repeats_Hz: float | None  # noqa: N815 (a unit keeps its letter)  how often it repeats in time; None where it does not
     closable: float | None  # share of the held-out gap that a free function of the state closes; None where no gap is
     quantity: str
     role: str

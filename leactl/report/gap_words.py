@@ -215,10 +215,13 @@ def rest_words(rest: Rest) -> str:
     if rest.closable is None:
         return "held-out runs leave no gap beyond noise there"
     state, share = [VARIABLES[name].label for name in rest.depends_on if name != TIME], percent(rest.closable)
+    repeats = None if rest.repeats_Hz is None else f"repeats in time, {rest.repeats_Hz:.4g} times a second"
     if state:
-        slow = "; what that leaves changes slowly with time" if TIME in rest.depends_on else ""
-        return f"it follows {listed(state)}: a free function closes {share} of the gap on held-out runs{slow}"
+        changes = f"; what that leaves {repeats or 'changes slowly with time'}" if TIME in rest.depends_on else ""
+        return f"it follows {listed(state)}: a free function closes {share} of the gap on held-out runs{changes}"
     closes = f"a free function of the logged state closes {share} of the gap on held-out runs"
+    if repeats:
+        return f"it {repeats}, whatever the state is; {closes}"
     if TIME in rest.depends_on:
         return f"it changes slowly with time, each stretch of a run like its neighbours; {closes}"
     return f"it follows nothing that is logged, nor changes slowly with time; {closes}"

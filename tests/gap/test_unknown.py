@@ -10,6 +10,7 @@ from leactl.gap.verdict.unknown import describe
 from leactl.model.nominal import read_model
 
 FREE = ("free_torque", "velocity", "free")
+HUM_HZ = 6.37
 NEAR = (Near("stribeck", "it was tried"), Near("emissivity_bias", "it touches no torque"))
 
 
@@ -27,7 +28,15 @@ def drag(record, seed):
     record.fast.values["q_axis_current", "test"] += 0.15 * np.sin(speed / 4.0)
 
 
-@pytest.mark.parametrize(("rest", "depends_on", "shapes"), [(burst, (), 0), (drag, ("velocity",), 1)])
+def hum(record, seed):
+    """The current that a servo adds against a pump that shakes the bench, in each run from another moment on."""
+    time = record.fast.time
+    record.fast.values["q_axis_current", "test"] += 0.3 * np.sin(2.0 * np.pi * HUM_HZ * time + seed)
+
+
+@pytest.mark.parametrize(
+    ("rest", "depends_on", "shapes"), [(burst, (), 0), (drag, ("velocity",), 1), (hum, ("time",), 0)]
+)
 def test_a_free_rotor_s_current_explains_nothing_by_being_what_is_missing(sound_bench, rest, depends_on, shapes):
     records = [read_record(sound_bench / f"free_velocity-{side}.h5") for side in "ab"]
     for seed, record in enumerate(records):
@@ -36,7 +45,8 @@ def test_a_free_rotor_s_current_explains_nothing_by_being_what_is_missing(sound_
     found = describe(evidence, [], FREE, records[1:], NEAR)
     assert found.depends_on == depends_on
     assert len(found.shapes) == shapes
-    assert (found.closable > 0.8) is bool(depends_on)
+    assert (found.closable > 0.8) is bool(shapes)
+    assert found.repeats_Hz == (pytest.approx(HUM_HZ, rel=1e-3) if rest is hum else None)
     assert [near.effect for near in found.nearest] == ["stribeck"]
     assert found.experiment is not None
 

@@ -74,6 +74,7 @@ def picture(variable="q_axis_current", periods=None, along=None):
 def rest(**changed):
     said = {
         "depends_on": ("velocity", "q_axis_current"),
+        "repeats_Hz": None,
         "closable": 0.973,
         "quantity": "torque",
         "role": "test",

@@ -107,6 +107,13 @@ def test_time_and_nothing_logged_are_answers_too(depends_on, closable, words):
     assert words in rest_words(rest(depends_on=depends_on, closable=closable))
 
 
+def test_what_repeats_in_time_is_told_with_how_often():
+    alone = rest_words(rest(depends_on=("time",), repeats_Hz=1.6967, closable=0.01))
+    assert "it repeats in time, 1.697 times a second, whatever the state is; a free function" in alone
+    beside = rest_words(rest(depends_on=("angle", "time"), repeats_Hz=1.6967, closable=0.4))
+    assert "on held-out runs; what that leaves repeats in time, 1.697 times a second" in beside
+
+
 def test_five_regions_at_most():
     first = answer().where[0]
     many = tuple(replace(first, quantity=f"q{k}") for k in range(8))

@@ -1,7 +1,8 @@
 """What is not explained, described: what it depends on, how much of it a function of state closes, what comes nearest.
 
 The equation that is farthest from what a sound machine leaves is looked at. A free additive function of the logged
-state is learnt on the fitted runs and tried on the held-out ones; what it leaves is tried for a slow change with time.
+state is learnt on the fitted runs and tried on the held-out ones; what it leaves is tried for a slow change with time,
+and for a frequency by which it repeats.
 """
 
 from collections.abc import Collection, Sequence
@@ -17,9 +18,10 @@ from leactl.gap.search.orders import periodogram, turns
 from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
 from leactl.gap.search.sets import ENTRY, Finding, Found
 from leactl.gap.signals.record import Record
-from leactl.gap.verdict.additive import SURE, Function, Sample, borne_out, certainty, learn, slow_gain
+from leactl.gap.verdict.additive import SURE, Function, Groups, Sample, borne_out, certainty, learn, slow_gain
 from leactl.gap.verdict.judge import HALF, Judged, presence
 from leactl.gap.verdict.picture import OF_SIGNALS, Part, channel_of, picture_of, view_of
+from leactl.gap.verdict.tone import Course, gains, strongest_frequency
 from leactl.protocol import protocolfile
 from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.variable import Variable
@@ -36,7 +38,7 @@ HOLD_THE_REST = {"free_torque": CURRENT, "axis_torque": CURRENT, "lock": ("angle
 EVEN = 0.5  # probability from which on an effect is named
 VISIBLE = 1.0  # times its uncertainty and floor, from which on an effect is near at all
 NEAREST = 4  # effects that are listed
-LEAST_SLOW = 0.2  # of the gap, that neighbouring stretches must explain for it to be one of time
+LEAST_SLOW = 0.2  # of the gap, that neighbouring stretches or one sine must explain for it to be one of time
 
 
 def describe(
@@ -74,14 +76,19 @@ def describe(
     gap = beyond_noise(others.stack, there, tried)
     closable, after = closed_share(tried, free, trial.function([], ridge), gap)
     variables = free.variables if closable is not None and closable >= LEAST_CLOSED else ()
-    slow = is_slow(after if variables else tried.left, tried, gap)
-    depends_on = (*variables, "time") if slow else variables
+    rest = after if variables else tried.left
+    known = free.of(fitted) if variables else 0.0
+    slow = is_slow(rest, tried, gap)
+    learnt = courses(evidence.stack, here, fitted.left - known, fitted.stretch)
+    tone = None if slow else tone_of(learnt, courses(others.stack, there, rest, tried.stretch), gap)
+    depends_on = (*variables, "time") if slow or tone else variables
     rows = others.stack.rows[there[0]]
     touching = {name[1] for index in here for name in evidence.stack.rows[index].columns if name[0] == "effect"}
     near = tuple(one for one in nearest if one.effect in touching)[:NEAREST]
     shapes = [shape(rows, tried, free, name) for name in variables if name in tried.state]
     return Rest(
         depends_on,
+        tone,
         closable,
         rows.quantity,
         rows.role,
@@ -152,6 +159,25 @@ def is_slow(left: Array, sample: Sample, gap: float) -> bool:
     """Whether stretches of a run are like their neighbours beyond what the state explains."""
     gained = slow_gain(left, sample.stretch)
     return float(gained.sum()) > LEAST_SLOW * gap > 0.0 and certainty(gained, sample.stretch) >= SURE
+
+
+def courses(stacked: Stack, indices: Sequence[int], left: Array, stretch: Groups) -> list[Course]:
+    """What is left over of some rows, run by run over time."""
+    several = [stacked.rows[index] for index in indices]
+    ends = np.cumsum([len(rows.index) for rows in several])[:-1]
+    parts = zip(several, np.split(left, ends), np.split(stretch, ends), strict=True)
+    return [Course(rows.signals.time[rows.index], own, place) for rows, own, place in parts]
+
+
+def tone_of(fitted: Sequence[Course], held_out: Sequence[Course], gap: float) -> float | None:
+    """The frequency by which what is left over repeats, on held-out runs too [Hz]; None where it does not."""
+    frequency = strongest_frequency(fitted)
+    if frequency is None:
+        return None
+    gained = np.concatenate([gains(course, frequency) for course in held_out])
+    stretch = np.concatenate([course.stretch for course in held_out])
+    repeats = float(gained.sum()) > LEAST_SLOW * gap > 0.0 and certainty(gained, stretch) >= SURE
+    return frequency if repeats else None
 
 
 def shape(rows: Rows, sample: Sample, free: Function, name: Variable) -> Picture | None:
