@@ -14,7 +14,7 @@ from leactl.driver.contract import PowerSupply, ProtectedSupply
 from leactl.errors import InputError
 from leactl.protocol.plan import Plan, Supply
 from leactl.runner.windings import Windings
-from leactl.safety.supplies import Levels, at_leads
+from leactl.safety.supplies import Ending, Levels, at_leads
 from leactl.safety.thermal.bound import BURNT, HOTTEST
 from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.guard import MARGIN_K
@@ -40,6 +40,7 @@ class LeftOn:
     reached: float  # degC, of the hottest phase at the most, if they stay on for ever
     ended_by: EndedBy
     trips_at: float | None = None  # V, of its protection
+    most: float = math.inf  # A, that it may be seen to give; what is outlived holds for no more
 
     @property
     def told(self) -> str:
@@ -67,8 +68,8 @@ def left_on(plan: Plan, windings: Windings, bench: Bench) -> list[LeftOn]:
     return [_judged(windings, supplies[role], plan.attended, role, *output) for role, *output in levels]
 
 
-def protections(plan: Plan, windings: Windings, bench: Bench) -> dict[Levels, float]:
-    """At what voltage [V] which supply's own protection has to be armed.
+def endings(plan: Plan, windings: Windings, bench: Bench) -> dict[Levels, Ending]:
+    """What makes each pair of levels end or endurable, for the supervisor to arm and to watch.
 
     Raises
     ------
@@ -78,7 +79,7 @@ def protections(plan: Plan, windings: Windings, bench: Bench) -> dict[Levels, fl
     faults = [_refusal(plan, windings, one) for one in found if one.ended_by is EndedBy.NOTHING]
     if faults:
         raise InputError(faults)
-    return {(one.role, one.voltage, one.current): one.trips_at for one in found if one.trips_at is not None}
+    return {(one.role, one.voltage, one.current): Ending(one.trips_at, one.most) for one in found}
 
 
 def _judged(
@@ -90,8 +91,10 @@ def _judged(
     box = Box.of(motor)
     start: Sequence[float] = windings.recalled[role].nodes.tolist()
     hottest = reached(box, settings.ambient, voltage, current)
-    if _endured(windings, role).outlives(voltage, current, start):
-        return LeftOn(role, voltage, current, hottest, EndedBy.OUTLIVED)
+    carried = _endured(windings, role)
+    if carried.outlives(voltage, current, start):
+        most = math.inf if attended else carried.most(voltage)
+        return LeftOn(role, voltage, current, hottest, EndedBy.OUTLIVED, most=most)
     if isinstance(supply, ProtectedSupply):
         uneven = max(0.0, start[HOTTEST] - (settings.ambient - box.ambient_rise))
         limit = settings.limit - MARGIN_K

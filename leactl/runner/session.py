@@ -226,9 +226,9 @@ def _ready(request: Request, windings: Windings) -> tuple[Request, Bench, Superv
     supervisor = _supervisor(request, bench, windings)
     _check_supplies(request, supervisor)
     if _switches_on(request.plan):
-        from leactl.runner.left_on import protections  # a root finder comes with it, for which no other run waits
+        from leactl.runner.left_on import endings  # a root finder comes with it, for which no other run waits
 
-        supervisor.supplies.protections = protections(request.plan, windings, bench)
+        supervisor.supplies.endings = endings(request.plan, windings, bench)
     return request, bench, supervisor
 
 

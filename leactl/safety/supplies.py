@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 from leactl.driver.contract import Driver, PowerSupply, ProtectedSupply, Row
 from leactl.errors import InputError
@@ -18,7 +18,18 @@ from leactl.safety.thermal.measured import Leads
 
 QUANTITY = "line_current"
 TRUSTED = 2  # readings after a command, from which on they tell what came of it
+SEEN_S = 10.0  # that a supply may be seen to give more than is outlived: it settles, and windings take minutes
 Levels = tuple[str, float, float]  # role, V, A
+
+
+class Ending(NamedTuple):
+    """What ends some levels of a supply that nobody switches off, or what its winding outlives."""
+
+    trips_at: float | None = None  # V, of the supply's own protection
+    most: float = math.inf  # A
+
+
+NEVER = Ending()
 
 
 @dataclass
@@ -33,6 +44,8 @@ class _Fed:
     flowing: float = 0.0  # A, that counts
     last: float = 0.0  # A, of the latest reading
     readings: int = 0  # since the latest command
+    most: float = math.inf  # A, that its winding outlives if nobody switches it off
+    more_since: float = math.nan  # s, from when on readings are above that
 
 
 class Supplies:
@@ -55,7 +68,7 @@ class Supplies:
         """
         self._limits, self._guard, self._leads = limits, guard, leads
         self._refuse_latched, self._trip = refuse_latched, trip
-        self.protections: Mapping[Levels, float] = {}  # V, at which a supply's own protection ends these levels
+        self.endings: Mapping[Levels, Ending] = {}
         self._fed = _at_leads(devices, guard.roles)
         self._by_stream = {fed.stream: fed for fed in self._fed.values()}
 
@@ -89,8 +102,10 @@ class Supplies:
                 f"{role} winding: {allowed:.1f} A may flow through two leads now, {current:g} A were asked for: its"
                 f" hottest phase may be at {self._guard.hottest[role]:.1f} degC"
             )
+        ending = self.endings.get((role, voltage, current), NEVER)
         if isinstance(fed.device, ProtectedSupply):
-            fed.device.protect(self.protections.get((role, voltage, current), fed.device.most[0]))
+            fed.device.protect(fed.device.most[0] if ending.trips_at is None else ending.trips_at)
+        fed.most, fed.more_since = ending.most, math.nan
         fed.device.supply(voltage, current)
         self._command(fed, current)
         fed.device.switch_on()
@@ -125,7 +140,12 @@ class Supplies:
                     fed.device.switch_off()
 
     def look(self, row: Row) -> None:
-        """Take what a supply has measured."""
+        """Take what a supply has measured.
+
+        Raises
+        ------
+        SafetyTrip : for `SEEN_S` it has given more than its winding outlives.
+        """
         fed = self._by_stream.get(row.stream)
         if fed is None:
             return
@@ -135,6 +155,20 @@ class Supplies:
         told = max(reading, fed.last) if reading == reading else fed.device.most[1]
         fed.last = told if reading != reading else reading
         self._count(fed, told if fed.readings >= TRUSTED else max(told, fed.asked))
+        if not reading > fed.most:
+            fed.more_since = math.nan
+        elif not row.time - fed.more_since < SEEN_S:
+            self._give_too_much(fed, reading, row.time)
+
+    def _give_too_much(self, fed: _Fed, reading: float, now: float) -> None:
+        """Begin to count, or trip: what is left on may be more than it is set to."""
+        if math.isnan(fed.more_since):
+            fed.more_since = now
+            return
+        self._trip(
+            f"{fed.role} supply gives {reading:.4g} A, and its winding outlives {fed.most:.4g} A at the most if nobody"
+            " switches it off: lower current_A, or attend the run"
+        )
 
     def _command(self, fed: _Fed, current: float) -> None:
         fed.asked, fed.readings = max(current, fed.flowing), 0

@@ -30,7 +30,9 @@ def test_any_frequency_is_found_and_explains_runs_of_another_phase(hertz, noise,
     assert found == pytest.approx(hertz, abs=0.2 / max(durations))
     other = course(humming(hertz, noise), seed=7)
     explained = gains(other, found)
-    assert explained.sum() == pytest.approx(0.5 * len(other.time), rel=0.25, abs=6.0 * noise * np.sqrt(0.5 * len(other.time)))
+    assert explained.sum() == pytest.approx(
+        0.5 * len(other.time), rel=0.25, abs=6.0 * noise * np.sqrt(0.5 * len(other.time))
+    )
     assert certainty(explained, other.stretch) >= SURE
 
 

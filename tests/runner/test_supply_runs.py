@@ -1,6 +1,7 @@
 """Runs that heat through two leads, whole: what is recorded, what is refused before, and how they end."""
 
 import json
+import math
 import os
 import re
 from pathlib import Path
@@ -16,7 +17,7 @@ from leactl.bench.wiring import MachineWiring
 from leactl.errors import DeviceError, DeviceFault, InputError
 from leactl.protocol import protocolfile
 from leactl.runfile.reader import Run
-from leactl.runner.left_on import protections
+from leactl.runner.left_on import endings
 from leactl.runner.thermal_memory import Recalled
 from leactl.runner.windings import Windings
 from tests.cli.terminal import leactl
@@ -303,6 +304,28 @@ def test_what_is_said_to_help_does(heat, sets):
     assert any(text.endswith("which it outlives") for text in told(outcome.path))
 
 
+def more_than_set(at_s, mended_s=math.inf):
+    """Far ends that give 8.2 A where 8 A are set, which their drivers call well regulated."""
+    return [
+        (at_s, lambda bench: bench.far_ends["supply"].lose_regulation(1.025)),
+        *([] if math.isinf(mended_s) else [(mended_s, lambda bench: bench.far_ends["supply"].mend())]),
+    ]
+
+
+def test_a_supply_that_gives_more_than_its_winding_outlives_is_switched_off(heat):
+    outcome, bench = heat(UNATTENDED, current_A=8.0, heat_s=30, at=more_than_set(6.0))
+    assert outcome.status == "tripped"
+    [most] = re.findall(r"than the winding outlives: ([\d.]+) A beside 8 V", DEAD_MAN.read_text())
+    assert f"test supply gives 8.2 A, and its winding outlives {most}" in outcome.reason
+    assert bench.rig.line_current == 0.0
+
+
+@pytest.mark.parametrize(("text", "mended_s"), [(UNATTENDED, 12.0), (HEAT, math.inf)])
+def test_more_than_is_outlived_may_flow_for_a_moment_or_where_somebody_attends(heat, text, mended_s):
+    outcome, _bench = heat(text, current_A=8.0, heat_s=30, at=more_than_set(6.0, mended_s))
+    assert outcome.status == "complete", outcome.reason
+
+
 def test_an_attended_run_says_so_in_its_file(heat):
     outcome, _bench = heat()
     assert "test supply left on at 8 V, 9 A: winding 168 degC; the run is attended" in told(outcome.path)
@@ -315,7 +338,7 @@ def test_a_hot_housing_outlives_no_supply_and_a_rest_is_what_helps(tmp_path):
     bench = Bench(file, devices, MachineWiring())
     plan = protocolfile.load("thermal", {"current_A": "2"})
     with pytest.raises(InputError, match="what helps: a rest before, or a supply"):
-        protections(plan, windings, bench)
+        endings(plan, windings, bench)
 
 
 def test_a_supply_with_a_protection_has_it_armed_while_it_heats_and_put_back(heat, tmp_path):

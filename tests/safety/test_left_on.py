@@ -1,5 +1,7 @@
 """What two leads carry for ever, and where a supply's protection ends it: held against actuators that are stepped."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -45,6 +47,18 @@ def test_heat_that_is_outlived_burns_no_actuator_whatever_its_resistance(actuato
     actuators.begin([28.0] * 3, 28.0)
     hottest, _ = actuators.leave_on(0.0, 0.0, FOR_EVER_S, watts=given(CARRIED.voltage(9.0)) * BOX.current_gain * 9.0)
     assert LIMIT - 6.0 < hottest.max() < LIMIT
+
+
+@pytest.mark.parametrize("voltage", [2.0, 5.0, 5.7, 8.0])
+def test_the_most_beside_a_voltage_is_outlived_and_no_more_is(voltage):
+    most, cold = CARRIED.most(voltage), [25.0] * 3
+    assert CARRIED.outlives(voltage, min(most, 1e6) * (1.0 - 1e-9), cold)
+    assert math.isinf(most) or not CARRIED.outlives(voltage, most * (1.0 + 1e-9), cold)
+
+
+def test_a_voltage_that_holds_the_heat_down_by_itself_leaves_any_current():
+    assert math.isinf(CARRIED.most(2.0))
+    assert CARRIED.most(8.0) == CARRIED.current
 
 
 @pytest.mark.parametrize("current", [CARRIED.current, 9.0, 14.0])

@@ -42,6 +42,12 @@ class Endured:
             return False
         return current <= self.current or _heat(voltage, self.gain * current, self.coldest) <= self.power
 
+    def most(self, voltage: float) -> float:
+        """The highest current [A] that is outlived beside this voltage [V]; infinite where the voltage alone does."""
+        highest = _highest(voltage)
+        beside = math.inf if highest**2 <= self.power * self.coldest else self.power / (highest * self.gain)
+        return max(self.current, beside)
+
     def voltage(self, current: float) -> float:
         """The highest level [V] beside this current [A] at which the supply itself holds the heat down."""
         highest = max(self.power / (self.gain * current), math.sqrt(self.power * self.coldest))
@@ -94,8 +100,13 @@ def trip_level(
 
 def _heat(voltage: float, most: float, coldest: float) -> float:
     """What a supply may feed at the most [W], set to a voltage [V]; of its current [A] no more than flows when cold."""
-    highest = voltage * (1.0 + ASTRAY) + ASTRAY_V
+    highest = _highest(voltage)
     return highest * min(most, highest / coldest)
+
+
+def _highest(voltage: float) -> float:
+    """What a supply that is set to a voltage [V] may put out."""
+    return voltage * (1.0 + ASTRAY) + ASTRAY_V
 
 
 def _coldest(box: Box, ambient: float) -> float:
