@@ -18,6 +18,7 @@ from leactl.gap.search.parameters import calibrated, effect_parameters, with_cal
 from leactl.gap.search.regression import Candidate, Fit, Rows
 from leactl.gap.search.ringing import Line, ringing
 from leactl.gap.search.sets import Found, search
+from leactl.gap.search.stamp_fit import LATEST
 from leactl.gap.servo import answer as servo_answer
 from leactl.gap.servo.ladder import climb
 from leactl.gap.servo.runs import side_by_side
@@ -242,7 +243,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
                 + told
                 + applied.notes
                 + notes
-                + stamp_notes(stamps)
+                + stamp_notes(stamps, evidence.on_time, LATEST)
                 + setpoint_notes(case.fitted)
                 + beyond_null(evidence, null)
                 + shrunk.notes

@@ -39,11 +39,16 @@ def test_of_many_sound_joints_next_to_all_are_called_so(told):
     assert len(wrong) <= (0.02 if told else 0.05) * len(found), [(one.verdict, named(one)) for one in wrong]
 
 
-def test_a_delay_is_named_that_no_stamps_explain():
-    random = np.random.default_rng(5)
+@pytest.mark.parametrize(("delay", "seed"), [(5, 11), (6, 12), (8, 5)])
+def test_a_delay_is_named_that_no_stamps_explain(delay, seed):
+    random = np.random.default_rng(seed)
     joint = drawn_joint(random)
-    found = diagnose(case(joint, drawn_log(random), random, Effect(delay=8)))
+    found = diagnose(case(joint, drawn_log(random), random, Effect(delay=delay)))
     assert named(found) == ["transport_delay"]
+    [told] = found.causes[0].parameters
+    assert 0.5 < told.std * joint.rate < 1.5, "what the stamps may add is part of the error"
+    assert abs(told.value - delay / joint.rate) < 3.0 * told.std
+    assert any(note.startswith("one side of current is later than stamps can be") for note in found.notes)
 
 
 def test_a_delay_of_two_samples_is_named_only_where_stamps_are_told():

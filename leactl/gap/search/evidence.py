@@ -30,7 +30,7 @@ from leactl.gap.search.regression import (
     residuals,
     stack,
 )
-from leactl.gap.search.stamp_fit import overdue, pin, stamping
+from leactl.gap.search.stamp_fit import overdue, put_on_time, stamping
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.scales import form_scales, widest, worth_knowing
 from leactl.model.nominal import Model
@@ -95,7 +95,7 @@ class Evidence:
         model: Model,
         only: Sequence[Candidate] | None = None,
         kept: Sequence[str] = (),
-        pinned: Mapping[str, Array] | None = None,
+        on_time: Sequence[str] | None = None,
     ) -> None:
         self.model, self.records = model, list(records)
         self.null: Null | None = None
@@ -122,9 +122,11 @@ class Evidence:
         self.priors.update(dict.fromkeys(self.kept, PINNED))
         self.stack: Stack = stack(made, self.priors)
         self.weigh_as_usual()
-        self.pinned = pinned if pinned is not None else overdue(self.stack, self.settle([])) if made else {}
-        if self.pinned:
-            pin(self.stack.rows, self.pinned)
+        if on_time is None:
+            on_time = overdue(self.stack, self.settle([])) if made else ()
+        self.on_time = tuple(on_time)  # equations one side of which is later than stamps can be
+        if self.on_time:
+            put_on_time(self.stack.rows, self.on_time)
             self.stack = stack(self.stack.rows, self.priors)
         if only is None and made:
             self.add(strongest(self.stack, self.settle([]), self.weights, ORDERS_TRIED))
@@ -148,7 +150,7 @@ class Evidence:
 
     def on(self, records: Sequence[Record], hypothesis: Sequence[Candidate]) -> "Evidence":
         """Evidence of other runs for some effects, with what is known of the model and of sound machines from these."""
-        other = Evidence(records, self.model, only=hypothesis, kept=self.kept, pinned=self.pinned)
+        other = Evidence(records, self.model, only=hypothesis, kept=self.kept, on_time=self.on_time)
         if self.null is not None:
             other.compare_with(self.null)
         other.forms, other.by_form, other.worth_knowing = self.forms, self.by_form, self.worth_knowing
@@ -237,7 +239,7 @@ class Evidence:
 
     def stamping(self, fit: Fit) -> dict[str, Array]:
         """By equation whose channels' stamps are not told: weights of neighbouring samples that a fit gives them."""
-        return dict(self.pinned) | {equation: weights for equation, (weights, _) in stamping(self.stack, fit).items()}
+        return {equation: weights for equation, (weights, _) in stamping(self.stack, fit).items()}
 
     def settle(self, hypothesis: Sequence[Candidate], rounds: int = 2) -> Fit:
         """Fit a hypothesis and the noise it leaves, by turns."""

@@ -11,6 +11,7 @@ from leactl.effects import library
 from leactl.gap.diagnosis import CalibratedParameter, EffectParameter
 from leactl.gap.search.evidence import PRIORS, Evidence
 from leactl.gap.search.regression import Candidate, Fit, disagreement
+from leactl.gap.search.stamp_fit import LATE_STD
 from leactl.model.nominal import EffectEntry, Model, as_mapping
 from leactl.vocabulary.effect import effect_definition
 
@@ -196,12 +197,29 @@ def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tup
             there = at(values + step * np.eye(len(values))[k])
             for key in here:
                 slopes[key][k] = (there[key] - here[key]) / step
+    late = stamps_late(evidence, candidate)
     return tuple(
         EffectParameter(
             key,
             value,
-            math.sqrt(max(float(slopes[key] @ spread @ slopes[key]), 0.0)),
+            math.hypot(
+                math.sqrt(max(float(slopes[key] @ spread @ slopes[key]), 0.0)), late if units[key].units == "s" else 0.0
+            ),
             model.units_of(units[key].units),
         )
         for key, value in here.items()
     )
+
+
+def stamps_late(evidence: Evidence, candidate: Candidate) -> float:
+    """Standard deviation [s] of what stamps that no file explains add to an effect's delay; zero where they are told.
+
+    Below what they may add no delay is named; above, how much of it is theirs no run tells.
+    """
+    effect, form = candidate
+    late = [
+        LATE_STD * rows.signals.interval
+        for rows in evidence.stack.rows
+        if rows.equation in evidence.on_time and any(name[1:3] == (effect, repr(form)) for name in rows.columns)
+    ]
+    return max(late, default=0.0)

@@ -1,6 +1,7 @@
 """What a fit says of stamps that no file explains, and how late they can be: what is later is no matter of stamps."""
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Collection, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -9,8 +10,16 @@ from leactl.gap.search.regression import Fit, Rows, Stack
 from leactl.gap.signals.stamps import TAPS, lateness, tap_name
 
 Array = npt.NDArray[np.float64]
-LATEST = 3.0  # samples: one of each channel, half of one each for an input that is held and a loop that is sampled
+EACH = (
+    1.0,
+    1.0,
+    0.5,
+    0.5,
+)  # samples, to either side: of each channel, an input that is held and a loop that is sampled
+LATEST = sum(EACH)
+LATE_STD = math.sqrt(sum(each**2 for each in EACH) / 3.0)  # samples, of their sum where each may be any of its range
 SURE = 2.0  # standard deviations beyond it
+PIVOT = 1  # the neighbour whose weight follows from the others' where stamps are on time
 
 
 def stamping(stack: Stack, fit: Fit) -> dict[str, tuple[Array, Array]]:
@@ -21,28 +30,38 @@ def stamping(stack: Stack, fit: Fit) -> dict[str, tuple[Array, Array]]:
     for name in at:
         if name[0] == "nuisance" and name[-1].endswith(ending):
             equation = name[-1].removesuffix(ending)
-            taps = [at["nuisance", "", tap_name(equation, by)] for by in TAPS.tolist()]
-            found[equation] = fit.values[taps], fit.covariance[np.ix_(taps, taps)]
+            own = {by: at.get(("nuisance", "", tap_name(equation, by))) for by in TAPS.tolist()}
+            free = [by for by, index in own.items() if index is not None]
+            values = [index for index in own.values() if index is not None]
+            spread = np.eye(len(TAPS))[:, np.isin(TAPS, free)]
+            if own[PIVOT] is None:
+                spread[TAPS == PIVOT] = -np.array(free, np.float64) / PIVOT
+            covariance = fit.covariance[np.ix_(values, values)]
+            found[equation] = spread @ fit.values[values], spread @ covariance @ spread.T
     return found
 
 
-def overdue(stack: Stack, fit: Fit) -> dict[str, Array]:
-    """Weights that stay for good, by equation: as late as stamps can be where a fit has one side later than that."""
-    found = {}
-    for equation, (weights, covariance) in stamping(stack, fit).items():
-        late = lateness(weights)
-        if abs(late) - SURE * float(np.sqrt(TAPS @ covariance @ TAPS)) > LATEST:
-            found[equation] = weights * LATEST / abs(late)
-    return found
+def overdue(stack: Stack, fit: Fit) -> tuple[str, ...]:
+    """Equations of which a fit has one side later than stamps can be."""
+    return tuple(
+        equation
+        for equation, (weights, covariance) in stamping(stack, fit).items()
+        if abs(lateness(weights)) - SURE * float(np.sqrt(TAPS @ covariance @ TAPS)) > LATEST
+    )
 
 
-def pin(rows: Sequence[Rows], pinned: Mapping[str, Array]) -> None:
-    """Take what pinned weights explain out of rows, and their columns with it."""
-    for equation, weights in pinned.items():
-        names = [("nuisance", "", tap_name(equation, by)) for by in TAPS.tolist()]
+def put_on_time(rows: Sequence[Rows], equations: Collection[str]) -> None:
+    """Leave to the stamps of some equations what makes neither side later: means, and inputs held or not.
+
+    Some of the lateness may be the stamps' all the same; how much of it no run tells, and none is the middle of that.
+    """
+    for equation in equations:
+        names = {by: ("nuisance", "", tap_name(equation, by)) for by in TAPS.tolist()}
         for one in rows:
-            if names[0] in one.columns:
-                for name, weight in zip(names, weights, strict=True):
-                    one.left_over = one.left_over - weight * one.columns.pop(name)
-                    one.priors.pop(name)
+            if names[PIVOT] in one.columns:
+                pivot = one.columns.pop(names[PIVOT])
+                one.priors.pop(names[PIVOT])
+                for by, name in names.items():
+                    if by != PIVOT:
+                        one.columns[name] = one.columns[name] - by / PIVOT * pivot
                 one.gram = None

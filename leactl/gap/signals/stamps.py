@@ -57,12 +57,18 @@ def stamped(record: Record, weights: Mapping[str, Array]) -> Record:
     return replace(record, fast=replace(record.fast, stamping=dict(weights)))
 
 
-def stamp_notes(weights: Mapping[str, Array]) -> tuple[str, ...]:
-    """Of each equation, by how many samples one side of it is later than the other; nothing where stamps are told."""
+def stamp_notes(weights: Mapping[str, Array], overdue: Sequence[str], latest: float) -> tuple[str, ...]:
+    """Of each equation, by how many samples one side of it is later than the other; nothing where stamps are told.
+
+    overdue : equations in which stamps alone, which may be late by the `latest` samples, cannot be the reason.
+    """
     if not weights:
         return ()
-    late = ", ".join(f"{name} {lateness(taps):+.2f}" for name, taps in weights.items())
+    late = ", ".join(f"{name} {lateness(taps):+.2f}" for name, taps in weights.items() if name not in overdue)
+    told = f"; samples by which one side of an equation is late: {late}" if late else ""
+    theirs = f"up to {latest:g} samples of its delay may be theirs all the same"
     return (
-        "the files do not say what their stamps mean (no `sampling`): up to one sample of each channel is calibrated;"
-        f" samples by which one side of an equation is late: {late}",
+        "the files do not say what their stamps mean (no `sampling`): up to one sample of each channel is"
+        f" calibrated{told}",
+        *(f"one side of {name} is later than stamps can be; {theirs}" for name in overdue),
     )
