@@ -13,7 +13,7 @@ from leactl.driver.contract import Block, Driver, MotionDevice, Row
 from leactl.driver.i2c_port import I2cPort
 from leactl.driver.serial_port import SerialPort
 from leactl.driver.stopping import doubt, make_safe
-from leactl.errors import DeviceError, InputError, NoBus
+from leactl.errors import DeviceError, InputError, LeactlError, NoBus
 from leactl.quantities import ChannelSpec
 
 
@@ -116,16 +116,22 @@ class Bench:
 
         Raises
         ------
-        DeviceError : a drive or its bus failed.
+        DeviceError : a drive or its bus failed, or a driver broke.
         """
-        for drive in self._motion:
-            drive.begin_cycle()
-        for sync in self._sync:
-            sync()
         row: list[float] = []
-        for drive in self._motion:
-            drive.end_cycle(deadline)
-            row += drive.values
+        drive: MotionDevice | None = None
+        try:
+            for drive in self._motion:
+                drive.begin_cycle()
+            for sync in self._sync:
+                sync()
+            for drive in self._motion:
+                drive.end_cycle(deadline)
+                row += drive.values
+        except (LeactlError, MemoryError):
+            raise
+        except Exception as error:
+            raise _broken(drive, error) from error
         return row
 
     def take(self) -> list[Row | Block]:
@@ -133,12 +139,18 @@ class Bench:
 
         Raises
         ------
-        DeviceError : a device or its bus failed.
+        DeviceError : a device or its bus failed, or a driver broke.
         """
         rows: list[Row | Block] = []
-        for driver in self._asynchronous:
-            if taken := driver.take():
-                rows += taken
+        driver: Driver | None = None
+        try:
+            for driver in self._asynchronous:
+                if taken := driver.take():
+                    rows += taken
+        except (LeactlError, MemoryError):
+            raise
+        except Exception as error:
+            raise _broken(driver, error) from error
         return rows
 
     def notices(self) -> list[tuple[str, str]]:
@@ -149,6 +161,12 @@ class Bench:
         """Send the host's sign of life to every drive; only the control loop calls this, after a supervised cycle."""
         for drive in self._motion:
             drive.feed()
+
+
+def _broken(driver: object, error: BaseException) -> DeviceError:
+    """A mistake in a plug-in, which ends a run as a device's failure does."""
+    name = getattr(driver, "name", "a driver")
+    return DeviceError(f"{name}: its driver broke: {type(error).__name__}: {error}; LEACTL_TRACE=1 shows where")
 
 
 def refuse_blind(bench: Bench, document: yamlfile.Document) -> None:

@@ -20,10 +20,10 @@ from leactl.bench.records import awaited, collect, placed
 from leactl.bench.wiring import MachineWiring, Wiring
 from leactl.driver.contract import Confirmation, MotionDevice
 from leactl.driver.stopping import doubt
-from leactl.errors import AcceptanceFailed, DeviceError, InputError, SafetyTrip, Stopped
+from leactl.errors import AcceptanceFailed, DeviceError, InputError, LeactlError, SafetyTrip, Stopped
 from leactl.model.motor import load_motor
 from leactl.protocol.plan import Plan, Record, SearchLimit, Supply
-from leactl.runfile.writer import RunInfo, RunWriter, new_run_id
+from leactl.runfile.writer import RecordingFailed, RunInfo, RunWriter, new_run_id
 from leactl.runner import exclusive, latch, state, underway
 from leactl.runner.channel_limits import ACCEPTANCE, Verdict
 from leactl.runner.fitting import check_fit, check_setup, limits_of, unwitnessed
@@ -117,9 +117,7 @@ def execute(
     request = replace(request, run_id=run_id, devices=devices)
     with _alone(request) as locks, listening() as stop, ExitStack() as lasting:
         place = state.place_of(request.bench, request.in_process)
-        if not request.in_process:
-            _latch_lost(request)
-        request.latch.refuse()
+        _refuse_latched(request)
         bench_latch = _held_ready(request, lasting)
         about = request.bench.name, request.bench_document.name, request.plan.name
         with (
@@ -199,7 +197,7 @@ def rehearse(request: Request) -> Rehearsal:
     """
     _check(request)
     with _alone(request):
-        request.latch.refuse()
+        _refuse_latched(request)
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
     ready, bench, _supervisor = _ready(request, windings)
     stays_on, alone = _left_on(ready.plan, windings, bench), unwitnessed(ready.plan, bench)
@@ -337,7 +335,7 @@ def _run(
         if watchdog.verdict():
             error = _joined(SafetyTrip(watchdog.verdict()), error)
         error = _unconfirmed(error, safe)
-        if error is not None and (unsafe or isinstance(error, SafetyTrip)):
+        if error is not None and (unsafe or _is_out_of_order(error)):
             _latch(bench_latch, error, writer.path)
         announcement.tell_safe(safe)
     notes = [progress.view_fault] if progress.view_fault else []
@@ -395,16 +393,26 @@ def _shown(watch: Watch, progress: Progress) -> Iterator[None]:
             progress.view_fault = f"the view has failed: {type(error).__name__}: {error}"
 
 
-def _latch_lost(request: Request) -> None:
-    """Latch the bench for a run of which nothing is left that could have: nobody knows what its devices do.
+def _refuse_latched(request: Request) -> None:
+    """Refuse a latched bench; one of a run that nothing is left of is latched first: who knows what its devices do.
 
     Raises
     ------
+    SafetyTrip : it is latched.
     LeactlError : the latch could not be written.
     """
-    for cause, run in underway.lost(request.bench.name):
+    for cause, run in underway.lost(request.bench.name) if not request.in_process else ():
         if request.latch.trip() is None:
             request.latch.set(cause, Path(run))
+    request.latch.refuse()
+
+
+def _is_out_of_order(error: BaseException) -> bool:
+    """Whether a run ended by a trip, without room for its rows, or by what nobody has foreseen, as for want of memory.
+
+    A person, a device that says itself whether it is in fault, and a limit of acceptance end it in order.
+    """
+    return isinstance(error, SafetyTrip | RecordingFailed) or not isinstance(error, LeactlError | KeyboardInterrupt)
 
 
 def _latch(bench: Latch | Ready, error: BaseException, run: Path) -> None:

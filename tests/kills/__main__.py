@@ -7,7 +7,9 @@ import argparse
 import json
 import os
 import random
+import resource
 import shutil
+import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -15,7 +17,17 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from tests.kills.report import report
-from tests.kills.trial import WAYS, ServedBench, strike_once
+from tests.kills.strikes import STRIKES
+from tests.kills.trial import ServedBench, strike_once
+
+TWO_AT_ONCE = 0.2
+
+
+def drawn_strikes(drawn: random.Random, struck: int) -> list[str]:
+    """Each strike as often as any other, and in a fifth of the trials a second one with it."""
+    first = list(STRIKES)[struck % len(STRIKES)]
+    second = [drawn.choice([name for name in STRIKES if name != first])] if drawn.random() < TWO_AT_ONCE else []
+    return [first, *second]
 
 
 def main() -> int:
@@ -31,14 +43,16 @@ def main() -> int:
     parser.add_argument("--report", type=Path, help="write the report to this .md as well")
     asked = parser.parse_args()
     done = [json.loads(line) for line in asked.results.read_text().splitlines()] if asked.results.exists() else []
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # signals that dump core are among what strikes
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # a run heeds none that was ignored when it began, as by nohup
     directory = Path(tempfile.mkdtemp(prefix="leactl-kills-"))
     served = ServedBench(directory, asked.bus, asked.consumer_ms)
     try:
         while (struck := sum("void" not in item for item in done)) < asked.count:
             number = len(done)
-            after_s = random.Random(f"{asked.seed} {number}").uniform(0.0, 1.5)
-            way = list(WAYS)[struck % len(WAYS)]
-            found = strike_once(served, number, way, after_s)
+            drawn = random.Random(f"{asked.seed} {number}")
+            after_s, names = drawn.uniform(0.0, 1.5), drawn_strikes(drawn, struck)
+            found = strike_once(served, number, names, after_s)
             done.append(found)
             with asked.results.open("a") as results:
                 results.write(json.dumps(found) + "\n")

@@ -2,7 +2,8 @@
 
 import statistics
 
-from tests.kills.trial import MARGIN_S, WAYS
+from tests.kills.strikes import STRIKES, expected
+from tests.kills.trial import MARGIN_S
 
 
 def report(found: list[dict], consumer_s: float) -> str:
@@ -16,25 +17,26 @@ def report(found: list[dict], consumer_s: float) -> str:
         f" {consumer_s * 1e3:g} ms; {(consumer_s + MARGIN_S) * 1e3:g} ms are allowed from the last heartbeat that the"
         " drive heard to a drive without torque, by the bench's own clock.",
         "",
-        "| struck by | runs | ended as they must | median, ms | 95 %, ms | worst, ms |",
-        "|---|---|---|---|---|---|",
-        *(_row(way, [item for item in struck if item["way"] == way]) for way in WAYS),
-        _row("all", struck),
+        "| struck by | ends | runs | ended as they must | median, ms | 95 %, ms | worst, ms |",
+        "|---|---|---|---|---|---|---|",
+        *(_row(name, expected([name]), [item for item in struck if item["struck"] == [name]]) for name in STRIKES),
+        _row("two of these at once", "", [item for item in struck if len(item["struck"]) > 1]),
+        _row("all", "", struck),
         "",
         f"Rows lost at the end of a file: {_least_to_most(lost)} s. Load average: {_least_to_most(loads)}. Runs that"
         f" ended by themselves before they were struck, and were made again: {len(found) - len(struck)}.",
     ]
-    lines += [f"\n    {item['number']} {item['way']}: {'; '.join(item['faults'])}" for item in bad]
+    lines += [f"\n    {item['number']} {' + '.join(item['struck'])}: {'; '.join(item['faults'])}" for item in bad]
     return "\n".join(lines) + "\n"
 
 
-def _row(way: str, items: list[dict]) -> str:
+def _row(name: str, end: str, items: list[dict]) -> str:
     times = sorted(1e3 * max(item["stop_s"].values()) for item in items if "stop_s" in item)
     good = sum(not item["faults"] for item in items)
     if not times:
-        return f"| {way} | {len(items)} | {good} | | | |"
+        return f"| {name} | {end} | {len(items)} | {good} | | | |"
     late = times[min(len(times) - 1, round(0.95 * len(times)))]
-    return f"| {way} | {len(items)} | {good} | {statistics.median(times):.1f} | {late:.1f} | {times[-1]:.1f} |"
+    return f"| {name} | {end} | {len(items)} | {good} | {statistics.median(times):.1f} | {late:.1f} | {times[-1]:.1f} |"
 
 
 def _least_to_most(values: list[float]) -> str:

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 from leactl.driver.contract import Confirmation, Driver, DriverSettings, StreamSpec
+from leactl.errors import DeviceError
 from leactl.quantities import ChannelSpec
 
 ENTRY_POINT = "[leactl.drivers]\nstuck = tests.kills.stuck:Stuck\n"
@@ -51,6 +52,10 @@ class Stuck(Driver):
     def take(self):
         if self._trigger.exists():
             how = self._trigger.read_text()
+            if how == "failing":
+                raise DeviceError(f"{self.name}: nothing answers")
+            if how == "broken":
+                raise ValueError("a mistake in a plug-in")
             while how == "sleeping":
                 time.sleep(1000)
             while how == "spinning":

@@ -15,11 +15,11 @@ def struck(tmp_path, monkeypatch):
     """What became of a run that was struck so."""
     monkeypatch.setenv("LEACTL_STATE", str(tmp_path))
 
-    def strike(bus, way, *changes):
+    def strike(bus, names, *changes):
         served = ServedBench(tmp_path, bus, CONSUMER_MS, *changes)
         try:
             for number in range(ATTEMPTS):
-                found = strike_once(served, number, way, 0.3)
+                found = strike_once(served, number, names, 0.3)
                 if "void" not in found:
                     return found
             raise AssertionError(found["void"])
@@ -31,9 +31,15 @@ def struck(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("bus", "way"),
-    [(BUSES[-1], "SIGSTOP, watchdog too"), (BUSES[0], "SIGSTOP"), (BUSES[-1], "driver call holding the GIL")],
+    [
+        (BUSES[-1], ["SIGSTOP, watchdog too"]),
+        (BUSES[0], ["SIGSTOP"]),
+        (BUSES[-1], ["driver call holding the GIL"]),
+        (BUSES[-1], ["no room for the file"]),
+        (BUSES[-1], ["latch a pipe", "driver call broken"]),
+    ],
 )
-def test_a_struck_run_leaves_no_torque_and_a_readable_file(struck, bus, way):
+def test_a_struck_run_leaves_no_torque_a_readable_file_and_its_bench_latched(struck, bus, way):
     found = struck(bus, way)
     assert found["faults"] == []
     assert all(0.0 <= seconds <= 1.02 for seconds in found["stop_s"].values())
@@ -41,9 +47,9 @@ def test_a_struck_run_leaves_no_torque_and_a_readable_file(struck, bus, way):
 
 @pytest.mark.parametrize("bus", BUSES)
 def test_a_killed_run_is_stopped_by_its_watchdog_where_the_drives_dead_man_fails(struck, bus):
-    assert struck(bus, "kill -9", "without-dead-man")["faults"] == []
+    assert struck(bus, ["kill -9"], "without-dead-man")["faults"] == []
 
 
 def test_a_hung_run_is_stopped_by_its_watchdog_where_the_drives_dead_man_fails(struck):
-    found = struck(BUSES[-1], "driver call sleeping", "without-dead-man")
+    found = struck(BUSES[-1], ["driver call sleeping"], "without-dead-man")
     assert all(1.0 <= seconds <= 3.0 for seconds in found["stop_s"].values())

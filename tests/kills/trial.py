@@ -8,33 +8,25 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import yaml
 
 from leactl.bench import benchfile
-from leactl.errors import SafetyTrip
 from leactl.runfile.integrity import recover, verify
 from leactl.runfile.reader import Run
-from leactl.runner import latch, underway
 from tests.cli.terminal import COMMAND
 from tests.driver.transports import ROOT, can_place
 from tests.kills import stuck
+from tests.kills.strikes import STRIKES, End, Struck, expected
 
 BENCH = "killed"
 START_S, STOP_S, END_S = 60.0, 15.0, 40.0
 MARGIN_S = 0.020
-# what is struck: the run's process, or together with it its watchdog, so that nothing is left but the drives' dead-man
-WAYS = {
-    "kill -9": True,
-    "kill -9, watchdog too": False,
-    "SIGSTOP": True,
-    "SIGSTOP, watchdog too": False,
-    "driver call sleeping": True,
-    "driver call spinning": True,
-    "driver call holding the GIL": True,
-}
+GOES_ON_S = 0.5
+IN_ORDER = (0, 4, 5)  # exit statuses of runs that have confirmed every device
 PROTOCOL = """
 name: struck
 setup: coupled
@@ -108,30 +100,43 @@ class ServedBench:
         self._process.communicate()
 
 
-def strike_once(served: ServedBench, number: int, way: str, after_s: float) -> dict:
-    """Start a run, strike it so long after current flows, and say what was found; `void` where there was no strike."""
+def strike_once(served: ServedBench, number: int, names: Sequence[str], after_s: float) -> dict:
+    """Start a run, strike it so long after current flows, and say what was found; `void` where there was no strike.
+
+    Where none of the strikes ends a run, SIGINT does, half a second later.
+    """
     place = served.directory / str(number)
-    place.mkdir(exist_ok=True)
-    os.environ["LEACTL_STATE"] = str(place / "state")
+    folder, state = place / "runs", place / "state"
+    folder.mkdir(parents=True, exist_ok=True)
+    os.environ["LEACTL_STATE"] = str(state)
     served.trigger.unlink(missing_ok=True)
-    found: dict = {"number": number, "way": way, "after_s": round(after_s, 4), "load": os.getloadavg()[0]}
+    found: dict = {"number": number, "struck": list(names), "after_s": round(after_s, 4), "load": os.getloadavg()[0]}
     command = [*COMMAND, "run", str(served.directory / "struck.yaml"), "--bench", str(served.directory / "bench.yaml")]
-    with (place / "stderr").open("w") as stderr:
-        run = subprocess.Popen(
-            [*command, "--served", *served.options, "--out", str(place)],
-            env=served.environment | {"LEACTL_STATE": str(place / "state")},
-            stdout=stderr,
-            stderr=stderr,
-        )
+    run = subprocess.Popen(
+        [*command, "--served", *served.options, "--out", str(folder)],
+        env=served.environment | {"LEACTL_STATE": str(state)},
+        cwd=place,
+        stdout=subprocess.PIPE,  # a file could be struck as the run's own is; what is said fits into the pipe
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
     dog = 0
     try:
         flowed = served.wait(True, START_S)
         since = time.monotonic()
         time.sleep(after_s)
         if not flowed or run.poll() is not None:
-            return found | {"void": (place / "stderr").read_text().strip() or "no current flowed"}
+            run.kill()
+            return found | {"void": run.communicate()[0].strip() or "no current flowed"}
         dog = watchdog_of(run.pid)
-        strike(served, way, run.pid, dog)
+        struck = Struck(run.pid, dog, folder, state, served.trigger)
+        for name in names:
+            with suppress(ProcessLookupError):  # another strike was quicker
+                STRIKES[name].fall(struck)
+        if expected(names) is End.NONE:
+            time.sleep(GOES_ON_S)
+            with suppress(ProcessLookupError):
+                os.kill(run.pid, signal.SIGINT)
         held_s = time.monotonic() - since
         if not served.wait(False, STOP_S):
             return found | {"faults": ["current still flows"]}
@@ -142,14 +147,18 @@ def strike_once(served: ServedBench, number: int, way: str, after_s: float) -> d
             for role, value in late.items()
             if value > served.consumer_s + MARGIN_S
         ]
-        if not WAYS[way]:
-            os.kill(run.pid, signal.SIGKILL)
+        if expected(names) is End.UNTOLD:
+            with suppress(ProcessLookupError):
+                os.kill(run.pid, signal.SIGKILL)
         try:
-            run.wait(END_S)
+            found["status_of_process"] = run.wait(END_S)
         except subprocess.TimeoutExpired:
             faults.append("the process did not end")
-        faults += gone(dog) + file_faults(place, found, held_s) + latch_faults(way)
-        return found | {"faults": faults + next_start_faults(served, place, way)}
+        faults += gone(dog)
+        (place / "said").write_text(run.stdout.read())  # its end comes once nothing is left that could say more
+        faults += file_faults(place, found, held_s)
+        faults += start_faults(served, struck, names, found.get("status_of_process"))
+        return found | {"faults": faults + orphans(state) + mistakes(place)}
     finally:
         if run.poll() is None:
             with suppress(ProcessLookupError):
@@ -159,25 +168,57 @@ def strike_once(served: ServedBench, number: int, way: str, after_s: float) -> d
         served.wait(False, STOP_S)
 
 
-def next_start_faults(served: ServedBench, place: Path, way: str) -> list[str]:
-    """The next start is refused, whoever died, and told of the lost run once."""
-    bench = str(served.directory / "bench.yaml")
-    command = [*COMMAND, "run", str(served.directory / "struck.yaml"), "--bench", bench, "--served", *served.options]
-    environment = served.environment | {"LEACTL_STATE": str(place / "state")}
-    again = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=END_S, check=False)
-    expected = "is tripped since" if WAYS[way] else "ended without a word, and its watchdog too"
-    faults = [] if again.returncode == 3 and expected in again.stderr else [f"the next start: {again.stderr}"]
-    return faults + [f"left behind: {cause}" for cause, _ in underway.lost(BENCH)]
+def start_faults(served: ServedBench, struck: Struck, names: Sequence[str], status: int | None) -> list[str]:
+    """The next start is refused after every end that was out of order, whoever died, with a cause; a reset mends it."""
+    bench, end = str(served.directory / "bench.yaml"), expected(names)
+    environment = served.environment | {"LEACTL_STATE": str(struck.state)}
+    again = [*COMMAND, "run", str(served.directory / "struck.yaml"), "--bench", bench, "--served", *served.options]
+
+    def answer(*command: str) -> subprocess.CompletedProcess[str]:
+        done = subprocess.run(
+            command,
+            env=environment,
+            cwd=struck.folder.parent,
+            capture_output=True,
+            text=True,
+            timeout=END_S,
+            check=False,
+        )
+        with (struck.folder.parent / "stderr").open("a") as told:
+            told.write(done.stderr)
+        return done
+
+    start = answer(*again, "--dry-run")
+    bent = any(name.startswith("latch a ") for name in names)
+    orderly = status in IN_ORDER and end is not End.UNTOLD and not bent
+    alone = len(names) == 1
+    if orderly and (end in (End.IN_ORDER, End.NONE) or not alone):
+        faults = [] if start.returncode == 0 or not alone else [f"the next start after an end in order: {start.stderr}"]
+    else:
+        said = "ended without a word, and its watchdog too" if end is End.UNTOLD and alone else "is tripped since"
+        faults = [] if start.returncode == 3 and said in start.stderr else [f"the next start: {start.stderr}"]
+    reset = answer(*COMMAND, "bench", "reset", bench, "--yes")
+    start = answer(*again, "--dry-run")
+    if start.returncode != 0:
+        faults.append(f"after a reset ({reset.returncode}): {start.stderr}")
+    return faults
 
 
-def strike(served: ServedBench, way: str, process: int, dog: int) -> None:
-    what, _, both = way.partition(", ")
-    if what.startswith("driver call "):
-        served.trigger.write_text(what.removeprefix("driver call "))
-        return
-    number = signal.SIGKILL if what == "kill -9" else signal.SIGSTOP
-    for target in (dog, process) if both else (process,):
-        os.kill(target, number)
+def orphans(state: Path) -> list[str]:
+    """Processes that are left of a run and its watchdog, told by where they keep state."""
+    mark = f"LEACTL_STATE={state}".encode()
+    found = []
+    for place in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if mark in (place / "environ").read_bytes().split(b"\0"):
+                found.append(f"left behind: {(place / 'cmdline').read_bytes().replace(bytes(1), b' ').decode()}")
+    return found
+
+
+def mistakes(place: Path) -> list[str]:
+    """What no command may say."""
+    told = (place / "said").read_text()
+    return [f"said: {word}" for word in ("internal error", "Traceback") if word in told]
 
 
 def watchdog_of(process: int) -> int:
@@ -204,7 +245,7 @@ def gone(dog: int) -> list[str]:
 
 def file_faults(place: Path, found: dict, held_s: float) -> list[str]:
     """What is wrong with the run's file, which is to be readable up to its last flush."""
-    files = list(place.glob("*.h5"))
+    files = list(place.rglob("*.h5"))
     if len(files) != 1:
         return [f"{len(files)} run files"]
     path, faults = files[0], []
@@ -221,14 +262,3 @@ def file_faults(place: Path, found: dict, held_s: float) -> list[str]:
         recorded_s = float(on[-1] - on[0]) if len(on) else 0.0  # struck before the first flush: nothing yet
         found["lost_s"] = round(held_s - recorded_s, 3)
     return faults
-
-
-def latch_faults(way: str) -> list[str]:
-    """A bench whose run was stopped by its watchdog refuses the next start with the cause."""
-    try:
-        for held in latch.tripped(BENCH):  # by its name: its file has a driver that only the struck process knows
-            held.refuse()
-    except SafetyTrip as refused:
-        expected = "ended without making the bench safe" if way.startswith("kill") else "stood still for"
-        return [] if WAYS[way] and expected in str(refused) else [f"the next start is refused: {refused}"]
-    return ["the next start is not refused"] if WAYS[way] else []

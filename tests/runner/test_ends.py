@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 from leactl_plugins.ads1115.driver import Ads1115
+from leactl_plugins.elmo_can.driver import ElmoCan
 
 from leactl.emulation.wires import EmulatedI2cBus
-from leactl.errors import InputError, SafetyTrip
+from leactl.errors import DeviceError, InputError, SafetyTrip
 from leactl.runfile import writer
 from leactl.runfile.writer import RecordingFailed
 from tests.cli.terminal import leactl
@@ -68,6 +69,36 @@ def test_a_latch_that_cannot_be_written_is_a_note_and_the_trip_is_told(tmp_path,
     assert cause.startswith("leactl: test velocity of ")
 
 
+@pytest.mark.parametrize(("broken", "fault"), [(Ads1115, "take"), (ElmoCan, "end_cycle"), (ElmoCan, "begin_cycle")])
+def test_a_mistake_in_a_plug_in_ends_a_run_as_its_device_would(spin, monkeypatch, broken, fault):
+    whole, calls = getattr(broken, fault), []
+
+    def mistaken(self, *arguments):
+        calls.append(self)
+        if len(calls) > 40:
+            raise IndexError("list index out of range")
+        return whole(self, *arguments)
+
+    monkeypatch.setattr(broken, fault, mistaken)
+    outcome, _bench = spin()
+    assert isinstance(outcome.error, DeviceError)
+    assert ": its driver broke: IndexError: list index out of range; LEACTL_TRACE=1 shows where" in outcome.reason
+    assert isinstance(outcome.error.__cause__, IndexError)
+    assert outcome.reason.startswith(calls[-1].name)
+    assert trip_of("emulated") is None, "every device has confirmed that it is safe"
+
+
+@pytest.mark.parametrize("fault", [MemoryError(), RuntimeError("nobody has foreseen this")])
+def test_what_nobody_has_foreseen_latches_the_bench(spin, monkeypatch, fault):
+    def failing(_self):
+        raise fault
+
+    monkeypatch.setattr("leactl.runner.recorder.InlineFlush.after_cycle", failing)
+    outcome, _bench = spin()
+    assert outcome.error is fault
+    assert trip_of("emulated").cause == (str(fault) or "MemoryError")
+
+
 # -- the recording -----------------------------------------------------------------------------------------------------
 
 
@@ -97,6 +128,7 @@ def test_a_full_disk_is_the_cause_that_everything_after_it_tells(spin, monkeypat
     assert outcome.status == "failed"
     assert "No space left on device" in outcome.reason
     assert not hasattr(outcome.error, "__notes__")
+    assert "No space left on device" in trip_of("emulated").cause
 
 
 @pytest.mark.parametrize("place", ["file", "file/below", "/proc/nowhere"])
