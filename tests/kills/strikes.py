@@ -107,7 +107,6 @@ STRIKES = {
     "kill -9, watchdog too": Strike(End.UNTOLD, signalled(signal.SIGKILL, both=True)),
     "SIGSTOP": Strike(End.LATCHED, signalled(signal.SIGSTOP)),
     "SIGSTOP, watchdog too": Strike(End.UNTOLD, signalled(signal.SIGSTOP, both=True)),
-    "SIGTSTP": Strike(End.LATCHED, signalled(signal.SIGTSTP)),
     "suspended and continued": Strike(End.LATCHED, suspended),
     "SIGSEGV": Strike(End.LATCHED, signalled(signal.SIGSEGV)),
     "SIGABRT": Strike(End.LATCHED, signalled(signal.SIGABRT)),
