@@ -151,11 +151,6 @@ class InDegrees(Entry):
                 )
         return self
 
-    def window(self, kind: Literal["warn", "trip"]) -> tuple[float, float]:
-        """Lowest and highest temperature that does not warn, or trip."""
-        lone: float | None = getattr(self, kind)
-        return super().window(kind) if lone is None else (-math.inf, lone)
-
 
 def _form(value: Any) -> str:
     return "[several]" if isinstance(value, list | tuple) else "[one]"

@@ -208,6 +208,12 @@ def test_an_angle_and_a_velocity_are_stuck_only_where_the_other_tells_of_motion(
         assert 0.2 <= trips_after(rig, "test velocity has been exactly 0.50.* for 0.2 s", 1, each) <= 0.42
 
 
+def test_an_angle_that_stands_while_its_shaft_turns_evenly_is_stuck_though_nothing_else_moves(make):
+    rig = make("angle: {stuck_s: 0.2}")
+    rig.shaft.velocity = 0.5
+    assert 0.2 <= trips_after(rig, "test angle has been exactly .* for 0.2 s", 1) <= 0.42
+
+
 def turning(rig, cycle):
     """The shaft turns at about 0.5 rad/s."""
     rig.shaft.angle, rig.shaft.velocity = 5e-4 * cycle, 0.5 + 1e-3 * (cycle % 3)

@@ -32,6 +32,8 @@ def test_what_is_guaranteed_is_carried_by_the_weakest_actuator():
         corners = itertools.product(("low", "high"), repeat=len(NETWORK))
         weakest = min(exact(box, ends, limit, one.duration_s, STANDING) for ends in corners)
         assert 0.99 * weakest < one.current.guaranteed <= weakest
+        assert one.torque.guaranteed == pytest.approx(motor.torque_constant * one.current.guaranteed)
+        assert one.torque.favourable == pytest.approx(motor.torque_constant * one.current.favourable)
 
 
 @pytest.mark.parametrize("name", ["lea", "u8-kv100"])
