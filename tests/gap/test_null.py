@@ -16,7 +16,7 @@ from leactl.gap.replay.cutting import TRACKED
 from leactl.gap.search.evidence import NEGLIGIBLE, PRIORS, Evidence
 from leactl.gap.search.parameters import nominal_value
 from leactl.gap.search.sets import ENTRY
-from leactl.gap.search.stamp_fit import LATEST
+from leactl.gap.search.stamp_fit import LATE_STD, LATEST
 from leactl.gap.signals.ceiling import at_ceiling
 from leactl.gap.signals.derived import resolved, unseen
 from leactl.gap.signals.noise import SEGMENT, quantum_of
@@ -193,6 +193,7 @@ def test_the_pages_have_the_numbers_of_the_code():
     gap, decision = (re.sub(r"\s+", " ", (DOCS / page).read_text(encoding="utf-8")) for page in PAGES)
     assert f"must stand {ENTRY} times above" in gap
     assert f"Nothing up to {LATEST:.0f} samples is called a delay" in gap
+    assert f"in its error, {LATE_STD:.2f} samples" in gap
     assert {3: "Three"}[NULLS] + " sound machines are simulated" in gap
     assert f"a time constant of {TRACKED:.0f} samples" in decision
     assert f"over stretches of {SEGMENT} samples" in decision
