@@ -81,7 +81,7 @@ def drill(
 @app.command(
     epilog=examples(
         "safety challenge --minutes 10",
-        "safety challenge mine.yaml --rate 1000 --json",
+        "safety challenge mine.yaml --rate 1000 --optimiser cma --json",
         ends=(SafetyTrip,),
         means={SafetyTrip: "a bound below the truth or a winding above its limit"},
     )
@@ -95,6 +95,7 @@ def challenge(
         [], metavar="HZ", help="Of the control loop; may be repeated. [20 100 500 1000]", callback=finite
     ),
     seed: int = typer.Option(0, min=0, help="Of the first draws; how far a search comes hangs on the machine."),
+    optimiser: str = typer.Option("changes", help="How the next course is chosen: changes, or cma from leactl[cma]."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
     """Search for currents and motions that heat a winding beyond what the guard says; nothing moves.
@@ -106,6 +107,7 @@ def challenge(
     from leactl.report.challenge import challenge_text, told
     from leactl.runner.challenge.courses import READINGS
     from leactl.runner.challenge.hunt import hunt, hunts
+    from leactl.runner.challenge.optimisers import OPTIMISERS
     from leactl.runner.checked_bench import load_checked
     from leactl.runner.windings import guard_settings, motors_of
 
@@ -115,6 +117,8 @@ def challenge(
             raise InputError(f"--rate {given:g}: 10 to 10000 Hz were expected")
     if not 0.0 < minutes <= 10_000.0:
         raise InputError(f"--minutes {minutes:g}: more than 0 and at most 10000 were expected")
+    if optimiser not in OPTIMISERS:
+        raise InputError(f"--optimiser {optimiser}: one of {', '.join(OPTIMISERS)} was expected")
     file, devices, _document = load_checked(bench)
     motors = motors_of(file)
     settings = guard_settings(file, devices, motors)
@@ -122,7 +126,8 @@ def challenge(
     found = []
     for number, (role, motor, at, reading) in enumerate(searches, start=1):
         typer.echo(f"search {number} of {len(searches)}: {role}, {at:g} Hz, {reading} angle", err=True)
-        found.append(hunt(role, motor, settings, at, reading, 60.0 * minutes / len(searches), seed))
+        share = 60.0 * minutes / len(searches)
+        found.append(hunt(role, motor, settings, at, reading, share, seed, optimiser=optimiser))
     typer.echo(json.dumps(told(found, settings.limit)) if as_json else challenge_text(found, settings.limit))
     if lost := [one for one in found if not one.held(settings.limit)]:
         raise SafetyTrip(f"{len(lost)} of {len(found)} searches found a winding hotter than the guard lets it be")

@@ -1,5 +1,7 @@
 """The adversary of the thermal guard: courses that a bench could run, a plant that is right, and wrong guards found."""
 
+import math
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -8,8 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
+from leactl.errors import InputError
 from leactl.runner.challenge.courses import GENES, KINDS, READINGS, course
-from leactl.runner.challenge.hunt import attempted, hunt, hunts
+from leactl.runner.challenge.hunt import Attempt, attempted, hunt, hunts
+from leactl.runner.challenge.optimisers import OPTIMISERS
 from leactl.runner.challenge.phases import PARAMETERS, Phases
 from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.guard import ThermalGuard
@@ -149,6 +153,43 @@ class StopsLate(ThermalGuard):
 def test_a_guard_that_is_wrong_is_found(guard_of, rate, reading):
     attempts = drawn(guard_of, rate, reading, 60)
     assert any(one.over_k > 0.1 or one.peak > SETTINGS.limit for one in attempts)
+
+
+@pytest.mark.parametrize("optimiser", OPTIMISERS)
+def test_what_came_near_is_tried_again_nearer_by(optimiser):
+    """Of courses that are that are the nearer the more their genes are alike: twice as near as by draws alone."""
+    proposals, aim = OPTIMISERS[optimiser](12, np.random.default_rng(3)), np.linspace(0.1, 0.9, 12)
+    genes, apart = next(proposals), []
+    for _ in range(600):
+        assert genes.shape == (12,)
+        assert ((genes >= 0.0) & (genes < 1.0)).all()
+        apart.append(float(np.sqrt(np.mean((genes - aim) ** 2))))
+        genes = proposals.send(Attempt("only", genes, -apart[-1], 0.0, tripped=False))
+    drawn = np.sqrt(np.mean((np.random.default_rng(4).random((600, 12)) - aim) ** 2, axis=1)).min()
+    assert min(apart) < 0.5 * drawn
+
+
+def test_a_course_that_warms_nothing_ends_no_search():
+    proposals = OPTIMISERS["cma"](6, np.random.default_rng(3))
+    genes = next(proposals)
+    for _ in range(300):
+        genes = proposals.send(Attempt("only", genes, -math.inf, 0.0, tripped=False))
+    assert genes.shape == (6,)
+
+
+def test_an_optimiser_that_is_not_installed_says_how_it_is(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cma", None)
+    with pytest.raises(InputError, match=r"optimiser 'cma' needs the package cma: pip install 'leactl\[cma\]'"):
+        hunt("test", LEA, SETTINGS, 20.0, "true", 0.0, optimiser="cma")
+
+
+def test_cma_finds_a_guard_that_stops_late():
+    proposals = OPTIMISERS["cma"](GENES + len(PARAMETERS) + 1, np.random.default_rng(1))
+    one, peaks = attempted(next(proposals), LEA, SETTINGS, 100.0, "true", StopsLate), []
+    for _ in range(60):
+        one = attempted(proposals.send(one), LEA, SETTINGS, 100.0, "true", StopsLate)
+        peaks.append(one.peak)
+    assert max(peaks) > SETTINGS.limit
 
 
 def test_a_search_tells_what_it_found_and_whether_the_guard_held():

@@ -1,7 +1,6 @@
 """The search for a course and a plant whose winding becomes hotter than its bound, or than the limit.
 
-Genes are drawn at random first, then the best ones are changed a little: a random draw is no adversary. Courses end in
-a trip, as runs do; the current goes on standing for as long as a drive does without its host.
+Courses end in a trip, as runs do; the current goes on standing for as long as a drive does without its host.
 """
 
 import math
@@ -14,13 +13,12 @@ import numpy.typing as npt
 
 from leactl.model.motor import Motor
 from leactl.runner.challenge.courses import GENES, Course, course
+from leactl.runner.challenge.optimisers import OPTIMISERS
 from leactl.runner.challenge.phases import PARAMETERS, Phases, turned
 from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.guard import GuardSettings, ThermalGuard
 
 Array = npt.NDArray[np.float64]
-FIRST, KEPT, RANDOM = 6, 4, 0.3  # genes drawn at first, those of each kind that are changed, and how often others are
-CHANGED, SPREAD = 0.35, 0.15
 PART_S = 0.005  # that the plant goes on at once: a thousandth of what a winding takes to warm
 SECONDS = 8.0  # of a course
 WARM = 0.2  # of the way from the start to the limit, from which on a bound is held against the plant
@@ -63,6 +61,7 @@ def hunt(
     seconds: float,
     seed: int = 0,
     guard_of: Callable[..., ThermalGuard] = ThermalGuard,
+    optimiser: str = "changes",
 ) -> Hunted:
     """Search for so long [s], or for one attempt if that takes longer.
 
@@ -70,27 +69,22 @@ def hunt(
     ----------
     reading : one of `courses.READINGS`.
     guard_of : makes the guard that is challenged.
+    optimiser : one of `optimisers.OPTIMISERS`.
+
+    Raises
+    ------
+    InputError : the optimiser's package is not installed.
     """
-    random = np.random.default_rng(seed)
-    found: dict[str, list[Attempt]] = {}  # of each kind of course the nearest to their bounds
-    hottest, count, ends = None, 0, time.monotonic() + seconds
-    while count == 0 or time.monotonic() < ends:
-        genes = random.random(GENES + len(PARAMETERS) + 1)
-        if count >= FIRST and random.random() > RANDOM:
-            kind = found[str(random.choice(sorted(found)))]
-            genes = _changed(kind[int(random.integers(len(kind)))].genes, random)
-        attempt = attempted(genes, motor, settings, rate_hz, reading, guard_of)
+    proposals = OPTIMISERS[optimiser](GENES + len(PARAMETERS) + 1, np.random.default_rng(seed))
+    ends = time.monotonic() + seconds
+    nearest = hottest = attempt = attempted(next(proposals), motor, settings, rate_hz, reading, guard_of)
+    count = 1
+    while time.monotonic() < ends:
+        attempt = attempted(proposals.send(attempt), motor, settings, rate_hz, reading, guard_of)
         count += 1
-        found[attempt.kind] = sorted([*found.get(attempt.kind, []), attempt], key=lambda one: -one.over_k)[:KEPT]
-        hottest = attempt if hottest is None or attempt.peak > hottest.peak else hottest
-    assert hottest is not None
-    nearest = max((several[0] for several in found.values()), key=lambda one: one.over_k)
+        nearest = attempt if attempt.over_k > nearest.over_k else nearest
+        hottest = attempt if attempt.peak > hottest.peak else hottest
     return Hunted(role, rate_hz, reading, count, nearest, hottest)
-
-
-def _changed(genes: Array, random: np.random.Generator) -> Array:
-    changes = SPREAD * random.standard_normal(len(genes)) * (random.random(len(genes)) < CHANGED)
-    return np.asarray(np.clip(genes + changes, 0.0, np.nextafter(1.0, 0.0)), np.float64)
 
 
 def attempted(

@@ -1,0 +1,81 @@
+"""How the adversary chooses what it tries next: its own changes of what came nearest, or CMA-ES."""
+
+from collections.abc import Callable, Generator
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+
+Array = npt.NDArray[np.float64]
+FIRST, KEPT, RANDOM = 6, 4, 0.3  # genes drawn at first, those of each kind that are changed, and how often others are
+CHANGED, SPREAD = 0.35, 0.15
+COLD_K = -1e3  # over its bound, of a course that has warmed nothing
+MISSING = "optimiser 'cma' needs the package cma: pip install 'leactl[cma]'"
+
+
+class Tried(Protocol):
+    """What became of some genes."""
+
+    @property
+    def kind(self) -> str: ...  # noqa: D102 (of a course)
+    @property
+    def genes(self) -> Array: ...  # noqa: D102 (each from 0 to 1)
+    @property
+    def over_k(self) -> float: ...  # noqa: D102 (K over the bound)
+
+
+Proposals = Generator[Array, Tried, None]
+
+
+def by_changes(count: int, random: np.random.Generator) -> Proposals:
+    """Draw some of so many genes, then change the nearest of each kind of course a little, and draw now and then."""
+    found: dict[str, list[Tried]] = {}
+    tried = 0
+    while True:
+        genes = random.random(count)
+        if tried >= FIRST and random.random() > RANDOM:
+            kind = found[str(random.choice(sorted(found)))]
+            genes = _changed(kind[int(random.integers(len(kind)))].genes, random)
+        one = yield genes
+        tried += 1
+        found[one.kind] = sorted([*found.get(one.kind, []), one], key=lambda other: -other.over_k)[:KEPT]
+
+
+def _changed(genes: Array, random: np.random.Generator) -> Array:
+    changes = SPREAD * random.standard_normal(len(genes)) * (random.random(len(genes)) < CHANGED)
+    return _inside(genes + changes)
+
+
+def _inside(genes: Array) -> Array:
+    return np.asarray(np.clip(genes, 0.0, np.nextafter(1.0, 0.0)), np.float64)
+
+
+def by_cma(count: int, random: np.random.Generator) -> Proposals:
+    """From the nearest of a few draws by CMA-ES until that gets no nearer, then again from others (Hansen, 2016).
+
+    Raises
+    ------
+    InputError : the package is not installed.
+    """
+    try:
+        import cma
+    except ImportError:
+        raise InputError(MISSING) from None
+    while True:
+        drawn: list[Tried] = []
+        for _ in range(FIRST):
+            drawn.append((yield random.random(count)))  # noqa: PERF401 (a comprehension cannot yield)
+        start = max(drawn, key=lambda one: one.over_k).genes
+        options = {"bounds": [0.0, 1.0], "verbose": -9, "seed": int(random.integers(1, 2**31)), "tolfun": 1e-2}
+        strategy = cma.CMAEvolutionStrategy(start, SPREAD, options)
+        while not strategy.stop():
+            asked, missed = strategy.ask(), []
+            for genes in asked:
+                one = yield _inside(np.asarray(genes))
+                missed.append(-max(one.over_k, COLD_K))
+            strategy.tell(asked, missed)
+
+
+OPTIMISERS: dict[str, Callable[[int, np.random.Generator], Proposals]] = {"changes": by_changes, "cma": by_cma}
