@@ -23,7 +23,7 @@ def sound(seed, told):
 
 
 @pytest.mark.parametrize("told", [True, False])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, 1, 122])  # in the last a channel that hardly moves tells no shift
 def test_a_sound_joint_is_called_so_whatever_its_log_leaves_unsaid(seed, told):
     found = sound(seed, told)
     assert found.verdict in ("none", "calibration")

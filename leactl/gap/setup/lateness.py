@@ -116,6 +116,8 @@ def refined(
         step = float(np.clip(solved[1] / solved[0], -width, width))
         late += step
         inverse = np.linalg.pinv(columns.T @ columns)
+        if not inverse[1, 1] > 0.0:  # by rounding alone: the columns do not tell a shift
+            return None
         independent = (at[-1] - at[0]) / (np.sqrt(4.0 * np.pi) * width)
         noise = float(left @ left) / max(independent - 3.0, 1.0)
         error = float(np.sqrt(inverse[1, 1] * noise) / abs(solved[0]))
