@@ -74,6 +74,24 @@ def root(
 
 def main() -> None:
     """Run the command line; an error is one line on stderr and its exit status, an unforeseen one keeps its trace."""
+    try:
+        _run()
+    except SystemExit as end:
+        recording = sys.modules.get("leactl.runfile.writer")
+        if recording is not None and recording.KEPT_OPEN:
+            _leave(end.code)
+        raise
+
+
+def _leave(code: str | int | None) -> NoReturn:
+    """End the process without unloading anything: HDF5 crashes there where a file of its own has taken no write."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError):
+            stream.flush()
+    os._exit(LeactlError.exit_status if isinstance(code, str) else code or 0)
+
+
+def _run() -> None:
     show_control_characters()
     try:
         status = app(prog_name=app.info.name, standalone_mode=False)

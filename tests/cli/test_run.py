@@ -221,3 +221,26 @@ def test_the_live_view_shows_step_progress_and_channels(here):
     child.expect(pexpect.EOF)
     child.close()
     assert child.exitstatus == 0
+
+
+def test_a_recording_that_took_no_more_is_not_closed_again_on_the_way_out(tmp_path):
+    """HDF5 crashes there, and takes the status with it."""
+    script = """
+import sys
+from leactl.cli.main import main
+from leactl.runfile import writer
+
+class File:
+    def __del__(self):
+        print("closed again", file=sys.stderr)
+
+writer.KEPT_OPEN.append(File())
+sys.argv = ["leactl", "motor", sys.argv[1]]
+main()
+"""
+    for word, status in (("list", 0), ("nothing", 2)):
+        done = subprocess.run([sys.executable, "-c", script, word], cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == status
+        assert "closed again" not in done.stderr
+        assert ("lea" in done.stdout) is (status == 0)
+        assert ("nothing" in done.stderr) is (status == 2)
