@@ -23,6 +23,7 @@ from leactl.safety.watching import Panel, Trip
 WEAKER = 0.1  # of a torque constant, that hot magnets (0.1 %/K) and saturation take away
 WINDOWS = 3  # in a row that have to contradict alike: a blow that falls into two of them is none of the current
 LEAST_CYCLES = 4  # of a window
+STEADY = 0.1  # of a mean square, by which a steady current may swing, or change from one window to the next
 GLANCE = (
     4  # every so many cycles of a long window are looked at first: where these agree plainly, nothing is worked out
 )
@@ -196,6 +197,7 @@ class Account:
     current: int  # where they stand among the panel's values
     velocity: int
     side: int = AGREES  # of the last window
+    read: float = math.nan  # A^2, mean of the last window that was worked out
     windows: int = 0  # in a row to that side
 
 
@@ -269,6 +271,7 @@ class Witnesses:
             agrees = witness.way(sum(columns[EVIDENCE]), sum(columns[VELOCITY])) * sum(columns[current]) > 0.0
         if agrees:
             account.side = account.windows = AGREES
+            account.read = math.nan
         return agrees
 
     def _hold_against(self, account: Account, current: int, rows: Array, period: float) -> None:
@@ -285,7 +288,15 @@ class Witnesses:
         low, likely, high = (float(each @ each) / len(fresh) for each in (found.low, found.likely, found.high))
         with_it = float((found.way * found.low) @ fresh[:, current]) / len(fresh)
         side = TURNED if with_it < -apart else LESS if low > read + apart else MORE if read > high + apart else AGREES
-        account.windows = account.windows + 1 if side == account.side != AGREES else int(side != AGREES)
+        changed = False
+        if (
+            side == MORE
+        ):  # a second sensor that follows slowly shows too little of what swings or changes, never too much
+            side = MORE if float(fresh[:, current].mean()) ** 2 >= (1.0 - STEADY) * read else AGREES
+            changed = abs(read - account.read) > STEADY * max(read, account.read)
+        account.read = read
+        goes_on = side == account.side != AGREES and not changed
+        account.windows = account.windows + 1 if goes_on else int(side != AGREES)
         account.side = side
         if account.windows >= WINDOWS:
             self._contradict(account, *(math.sqrt(square) for square in (read, low, likely, high)))

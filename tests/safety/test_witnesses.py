@@ -17,6 +17,7 @@ from tests.safety.rig import Rig
 
 TORQUE = "torque_disagreement: {tolerance_Nm: 0.2, share_percent: 5, for_s: 0.05}"
 KT = 0.49
+PERIOD = 0.001
 
 
 @pytest.fixture
@@ -124,6 +125,28 @@ def test_a_swinging_current_that_is_misread_is_found(driven):
             rig.supervisor.command("test", asked)
             rig.converter.apply(math.sqrt(2.0) * KT * asked / 5.0)
             rig.run(rig.period)
+
+
+@pytest.mark.parametrize("hertz", [1.0, 4.0, 12.0, 25.0])
+@pytest.mark.parametrize("factor", [1.0, math.sqrt(3.0)])
+def test_a_sensor_that_follows_a_swing_slowly_shows_too_little_of_it_and_never_too_much(driven, factor, hertz):
+    """10 A beside a torque that follows within 16 ms, as behind a filter of 10 Hz."""
+    rig, keep = driven(0.0, 0.0), math.exp(-PERIOD / 0.016)
+
+    def swing():
+        seen = 0.0
+        for k in range(800):
+            asked = 10.0 * math.sin(2.0 * math.pi * hertz * k * PERIOD)
+            seen = keep * seen + (1.0 - keep) * factor * KT * asked
+            rig.supervisor.command("test", asked)
+            rig.converter.apply(seen / 5.0)
+            rig.run(rig.period)
+
+    if factor == 1.0 or hertz > 10.0:  # beyond the filter what is too much is not to be seen either
+        swing()
+    else:
+        with pytest.raises(SafetyTrip, match=r"contradicts test torque, by which .* A flow, no less than"):
+            swing()
 
 
 def test_one_blow_to_the_shaft_is_none_of_the_current(driven):
