@@ -328,10 +328,11 @@ def lone_sensors(
         if quantity == "line_current":
             seconds = [("line_voltage", role, True, "its supply's voltage")]
         else:
-            sensed = role in SENSED_ROLES.get(setup, ())
+            turns = ("velocity", role) in measured  # without which neither friction nor back-EMF is known
+            sensed = turns and role in SENSED_ROLES.get(setup, ())
             by_torque, by_voltage = interlocks.torque_disagreement, interlocks.voltage_disagreement
             seconds = [("torque", "test", by_torque is not None, "torque_disagreement")] if sensed else []
-            seconds.append(("q_axis_voltage", role, by_voltage is not None, "voltage_disagreement"))
+            seconds += [("q_axis_voltage", role, by_voltage is not None, "voltage_disagreement")] if turns else []
         there = [(watched, key) for second, whose, watched, key in seconds if (second, whose) in measured]
         if any(watched for watched, _key in there):
             continue

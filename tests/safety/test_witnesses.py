@@ -167,24 +167,31 @@ def test_no_convention_is_named_that_the_contradiction_does_not_allow():
 
 TORQUES = ChannelSpec("torque", "torque", "test", "sensor")
 VOLTS = ChannelSpec("vq", "q_axis_voltage", "test", "drive")
+SPEEDS = [ChannelSpec("velocity", "velocity", role, "drive") for role in ("test", "load")]
 BOTH = {"test": "q_axis_current", "load": "q_axis_current"}
 BY_TORQUE = yamlfile.parse(TORQUE).validate(Interlocks)
 BY_VOLTAGE = yamlfile.parse("voltage_disagreement: {tolerance_V: 0.5}").validate(Interlocks)
 
 
 def test_a_torque_sensor_is_a_second_sensor_of_both_actuators_on_one_shaft():
-    assert lone_sensors(BY_TORQUE, [TORQUES], "coupled", BOTH) == []
-    (line,) = lone_sensors(BY_TORQUE, [TORQUES], "locked", BOTH)
+    assert lone_sensors(BY_TORQUE, [TORQUES, *SPEEDS], "coupled", BOTH) == []
+    (line,) = lone_sensors(BY_TORQUE, [TORQUES, *SPEEDS], "locked", BOTH)
     assert line.startswith("the bound of the load winding rests on one sensor, q_axis_current: in set-up 'locked'")
 
 
 def test_where_nothing_is_held_against_a_current_its_bound_rests_on_one_sensor():
     alone = {"test": "q_axis_current"}
-    (line,) = lone_sensors(BY_TORQUE, [TORQUES], "free", alone)
+    (line,) = lone_sensors(BY_TORQUE, [TORQUES, *SPEEDS], "free", alone)
     assert line.endswith("nothing else shows a current that is misread")
-    assert lone_sensors(BY_VOLTAGE, [VOLTS], "free", alone) == []
-    (line,) = lone_sensors(Interlocks(), [TORQUES, VOLTS], "coupled", alone)
+    assert lone_sensors(BY_VOLTAGE, [VOLTS, *SPEEDS], "free", alone) == []
+    (line,) = lone_sensors(Interlocks(), [TORQUES, VOLTS, *SPEEDS], "coupled", alone)
     assert line.endswith("; interlocks.torque_disagreement would hold a second one against it")
+
+
+@pytest.mark.parametrize(("interlocks", "second"), [(BY_TORQUE, TORQUES), (BY_VOLTAGE, VOLTS)])
+def test_without_a_velocity_nothing_is_held_against_a_current(interlocks, second):
+    (line,) = lone_sensors(interlocks, [second], "coupled", {"test": "q_axis_current"})
+    assert line.endswith("nothing else shows a current that is misread")
 
 
 def test_the_voltage_of_a_supply_is_a_second_sensor_of_its_current():
