@@ -165,6 +165,7 @@ def strike_once(served: ServedBench, number: int, names: Sequence[str], after_s:
                 os.kill(dog or run.pid, signal.SIGKILL)  # a stopped watchdog would stay
             run.kill()
             run.wait()
+        run.stdout.close()
         served.wait(False, STOP_S)
 
 
