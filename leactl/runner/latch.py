@@ -11,7 +11,7 @@ import secrets
 import shlex
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
@@ -21,6 +21,7 @@ from leactl.bench.benchfile import BenchFile
 from leactl.errors import InputError, LeactlError, SafetyTrip
 from leactl.runfile.publish import force_to_disk
 from leactl.runner import state
+from leactl.yamlfile import printable
 
 SUFFIX = ".trip.json"
 RELEASED = b'{"released": true}\n'  # in the file of another user, whom it takes to remove it
@@ -231,6 +232,9 @@ def _trip(bench: str, path: Path) -> Trip | None:
     if text.strip() == RELEASED.strip():
         return None
     try:
-        return Trip(**json.loads(text))
+        told = astuple(Trip(**json.loads(text)))
     except (ValueError, TypeError, RecursionError) as error:
         return Trip(bench, f"unknown, {path} cannot be read: {error}", "", "")
+    if not all(isinstance(value, str) for value in told):
+        return Trip(bench, f"unknown, {path} cannot be read: texts were expected", "", "")
+    return Trip(*map(printable, told))  # a line each, whatever somebody wrote there

@@ -24,6 +24,7 @@ from leactl.driver.contract import Confirmation
 from leactl.errors import DeviceError, InputError
 from leactl.runner import holding, state
 from leactl.runner.state import Place
+from leactl.yamlfile import printable
 
 GOES_ON, STOP, PAUSE = b"-", b"!", b"="
 HEAD = 2  # bytes: the first asks for a stop and the second for a pause, so that neither can undo the other
@@ -218,7 +219,11 @@ class Underway:
 
     def told(self) -> dict[str, Any]:
         """All that the run has told by now: `safe` once its devices are, then `status`, `reason` and `run`."""
-        return _told(self.descriptor)
+        told = _told(self.descriptor)
+        bent = [key for key in ("status", "reason", "run") if not isinstance(told.get(key, ""), str)]
+        return {
+            key: printable(value) if isinstance(value, str) else value for key, value in told.items() if key not in bent
+        }
 
     def close(self) -> None:
         """Let the file go."""
@@ -294,7 +299,9 @@ def running() -> tuple[list[Underway], list[str]]:
             continue
         about = _told(descriptor)
         unknown = {"bench": "unknown", "file": "", "protocol": path.name}
-        texts = {key: about[key] if isinstance(about.get(key), str) else other for key, other in unknown.items()}
+        texts = {
+            key: printable(about[key]) if isinstance(about.get(key), str) else other for key, other in unknown.items()
+        }
         process = about.get("process")
         process = process if isinstance(process, int) else 0
         underway.append(Underway(**texts, process=process, descriptor=descriptor))

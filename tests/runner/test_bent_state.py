@@ -57,6 +57,17 @@ def link_to(target, text=None):
     return make
 
 
+def link_to_a_pipe(path):
+    os.mkfifo(path.parent / "far pipe")
+    path.symlink_to("far pipe")
+
+
+def ring(path):
+    path.symlink_to("one")
+    (path.parent / "one").symlink_to("another")
+    (path.parent / "another").symlink_to(path.name)
+
+
 BENT = {
     "pipe": os.mkfifo,
     "socket": listening,
@@ -77,6 +88,24 @@ BENT = {
     "null": lambda path: path.write_text("null\n"),
     "noise": lambda path: path.write_bytes(bytes(range(256)) * 8),
     "NaN": lambda path: path.write_text('{"time": NaN, "nodes_degC": [NaN, 1e999, -1e999]}\n'),
+    "link to a pipe": link_to_a_pipe,
+    "link to a full device": link_to("/dev/full"),
+    "link to a process's memory": link_to("/proc/self/mem"),
+    "links in a ring": ring,
+    "zeros, as after a loss of power": lambda path: path.write_bytes(bytes(4096)),
+    "spaces": lambda path: path.write_bytes(b" " * 4096),
+    "a byte": lambda path: path.write_bytes(b"{"),
+    "a line break": lambda path: path.write_bytes(b"\n"),
+    "one byte too many": lambda path: path.write_bytes(b"{}" + b" " * (state.MOST_BYTES - 1)),
+    "UTF-16": lambda path: path.write_bytes('{"bench": "testbed"}\n'.encode("utf-16")),
+    "a byte order mark": lambda path: path.write_bytes(b'\xef\xbb\xbf{"bench": "testbed"}\n'),
+    "no UTF-8": lambda path: path.write_bytes(b'{"bench": "\xff\xfe\x80"}\n'),
+    "half a character": lambda path: path.write_text('{"bench": "\\ud800", "cause": "\\udfff", "time": "\\ud800"}\n'),
+    "a number of 5000 digits": lambda path: path.write_text('{"time": ' + "9" * 5000 + "}\n"),
+    "two objects": lambda path: path.write_text("{} {}\n"),
+    "a text": lambda path: path.write_text('"released"\n'),
+    "true": lambda path: path.write_text("true\n"),
+    "keys of nothing": lambda path: path.write_text('{"": null, "released": "true", "cause": {}, "time": []}\n'),
 }
 
 
@@ -289,6 +318,21 @@ def test_a_bench_that_is_held_without_a_file_is_said_to_be(testbed, holder):
         {"boot": None},
         {"running": 0},
         {"running": "false"},
+        {"running": None},
+        {"running": []},
+        {"time": True},
+        {"time": [1.7e9]},
+        {"time": {}},
+        {"time": 10**400},
+        {"since_boot_s": True},
+        {"since_boot_s": None},
+        {"since_boot_s": {}},
+        {"since_boot_s": 1e400},
+        {"since_boot_s": -1e400},
+        {"since_boot_s": 10**400},
+        {"boot": ["this boot"]},
+        {"boot": {"this boot": 1}},
+        {"boot": True},
     ],
     ids=str,
 )
@@ -299,6 +343,119 @@ def test_a_bent_clock_in_a_memory_is_hot(tmp_path, bent):
     kept = json.loads(memory.path.read_text()) | bent
     memory.path.write_text(json.dumps(kept))
     assert memory.recall(NOW).nodes.tolist() == [LIMIT] * 3
+
+
+# -- what a memory tells of a winding ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "bent",
+    [
+        {"nodes_degC": None},
+        {"nodes_degC": 40.0},
+        {"nodes_degC": "40 40 40"},
+        {"nodes_degC": {"0": 40.0, "1": 40.0, "2": 40.0}},
+        {"nodes_degC": []},
+        {"nodes_degC": [40.0]},
+        {"nodes_degC": [40.0, 40.0]},
+        {"nodes_degC": [40.0, 40.0, 40.0, 40.0]},
+        {"nodes_degC": [[40.0, 40.0, 40.0]]},
+        {"nodes_degC": [40.0, 40.0, None]},
+        {"nodes_degC": [40.0, 40.0, "40"]},
+        {"nodes_degC": [40.0, 40.0, True]},
+        {"nodes_degC": [float("nan"), 40.0, 40.0]},
+        {"nodes_degC": [40.0, float("nan"), 40.0]},
+        {"nodes_degC": [40.0, 40.0, float("nan")]},
+        {"nodes_degC": [float("inf"), 40.0, 40.0]},
+        {"nodes_degC": [float("-inf"), 40.0, 40.0]},
+        {"nodes_degC": [-300.0, 40.0, 40.0]},
+        {"nodes_degC": [40.0, 40.0, 1e6]},
+        {"nodes_degC": [10**400, 40.0, 40.0]},
+        {"format": None},
+        {"format": "leactl"},
+        {"format": ["leactl-thermal"]},
+        {"format_version": 1},
+        {"format_version": 3},
+        {"format_version": "2"},
+        {"format_version": None},
+        {"actuator": "rig.load"},
+        {"actuator": None},
+        {"actuator": ["rig.test"]},
+        {"motor_sha256": ""},
+        {"motor_sha256": None},
+        {"motor_sha256": "0" * 64},
+    ],
+    ids=str,
+)
+def test_a_bent_memory_of_a_winding_is_hot(tmp_path, bent):
+    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state.Place(tmp_path, shared=False))
+    memory.keep(np.full(3, 40.0), NOW, running=False)
+    kept = json.loads(memory.path.read_text()) | bent
+    memory.path.write_text(json.dumps(kept))
+    found = memory.recall(NOW)
+    assert found.nodes.tolist() == [LIMIT] * 3
+    assert found.known.startswith("counts as hot: ")
+
+
+@pytest.mark.parametrize(
+    "left_out",
+    ["format", "format_version", "actuator", "motor_sha256", "time", "boot", "since_boot_s", "running", "nodes_degC"],
+)
+def test_a_memory_that_lacks_a_key_is_hot(tmp_path, left_out):
+    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state.Place(tmp_path, shared=False))
+    memory.keep(np.full(3, 40.0), NOW, running=False)
+    kept = json.loads(memory.path.read_text())
+    del kept[left_out]
+    memory.path.write_text(json.dumps(kept))
+    assert memory.recall(NOW).nodes.tolist() == [LIMIT] * 3
+
+
+# -- what a terminal is told of bent texts -----------------------------------------------------------------------------
+
+TEXTS = {
+    "escapes": "\x1b]0;mine\x07\x1b[2J",
+    "a return": "all is well\r",
+    "lines": "all is well\nbench 'rig': released",
+    "half a character": "\ud800",
+    "turned writing": "\u202etset",
+    "nothing": "\0",
+    "a thousand": "x" * 1000,
+}
+
+
+@pytest.mark.parametrize("key", ["cause", "time", "run", "bench"])
+@pytest.mark.parametrize("text", TEXTS.values(), ids=list(TEXTS))
+def test_a_bent_text_in_a_latch_holds_and_moves_no_terminal(held, testbed, key, text):
+    trip = {"bench": "testbed", "cause": "too fast", "time": "2026-01-01T00:00:00+00:00", "run": "a.h5"} | {key: text}
+    path = Path(held.paths[0])
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(trip) + "\n")
+    with pytest.raises(SafetyTrip):
+        held.refuse()
+    asked = leactl("bench", "reset", held.bench)
+    refused = leactl("run", "friction", "--bench", str(testbed), "--dry-run")
+    assert refused.returncode == 3, refused.stderr
+    for done in (asked, refused):
+        assert "\nbench 'rig'" not in done.stdout + done.stderr
+        assert not {*"\x1b\x07\0\r\u202e"} & {*done.stdout, *done.stderr}
+        assert "Traceback" not in done.stderr
+        assert "internal" not in done.stderr
+    assert leactl("bench", "reset", held.bench, "--yes").returncode == 0
+    held.refuse()
+
+
+@pytest.mark.parametrize("key", ["bench", "file", "protocol", "process", "status", "reason", "run"])
+@pytest.mark.parametrize("text", [*TEXTS.values(), ["a list"], None], ids=[*TEXTS, "a list", "null"])
+def test_a_bent_text_in_a_run_s_file_is_stopped_and_moves_no_terminal(key, text):
+    with underway.announced("rig", "rig.yaml", "hold", needed=True) as run:
+        run.tell(**{key: text})
+        done = leactl("bench", "stop", "--wait", "0")
+        assert run.asked()
+    assert done.returncode == 5
+    assert "\nbench 'rig': released" not in done.stdout + done.stderr
+    assert not {*"\x1b\x07\0\r\u202e"} & {*done.stdout, *done.stderr}
+    assert "Traceback" not in done.stderr
+    assert "internal" not in done.stderr
 
 
 @pytest.fixture(autouse=True)
