@@ -4,12 +4,14 @@ The drives' own dead-man comes first and needs nothing of this machine. The loop
 processes map, which costs no system call; docs/dead-man.md says what happens when the count stands still.
 """
 
+import faulthandler
 import json
 import mmap
 import os
 import select
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
@@ -25,6 +27,9 @@ WORDS = 3
 CYCLES_ALLOWED = 3  # at the least: a slow loop is no hung one
 READY_S = 20.0  # 0.35 s on an idle machine, most of it imports
 GRACE_S = 2.0  # of an orderly end, beside what the devices may take
+UNSEEN_CYCLES = 100  # that may pass until the loop looks at its watchdog again; it does so far more often
+PUT_OFF_EVERY_S = 0.5  # the run's last resort
+LAST_S = 15.0  # until it comes, beside an orderly end: a watchdog that lives has long acted, on a busy machine too
 
 
 def hung(process: int, silence_ns: int, allowed_ns: int) -> str:
@@ -78,6 +83,8 @@ class Watchdog(Unwatched):
             (silence for silence in host_silences(devices).values() if silence is not None), default=SAFE_STATE_S
         )
         self._end_ns = round(1e9 * time_to_end_s(len(devices)))
+        self._period, self._put_off_at = 0.0, 0.0
+        self._nowhere = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 (closed with the process's pipes)
         memory = os.memfd_create("leactl-watchdog")
         try:
             os.ftruncate(memory, 8 * WORDS)
@@ -131,6 +138,7 @@ class Watchdog(Unwatched):
         Once the shortest consumer time is over since the last cycle, a drive has stopped by itself: no run is ended
         that could have gone on.
         """
+        self._period = period
         self._allow(round(1e9 * max(self._silence_s, CYCLES_ALLOWED * period)))
 
     def ending(self) -> None:
@@ -141,6 +149,18 @@ class Watchdog(Unwatched):
         self.sign[CYCLES] += 1
         if not self.sign[FIRED_NS]:
             self.sign[ALLOWED_NS] = silence_ns
+        self._put_off()
+
+    def _put_off(self) -> None:
+        """Put off the last resort: a thread of C ends this process where a driver's call hangs and no watchdog is left.
+
+        Nobody latches then; the next start finds a run that ended without a word, and does. The thread needs neither
+        the interpreter's lock nor memory, and comes long after a watchdog would have acted.
+        """
+        self._put_off_at = time.monotonic()
+        last_s = 1e-9 * self._end_ns + LAST_S + UNSEEN_CYCLES * self._period
+        with suppress(RuntimeError, MemoryError):  # no memory is left for a thread: the watchdog stands by all the same
+            faulthandler.dump_traceback_later(last_s, exit=True, file=self._nowhere)
 
     def dismiss(self) -> None:
         """Let the process go and wait for its end; harmless when it has gone."""
@@ -151,6 +171,7 @@ class Watchdog(Unwatched):
         self._part("unsafe " + " ".join(doubt.split()))
 
     def _part(self, word: str) -> None:
+        faulthandler.cancel_dump_traceback_later()
         process = self._process
         if process.stdin is not None and not process.stdin.closed:
             self._tell(word)
@@ -163,9 +184,12 @@ class Watchdog(Unwatched):
             process.wait()
         if process.stdout is not None:
             process.stdout.close()
+        self._nowhere.close()
 
     def fault(self) -> str:
         """Why the run is no longer watched; empty while it is."""
+        if time.monotonic() - self._put_off_at > PUT_OFF_EVERY_S:
+            self._put_off()
         status = self._process.poll()
         return "" if status is None else f"the run's watchdog has ended, status {status}"
 

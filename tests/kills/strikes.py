@@ -133,10 +133,14 @@ STRIKES = {
     "latch a pipe": Strike(End.NONE, exchanged(lambda run: run.latch, os.mkfifo)),
     "latch a folder": Strike(End.NONE, exchanged(lambda run: run.latch, Path.mkdir)),
 }
+UNSEEN = ("watchdog killed", "watchdog stopped")
+STANDING = ("SIGSTOP", "driver call sleeping", "driver call spinning", "driver call holding the GIL")
 ENDING = [name for name, strike in STRIKES.items() if strike.end is not End.NONE]
 
 
 def expected(names: Sequence[str]) -> End:
-    """How a run ends that is struck by all of these: by the worst of them."""
+    """How a run ends that is struck by all of these: by the worst; standing still unwatched is worst of all."""
+    if set(UNSEEN) & set(names) and set(STANDING) & set(names):
+        return End.UNTOLD
     ends = [STRIKES[name].end for name in names]
     return next(end for end in (End.UNTOLD, End.LATCHED, End.IN_ORDER, End.NONE) if end in ends)

@@ -37,6 +37,8 @@ def struck(tmp_path, monkeypatch):
         (BUSES[-1], ["driver call holding the GIL"]),
         (BUSES[-1], ["no room for the file"]),
         (BUSES[-1], ["latch a pipe", "driver call broken"]),
+        (BUSES[-1], ["watchdog killed", "driver call spinning"]),
+        (BUSES[0], ["watchdog stopped", "driver call holding the GIL"]),
     ],
 )
 def test_a_struck_run_leaves_no_torque_a_readable_file_and_its_bench_latched(struck, bus, way):
