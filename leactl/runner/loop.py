@@ -5,6 +5,7 @@ and the heartbeat that keeps the drives alive is sent after a supervised cycle a
 """
 
 import math
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -36,7 +37,7 @@ from leactl.runner.outcomes import Outcomes
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import Flush
 from leactl.runner.signals import StopRequest, Wishes
-from leactl.runner.watchdog import CYCLES, Unwatched
+from leactl.runner.watchdog import CYCLES, Unwatched, hung
 from leactl.safety.supervisor import Supervisor
 
 ANSWER_SHARE = 0.6  # of a period that the drives' answers may take
@@ -76,7 +77,7 @@ class Loop:
         self._clock = bench.clock
         self._period = 1.0 / plan.rate_Hz
         self._answer_s = max(ANSWER_SHARE * self._period, LEAST_ANSWER_S)
-        self._start = self._next = self._clock.now()
+        self._start = self._next = self._ended = self._clock.now()
         self._newest: dict[str, Sequence[float]] = {}
         progress.own = self._newest
         self._row: list[float] = []
@@ -101,6 +102,7 @@ class Loop:
         """
         self._supervisor.begin(self._period)
         self._progress.windings, self._progress.time_left = self._supervisor.windings, self._supervisor.time_left
+        self._ended = self._clock.now()
         self._watchdog.begin(self._period)
         try:
             self._cycle()
@@ -189,6 +191,8 @@ class Loop:
         self._stop.check()
         bench, supervisor, writer, clock, start = self._bench, self._supervisor, self._writer, self._clock, self._start
         began = self._next
+        if (stood_s := clock.now() - self._ended) > self._watchdog.allowed_s:  # its watchdog had no time to look
+            supervisor.trip(hung(os.getpid(), round(1e9 * stood_s), round(1e9 * self._watchdog.allowed_s)))
         row = self._row = bench.exchange(began + self._answer_s)
         if self._until_row == 0:
             self._until_row = self._every
@@ -217,6 +221,7 @@ class Loop:
             self._see_watchdog()
         self._progress.values = row
         period, now = self._period, clock.now()
+        self._ended = now
         due = began + period
         if now > due + period:  # a cycle is lost: go on from here, never two cycles in a row to catch up
             self._note_overrun(now - due)

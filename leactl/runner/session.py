@@ -335,7 +335,8 @@ def _run(
         if watchdog.verdict():
             error = _joined(SafetyTrip(watchdog.verdict()), error)
         error = _unconfirmed(error, safe)
-        if error is not None and (unsafe or _is_out_of_order(error)):
+        out_of_order = error is not None and (bool(unsafe) or _is_out_of_order(error))
+        if error is not None and out_of_order:
             _latch(bench_latch, error, writer.path)
         announcement.tell_safe(safe)
     notes = [progress.view_fault] if progress.view_fault else []
@@ -362,6 +363,8 @@ def _run(
         notes += writer.notes()
         notes += collect(bench.drivers, request.bench_document, writer.path)
     except Exception as failure:  # noqa: BLE001 (as above)
+        if _is_out_of_order(failure) and not out_of_order:
+            _latch(bench_latch, failure, writer.path)
         error = _joined(error, failure)
     status, reason = _status(error)
     told = [*notes, *(f"warning: {text}" for text in progress.warnings)]

@@ -6,6 +6,7 @@ processes map, which costs no system call; docs/dead-man.md says what happens wh
 
 import faulthandler
 import json
+import math
 import mmap
 import os
 import select
@@ -47,6 +48,8 @@ def time_to_end_s(devices: int) -> float:
 
 class Unwatched:
     """No process beside the run: drives that are emulated in it, on its own time, stop when it does."""
+
+    allowed_s = math.inf  # silence of the loop
 
     def __init__(self) -> None:
         self.sign: memoryview[int] | list[int] = [0] * WORDS
@@ -139,7 +142,8 @@ class Watchdog(Unwatched):
         that could have gone on.
         """
         self._period = period
-        self._allow(round(1e9 * max(self._silence_s, CYCLES_ALLOWED * period)))
+        self.allowed_s = max(self._silence_s, CYCLES_ALLOWED * period)
+        self._allow(round(1e9 * self.allowed_s))
 
     def ending(self) -> None:
         """The loop is over and the devices are being made safe, which takes longer than a cycle."""

@@ -157,7 +157,7 @@ def strike_once(served: ServedBench, number: int, names: Sequence[str], after_s:
             run.kill()
         faults += gone(dog)
         (place / "said").write_text(run.stdout.read())  # its end comes once nothing is left that could say more
-        faults += file_faults(place, found, held_s)
+        faults += file_faults(place, found, held_s, names)
         faults += start_faults(served, struck, names, found.get("status_of_process"))
         return found | {"faults": faults + orphans(state) + mistakes(place)}
     finally:
@@ -250,9 +250,11 @@ def gone(dog: int) -> list[str]:
     return ["the watchdog did not end"]
 
 
-def file_faults(place: Path, found: dict, held_s: float) -> list[str]:
+def file_faults(place: Path, found: dict, held_s: float, names: Sequence[str]) -> list[str]:
     """What is wrong with the run's file, which is to be readable up to its last flush."""
     files = list(place.rglob("*.h5"))
+    if not files and "run's folder removed" in names and expected(names) is not End.NONE:
+        return []  # it was removed together with what a run had left that was over by then
     if len(files) != 1:
         return [f"{len(files)} run files"]
     path, faults = files[0], []

@@ -48,6 +48,20 @@ def test_an_orderly_end_leaves_no_process_no_latch_and_no_word(spin, its_watchdo
     assert capfd.readouterr().err == ""
 
 
+def test_a_loop_that_stood_still_unseen_by_its_watchdog_trips_by_itself(spin, monkeypatch):
+    begin = watchdog.Watchdog.begin
+
+    def overlooked(self, period):
+        begin(self, period)
+        self.allowed_s = 0.0  # any silence is too long, for the loop alone
+
+    monkeypatch.setattr(watchdog.Watchdog, "begin", overlooked)
+    outcome, _bench = spin(realtime=True)
+    assert isinstance(outcome.error, SafetyTrip)
+    assert f"the control loop of process {os.getpid()} stood still for" in str(outcome.error)
+    assert str(outcome.error) == trip_of("emulated").cause
+
+
 @pytest.mark.parametrize("realtime", [True, False])
 def test_an_end_that_is_not_confirmed_latches_and_is_the_watchdog_s_to_end(spin, monkeypatch, capfd, realtime):
     """An end in order, but for a drive that does not answer."""
