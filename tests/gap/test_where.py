@@ -1,14 +1,15 @@
 """Regions of a gap, and residuals in bins over a variable."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from leactl.gap.diagnosis import Cause, EffectParameter
+from leactl.gap.diagnosis import Cause, EffectParameter, Region, Where
 from leactl.gap.replay.compared import Compared
 from leactl.gap.signals.record import Clocked, Record
-from leactl.gap.verdict.where import MOST, NARROW, PROFILE_BINS, binned, narrowest, where
+from leactl.gap.verdict.where import MOST, NARROW, PROFILE_BINS, binned, narrowest, profiles, where
 
 
 def test_the_narrowest_interval_holds_most_of_the_squares():
@@ -91,3 +92,25 @@ def test_a_gap_that_an_effect_closes_is_told_by_what_it_acts_in_and_not_by_a_pro
     assert told.share >= MOST
     assert located(wave, ()).region.variable in ("winding_temperature", "time")
     assert located(0.05 * wave, (cogging,)).region.variable != "angle"  # it leaves nearly all of it
+
+
+def test_a_profile_is_over_the_region_s_variable_with_mean_and_spread_of_each_model():
+    time = np.arange(4000) / 100.0
+    angle, random = np.mod(3.0 * time, 6.0), np.random.default_rng(6)
+    values = {("angle", "test"): angle}
+    record = Record(Path("run.h5"), "grid", "coupled", Clocked(time, 1e-2, values), None, {})
+    noise = random.normal(0.0, 0.2, len(time))
+    replayed = tuple(np.full_like(time, offset) for offset in (-1.0, -0.5, 0.0))
+    index, block = np.arange(len(time)), (time // 1.0).astype(int)
+    channel = Compared(
+        "run", "grid", "coupled", "torque", "test", time, index, block, noise, replayed, replayed[2], 0.1, False
+    )
+    entry = Where("torque", "test", "coupled", "N*m", 1.0, 0.5, 0.1, Region("angle", 1.0, 2.0, "rad"), 0.9)
+    sound = Where("torque", "test", "coupled", "N*m", 0.1, 0.1, 0.1)
+    over_angle, over_time = profiles([record], [channel], [entry, sound, dataclasses.replace(entry, region=None)])
+    assert (over_angle.variable, over_angle.variable_units) == ("angle", "rad")
+    assert (over_time.variable, over_time.variable_units) == ("time", "s")
+    for profile in (over_angle, over_time):
+        assert profile.mean.mean(axis=1) == pytest.approx([1.0, 0.5, 0.0], abs=0.02)
+        assert profile.std.mean(axis=1) == pytest.approx([0.2] * 3, rel=0.1)
+    assert over_angle.high[-1] <= 6.0 < over_time.high[-1]

@@ -1,0 +1,152 @@
+"""What is said of a set that was found: rivals by their evidence, lines and unrest by their height, notes once."""
+
+import dataclasses
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from leactl.gap.diagnosis import Near
+from leactl.gap.search.ringing import Line
+from leactl.gap.search.sets import Finding
+from leactl.gap.signals.record import Record
+from leactl.gap.verdict.additive import Sample, learn, slow_gain
+from leactl.gap.verdict.judge import HALF, LINE, UNREST, Judged, judge, unexplained
+from leactl.gap.verdict.notes import gathered, unlike
+from leactl.gap.verdict.unknown import beyond_noise, is_slow, kept_out, nearest_effects, shape
+
+CHANNEL = ("torque balance", "velocity", "free")
+OTHER = ("voltage", "q_axis_voltage", "free")
+
+
+def finding(effect, height, gain=1e5):
+    return Finding((effect, ()), gain, height, 1.0, (height,), ("size",), np.eye(1), 0.0)
+
+
+def of_one(member, *rivals):
+    """A set of one member, all of whose gap is explained, beside its rivals."""
+    return SimpleNamespace(members=[member], rivals=[[member, *rivals]], explained=lambda evidence, index: 1.0)
+
+
+def test_a_rival_counts_by_its_gain_and_by_how_high_it_stands_itself():
+    member = finding("cogging", 20.0)
+    [alike] = judge(None, of_one(member, finding("torque_ripple", 20.0)), {})
+    assert alike.peers == ("torque_ripple",)
+    assert [round(probability, 2) for _, probability in alike.rivals] == [0.5]
+    [low] = judge(None, of_one(member, finding("torque_ripple", HALF - 2.0)), {})
+    assert low.peers == ()
+    assert low.rivals[0][1] < 0.01
+    [short] = judge(None, of_one(member, finding("torque_ripple", 20.0, gain=0.9e5)), {})
+    assert short.peers == ()
+
+
+def test_an_effect_that_makes_held_out_runs_worse_is_doubted():
+    member = finding("cogging", 20.0)
+    [better], [worse] = (judge(None, of_one(member), {member.candidate: gain}) for gain in (5.0, -5.0))
+    assert better.probability > 0.9 > 0.5 > worse.probability
+
+
+@pytest.mark.parametrize("height", [0.5, 0.9, 1.0, 1.2, 3.0])
+def test_a_line_and_an_unrest_are_as_likely_as_not_at_their_thresholds_and_the_higher_one_is_told(height):
+    line = unexplained({}, {CHANNEL: Line(LINE * height, 17.25)})
+    rest = unexplained({CHANNEL: UNREST * height}, {})
+    for one in (line, rest):
+        assert (one.probability > 0.5) is (height > 1.0)
+        assert (one.probability < 0.5) is (height < 1.0)
+        assert one.channel == CHANNEL
+    assert "rings at about 17.2 Hz" in line.note
+    both = unexplained({CHANNEL: 2.0 * UNREST, OTHER: 3.0 * UNREST}, {CHANNEL: Line(LINE / 2.0, 3.0)})
+    assert both.channel == OTHER
+    assert unexplained({CHANNEL: 0.0}, {CHANNEL: Line(0.0, 3.0)}).probability == 0.0
+    assert unexplained({}, {}).note == ""
+
+
+def record(name, notes=(), kind="ramp", condition="", mechanical="free"):
+    made = Record(Path(f"{name}.h5"), kind, mechanical, None, None, {})
+    return dataclasses.replace(made, notes=tuple(notes), condition=condition)
+
+
+def test_what_several_runs_have_noted_alike_is_told_once():
+    parts = [record("a", ["a: gaps"]), record("a", ["a: gaps"]), record("b", ["b: gaps", "b: late"])]
+    assert gathered(parts) == ("a and 1 more: gaps", "b: late")
+    assert gathered(parts[:2]) == ("a: gaps",)
+
+
+def test_held_out_runs_of_another_condition_are_noted():
+    told = unlike([record("a"), record("b", condition="cold")], [record("c", condition="hot")])
+    assert told == ("ramp: condition of fitted runs: cold, not named; of held-out runs: hot",)
+    assert unlike([record("a", condition="hot"), record("b")], [record("c", condition="hot")]) == ()
+    assert unlike([record("a", kind="steps")], [record("c", condition="hot")]) == ()
+
+
+def stretched(left, stretches=24, runs=1, state=None):
+    run = np.repeat(np.arange(runs), len(left) // runs)
+    inside = np.tile(np.arange(len(left) // runs) * stretches // (len(left) // runs), runs)
+    return Sample(left, state or {}, run * (stretches + 1) + inside)
+
+
+def test_stretches_of_two_runs_are_no_neighbours():
+    sample = stretched(np.repeat([1.0, 1.0], 2400), runs=2)
+    gained = slow_gain(sample.left, sample.stretch)
+    inner = np.isin(sample.stretch % 25, range(1, 23))
+    assert gained[inner] == pytest.approx(1.0)
+    assert not gained[~inner].any()
+
+
+def test_a_slow_rest_is_one_of_time_and_noise_or_no_gap_is_none():
+    time, noise = np.linspace(0.0, 6.0, 4800), np.random.default_rng(3).normal(0.0, 1.0, 4800)
+    slow = stretched(np.sin(time) + 0.1 * noise)
+    assert is_slow(slow.left, slow, float(np.sum(slow.left**2)))
+    assert not is_slow(slow.left, slow, 0.0)
+    assert not is_slow(slow.left, slow, 1e3 * float(np.sum(slow.left**2)))
+    assert not is_slow(noise, stretched(noise), float(np.sum(noise**2)))
+
+
+def test_squares_beyond_the_noise_of_a_row_are_the_gap():
+    rows = SimpleNamespace(left_over=np.zeros(100), white=0.5)
+    stack = SimpleNamespace(rows=[rows, None, rows])
+    assert beyond_noise(stack, [0, 2], stretched(np.full(240, 1.0))) == pytest.approx(240.0 - 50.0)
+    assert beyond_noise(stack, [0, 2], stretched(np.full(240, 0.01))) == 0.0
+
+
+def test_the_shape_of_a_rest_is_what_it_was_and_what_the_function_leaves_of_it():
+    random = np.random.default_rng(4)
+    angle = random.uniform(0.0, 2.0 * np.pi, 6000)
+    sample = stretched(
+        np.cos(31.0 * angle) + random.normal(0.0, 0.05, 6000), state={"angle": angle, "velocity": random.random(6000)}
+    )
+    trial, chosen, ridge = learn(sample, (1.0, 2.0, 31.0), float(np.sum(sample.left**2)))
+    free = trial.function(chosen, ridge)
+    rows = SimpleNamespace(
+        quantity="velocity", role="test", mechanical="free", equation="free_torque", units="N*m", dependence=2.0
+    )
+    told = shape(rows, sample, free, "angle")
+    assert told.periods == 31.0
+    assert told.before_rms == pytest.approx(np.sqrt(0.5), rel=0.1)
+    assert told.after_rms < 0.05 * told.before_rms
+    assert shape(rows, sample, free, "velocity").periods is None
+
+
+def test_a_larger_ridge_makes_a_smaller_function():
+    random = np.random.default_rng(5)
+    velocity = random.uniform(-1.0, 1.0, 3000)
+    sample = stretched(velocity**3 + random.normal(0.0, 0.1, 3000), state={"velocity": velocity})
+    trial, chosen, _ = learn(sample, (1.0,), float(np.sum(sample.left**2)))
+    sizes = [float(np.sum(trial.function(chosen, ridge).of(sample) ** 2)) for ridge in (1e-6, 1e-2, 1.0, 100.0)]
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[-1] < 0.1 * sizes[0]
+
+
+def test_the_nearest_effects_are_those_refused_then_doubted_then_not_entered_each_once_with_why():
+    doubted = Judged(finding("cogging", 2.0), 1.0, 0.1, (), ())
+    named = Judged(finding("stribeck", 20.0), 1.0, 0.99, (), ())
+    rest = [finding("presliding", 1.5), finding("backlash", 2.5), finding("cogging", 9.0), finding("bus_sag", 0.5)]
+    told = nearest_effects(SimpleNamespace(rest=rest), [named, doubted], [Near("torque_ripple", "it grew")])
+    assert [one.effect for one in told] == ["torque_ripple", "cogging", "backlash", "presliding"]
+    assert told[0].refused_because == "it grew"
+    assert told[1].refused_because.startswith("its size is 2 times")
+    assert told[2].refused_because == kept_out(rest[1])
+    few = Judged(finding("cogging", 20.0), 0.3, 0.1, (), ())
+    [only] = nearest_effects(SimpleNamespace(rest=[]), [few], [])
+    assert only.refused_because.startswith("the set explains 30 % of the gap where it acts")
