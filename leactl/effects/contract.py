@@ -124,6 +124,7 @@ class Effect:
     least: ClassVar[float] = 0.0  # size below which it is something else
     continuous: ClassVar[bool] = True  # whether values between those of its forms make sense
     shaped: ClassVar[bool] = False  # whether its coefficient is the share of a shape that is whole at one
+    delays: ClassVar[bool] = False  # whether it is a delay and nothing else, which wrong stamps are too
     explains: ClassVar[float] = 0.82  # share of what it does to the channels it touches that its columns must explain
     periodic: ClassVar[str] = ""  # the place whose column repeats over the angle, where orders are searched for
     orders: ClassVar[tuple[int, int]] = (0, 0)  # the orders that are searched

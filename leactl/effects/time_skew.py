@@ -14,6 +14,7 @@ class TimeSkew(Effect):
     name = "time_skew"
     one_sided = True
     shaped = True
+    delays = True
     forms = ((0.8,), (2.5,), (7.0,), (16.0,), (33.0,), (50.0,))
     form_scales = ("torque filter",)
 

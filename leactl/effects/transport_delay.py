@@ -14,6 +14,7 @@ class TransportDelay(Effect):
     name = "transport_delay"
     one_sided = True
     shaped = True
+    delays = True
     forms = ((1.5,), (4.0,), (11.0,), (25.0,))
     form_scales = ("loop",)
 

@@ -5,7 +5,7 @@ import pytest
 
 from leactl.gap.diagnose import diagnose
 from leactl.gap.search.evidence import Evidence
-from leactl.gap.search.sets import finding
+from leactl.gap.search.sets import ENTRY, finding
 from leactl.gap.signals.stamps import TAPS, lateness, neighbour, restamped
 from tests.gap.joints import Effect, Log, case, drawn_joint, drawn_log
 
@@ -57,6 +57,20 @@ def test_a_delay_of_two_samples_is_named_only_where_stamps_are_told():
         joint = drawn_joint(random)
         found = diagnose(case(joint, Log(sampling=told), random, Effect(delay=2)))
         assert named(found) == (["transport_delay"] if told else [])
+
+
+@pytest.mark.parametrize(("told", "delay", "least"), [(True, 1, 0.0), (False, 1, 3.0), (False, 6, 0.0)])
+def test_a_delay_within_what_stamps_may_be_enters_no_set(told, delay, least):
+    """However surely it is there: three samples, where stamps are not told and not overdue."""
+    random = np.random.default_rng(23)
+    joint = drawn_joint(random)
+    made = case(joint, Log(sampling=told), random, Effect(delay=delay))
+    evidence = Evidence(made.fitted, made.model)
+    normal, base = evidence.normal(), evidence.stack.columns_of([])
+    delays = [candidate for candidate in evidence.candidates if candidate[0] == "transport_delay"]
+    found = [one for candidate in delays if (one := finding(evidence, normal, base, candidate, free=True)) is not None]
+    assert found
+    assert [one.floor * ENTRY * joint.rate for one in found] == pytest.approx([least] * len(found), abs=0.1)
 
 
 def test_an_effect_is_named_in_a_log_without_stamps():

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from leactl.effects import library
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.regression import Candidate, Fit, Normal, Stack, gain_of
+from leactl.gap.search.stamp_fit import delay_of_stamps
 from leactl.vocabulary.effect import effect_definition
 
 Array = npt.NDArray[np.float64]
@@ -100,6 +101,8 @@ def finding(
     direction = own / length
     std = size / length * math.sqrt(max(float(direction @ spread @ direction), 0.0))
     floor = evidence.floor(candidate)
+    if effect.delays:  # a delay within what stamps may be is no effect, however surely it is there
+        floor = max(floor, delay_of_stamps(evidence.stack, evidence.on_time, candidate) / ENTRY)
     by_chance = 2.0 * math.log(effect.orders[1] - effect.orders[0] + 1) if effect.periodic else 0.0
     result = Finding(candidate, gain, size, std, tuple(values.tolist()), names, covariance, floor, by_chance)
     return result if whole or free or is_possible(evidence, result) else None

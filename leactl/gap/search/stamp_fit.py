@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.search.regression import Fit, Rows, Stack
+from leactl.gap.search.regression import Candidate, Fit, Rows, Stack
 from leactl.gap.signals.stamps import TAPS, lateness, tap_name
 
 Array = npt.NDArray[np.float64]
@@ -48,6 +48,22 @@ def overdue(stack: Stack, fit: Fit) -> tuple[str, ...]:
         for equation, (weights, covariance) in stamping(stack, fit).items()
         if abs(lateness(weights)) - SURE * float(np.sqrt(TAPS @ covariance @ TAPS)) > LATEST
     )
+
+
+def delay_of_stamps(stack: Stack, on_time: Collection[str], candidate: Candidate) -> float:
+    """Delay [s] that stamps which no file explains may have in the equations where an effect acts; zero where none.
+
+    on_time : equations one side of which is later than stamps can be, so that the whole of it is the effects'.
+    """
+    own = (candidate[0], repr(candidate[1]))
+    late = [
+        LATEST * rows.signals.interval
+        for rows in stack.rows
+        if rows.equation not in on_time
+        and ("nuisance", "", tap_name(rows.equation, PIVOT)) in rows.columns
+        and any(name[1:3] == own for name in rows.columns)
+    ]
+    return max(late, default=0.0)
 
 
 def put_on_time(rows: Sequence[Rows], equations: Collection[str]) -> None:
