@@ -114,3 +114,8 @@ def test_a_profile_is_over_the_region_s_variable_with_mean_and_spread_of_each_mo
         assert profile.mean.mean(axis=1) == pytest.approx([1.0, 0.5, 0.0], abs=0.02)
         assert profile.std.mean(axis=1) == pytest.approx([0.2] * 3, rel=0.1)
     assert over_angle.high[-1] <= 6.0 < over_time.high[-1]
+
+
+def test_a_single_level_has_one_bin():
+    low, high, mean, _ = binned(np.full(20, 2.0), np.full((3, 20), 0.5))
+    assert (low.tolist(), high.tolist(), mean.tolist()) == ([1.5], [2.5], [[0.5]] * 3)
