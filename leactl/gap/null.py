@@ -24,7 +24,7 @@ from leactl.gap.replay.drive import over_samples
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.plants import plant_of
 from leactl.gap.replay.readings import angle, current, velocity
-from leactl.gap.search.evidence import PRIORS, UNTOLD, Evidence, Null
+from leactl.gap.search.evidence import PRIORS, UNTOLD, Evidence, Null, error_of
 from leactl.gap.search.parameters import (
     UNITS,
     calibrated,
@@ -171,9 +171,12 @@ class Shown:
         return {name: (float(np.mean(values)), float(np.std(values))) for name, values in self.moved.items()}
 
     def untold(self) -> tuple[str, ...]:
-        """Parameters that sound machines move by themselves."""
-        changes = self.parameters().items()
-        return tuple(name for name, by in changes if math.hypot(*by) > UNTOLD * self.priors.get(name, math.inf))
+        """Parameters that sound machines move, each its own way; the scale of torques where they do alike, too."""
+        return tuple(
+            name
+            for name, by in self.parameters().items()
+            if (math.hypot(*by) if name == SCALE else error_of(*by)) > UNTOLD * self.priors.get(name, math.inf)
+        )
 
 
 def confirmed_beside_others(evidence: Evidence, found: Found, seed: int = 0) -> Found:

@@ -191,7 +191,7 @@ def start_faults(served: ServedBench, struck: Struck, names: Sequence[str], stat
         return done
 
     start = answer(*again, "--dry-run")
-    bent = any(name.startswith("latch a ") for name in names)
+    bent = any(name.startswith("latch a ") for name in names) and names[-1] != "latch removed"
     orderly = status in IN_ORDER and end is not End.UNTOLD and not bent
     alone = len(names) == 1
     if orderly and (end in (End.IN_ORDER, End.NONE) or not alone):

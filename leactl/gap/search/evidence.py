@@ -4,6 +4,7 @@ Noise is taken from what a hypothesis leaves over, pooled over runs of one kind;
 count for less, so that no number of samples makes up for a model that is only roughly right.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -65,6 +66,7 @@ GAINS = (
 )  # not to be asked where no back-EMF tells the torque constant
 READINGS = {"coupled_torque", "locked_torque", "swung_torque"}  # a torque sensor taken at its word tells it then
 UNTOLD = 1.0  # of its prior, by which sound machines may move a parameter that their runs tell
+MISSED = 0.2  # of what fits to sound machines are off by alike, that may be another's: the rest is taken away
 PINNED = 1e-4  # prior of a torque constant that nothing tells
 NEGLIGIBLE = 0.05  # of the smallest size worth knowing, below which an effect is none
 NO_CORRELATION = 0.02
@@ -85,6 +87,19 @@ class Null:
     untold: tuple[str, ...]  # parameters that they move by themselves: these runs cannot tell them,
     kept: tuple[str, ...]  # and those of them that no fit may move
 
+    def bias(self, parameter: str) -> float:
+        """Relative change of a parameter that fits to sound machines show alike."""
+        return self.moved.get(parameter, (0.0, 0.0))[0]
+
+    def doubt(self, parameter: str) -> float:
+        """Standard deviation of a parameter's relative change where the bias is taken away."""
+        return error_of(*self.moved.get(parameter, (0.0, 0.0)))
+
+
+def error_of(bias: float, scatter: float) -> float:
+    """What is left in doubt of a relative change by a known bias and a scatter."""
+    return math.hypot(MISSED * bias, scatter)
+
 
 class Evidence:
     """All equations of all runs, and the weights that a hypothesis gives them."""
@@ -101,7 +116,6 @@ class Evidence:
         self.null: Null | None = None
         self.worth_knowing = worth_knowing(records, model)  # smallest size of each effect that is
         self.by_form: dict[str, Sequence[float]] = {}  # size of each effect that sound machines show in its forms
-        self.moved: Mapping[str, tuple[float, float]] = {}
         self.lines: Mapping[tuple[str, str, str], float] = {}
         self.kept, self.untold = tuple(kept), tuple[str, ...]()  # parameters that stay as the model has them
         self.forms, self.travel = forms_here(records, model), widest(records)
@@ -141,7 +155,7 @@ class Evidence:
 
     def compare_with(self, null: Null) -> None:
         """Take what sound machines show in these runs; a parameter that these cannot tell is not told."""
-        self.null, self.moved, self.lines = null, null.moved, null.lines
+        self.null, self.lines = null, null.lines
         self.by_form = dict(null.floors)
         self.kept, self.untold = null.kept, null.untold
         self.priors.update(dict.fromkeys(self.kept, PINNED))

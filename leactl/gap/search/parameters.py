@@ -75,15 +75,17 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
             found += untold(evidence.model, parameter)
             continue
         std = math.sqrt(max(float(fit.covariance[index, index]), 0.0)) * disagreement(normal, fit, index)
-        std = math.hypot(std, *evidence.moved.get(parameter, (0.0, 0.0)))
+        bias = 0.0
+        if evidence.null is not None:  # acceleration that is smoothed against noise makes every inertia smaller
+            bias, std = evidence.null.bias(parameter), math.hypot(std, evidence.null.doubt(parameter))
         nominal = nominal_value(evidence.model, parameter)
         if parameter == "ambient_offset":
-            found.append(CalibratedParameter(parameter, 0.0, change, std, UNITS[parameter]))
+            found.append(CalibratedParameter(parameter, 0.0, change - bias, std, UNITS[parameter]))
             continue
         if nominal is None:
             continue
         std = math.hypot(std, MODEL_ERROR.get(parameter, LEAST_MODEL_ERROR))
-        factor = 1.0 / max(1.0 - change, SMALLEST) if parameter in RECIPROCAL else max(1.0 + change, SMALLEST)
+        factor = factor_of(parameter, change) / factor_of(parameter, bias)
         slope = factor**2 if parameter in RECIPROCAL else 1.0
         units = UNITS.get(parameter, "")
         found.append(CalibratedParameter(parameter, nominal, nominal * factor, nominal * std * slope, units))
@@ -92,6 +94,11 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
             other = "back_emf_constant"
             found.append(CalibratedParameter(other, constant, constant * factor, constant * std, UNITS[other]))
     return tuple(found)
+
+
+def factor_of(parameter: str, change: float) -> float:
+    """What a relative change that a fit found multiplies a parameter by."""
+    return 1.0 / max(1.0 - change, SMALLEST) if parameter in RECIPROCAL else max(1.0 + change, SMALLEST)
 
 
 def untold(model: Model, parameter: str) -> list[CalibratedParameter]:
