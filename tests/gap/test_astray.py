@@ -42,7 +42,7 @@ def test_how_far_is_told_beside_a_sound_machine_s_replay(sound):
 
 
 def test_a_replay_gone_astray_is_told_with_the_set_up_s_most_restless_equation():
-    restless = {("free_torque", "velocity", "free"): 1.2, ("current", "q_axis_current", "free"): 0.8}
+    restless = {("free_torque", "velocity", "free"): 1.2, ("current", "q_axis_current", "free"): 2.8}
     told = strayed({VELOCITY: 2.0 * UNREST}, restless)
     assert told.probability > 0.8
     assert told.channel == ("free_torque", "velocity", "free")

@@ -143,7 +143,7 @@ def unexplained(restless: Channels, lines: Mapping[tuple[str, str, str], Line]) 
 
 
 def strayed(lost: Channels, restless: Channels) -> Unexplained:
-    """Judge the replay that goes farthest astray beside a sound machine's, told of the set-up's most restless equation.
+    """Judge the replay that goes farthest astray beside a sound machine's, told of the set-up's most restless balance.
 
     Keys of `lost` are quantity, role and set-up, those of `restless` as `unrest` has them.
     """
@@ -151,6 +151,8 @@ def strayed(lost: Channels, restless: Channels) -> Unexplained:
     for (quantity, _, mechanical), ratio in lost.items():
         told = f"goes {ratio:.3g} times as far astray as a sound model's"
         note = f"unexplained: the replay of {quantity}, {mechanical} {told}"
-        channel = max((key for key in restless if key[2] == mechanical), key=lambda key: restless[key], default=None)
+        here = [key for key in restless if key[2] == mechanical]
+        balances = [key for key in here if key[0].endswith("torque")]  # what moves is moved by a torque
+        channel = max(balances or here, key=lambda key: restless[key], default=None)
         found.append(Unexplained(1.0 / (1.0 + (UNREST / ratio) ** UNREST_SLOPE), note, channel))
     return max(found, key=lambda one: one.probability)
