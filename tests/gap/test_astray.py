@@ -37,8 +37,8 @@ def test_how_far_is_told_beside_a_sound_machine_s_replay(sound):
     near, far = (astray(evidence, held_out, [line(over)])[VELOCITY] for over in (10.0, 100.0))
     assert far == pytest.approx(10.0 * near)
     assert 1.0 < near <= 10.0  # a sound machine's replay is off by its floor at the least
-    other = dataclasses.replace(line(100.0), quantity="torque")
-    assert astray(evidence, held_out, [other]) == {}, "no sound machine was simulated there"
+    for other in ({"quantity": "torque"}, {"mechanical": "locked"}, {"mechanical": "coupled"}):
+        assert astray(evidence, held_out, [dataclasses.replace(line(100.0), **other)]) == {}
 
 
 def test_a_replay_gone_astray_is_told_with_the_set_up_s_most_restless_equation():

@@ -19,13 +19,14 @@ from leactl.gap.verdict.shrinkage import shrinkage
 from leactl.gap.verdict.where import REPLAY_MISS
 
 SOUND = 2  # sound machines whose replays are compared; the farther one counts
+MOTION = ("velocity", "angle")
 Place = tuple[str, str, str]  # quantity, role, set-up
 
 
 def astray(evidence: Evidence, held_out: Sequence[Record], lines: Sequence[Shrinkage]) -> Mapping[Place, float]:
-    """How many times as far as a sound machine's replay that of the last model is off, of channels far beyond noise.
+    """How many times as far as a sound machine's replay that of the last model is off, of motions far beyond noise.
 
-    Empty where no channel is farther off than a replay of the right model may be by its floor alone, so that only a
+    Empty where none is farther off than a replay of the right model may be by its floor alone, so that only a
     doubtful case costs the simulation.
     """
     far = {place(line): line.augmented_rms / line.floor_rms for line in lines if is_far(line)}
@@ -49,8 +50,12 @@ def astray(evidence: Evidence, held_out: Sequence[Record], lines: Sequence[Shrin
 
 
 def is_far(line: Shrinkage) -> bool:
-    """Whether a channel is farther off than a replay of the right model may be."""
-    return line.floor_rms > 0.0 and line.augmented_rms > REPLAY_MISS * line.floor_rms
+    """Whether a motion is farther off than a replay of the right model may be.
+
+    A locked rotor is left out: where friction holds it, and its shaft's torque with it, hangs on its last swing.
+    """
+    moves = line.quantity in MOTION and line.mechanical != "locked"
+    return moves and line.floor_rms > 0.0 and line.augmented_rms > REPLAY_MISS * line.floor_rms
 
 
 def place(line: Shrinkage) -> Place:
