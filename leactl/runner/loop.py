@@ -77,7 +77,7 @@ class Loop:
         self._clock = bench.clock
         self._period = 1.0 / plan.rate_Hz
         self._answer_s = max(ANSWER_SHARE * self._period, LEAST_ANSWER_S)
-        self._start = self._next = self._ended = self._clock.now()
+        self._start = self._next = self._clock.now()
         self._newest: dict[str, Sequence[float]] = {}
         progress.own = self._newest
         self._row: list[float] = []
@@ -102,7 +102,7 @@ class Loop:
         """
         self._supervisor.begin(self._period)
         self._progress.windings, self._progress.time_left = self._supervisor.windings, self._supervisor.time_left
-        self._ended = self._clock.now()
+        self._start = self._next = self._clock.now()
         self._watchdog.begin(self._period)
         try:
             self._cycle()
@@ -116,6 +116,7 @@ class Loop:
                     self._pause()
             self._cycle()
         except BaseException as error:
+            self._see_standstill(self._clock.now() - self._next)  # first: what a drive says after it is its consequence
             self._supervisor.latch(str(error))  # a drive's fault as well as a trip: nothing is commanded after it
             raise
         finally:
@@ -191,8 +192,6 @@ class Loop:
         self._stop.check()
         bench, supervisor, writer, clock, start = self._bench, self._supervisor, self._writer, self._clock, self._start
         began = self._next
-        if (stood_s := clock.now() - self._ended) > self._watchdog.allowed_s:  # its watchdog had no time to look
-            supervisor.trip(hung(os.getpid(), round(1e9 * stood_s), round(1e9 * self._watchdog.allowed_s)))
         row = self._row = bench.exchange(began + self._answer_s)
         if self._until_row == 0:
             self._until_row = self._every
@@ -221,7 +220,6 @@ class Loop:
             self._see_watchdog()
         self._progress.values = row
         period, now = self._period, clock.now()
-        self._ended = now
         due = began + period
         if now > due + period:  # a cycle is lost: go on from here, never two cycles in a row to catch up
             self._note_overrun(now - due)
@@ -229,7 +227,13 @@ class Loop:
         clock.sleep_until(due)
         self._next = due
 
+    def _see_standstill(self, late: float) -> None:
+        """Trip a loop that stood still longer than it may, where its watchdog had no time to look."""
+        if late > self._watchdog.allowed_s and not self._supervisor.tripped:
+            self._supervisor.trip(hung(os.getpid(), round(1e9 * late), round(1e9 * self._watchdog.allowed_s)))
+
     def _note_overrun(self, late: float) -> None:
+        self._see_standstill(late)
         self.overruns += 1
         if self.overruns in (1, 10, 100, 1000):
             self._note("warning", "runner", f"cycle late by {late * 1e3:.1f} ms; {self.overruns} so far")

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from leactl.driver.contract import Confirmation
+from leactl.emulation.clock import EmulatedClock
 from leactl.errors import DeviceError, LeactlError, SafetyTrip
 from leactl.runner import watchdog
 from leactl.safety.supervisor import Supervisor
@@ -48,14 +49,25 @@ def test_an_orderly_end_leaves_no_process_no_latch_and_no_word(spin, its_watchdo
     assert capfd.readouterr().err == ""
 
 
-def test_a_loop_that_stood_still_unseen_by_its_watchdog_trips_by_itself(spin, monkeypatch):
-    begin = watchdog.Watchdog.begin
+@pytest.mark.parametrize("then", ["goes on", "fails"])
+def test_a_loop_that_stood_still_unseen_by_its_watchdog_trips_by_itself(spin, monkeypatch, then):
+    begin, check, now_of, calls, stood_s = watchdog.Watchdog.begin, Supervisor.check, EmulatedClock.now, [], [0.0]
 
     def overlooked(self, period):
         begin(self, period)
-        self.allowed_s = 0.0  # any silence is too long, for the loop alone
+        self.allowed_s = 0.1  # for the loop alone
+
+    def standing(self, now):
+        calls.append(now)
+        if len(calls) == 20:
+            stood_s[0] = 0.3
+            if then == "fails":
+                raise DeviceError("drive_test: nothing has come for a while")
+        check(self, now)
 
     monkeypatch.setattr(watchdog.Watchdog, "begin", overlooked)
+    monkeypatch.setattr(Supervisor, "check", standing)
+    monkeypatch.setattr(EmulatedClock, "now", lambda self: now_of(self) + stood_s[0])
     outcome, _bench = spin(realtime=True)
     assert isinstance(outcome.error, SafetyTrip)
     assert f"the control loop of process {os.getpid()} stood still for" in str(outcome.error)
