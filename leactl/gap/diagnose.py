@@ -27,8 +27,7 @@ from leactl.gap.signals.record import Record
 from leactl.gap.signals.rig import DRIVES, VOLTAGE, Array
 from leactl.gap.signals.setpoints import marked, setpoint_notes
 from leactl.gap.signals.stamps import stamp_notes, stamped
-from leactl.gap.verdict.astray import astray
-from leactl.gap.verdict.judge import Judged, judge, left_by_form, strayed, unexplained, unrest
+from leactl.gap.verdict.judge import Judged, judge, left_by_form, unexplained, unrest
 from leactl.gap.verdict.notes import beyond_null, gathered, questions, unlike
 from leactl.gap.verdict.picture import pictured, pictured_by_replays
 from leactl.gap.verdict.shrinkage import shrinkage
@@ -215,9 +214,6 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     causes = borne_out(causes, applied)
     if by_runs:
         surprise = unexplained(servo_answer.unfollowed(shrunk.shrinkage, replayed), {})
-    elif not any(cause.probability >= EFFECT for cause in causes):
-        lost = astray(evidence, case.held_out, shrunk.shrinkage)
-        surprise = max(surprise, strayed(lost, restless), key=lambda one: one.probability)
     located = where(replayed, shrunk.channels, applied.fitted.causes)
     notes = unlike(case.fitted, case.held_out) + gathered([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:

@@ -140,19 +140,3 @@ def unexplained(restless: Channels, lines: Mapping[tuple[str, str, str], Line]) 
         note = f"unexplained: what is left of {quantity}, {mechanical} ({equation}) {told}"
         found.append(Unexplained(probability, note, (equation, quantity, mechanical)))
     return max(found, key=lambda one: one.probability)
-
-
-def strayed(lost: Channels, restless: Channels) -> Unexplained:
-    """Judge the replay that goes farthest astray beside a sound machine's, told of the set-up's most restless balance.
-
-    Keys of `lost` are quantity, role and set-up, those of `restless` as `unrest` has them.
-    """
-    found = [Unexplained(0.0, "")]
-    for (quantity, _, mechanical), ratio in lost.items():
-        told = f"goes {ratio:.3g} times as far astray as a sound model's"
-        note = f"unexplained: the replay of {quantity}, {mechanical} {told}"
-        here = [key for key in restless if key[2] == mechanical]
-        balances = [key for key in here if key[0].endswith("torque")]  # what moves is moved by a torque
-        channel = max(balances or here, key=lambda key: restless[key], default=None)
-        found.append(Unexplained(1.0 / (1.0 + (UNREST / ratio) ** UNREST_SLOPE), note, channel))
-    return max(found, key=lambda one: one.probability)
