@@ -6,6 +6,7 @@ import shutil
 import signal
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -97,6 +98,14 @@ def files_removed(pattern: str) -> Fall:
     return fall
 
 
+def latch_removed(run: Struck) -> None:
+    """A latch that is gone, whatever another strike has made of it."""
+    with suppress(IsADirectoryError, PermissionError):
+        run.latch.unlink(missing_ok=True)
+        return
+    run.latch.rmdir()
+
+
 def to_zeros(path: Path) -> None:
     """A link that has no end."""
     path.symlink_to("/dev/zero")
@@ -128,7 +137,7 @@ STRIKES = {
     "run's folder removed": Strike(End.NONE, lambda run: shutil.rmtree(run.folder)),
     "run's own file removed": Strike(End.NONE, files_removed("*.run")),
     "winding memory removed": Strike(End.NONE, files_removed("thermal/*")),
-    "latch removed": Strike(End.NONE, lambda run: run.latch.unlink(missing_ok=True)),
+    "latch removed": Strike(End.NONE, latch_removed),
     "latch a link to zeros": Strike(End.NONE, exchanged(lambda run: run.latch, to_zeros)),
     "latch a pipe": Strike(End.NONE, exchanged(lambda run: run.latch, os.mkfifo)),
     "latch a folder": Strike(End.NONE, exchanged(lambda run: run.latch, Path.mkdir)),
