@@ -102,7 +102,7 @@ class Loop:
         """
         self._supervisor.begin(self._period)
         self._progress.windings, self._progress.time_left = self._supervisor.windings, self._supervisor.time_left
-        self._start = self._next = self._clock.now()
+        self._start = self._next = self._clock.now()  # what was made ready until now is no standstill
         self._watchdog.begin(self._period)
         try:
             self._cycle()

@@ -85,8 +85,8 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
         if nominal is None:
             continue
         std = math.hypot(std, MODEL_ERROR.get(parameter, LEAST_MODEL_ERROR))
-        factor = factor_of(parameter, change) / factor_of(parameter, bias)
-        slope = factor**2 if parameter in RECIPROCAL else 1.0
+        fitted, off = factor_of(parameter, change), factor_of(parameter, bias)
+        factor, slope = fitted / off, (fitted**2 if parameter in RECIPROCAL else 1.0) / off
         units = UNITS.get(parameter, "")
         found.append(CalibratedParameter(parameter, nominal, nominal * factor, nominal * std * slope, units))
         if parameter == "torque_constant" and evidence.model.back_emf_constant is not None:
