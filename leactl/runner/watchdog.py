@@ -28,9 +28,9 @@ WORDS = 3
 CYCLES_ALLOWED = 3  # at the least: a slow loop is no hung one
 READY_S = 20.0  # 0.35 s on an idle machine, most of it imports
 GRACE_S = 2.0  # of an orderly end, beside what the devices may take
-UNSEEN_CYCLES = 100  # that may pass until the loop looks at its watchdog again; it does so far more often
-PUT_OFF_EVERY_S = 0.5  # the run's last resort
-LAST_S = 15.0  # until it comes, beside an orderly end: a watchdog that lives has long acted, on a busy machine too
+REARM_EVERY_S = 0.5  # the timer that ends a run which nobody watches any more
+REARMED_WITHIN_CYCLES = 100  # at the latest; the loop looks at its watchdog far more often
+LAST_RESORT_S = 15.0  # that the timer leaves a living watchdog to act first, beyond the time of an orderly end
 
 
 def hung(process: int, silence_ns: int, allowed_ns: int) -> str:
@@ -86,7 +86,7 @@ class Watchdog(Unwatched):
             (silence for silence in host_silences(devices).values() if silence is not None), default=SAFE_STATE_S
         )
         self._end_ns = round(1e9 * time_to_end_s(len(devices)))
-        self._period, self._put_off_at = 0.0, 0.0
+        self._period, self._rearmed_at = 0.0, 0.0
         self._nowhere = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 (closed with the process's pipes)
         memory = os.memfd_create("leactl-watchdog")
         try:
@@ -153,17 +153,17 @@ class Watchdog(Unwatched):
         self.sign[CYCLES] += 1
         if not self.sign[FIRED_NS]:
             self.sign[ALLOWED_NS] = silence_ns
-        self._put_off()
+        self._rearm()
 
-    def _put_off(self) -> None:
-        """Put off the last resort: a thread of C ends this process where a driver's call hangs and no watchdog is left.
+    def _rearm(self) -> None:
+        """Rearm the timer that ends this process if a driver's call hangs after the watchdog has died.
 
-        Nobody latches then; the next start finds a run that ended without a word, and does. The thread needs neither
-        the interpreter's lock nor memory, and comes long after a watchdog would have acted.
+        A thread of C counts the time. When it runs out, that thread ends the process without the interpreter. Nobody
+        latches the bench then; the next start finds a run that ended without a word, and does.
         """
-        self._put_off_at = time.monotonic()
-        last_s = 1e-9 * self._end_ns + LAST_S + UNSEEN_CYCLES * self._period
-        with suppress(RuntimeError, MemoryError):  # no memory is left for a thread: the watchdog stands by all the same
+        self._rearmed_at = time.monotonic()
+        last_s = 1e-9 * self._end_ns + LAST_RESORT_S + REARMED_WITHIN_CYCLES * self._period
+        with suppress(RuntimeError, MemoryError):  # no memory for a thread now: rearmed at the next look
             faulthandler.dump_traceback_later(last_s, exit=True, file=self._nowhere)
 
     def dismiss(self) -> None:
@@ -191,9 +191,9 @@ class Watchdog(Unwatched):
         self._nowhere.close()
 
     def fault(self) -> str:
-        """Why the run is no longer watched; empty while it is."""
-        if time.monotonic() - self._put_off_at > PUT_OFF_EVERY_S:
-            self._put_off()
+        """Why the run is no longer watched, empty while it is; rearms the timer of the last resort."""
+        if time.monotonic() - self._rearmed_at > REARM_EVERY_S:
+            self._rearm()
         status = self._process.poll()
         return "" if status is None else f"the run's watchdog has ended, status {status}"
 
