@@ -134,6 +134,15 @@ class CanPort:
                     listener(message.data, message.timestamp)
         return True
 
+    def take_waiting(self) -> None:
+        """Dispatch the frames that have come, without waiting for more.
+
+        Raises
+        ------
+        DeviceError : the bus is closed or gone.
+        """
+        self.pump_until((False,), self._now())
+
     def sync(self) -> None:
         """Send the CANopen SYNC frame."""
         self.send(SYNC_ID, b"")

@@ -5,6 +5,7 @@ Objects and defaults after Elmo's Gold EDS (CANedsGoldV005_0); the README of thi
 
 import math
 import struct
+from dataclasses import replace
 from typing import Any
 
 from leactl.driver.can_port import NMT_ID, CanPort
@@ -14,6 +15,7 @@ from leactl.driver.far_end import CanEmulator, Physics
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.elmo_can import cia402, emergency
+from leactl_plugins.elmo_can.answers import Answers, Irregular
 from leactl_plugins.elmo_can.cia402 import FAULTS, State
 from leactl_plugins.elmo_can.commissioning import Commissioning
 from leactl_plugins.elmo_can.sdo import Sdo
@@ -34,6 +36,7 @@ REFERENCES = {
     Mode.OFF: ANGLE,  # where NaN is written, for nothing is set
 }
 # by names of this module in what runs every cycle: an enum's attribute takes ten times as long (Python 3.11)
+STATUS, MOTION, VOLTAGE = range(3)  # the TPDOs that answer every SYNC
 OFF, ENABLED = Mode.OFF, State.ENABLED
 DISABLE_VOLTAGE, ENABLE_OPERATION = cia402.DISABLE_VOLTAGE, cia402.ENABLE_OPERATION
 ENABLE_TIME_S = 2.0
@@ -93,7 +96,8 @@ class _Standing:
         self.most_per_mille = 0  # of its rated current that it lets flow
         self.rows: list[Row] = []
         self.notices: list[str] = []
-        self.quiet_until = -math.inf
+        self.quiet_until = self.quiet_of_answers_until = -math.inf
+        self.shown = Irregular()
         self.identity = Identity()
 
 
@@ -120,7 +124,7 @@ class ElmoCan(Driver):
         self._shown_mode = 0
         self._turn_to(Mode.OFF)
         self._enable_by = math.inf
-        self._fresh = [False, False, True]  # status, motion, voltage where it comes
+        self._answers = self._answers_to_come()
         self._emergency = ""
         self._life = _SignsOfLife()
         self._located = False  # the shaft's angle is known: no operation before that
@@ -206,6 +210,7 @@ class ElmoCan(Driver):
         # what was sent before counts no more: writing 0x1016 ends the monitoring
         self._life.fed = self._life.due = NEVER
         self._life.lateness = _Lateness()
+        self._answers = self._answers_to_come()
         self._nmt(NMT_PRE_OPERATIONAL)
         setup.map_pdos()
         setup.start_heartbeat()
@@ -303,10 +308,14 @@ class ElmoCan(Driver):
 
     def begin_cycle(self) -> None:
         """Send this cycle's demand; it acts at the SYNC that follows."""
-        fresh = self._fresh
-        fresh[0] = fresh[1] = False
+        answers = self._answers
+        if answers.watched:
+            self._port.take_waiting()
+            answers.begin(self._clock.now())
+        came = answers.came
+        came[STATUS] = came[MOTION] = False
         if len(self.values) > 7:
-            fresh[2] = False
+            came[VOLTAGE] = False
         if self._mode is OFF or not self._located:
             self._send_demand(DISABLE_VOLTAGE)
         elif self.state is ENABLED:
@@ -333,28 +342,30 @@ class ElmoCan(Driver):
         DeviceFault : the drive is in fault, sent an emergency message, or left operation by itself.
         NoAnswer : the drive's own heartbeat stayed away, or it did not enter operation in time.
         """
-        came = self._port.pump_until(self._fresh, deadline)
+        answers = self._answers
+        came = self._port.pump_until(answers.came, deadline)
         values, engaged = self.values, self.engaged
         values[0], values[1], values[2] = self._followed  # until the SYNC at which the drive sampled
         followed = self._followed = self._follows
         followed[self._reference] = self._value * self._scale
         values[6] = 1.0 if engaged else 0.0
-        if not came:
-            self._forget_what_stayed_away()
         now = self._clock.now()
+        if not came or answers.watched:
+            self._leave_empty(now)
         if engaged and now <= self._life.heard_until and not self._emergency:
             self._enable_by = NEVER  # from here on, leaving operation is the drive's own doing
         else:
             self._judge(now)
 
-    def _forget_what_stayed_away(self) -> None:
+    def _leave_empty(self, now: float) -> None:
+        """Leave what is not known to answer this cycle's SYNC out of the row."""
         values = self.values
-        status, motion, voltage = self._fresh
+        status, motion, voltage = self._answers.end(now)
         if not status:
             values[3] = values[6] = NAN
         if not motion:
             values[4] = values[5] = NAN
-        if not voltage:
+        if not voltage and len(values) > 7:
             values[7] = NAN
 
     def feed(self) -> None:
@@ -370,15 +381,22 @@ class ElmoCan(Driver):
         if now - life.asked >= settings.bus_voltage_period_s:
             life.asked = now
             self._port.send(0x600 + self._node, READ_BUS_VOLTAGE)
+        self._answers.watched = True  # before the next SYNC: an answer that came twice would put every later one off
         life.due = min(life.fed + period, life.asked + settings.bus_voltage_period_s)
 
     def notices(self) -> list[str]:
-        """One line each time the drive began to limit its demand by itself, which it tells by statusword bit 11."""
-        standing = self._standing
-        if not standing.notices:
-            return standing.notices
-        found, standing.notices = standing.notices, []
-        return found
+        """Return a line each time the drive began to limit its demand by itself, and one for irregular answers.
+
+        A drive tells by statusword bit 11 that it limits its demand.
+        """
+        standing, irregular = self._standing, self._answers.irregular
+        now = self._clock.now()
+        if irregular != standing.shown and (now >= standing.quiet_of_answers_until or self._mode is OFF):
+            standing.quiet_of_answers_until = now + QUIET_S
+            standing.shown = replace(irregular)
+            standing.notices.append(str(irregular))
+        notices, standing.notices = standing.notices, []
+        return notices
 
     def take(self) -> list[Row]:
         """Bus voltages that have come in since the last call."""
@@ -423,6 +441,10 @@ class ElmoCan(Driver):
     def _nmt(self, command: int) -> None:
         self._port.send(NMT_ID, bytes((command, self._node)))
 
+    def _answers_to_come(self) -> Answers:
+        """Answers to SYNCs from now on: status, motion and, where the drive tells it, voltage."""
+        return Answers(2 if self.settings.q_axis_voltage is None else 3)
+
     def _turn_to(self, mode: Mode) -> None:
         self._mode, self._mode_number, self._value = mode, MODES[mode], 0
         self._reference: int = REFERENCES[mode]
@@ -451,28 +473,37 @@ class ElmoCan(Driver):
     def _on_status(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == 7:
             word, mode_number, _torque, current = _status.unpack(data)
-            self.values[3] = current * self._current_per_mille
-            if word != self.statusword or mode_number != self._shown_mode:
+            if word != self.statusword or mode_number != self._shown_mode:  # the newest that is known, late or not
                 if word & ~self.statusword & INTERNAL_LIMIT:
                     self._note_limiting(word)
                 self._show(word, mode_number)
-            self._fresh[0] = True
+            answers = self._answers
+            if answers.watched and not answers.take(STATUS, self._clock.now()):
+                return
+            self.values[3] = current * self._current_per_mille
+            answers.came[STATUS] = True
 
     def _on_motion(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == 8:
+            answers = self._answers
+            if answers.watched and not answers.take(MOTION, self._clock.now()):
+                return
             counts, speed = _motion.unpack(data)
             turned = counts - self._counts
             if turned > 0x7FFFFFFF or turned < -0x80000000:
                 counts = self._counts + _of_32_bits(turned)
             values, scale = self.values, self._angle_per_count
             self._counts, values[4], values[5] = counts, speed * scale, counts * scale
-            self._fresh[1] = self._located = True
+            answers.came[MOTION] = self._located = True
 
     def _on_voltage(self, data: bytearray, _timestamp: float) -> None:
         voltage = self.settings.q_axis_voltage
         if voltage is not None and len(data) == (2 if voltage.type == "i16" else 4):
+            answers = self._answers
+            if answers.watched and not answers.take(VOLTAGE, self._clock.now()):
+                return
             self.values[7] = int.from_bytes(data, "little", signed=True) * voltage.scale_V
-            self._fresh[2] = True
+            answers.came[VOLTAGE] = True
 
     def _on_clock(self, data: bytearray, _timestamp: float) -> None:
         if self.settings.drive_clock is not None and len(data) == 4:
