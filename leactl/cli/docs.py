@@ -9,11 +9,13 @@ import leactl
 from leactl.errors import InputError
 
 INSTALLED = "share/doc/leactl"  # below the environment, as pyproject.toml has it
+FOLDERS = ("tutorial", "how-to", "reference", "explanation", "evidence")
+LANDMARK = "reference/run-format.md"  # a page that tells the folder of pages from another folder
 
 
 def pages(incomplete: str) -> list[str]:
-    """Pages that a shell offers."""
-    return sorted(path.stem for path in folder_of_pages().glob(f"{incomplete}*.md"))
+    """Names of the pages that a shell offers."""
+    return [name for name in pages_by_name(folder_of_pages()) if name.startswith(incomplete)]
 
 
 def docs(
@@ -24,17 +26,27 @@ def docs(
     from leactl.report.listing import row
 
     folder = folder_of_pages()
-    titles = {path.stem: title(path) for path in sorted(folder.glob("*.md"))}
+    paths = pages_by_name(folder)
+    titles = {name: title(path) for name, path in paths.items()}
     if page and page not in titles:
         raise InputError(f"there is no page {page!r}; there are {', '.join(titles)}")
     if as_json:
-        text = {"text": (folder / f"{page}.md").read_text(encoding="utf-8")} if page else {}
+        text = {"text": paths[page].read_text(encoding="utf-8")} if page else {}
         typer.echo(json.dumps({"folder": str(folder), "pages": titles, **text}))
     elif page:
-        typer.echo((folder / f"{page}.md").read_text(encoding="utf-8"), nl=False)
+        typer.echo(paths[page].read_text(encoding="utf-8"), nl=False)
     else:
         width = max(map(len, titles))
         typer.echo("".join(f"{row(f'{name:<{width}}  ', text)}\n" for name, text in titles.items()) + f"\nin {folder}")
+
+
+def pages_by_name(folder: Path) -> dict[str, Path]:
+    """The pages of each kind in the order of their names; the opening page of a kind has the kind's name."""
+    return {
+        kind if path.stem == "README" else path.stem: path
+        for kind in FOLDERS
+        for path in sorted((folder / kind).glob("*.md"))
+    }
 
 
 def folder_of_pages() -> Path:
@@ -47,7 +59,7 @@ def folder_of_pages() -> Path:
     from importlib.metadata import PackageNotFoundError, files
 
     checkout = Path(leactl.__file__).parents[1] / "docs"
-    if (checkout / "run-format.md").is_file():
+    if (checkout / LANDMARK).is_file():
         return checkout
     try:
         installed = [
@@ -55,7 +67,7 @@ def folder_of_pages() -> Path:
         ]
     except PackageNotFoundError:
         installed = []
-    folders = {path.parent for path in installed if path.name == "run-format.md" and path.is_file()}
+    folders = {path.parents[1] for path in installed if path.as_posix().endswith(LANDMARK) and path.is_file()}
     if not folders:
         raise InputError("the pages are not installed; they are the folder docs of the project's source")
     return folders.pop()

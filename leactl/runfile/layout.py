@@ -1,6 +1,6 @@
 """Layout of a run file, version 1: names of groups and attributes, text in both its forms, and checksums.
 
-docs/run-format.md describes the same contract in prose; whatever changes here changes `VERSION`.
+docs/reference/run-format.md describes the same contract in prose; whatever changes here changes `VERSION`.
 """
 
 import hashlib

@@ -1,7 +1,7 @@
 """A process beside the run that stops the bench where the control loop no longer can: it hangs, or it was killed.
 
 The drives' own dead-man comes first and needs nothing of this machine. The loop counts its cycles in memory that both
-processes map, which costs no system call; docs/dead-man.md says what happens when the count stands still.
+processes map, which costs no system call; docs/explanation/dead-man.md says what happens when the count stands still.
 """
 
 import faulthandler

@@ -62,7 +62,7 @@ def test_position_steps_give_the_figures_of_the_plant_that_was_run(estimates):
 
 
 def test_the_loops_are_those_of_the_paper(estimates):
-    """Position: the plant's own figures in the first trial; noise: see docs/control-loops.md for the true 7.5 Hz."""
+    """Position: the plant's own figures in the first trial; noise: the page control-loops has the true 7.5 Hz."""
     current = current_figures(
         *(LOOPS[name] for name in ("current_loop_bandwidth", "setpoint_lead", "setpoint_lead_time"))
     )

@@ -10,7 +10,7 @@ import pytest
 from tests.analysis.synthetic import Bench
 from tests.cli.terminal import leactl
 
-DOCS = Path(__file__).parents[2] / "docs" / "experiments.md"
+DOCS = Path(__file__).parents[2] / "docs" / "reference" / "experiments.md"
 
 
 @pytest.fixture

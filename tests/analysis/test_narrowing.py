@@ -134,7 +134,7 @@ def test_a_motor_file_without_tolerances_has_none_to_narrow(tmp_path):
 
 
 def test_the_shares_that_the_page_tells_are_those_of_the_code():
-    text = " ".join((Path(__file__).parents[2] / "docs" / "thermal.md").read_text().split())
+    text = " ".join((Path(__file__).parents[2] / "docs" / "explanation" / "thermal.md").read_text().split())
     own, told = LEA.tolerances, Accuracy()
     shifted = 100.0 * LEA.resistance_coefficient * told.camera_offset
     assert f"what {told.camera_offset:g} K of the camera's zero do to it ({shifted:g} %)" in text

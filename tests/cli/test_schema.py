@@ -13,7 +13,7 @@ from leactl.yamlfile import load, parse
 from tests.cli.terminal import leactl
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGES = {"protocol": DOCS / "protocols.md", "bench": DOCS / "bench-files.md"}
+PAGES = {"protocol": DOCS / "reference" / "protocols.md", "bench": DOCS / "reference" / "bench-files.md"}
 FILES = {
     "protocol": sorted(Path(str(resources.files("leactl_protocols"))).glob("*.yaml")),
     "bench": sorted((Path(str(resources.files("leactl.bench"))) / "files").glob("*.yaml")),

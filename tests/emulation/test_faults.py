@@ -421,7 +421,7 @@ OF_A_SUPPLY = ("supply_stuck_on", "supply_out_of_regulation")  # tests/emulation
 def test_every_fault_is_taken_as_its_own_example_says_and_is_in_the_documentation(make):
     known = known_faults()
     make(*(fault.example for name, fault in known.items() if name not in OF_A_SUPPLY))
-    table = (ROOT / "docs" / "faults.md").read_text()
+    table = (ROOT / "docs" / "how-to" / "faults.md").read_text()
     assert [name for name in known if f"| `{name}` |" not in table] == []
 
 

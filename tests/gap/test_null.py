@@ -25,7 +25,7 @@ from leactl.model.nominal import read_model
 from tests.gap.synthetic import clocked, model, record
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGES = ("gap.md", "decisions/0008-the-null-is-measured-on-the-case.md")
+PAGES = ("explanation/gap.md", "decisions/0008-the-null-is-measured-on-the-case.md")
 LEFT = 5.0  # times what sound machines leave, within which a case without an effect stays
 COUNT = 2e-4  # rad, of an encoder
 
@@ -218,7 +218,7 @@ def test_the_pages_have_the_numbers_of_the_code():
 
 
 def test_the_table_of_thresholds_is_that_of_the_code():
-    page = (DOCS / "gap.md").read_text(encoding="utf-8")
+    page = (DOCS / "explanation" / "gap.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| [^|]+ \| ([0-9.]+) \| `([\w.]+)\.(\w+)` \|$", page, re.MULTILINE)
     assert len(rows) > 15
     for number, module, name in rows:

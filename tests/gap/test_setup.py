@@ -150,7 +150,7 @@ def test_a_reference_that_holds_a_level_is_not_frozen(cases):
 
 
 def test_the_page_has_the_numbers_of_the_code():
-    page = re.sub(r"\s+", " ", (DOCS / "gap.md").read_text(encoding="utf-8"))
+    page = re.sub(r"\s+", " ", (DOCS / "explanation" / "gap.md").read_text(encoding="utf-8"))
     assert f"stands still over {100 * samples.FROZEN:.0f} % of a run" in page
     assert f"| {100 * samples.REPEATED:.0f} % of a measured channel" in page
     assert f"| {100 * samples.TOPPED:.0f} % of a measured channel stands at its end" in page

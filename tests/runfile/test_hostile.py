@@ -134,7 +134,7 @@ def test_packed_references_are_unpacked_as_hdf5_does(tmp_path: Path):
 
 
 def test_the_manual_has_the_numbers_of_the_door():
-    text = (Path(__file__).parents[2] / "docs" / "run-format.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "reference" / "run-format.md").read_text(encoding="utf-8")
     said = " ".join(text.partition("## What a reader refuses")[2].partition("\n## ")[0].split())
     times, beside = tree.MOST_UNPACKED
     for words in (

@@ -9,7 +9,7 @@ from pathlib import Path
 from leactl.runfile.reader import Run
 from tests.cli.terminal import leactl
 
-PAGE = Path(__file__).parents[2] / "docs" / "python.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "python.md"
 
 
 def test_the_snippet_runs_as_it_stands(tmp_path):

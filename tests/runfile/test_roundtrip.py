@@ -165,7 +165,7 @@ def test_run_ids_sort_by_time():
 
 
 def test_every_attribute_of_a_channel_and_of_the_root_is_documented():
-    text = (Path(__file__).parents[2] / "docs" / "run-format.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "reference" / "run-format.md").read_text(encoding="utf-8")
     whole = ChannelSpec("a", "torque", "test", "daq", "shaft", "left", "mean", "N*m", "f8", 0.001, 0.002)
     for name in (*channel_attributes(whole), *ROOT_ATTRIBUTES):
         assert f"`{name}`" in text

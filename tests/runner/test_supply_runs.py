@@ -37,7 +37,7 @@ steps:
   - supply: {test: off}
   - hold: {name: cooling, duration_s: 3}
 """
-DEAD_MAN = Path(__file__).parents[2] / "docs" / "dead-man.md"
+DEAD_MAN = Path(__file__).parents[2] / "docs" / "explanation" / "dead-man.md"
 OFF = (True, "output off, 0.00 V and 0.00 A")
 
 

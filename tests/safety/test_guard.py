@@ -433,7 +433,7 @@ def test_what_keeps_step_with_the_rotor_or_the_samples_is_no_hotter_than_the_bou
 
 
 def test_the_shares_that_the_pages_tell_are_those_of_the_code():
-    text = (Path(__file__).parents[2] / "docs" / "thermal.md").read_text()
+    text = (Path(__file__).parents[2] / "docs" / "explanation" / "thermal.md").read_text()
     told = re.search(
         r"LEA ([\d.]+) % of the heat at 1 kHz, (\d+) % at 500 Hz, and all of it.*?below (\d+) Hz", text, re.S
     )
