@@ -12,21 +12,19 @@ class Kind(StrEnum):
     PROTOCOL = "protocol"
     BENCH = "bench"
     MOTOR = "motor"
+    MODEL = "model"
     CAMPAIGN = "campaign"
     MAPPING = "mapping"
 
 
 def schema(
     kind: Kind = typer.Argument(help="Which kind of file."),
-    table: bool = typer.Option(False, "--table", help="Print tables in Markdown instead, of protocol or bench."),
+    table: bool = typer.Option(False, "--table", help="Print tables in Markdown instead."),
 ) -> None:
     """Print the JSON Schema of a kind of file, for editors and CI."""
-    from leactl.errors import InputError
-    from leactl.report.schema import TABLES, schema_of, tables_of
+    from leactl.report.schema import schema_of, tables_of
 
-    if not table:
-        typer.echo(json.dumps(schema_of(kind), indent=2))
-    elif kind in TABLES:
+    if table:
         typer.echo(tables_of(kind), nl=False)
     else:
-        raise InputError(f"--table: {kind} has none; one of {', '.join(TABLES)} was expected")
+        typer.echo(json.dumps(schema_of(kind), indent=2))

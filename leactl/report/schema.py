@@ -33,6 +33,7 @@ UNITS = {
     "m": "m",
     "s": "s",
 }
+STEP = "Step"  # the block that has every kind of step
 # of the entries of interlocks, which differ in the unit alone, one stands in the tables
 REPEATED = ("InVolts", "InRadians", "InRadiansPerSecond", "InNewtonMetres", "InDegrees")
 
@@ -49,7 +50,7 @@ def _protocol() -> JsonSchema:
         steps[kind] = _taken_in(adapter.json_schema(), blocks)
     signals = [_taken_in(adapter.json_schema(), blocks) for adapter in SIGNALS.values()]
     steps["signal"] = {"oneOf": signals}
-    blocks["Step"] = {
+    blocks[STEP] = {
         "description": "One step: a mapping of one key.",
         "type": "object",
         "minProperties": 1,
@@ -64,7 +65,7 @@ def _protocol() -> JsonSchema:
     for role in ("test", "load"):
         blocks["SupplyStep"]["properties"][role]["anyOf"].append({"const": "off"})
     for name, block in blocks.items():
-        if name != "Step" and "properties" in block:
+        if name != STEP and "properties" in block:
             properties = block.get("properties", {})
             block["properties"] = {
                 key: value if key == "kind" else _or_parameter(value) for key, value in properties.items()
@@ -107,45 +108,53 @@ def _campaign() -> JsonSchema:
     return CampaignFile.model_json_schema()
 
 
+def _model() -> JsonSchema:
+    from leactl.model.nominal import Model
+
+    return Model.model_json_schema()
+
+
 def _mapping() -> JsonSchema:
     from leactl.runfile.importing_mapping import Mapping
 
     return Mapping.model_json_schema()
 
 
-KINDS: dict[str, Callable[[], JsonSchema]] = {
-    "protocol": _protocol,
-    "bench": _bench,
-    "motor": _motor,
-    "campaign": _campaign,
-    "mapping": _mapping,
+# how the schema of each kind of file is made, and the file of key_meanings/ that says what its keys mean
+KINDS: dict[str, tuple[Callable[[], JsonSchema], str]] = {
+    "protocol": (_protocol, "protocol_bench"),
+    "bench": (_bench, "protocol_bench"),
+    "motor": (_motor, "motor_model"),
+    "model": (_model, "motor_model"),
+    "campaign": (_campaign, "campaign"),
+    "mapping": (_mapping, "mapping"),
 }
-TABLES = ("protocol", "bench")  # kinds whose every key has a meaning
 
 
 def schema_of(kind: str) -> JsonSchema:
-    """The JSON Schema of a kind of file, each key with what it means where that is written down."""
-    whole = _with_choices(KINDS[kind]())
-    for name, block in _blocks(whole):
-        for key, value in block.get("properties", {}).items():
-            meaning = _meaning(name, key)
-            if meaning:
-                value["description"] = meaning
-            value.pop("title", None)
-    return {"$schema": DIALECT, **whole}
-
-
-def tables_of(kind: str) -> str:
-    """Every block of a kind of file as a table in Markdown: key, unit, what is accepted, default, meaning.
+    """The JSON Schema of a kind of file, each key with what it means.
 
     Raises
     ------
     KeyError : a key has no meaning yet.
     """
+    make, meanings = KINDS[kind]
+    whole = _with_choices(make())
+    for name, block in _blocks(whole):
+        if name == STEP:  # its keys are the kinds of steps, each described by its own block
+            continue
+        for key, value in block.get("properties", {}).items():
+            value["description"] = _meaning(meanings, name, key)
+            value.pop("title", None)
+    return {"$schema": DIALECT, **whole}
+
+
+def tables_of(kind: str) -> str:
+    """Every block of a kind of file as a table in Markdown: key, unit, what is accepted, default, meaning."""
     whole = schema_of(kind)
     lines: list[str] = []
     for name, block in _blocks(whole):
-        if name in (*REPEATED, "Step") or "properties" not in block:
+        if name in (*REPEATED, STEP) or "properties" not in block:
             continue
         lines += ["", f"### {name}", "", " ".join(block.get("description", "").split()), ""]
         lines += ["| key | unit | accepted | default | meaning |", "|---|---|---|---|---|"]
@@ -184,15 +193,19 @@ def _blocks(whole: JsonSchema) -> Iterator[tuple[str, JsonSchema]]:
 
 
 @cache
-def _meanings() -> dict[str, str]:
-    entry = resources.files("leactl.report") / "key_meanings.yaml"
+def _meanings(file: str) -> dict[str, str]:
+    entry = resources.files("leactl.report") / "key_meanings" / f"{file}.yaml"
     meanings: dict[str, str] = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data
     return meanings
 
 
-def _meaning(block: str, key: str) -> str:
+def _meaning(file: str, block: str, key: str) -> str:
     stem = next((key.removesuffix(f"_{end}") for end in UNITS if key.endswith(f"_{end}")), key)
-    return next((_meanings()[name] for name in (f"{block}.{key}", key, stem) if name in _meanings()), "")
+    meanings = _meanings(file)
+    for name in (f"{block}.{key}", key, stem):
+        if name in meanings:
+            return meanings[name]
+    raise KeyError(f"{block}.{key}: no meaning in key_meanings/{file}.yaml")
 
 
 def _default(value: JsonSchema) -> str:

@@ -13,7 +13,7 @@ from typer.main import get_command
 
 from leactl import errors
 from leactl.cli.helptext import MEANINGS
-from leactl.cli.main import app
+from leactl.cli.main import READER_GONE, app
 from leactl.protocol.protocolfile import load
 from leactl.runner.campaign.campaignfile import names as campaigns
 
@@ -88,6 +88,14 @@ def test_every_status_is_told_with_one_meaning():
     assert len({error.exit_status for error in MEANINGS}) == len(MEANINGS)
     told = re.search(r"Exit status: ([^.]*)\.", " ".join(helped(("run",)).split())).group(1)
     assert [int(part.split()[0]) for part in told.split(", ")] == [0, *sorted(below(errors.LeactlError))]
+
+
+def test_the_page_of_exit_statuses_has_those_of_the_code():
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "exit-statuses.md").read_text()
+    rows = {int(status): meaning for status, meaning in re.findall(r"^\| (\d+) \| (.*) \|$", page, re.MULTILINE)}
+    meanings = {error.exit_status: meaning for error, meaning in MEANINGS.items()}
+    assert rows.pop(READER_GONE).startswith("the reader of the output went away")
+    assert rows == {0: "done", **meanings}
 
 
 def offered(*words):

@@ -8,12 +8,22 @@ from pathlib import Path
 import pytest
 
 from leactl.cli.schema import Kind
-from leactl.report.schema import TABLES, schema_of, tables_of
+from leactl.model.nominal import read_model
+from leactl.protocol.signals import SIGNALS
+from leactl.protocol.steps import KINDS as STEP_KINDS
+from leactl.report.schema import KINDS, schema_of, tables_of
 from leactl.yamlfile import load, parse
 from tests.cli.terminal import leactl
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGES = {"protocol": DOCS / "reference" / "protocols.md", "bench": DOCS / "reference" / "bench-files.md"}
+PAGES = {
+    "protocol": DOCS / "reference" / "protocols.md",
+    "bench": DOCS / "reference" / "bench-files.md",
+    "motor": DOCS / "reference" / "motors.md",
+    "model": DOCS / "reference" / "model-files.md",
+    "campaign": DOCS / "reference" / "campaign-files.md",
+    "mapping": DOCS / "reference" / "mapping-files.md",
+}
 FILES = {
     "protocol": sorted(Path(str(resources.files("leactl_protocols"))).glob("*.yaml")),
     "bench": sorted((Path(str(resources.files("leactl.bench"))) / "files").glob("*.yaml")),
@@ -76,18 +86,33 @@ def test_every_kind_is_printed(kind):
     assert leactl("schema", kind).stdout == json.dumps(schema_of(kind), indent=2) + "\n"
 
 
-def test_a_kind_without_tables_says_which_have_them():
-    done = leactl("schema", "motor", "--table")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert "one of protocol, bench was expected" in done.stderr
+def test_every_kind_has_a_page_of_keys():
+    assert PAGES.keys() == KINDS.keys() == set(Kind)
 
 
-@pytest.mark.parametrize("kind", TABLES)
+def test_every_key_of_every_kind_has_a_meaning():
+    for kind in KINDS:
+        whole = schema_of(kind)
+        for name, block in {"": whole, **whole["$defs"]}.items():
+            assert name == "Step" or all(value["description"] for value in block.get("properties", {}).values())
+
+
+def test_a_model_file_fits_its_schema(tmp_path):
+    whole = schema_of("model")
+    for text in (leactl("bench", "model", "emulated").stdout, example(PAGES["model"])):
+        assert list(misfits(parse(text).data, whole, whole)) == []
+        (tmp_path / "model.yaml").write_text(text)
+        assert read_model(tmp_path / "model.yaml")
+    assert list(misfits({"name": "a", "bench": {"bus_volt": 3}}, whole, whole))
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_the_page_of_keys_is_what_the_command_prints(kind):
     mark = f"<!-- leactl schema {kind} --table -->\n"
-    _head, found, tables = PAGES[kind].read_text().partition(mark)
-    assert found
+    _head, mark_as_written, tables = PAGES[kind].read_text().partition(mark)
+    assert mark_as_written
     assert tables == tables_of(kind)
+    assert leactl("schema", kind, "--table").stdout == tables
 
 
 def example(page):
@@ -110,3 +135,45 @@ def test_the_examples_of_both_pages_run_as_they_are_printed(tmp_path):
     assert leactl("protocol", "plan", protocol, "--bench", "emulated").returncode == 0
     words = "--bench", "emulated", "--condition", "unloaded", "--set", "hold_s=2", "--out", tmp_path
     assert leactl("run", protocol, *words, LEACTL_STATE=str(tmp_path / "state")).returncode == 0
+
+
+def protocols_of_the_page():
+    """The whole protocols of the page by name, and the trajectory that one of them reads."""
+    text = PAGES["protocol"].read_text()
+    protocols = re.findall(r"```yaml\n(name: .*?)```", text, re.DOTALL)
+    [trajectory] = re.findall(r"```text\n(time_s.*?)```", text, re.DOTALL)
+    return {re.match(r"name: (\S+)", protocol)[1]: protocol for protocol in protocols}, trajectory
+
+
+def test_every_step_and_every_signal_has_an_example():
+    protocols, _ = protocols_of_the_page()
+    kinds, signals = set(), set()
+
+    def look_at(steps):
+        for step in steps:
+            [(kind, body)] = step.items()
+            kinds.add(kind)
+            if kind == "signal":
+                signals.add(body["kind"])
+            look_at(body.get("steps", ()) if isinstance(body, dict) else ())
+
+    for protocol in protocols.values():
+        look_at(parse(protocol).data["steps"])
+    assert kinds == {*STEP_KINDS, "signal"}
+    assert signals == set(SIGNALS)
+
+
+@pytest.mark.parametrize("name", protocols_of_the_page()[0])
+def test_an_example_of_the_page_is_checked_and_planned(tmp_path, name):
+    protocols, trajectory = protocols_of_the_page()
+    path = tmp_path / f"{name}.yaml"
+    path.write_text(protocols[name])
+    (tmp_path / "swing.csv").write_text(trajectory)
+    assert list(misfits(parse(protocols[name]).data, schema_of("protocol"), schema_of("protocol"))) == []
+    checked = leactl("protocol", "check", path)
+    assert (checked.returncode, checked.stderr) == (0, "")
+    assert checked.stdout.endswith("no faults\n")
+    bench = "emulated-heated" if "setup: heated" in protocols[name] else "emulated"
+    planned = leactl("protocol", "plan", path, "--bench", bench)
+    assert planned.returncode == 0
+    assert all(line.startswith("note: ") for line in planned.stderr.splitlines())
