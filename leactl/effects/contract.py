@@ -155,6 +155,13 @@ class Effect:
         """
         return True
 
+    def is_distinct(self, found: Mapping[str, float], visited: tuple[float, float]) -> bool:
+        """Whether runs show with these coefficients what tells it from a constant torque.
+
+        visited : rad, lowest and highest angle of the runs.
+        """
+        return True
+
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """The parameters of the definition from fitted coefficients."""
         raise NotImplementedError

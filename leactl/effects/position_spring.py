@@ -29,6 +29,11 @@ class PositionSpring(Effect):
         # coefficients go by name: the one that is the effect's size has to come first
         return {"drag": {"pull": signals.angle / np.sqrt(bent), "rest": -(bent**-1.5)}}
 
+    def is_distinct(self, found: Mapping[str, float], visited: tuple[float, float]) -> bool:
+        """A spring that no run takes through its rest pulls one way, as a constant torque does."""
+        low, high = visited
+        return low * found["pull"] <= found["rest"] <= high * found["pull"]
+
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Stiffness, rest and reach."""
         stiffness, rest = found["pull"], found["rest"]

@@ -58,6 +58,15 @@ def test_what_a_joint_has_is_named_with_its_size(tmp_path, name, kind):
     assert told[parameter] == pytest.approx(run.parameter(name, parameter), rel=near)
 
 
+@pytest.mark.parametrize(("kind", "seed"), [("heavy_axis", 6), ("heavy_axis", 3)])
+def test_a_torque_that_pulls_one_way_is_no_spring_whose_rest_no_run_comes_by(tmp_path, kind, seed):
+    case, _ = drawn_case(tmp_path, kind, ["asymmetric_friction"], seed, "faint")
+    classes = [{cause.effect, *cause.indistinguishable_from} for cause in diagnose(case).causes]
+    assert classes
+    for of_one in classes:
+        assert of_one == {"asymmetric_friction", "current_sensor_offset"} or "asymmetric_friction" not in of_one
+
+
 def test_a_gear_s_error_is_told_at_its_order(tmp_path):
     case, _ = drawn_case(tmp_path, "geared_joint", [], seed=5)
     ratio, amplitude = 18.0, 0.004

@@ -33,7 +33,7 @@ from leactl.gap.search.regression import (
 )
 from leactl.gap.search.stamp_fit import overdue, put_on_time, stamping
 from leactl.gap.signals.record import Record
-from leactl.gap.signals.scales import form_scales, widest, worth_knowing
+from leactl.gap.signals.scales import form_scales, visited, widest, worth_knowing
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
@@ -119,6 +119,7 @@ class Evidence:
         self.lines: Mapping[tuple[str, str, str], float] = {}
         self.kept, self.untold = tuple(kept), tuple[str, ...]()  # parameters that stay as the model has them
         self.forms, self.travel = forms_here(records, model), widest(records)
+        self.visited = visited(records)
         self.candidates: list[Candidate] = list(only) if only is not None else every_form(self.forms)
         self._made: list[tuple[list[Equation], list[Rows]]] = []  # of each run, equations and the rows of each
         for record in records:

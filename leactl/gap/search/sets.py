@@ -30,6 +30,8 @@ WHOLE_ROUNDS = 2
 WAVE = ("cos", "sin")  # coefficients that make one amplitude
 LOOSE, LOOSE_ERROR = 0.8, 0.1  # the same where an effect must explain less than that by its own account
 TIE = 1e-6  # of a gain, by which the unusual one of two effects with the same columns stands behind; far above rounding
+RIVAL_FORM_ERROR = 0.005  # of a gain, standard deviation of the difference of two forms that are both nearly right
+UNSHOWN = 0.05  # prior odds of a spring whose rest no run comes by against an effect that pulls one way by its nature
 FORM_ERROR = 0.003  # share of what a set explains in a channel that its own functional form may miss
 BEYOND = 2.0  # times the largest size of an effect's definition: a geared servo has half more than benches of one stage
 INTERVAL = 1.96  # standard deviations on either side that hold 95 %
@@ -90,6 +92,8 @@ def finding(
         gain = float((2.0 * values[0] - 1.0) / covariance[0, 0])  # of the shape as it is, not of a share of it
     names = tuple(evidence.coefficient(place) for place in added)
     found = dict(zip(names, values.tolist(), strict=True))
+    if not free and not effect.is_distinct(found, evidence.visited):
+        gain -= behind(gain)
     if effect.shaped and free:
         found[names[0]] = min(abs(found[names[0]]), SHAPE[1])
     size = effect.size(candidate[1], found, evidence.model)
@@ -106,6 +110,16 @@ def finding(
     by_chance = 2.0 * math.log(effect.orders[1] - effect.orders[0] + 1) if effect.periodic else 0.0
     result = Finding(candidate, gain, size, std, tuple(values.tolist()), names, covariance, floor, by_chance)
     return result if whole or free or is_possible(evidence, result) else None
+
+
+def apart(gain: float) -> float:
+    """How far apart the gains of two effects may be by noise and by what their forms miss."""
+    return 1.0 + RIVAL_FORM_ERROR * gain
+
+
+def behind(gain: float) -> float:
+    """How far an effect stands behind its gain that the runs show as a constant torque only: by prior odds."""
+    return -2.0 * apart(gain) * math.log(UNSHOWN)
 
 
 def by_themselves(evidence: Evidence) -> dict[str, list[Finding | None]]:

@@ -112,6 +112,15 @@ def widest(records: Sequence[Record]) -> float:
     return max((float(np.ptp(angle)) for angle in angles), default=0.0)
 
 
+def visited(records: Sequence[Record]) -> tuple[float, float]:
+    """Lowest and highest angle of some runs [rad]; everywhere where none has an angle."""
+    clocks = [record.fast for record in records if record.fast is not None]
+    angles = [angle for clock in clocks if (angle := clock.get("angle")) is not None]
+    if not angles:
+        return -math.inf, math.inf
+    return min(float(np.min(angle)) for angle in angles), max(float(np.max(angle)) for angle in angles)
+
+
 def time_constant(bandwidth: float | None, otherwise: float) -> float:
     """Of a first-order lag of a bandwidth [Hz]."""
     return otherwise if bandwidth is None else 1.0 / (2.0 * math.pi * bandwidth)

@@ -15,10 +15,9 @@ from leactl.effects import library
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.regression import Candidate, Rows
 from leactl.gap.search.ringing import Line
-from leactl.gap.search.sets import LOOSE, Finding, Found
+from leactl.gap.search.sets import LOOSE, Finding, Found, apart
 
 EXACT_FORM_ERROR = 0.0005
-RIVAL_FORM_ERROR = 0.005  # of a gain, standard deviation of the difference of two forms that are both nearly right
 SURE, HALF, SLOPE = 0.998, 3.8, 2.5  # height at which an effect is as likely there as not, and how fast that changes
 CLASS = 0.2  # of the winner's weight, above which a rival is named together with it
 COVERED_WIDTH = 0.02  # of the share that a set explains, over which trust changes
@@ -67,7 +66,7 @@ def judge(evidence: Evidence, found: Found, held_out: Mapping[Candidate, float])
 def spread(member: Finding, rival: Finding) -> float:
     """How far apart two gains may be by noise and by what forms miss; pure lags miss next to nothing."""
     exact = all(library()[item.effect].shaped and library()[item.effect].explains > LOOSE for item in (member, rival))
-    return 1.0 + (EXACT_FORM_ERROR if exact else RIVAL_FORM_ERROR) * member.gain
+    return 1.0 + EXACT_FORM_ERROR * member.gain if exact else apart(member.gain)
 
 
 def coverage(beyond: float) -> float:
