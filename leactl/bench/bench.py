@@ -9,7 +9,7 @@ from leactl.bench.provenance import Provenance
 from leactl.bench.wiring import Wiring
 from leactl.driver import registry
 from leactl.driver.can_port import CanPort
-from leactl.driver.contract import Block, Driver, MotionDevice, Row
+from leactl.driver.contract import Block, Driver, MotionDevice, PacedDevice, Row
 from leactl.driver.i2c_port import I2cPort
 from leactl.driver.serial_port import SerialPort
 from leactl.driver.stopping import doubt, make_safe
@@ -133,6 +133,17 @@ class Bench:
         except Exception as error:
             raise _broken(drive, error) from error
         return row
+
+    def pace(self, period: float) -> None:
+        """Tell every drive that wants to know it the time between two setpoints [s].
+
+        Raises
+        ------
+        DeviceError : a drive does not take it.
+        """
+        for drive in self._motion:
+            if isinstance(drive, PacedDevice):
+                drive.pace(period)
 
     def take(self) -> list[Row | Block]:
         """Rows of all streams with clocks of their own.

@@ -240,6 +240,19 @@ class MotionDevice(CyclicDevice, Protocol):
 
 
 @runtime_checkable
+class PacedDevice(Protocol):
+    """A drive that has to know how often its setpoint is renewed."""
+
+    def pace(self, period: float) -> None:
+        """Learn the time between two setpoints [s]; called before the first cycle of a run, while the drive is off.
+
+        Raises
+        ------
+        DeviceError : the drive does not take it.
+        """
+
+
+@runtime_checkable
 class AnalogInput(Protocol):
     """A device that measures voltages and can set their zero."""
 

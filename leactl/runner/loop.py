@@ -100,6 +100,7 @@ class Loop:
         ------
         SafetyTrip, Stopped, DeviceError, RecordingFailed : whatever ended it early.
         """
+        self._bench.pace(self._period)
         self._supervisor.begin(self._period)
         self._progress.windings, self._progress.time_left = self._supervisor.windings, self._supervisor.time_left
         self._start = self._next = self._clock.now()  # what was made ready until now is no standstill

@@ -30,7 +30,7 @@ def test_shipped_benches_are_accepted(name):
         ("driver: ads1115", "driver: ads1116", "devices.torque_sensor.driver: driver 'ads1116' is not registered"),
         ("bus: i2c1", "bus: can0", "devices.torque_sensor.bus: 'can0': ads1115 needs i2c1"),
         ("node: 2,", "node: 1,", "devices.drive_load.settings: address 1 on bus 'can0' is that of drive_test; another"),
-        ("node: 2,", "node: 127,", "devices.drive_load.settings: node and host_node are both 127"),
+        ("node: 2,", "node: 126,", "devices.drive_load.settings: node and host_node are both 126"),
         (
             "node: 1,",
             "node: 1, host_node: 2,",

@@ -40,6 +40,9 @@ class FailingDrive(ElmoEmulator):
         super().__init__(node, self.shaft, rated_current_ma=RATED_MA, counts_per_turn=COUNTS, voltage_object=voltage)
         self._wire = wire
         self._deaf: set[int] = set()
+        self._held_mode: int | None = None
+        self._resets_in: float | None = None
+        self._reset_begun = math.nan
         wire.devices.clear()
         wire.cut = False
         wire.attach(self)
@@ -78,6 +81,43 @@ class FailingDrive(ElmoEmulator):
     def lack(self, index: int, sub: int) -> None:
         """Be a firmware without this object."""
         del self._entries[index, sub]
+        del self._values[index, sub]
+
+    def hold(self, index: int, sub: int, value: int) -> None:
+        """Hold this value, as another master or the maker's program has left it."""
+        self._values[index, sub] = value
+
+    def holds(self, index: int, sub: int) -> int:
+        """Value of an object."""
+        return self._values[index, sub]
+
+    def stay_in_mode(self, mode: int | None) -> None:
+        """Show and follow this mode whatever is asked for; None lets it go again."""
+        self._held_mode = mode
+
+    def drop_out(self) -> None:
+        """Leave operation for "switched on" by itself, as Golds have been seen to do between two SYNCs."""
+        self._go("on")
+
+    def reset_slowly(self, seconds: float) -> None:
+        """Need so long to leave the fault state once told to."""
+        self._resets_in = seconds
+
+    @property
+    def _shown_mode(self) -> int:
+        return super()._shown_mode if self._held_mode is None else self._held_mode
+
+    def _control(self, previous: int, word: int) -> None:
+        if self._resets_in is not None and self.state == "fault" and word & 0x80 and not previous & 0x80:
+            self._reset_begun = self._wire.clock.now()
+            return
+        super()._control(previous, word)
+
+    def _upload(self, index: int, sub: int) -> bytes:
+        if self._resets_in is not None and self._wire.clock.now() - self._reset_begun >= self._resets_in:
+            self._resets_in = None
+            super()._control(0, 0x80)
+        return super()._upload(index, sub)
 
     def ignore_writes(self, index: int) -> None:
         """Confirm writes to this object and forget them."""

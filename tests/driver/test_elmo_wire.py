@@ -141,7 +141,7 @@ def test_every_mode_is_entered_and_followed(bench, mode, object_6060, value, fol
 def test_set_up_writes_and_reads_back_the_dead_man(bench):
     sdo = bench.sent(0x601)
     assert struct.pack("<BHBhxx", 0x2B, 0x6007, 0, 2) in sdo
-    consumer = 127 << 16 | bench.drive.settings.consumer_heartbeat_ms
+    consumer = 126 << 16 | bench.drive.settings.consumer_heartbeat_ms
     assert struct.pack("<BHBI", 0x23, 0x1016, 1, consumer) in sdo
     assert struct.pack("<BHB4x", 0x40, 0x1016, 1) in sdo
 
@@ -166,14 +166,14 @@ def test_host_heartbeat_is_sent_by_the_cycle_alone(make_bench):
     third = 0.1
     bench.drive.open()
     bench.clock.sleep_until(bench.clock.now() + 1.5 * third)
-    assert bench.sent(0x77F) == []
+    assert bench.sent(0x77E) == []
     began, cycles = bench.clock.now(), [0.0]
     while bench.clock.now() - began < 5.5 * third:
         before = bench.clock.now()
         bench.cycle()
         cycles.append(bench.clock.now() - before)
     took = bench.clock.now() - began
-    beats = bench.sent(0x77F)
+    beats = bench.sent(0x77E)
     assert set(beats) == {b"\x05"}
     assert (len(beats) - 1) * third <= took  # never sooner than a third of the consumer's time
     assert len(beats) * (third + 2 * max(cycles)) >= took  # nor later than the first cycle after it
@@ -299,7 +299,7 @@ def test_holding_the_reset_bit_never_resets(make_bench):
 @pytest.mark.parametrize(
     ("index", "said"),
     [
-        (0x1016, r"consumer heartbeat 0x1016:1 was written as 0x7F0\w+ and read back as 0x0;"),
+        (0x1016, r"consumer heartbeat 0x1016:1 was written as 0x7E0\w+ and read back as 0x0;"),
         (0x6007, r"abort option 0x6007:0 was written as 0x2 and read back as 0x1;"),
     ],
 )
@@ -442,7 +442,18 @@ def test_only_operational_is_a_sign_of_life(make_bench):
             bench.cycle(answer_s=0.002)
 
 
-def test_the_angle_goes_on_where_the_drives_counter_goes_round(bench):
+@pytest.fixture
+def of_32_bits(make_bench):
+    """A drive that has no range of positions (0x607B), and goes round where its 32 bits do."""
+    bench = make_bench()
+    bench.far.lack(0x607B, 1)
+    bench.far.lack(0x607B, 2)
+    bench.drive.open()
+    return bench
+
+
+def test_the_angle_goes_on_where_the_drives_counter_goes_round(of_32_bits):
+    bench = of_32_bits
     count = 2 * math.pi / 40000
     angles = []
     for counts in (0x7FFFFFF0, 0x80000010, 0x80000030, 0x7FFFFFF8):
@@ -451,7 +462,8 @@ def test_the_angle_goes_on_where_the_drives_counter_goes_round(bench):
     assert angles == pytest.approx([0x7FFFFFF0, 0x80000010, 0x80000030, 0x7FFFFFF8], abs=0.01)
 
 
-def test_an_angle_is_demanded_in_the_drives_32_bits(bench):
+def test_an_angle_is_demanded_in_the_drives_32_bits(of_32_bits):
+    bench = of_32_bits
     count = 2 * math.pi / 40000
     for counts in (0x7FFFFFF0, 0x80000010):
         bench.far.turn(counts * count)

@@ -1,20 +1,48 @@
 """What a drive is asked and told by SDO before it may run: identity, fault, scales, dead-man, PDOs."""
 
+import math
+
+from leactl.driver.clock import Clock
 from leactl.driver.contract import Identity
-from leactl.errors import DeviceError, DeviceFault
+from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl_plugins.elmo_can import cia402, emergency
 from leactl_plugins.elmo_can.cia402 import FAULTS
 from leactl_plugins.elmo_can.sdo import Sdo
 from leactl_plugins.elmo_can.settings import ElmoSettings
 
+TURNED = 0xC0  # bits of 0x607E that turn position and velocity
+OF_32_BITS = (-0x80000000, 0x80000000)
+ALL_MODES = 0xFFFFFFFF
+RESET_S = 0.5  # that a drive may take to leave its fault
+MOST_UNITS, FINEST_EXPONENT, COARSEST_EXPONENT = 255, -6, -2  # that 0x60C2 holds
+ON_CHANGE = 255  # transmission type of a TPDO that is sent when what it holds has changed
+INHIBIT_100US = 100  # 10 ms between two of them, for bits of a statusword may come and go with every sample
 CLOCK_EVERY = 10  # SYNCs, at which a drive tells its clock: a hundredth of the bus at 1 kHz
+
+
+def interpolation_time(period: float) -> tuple[int, int]:
+    """Units and exponent of 0x60C2 for a time [s]: milliseconds where they hold it, else the finest that reach it."""
+    milliseconds = round(1e3 * period)
+    if 1 <= milliseconds <= MOST_UNITS and math.isclose(1e3 * period, milliseconds):
+        return milliseconds, -3
+    for exponent in range(FINEST_EXPONENT, COARSEST_EXPONENT + 1):
+        units = math.ceil(period * 10**-exponent * (1 - 1e-9))
+        if units <= MOST_UNITS:
+            return units, exponent
+    raise InputError(f"a setpoint every {period:g} s is slower than a drive interpolates, {MOST_UNITS / 100:g} s")
+
+
+def event_tpdo(settings: ElmoSettings) -> int | None:
+    """Number, from 0, of the TPDO that tells a change of state as it happens; None where all four are taken."""
+    free = [number for number, used in ((3, settings.drive_clock), (2, settings.q_axis_voltage)) if used is None]
+    return free[0] if free else None
 
 
 class Commissioning:
     """The set-up of one drive; every method raises `DeviceError` where the drive is silent or refuses."""
 
-    def __init__(self, name: str, settings: ElmoSettings, sdo: Sdo) -> None:
-        self._name, self._settings, self._sdo = name, settings, sdo
+    def __init__(self, name: str, settings: ElmoSettings, sdo: Sdo, clock: Clock) -> None:
+        self._name, self._settings, self._sdo, self._clock = name, settings, sdo, clock
 
     def check_identity(self) -> None:
         """Refuse a device of another maker."""
@@ -40,10 +68,10 @@ class Commissioning:
         except DeviceError:
             return ""
 
-    def _number(self, index: int, sub: int) -> int:
+    def _number(self, index: int, sub: int, kind: str = "u32") -> int:
         """An object that a drive may lack; 0 where it does."""
         try:
-            return self._sdo.read(index, sub, "u32")
+            return self._sdo.read(index, sub, kind)
         except DeviceError:
             return 0
 
@@ -76,9 +104,11 @@ class Commissioning:
         """
         for word in (0x0000, cia402.FAULT_RESET, 0x0000):
             self._sdo.write(0x6040, 0, "u16", word)
-        word = self._sdo.read(0x6041, 0, "u16")
-        if cia402.state_of(word) in FAULTS:
-            raise DeviceFault(f"{self._name}: still in fault after a reset, {self._fault_text(word)}")
+        until = self._clock.now() + RESET_S
+        while cia402.state_of(word := self._sdo.read(0x6041, 0, "u16")) in FAULTS:
+            if self._clock.now() >= until:
+                raise DeviceFault(f"{self._name}: still in fault after a reset, {self._fault_text(word)}")
+            self._clock.sleep_until(self._clock.now() + 0.01)
 
     def read_scales(self) -> tuple[float, int]:
         """Read q-axis current of one per mille (A, signed as the bench turns) and the most per mille that may flow."""
@@ -99,6 +129,93 @@ class Commissioning:
             )
         q_per_mille = rated_current_ma * 1e-6 * self._settings.current_convention.to_q_axis
         return self._settings.sign * q_per_mille, min(0x7FFF, *most.values())
+
+    def check_scales(self) -> None:
+        """Refuse a drive whose positions are no counts of the encoder in the sense that the bench file says.
+
+        A drive may lack any of these objects, which leaves its counts as they are (CiA 402, 6.2.12 and 6.5).
+
+        Raises
+        ------
+        DeviceError : polarity, user units or counts of a turn contradict the settings; with both values.
+        """
+        settings = self._settings
+        polarity = self._number(0x607E, 0, "u8")
+        if polarity & TURNED:
+            raise DeviceError(
+                f"{self._name}: its polarity 0x607E is 0x{polarity:02X}, so that position or velocity count against its"
+                " current; 0x00 was expected: write that, and turn the sense by the setting `sign`"
+            )
+        ratios = {}
+        for index in (0x608F, 0x6091, 0x6092):
+            numerator, denominator = self._number(index, 1), self._number(index, 2)
+            ratios[index] = numerator / denominator if numerator and denominator else 1.0
+        units = ratios[0x6092] / (ratios[0x608F] * ratios[0x6091])
+        if units != 1.0:
+            raise DeviceError(
+                f"{self._name}: its positions are user units, {units:.6g} of them a count (0x608F, 0x6091, 0x6092);"
+                " counts were expected: set all of these to 1"
+            )
+        for what, counts in (("0x608F", ratios[0x608F]), ("CA[18], 0x3034:18", self._number(0x3034, 18))):
+            if counts > 1 and counts != settings.counts_per_turn:
+                raise DeviceError(
+                    f"{self._name}: it counts {counts:g} in a turn ({what}), the bench file says counts_per_turn:"
+                    f" {settings.counts_per_turn}"
+                )
+
+    def clear_offsets(self) -> None:
+        """Take back what another master has left to be added to every demand (CiA 402: 0x60B0, 0x60B1, 0x60B2).
+
+        Raises
+        ------
+        DeviceError : an offset stays.
+        """
+        for index, kind in ((0x60B0, "i32"), (0x60B1, "i32"), (0x60B2, "i16")):
+            try:
+                held = self._sdo.read(index, 0, kind)
+            except NoAnswer:
+                raise
+            except DeviceError:
+                continue  # a firmware without it adds nothing
+            if held:
+                self._sdo.write_verified(index, 0, kind, 0)
+
+    def position_range(self) -> tuple[int, int]:
+        """Counts at which the drive's position goes round, lowest and the one after the highest (CiA 402, 0x607B)."""
+        low, high = (self._number(0x607B, sub, "i32") for sub in (1, 2))
+        return (low, high) if low < high else OF_32_BITS
+
+    def expect_setpoints_every(self, period: float) -> tuple[int, int] | None:
+        """Tell the drive the time between two setpoints [s], over which it interpolates; what it held before.
+
+        A time that the object cannot hold exactly is rounded up: no drive waits for a setpoint that comes early.
+        None where the drive has no such object (CiA 402, 0x60C2).
+
+        Raises
+        ------
+        DeviceError : the drive holds another time afterwards.
+        """
+        try:
+            before = self._sdo.read(0x60C2, 1, "u8"), self._sdo.read(0x60C2, 2, "i8")
+        except NoAnswer:
+            raise
+        except DeviceError:
+            return None
+        self.set_interpolation(*interpolation_time(period))
+        return before
+
+    def set_interpolation(self, units: int, exponent: int) -> None:
+        """Set the interpolation time to so many times ten to the exponent [s]."""
+        self._sdo.write_verified(0x60C2, 2, "i8", exponent)
+        self._sdo.write_verified(0x60C2, 1, "u8", units)
+
+    def disarm_dead_man(self) -> None:
+        """End the monitoring of the host: a drive that is out of operation has nothing to stop."""
+        self._sdo.write(0x1016, 1, "u32", 0)
+
+    def supported_modes(self) -> int:
+        """Bits of the modes that the drive knows (0x6502, bit 0 is mode 1); all where it does not tell."""
+        return self._number(0x6502, 0) or ALL_MODES
 
     def arm_dead_man(self) -> None:
         """Have the drive itself stop when the host falls silent, from its first heartbeat on (301IG, chapter 14).
@@ -139,13 +256,28 @@ class Commissioning:
         clock = self._settings.drive_clock
         if clock is not None:
             self._map(0x1803, 0x1A03, 0x480 + node, (clock.index << 16 | clock.subindex << 8 | 32,), CLOCK_EVERY)
+        number = event_tpdo(self._settings)
+        if number is not None:
+            self._map(
+                0x1800 + number, 0x1A00 + number, 0x180 + 0x100 * number + node, (0x60410010,), ON_CHANGE, INHIBIT_100US
+            )
         if self._settings.torque_slope_per_mille_s is not None:
             self._sdo.write_verified(0x6087, 0, "u32", self._settings.torque_slope_per_mille_s)
 
-    def _map(self, communication: int, mapping: int, identifier: int, entries: tuple[int, ...], syncs: int = 1) -> None:
-        """Remap one PDO in the order CiA 301 asks for: invalid, type, empty, entries, count, valid."""
+    def _map(
+        self,
+        communication: int,
+        mapping: int,
+        identifier: int,
+        entries: tuple[int, ...],
+        kind: int = 1,
+        inhibit: int | None = None,
+    ) -> None:
+        """Remap one PDO in the order CiA 301 asks for: invalid, type, inhibit time, empty, entries, count, valid."""
         self._sdo.write(communication, 1, "u32", 0x80000000 | identifier)
-        self._sdo.write(communication, 2, "u8", syncs)
+        self._sdo.write(communication, 2, "u8", kind)
+        if inhibit is not None:
+            self._sdo.write(communication, 3, "u16", inhibit)
         self._sdo.write(mapping, 0, "u8", 0)
         for number, entry in enumerate(entries, start=1):
             self._sdo.write(mapping, number, "u32", entry)

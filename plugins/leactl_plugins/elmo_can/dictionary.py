@@ -65,7 +65,21 @@ def gold(node: int) -> dict[tuple[int, int], Entry]:
         (0x6078, 0): Entry("i16", mappable=True),
         (0x6079, 0): Entry("u32"),
         (0x607A, 0): Entry("i32", writable=True, mappable=True),
+        (0x607B, 1): Entry("i32", writable=True, default=-1_000_000_000),
+        (0x607B, 2): Entry("i32", writable=True, default=1_000_000_000),
+        (0x607E, 0): Entry("u8", writable=True),
         (0x6087, 0): Entry("u32", writable=True, mappable=True, default=10_000_000),
+        (0x608F, 1): Entry("u32", writable=True, default=1),
+        (0x608F, 2): Entry("u32", writable=True, default=1),
+        (0x6091, 1): Entry("u32", writable=True, default=1),
+        (0x6091, 2): Entry("u32", writable=True, default=1),
+        (0x6092, 1): Entry("u32", writable=True, default=1),
+        (0x6092, 2): Entry("u32", writable=True, default=1),
+        (0x60B0, 0): Entry("i32", writable=True, mappable=True),
+        (0x60B1, 0): Entry("i32", writable=True, mappable=True),
+        (0x60B2, 0): Entry("i16", writable=True, mappable=True),
+        (0x60C2, 1): Entry("u8", writable=True, default=1, low=1),
+        (0x60C2, 2): Entry("i8", writable=True, default=-3, low=-6, high=-2),
         (0x60FF, 0): Entry("i32", writable=True, mappable=True),
         (0x6502, 0): Entry("u32", default=0x3ED),
         (0x22A2, 0): Entry("u16", mappable=True, default=35),
@@ -76,6 +90,7 @@ def gold(node: int) -> dict[tuple[int, int], Entry]:
             entry = defaults.get(communication + number, 0)
             objects[communication + number, 1] = Entry("u32", writable=True, default=base + 0x100 * number + node)
             objects[communication + number, 2] = Entry("u8", writable=True, default=255)
+            objects[communication + number, 3] = Entry("u16", writable=True)
             objects[mapping + number, 0] = Entry("u8", writable=True, default=1 if entry else 0, high=8)
             for slot in range(1, 9):
                 objects[mapping + number, slot] = Entry("u32", writable=True, default=entry if slot == 1 else 0)

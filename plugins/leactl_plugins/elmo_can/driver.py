@@ -5,6 +5,7 @@ Objects and defaults after Elmo's Gold EDS (CANedsGoldV005_0); the README of thi
 
 import math
 import struct
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -17,7 +18,7 @@ from leactl.quantities import ChannelSpec
 from leactl_plugins.elmo_can import cia402, emergency
 from leactl_plugins.elmo_can.answers import Answers, Irregular
 from leactl_plugins.elmo_can.cia402 import FAULTS, State
-from leactl_plugins.elmo_can.commissioning import Commissioning
+from leactl_plugins.elmo_can.commissioning import ALL_MODES, OF_32_BITS, Commissioning, event_tpdo
 from leactl_plugins.elmo_can.sdo import Sdo
 from leactl_plugins.elmo_can.settings import ElmoSettings
 
@@ -52,9 +53,25 @@ _status = struct.Struct("<Hbhh")
 _motion = struct.Struct("<ii")
 
 
-def _of_32_bits(counts: int) -> int:
-    """A count as the drive's 32 bits hold it, which go round."""
-    return (counts + 0x80000000 & 0xFFFFFFFF) - 0x80000000
+class _Position:
+    """Counts of the encoder, going on where the drive's own go round."""
+
+    def __init__(self, low: int, high: int) -> None:
+        self._low, self._span = low, high - low
+        self._unmet = low - 2 * self._span  # further than any reading, which is taken as it is
+        self.counts = self._unmet
+        self.located = False  # the shaft's angle is known since operation was asked for
+        self.half = (high - low) // 2
+
+    def nearest(self, counts: int) -> int:
+        """The position closest to the last one that the drive shows as these counts."""
+        if self.counts == self._unmet:
+            return counts
+        return self.counts + (counts - self.counts + self.half) % self._span - self.half
+
+    def shown(self, counts: int) -> int:
+        """A position as the drive holds it."""
+        return (counts - self._low) % self._span + self._low
 
 
 class _Lateness:
@@ -66,7 +83,7 @@ class _Lateness:
 
     def see(self, clock: int, now: float) -> float:
         """How late an answer is that came now [s], once two in a row are too late; else 0."""
-        passed = _of_32_bits(clock - self._clock) if self._at == self._at else clock
+        passed = (clock - self._clock + 0x80000000 & 0xFFFFFFFF) - 0x80000000 if self._at == self._at else clock
         elapsed = now - self._at if self._at == self._at else 0.0
         self._clock, self._at = self._clock + passed, now
         behind = now - 1e-6 * self._clock
@@ -94,6 +111,10 @@ class _Standing:
         self.started = False  # its node was told to start
         self.operational = False  # and has said since that it did
         self.most_per_mille = 0  # of its rated current that it lets flow
+        self.modes = ALL_MODES  # bits of those that it knows
+        self.echoes = False  # the bus brings back what the host sends
+        self.safe = False  # it has confirmed so, and nothing was asked of it since
+        self.interpolation: tuple[int, int] | None = None  # units and exponent of 0x60C2 that it had before
         self.rows: list[Row] = []
         self.notices: list[str] = []
         self.quiet_until = self.quiet_of_answers_until = -math.inf
@@ -104,7 +125,7 @@ class _Standing:
 class ElmoCan(Driver):
     """One Elmo Gold drive; its PDO exchange is one SYNC a cycle.
 
-    It has 29 attributes: with more, Python 3.11 to 3.13 keep them in a dictionary, and every access costs more.
+    It has 28 attributes: with more than 29, Python 3.11 to 3.13 keep them in a dictionary, and every access costs more.
     """
 
     Settings = ElmoSettings
@@ -127,8 +148,7 @@ class ElmoCan(Driver):
         self._answers = self._answers_to_come()
         self._emergency = ""
         self._life = _SignsOfLife()
-        self._located = False  # the shaft's angle is known: no operation before that
-        self._counts = 0  # of the encoder, going on where the drive's 32 bits go round
+        self._position = _Position(*OF_32_BITS)
         self._standing = _Standing()
         self._followed = self._follows
         self.values = [NAN] * len(self.loop_channels)
@@ -153,6 +173,7 @@ class ElmoCan(Driver):
             state = cia402.state_of(word)
             if state not in (State.ENABLED, State.QUICK_STOP, State.FAULT_REACTION):
                 self._show(word, self._shown_mode)
+                self._standing.safe = True
                 return Confirmation(True, f"{state}, statusword 0x{word:04X}")
             trouble = f"still {state}, statusword 0x{word:04X}"
         return Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble}")
@@ -198,12 +219,21 @@ class ElmoCan(Driver):
         """
         self._standing = _Standing()
         self._connect()
-        setup = Commissioning(self.name, self.settings, self._sdo)
-        setup.check_identity()
+        self._emergency = ""  # of a drive that is in fault still, its state tells
+        setup = self._setup()
+        try:
+            setup.check_identity()
+        except NoAnswer:
+            self._nmt(NMT_PRE_OPERATIONAL)  # a node that was told to stop answers no SDO until it is woken
+            setup.check_identity()
         setup.disable_voltage()
         if setup.leave_fault():
             self._emergency = ""
         self._standing.identity = setup.identity()
+        setup.check_scales()
+        setup.clear_offsets()
+        self._standing.modes = setup.supported_modes()
+        self._position = _Position(*setup.position_range())
         self._current_per_mille, self._standing.most_per_mille = setup.read_scales()
         self._turn_to(Mode.OFF)
         setup.arm_dead_man()
@@ -217,18 +247,32 @@ class ElmoCan(Driver):
         self._nmt(NMT_START)
         self._hear()
         self._standing.started = True
+        if self._emergency:
+            raise DeviceFault(f"{self.name}: {self._emergency}")
 
     def identity(self) -> Identity:
         """Device name, serial number and software version (0x1008 to 0x100A, 0x1018) as read when it was opened."""
         return self._standing.identity
 
     def close(self) -> None:
-        """Stop listening and let the bus go."""
+        """Stop listening and let the bus go; a drive that is safe is left as it was met, its dead-man disarmed."""
         if self._opened:
+            if self._standing.safe and self._standing.started:
+                with suppress(DeviceError):  # it is safe, which is what counts
+                    self._leave_as_met()
             self._opened = False
             for identifier in self._identifiers():
                 self._port.listen(identifier, None)
             self._port.close()
+
+    def _leave_as_met(self) -> None:
+        setup = self._setup()
+        setup.disarm_dead_man()
+        if self._standing.interpolation is not None:
+            setup.set_interpolation(*self._standing.interpolation)
+
+    def _setup(self) -> Commissioning:
+        return Commissioning(self.name, self.settings, self._sdo, self._clock)
 
     @classmethod
     def far_end(cls, settings: ElmoSettings, role: str, physics: Physics) -> CanEmulator:
@@ -274,9 +318,19 @@ class ElmoCan(Driver):
         """Begin to enter operation in this mode with zero demand; angle holds where the shaft is."""
         if mode not in MODES or mode is Mode.OFF:
             raise InputError(f"{self.name}: mode '{mode}' is not one a drive can follow")
+        if not self._standing.modes >> MODES[mode] - 1 & 1:
+            raise InputError(
+                f"{self.name}: the drive has no mode {MODES[mode]}, which '{mode}' needs (0x6502:"
+                f" 0x{self._standing.modes:08X})"
+            )
         self._turn_to(mode)
-        self._located = False
+        self._position.located = self._standing.safe = False
         self._enable_by = self._clock.now() + ENABLE_TIME_S
+
+    def pace(self, period: float) -> None:
+        """Tell the drive how often setpoints will come [s]; its own time is given back when it is closed."""
+        before = self._setup().expect_setpoints_every(period)
+        self._standing.interpolation = self._standing.interpolation or before
 
     def release(self) -> None:
         """Begin to leave operation; no current flows once the drive has left it."""
@@ -294,7 +348,7 @@ class ElmoCan(Driver):
         if by_current:
             scale, limit = self._current_per_mille, self._standing.most_per_mille
         elif self._mode is Mode.ANGLE:
-            origin = self._counts  # half a round of the counter is the furthest that its 32 bits can tell
+            limit, origin = self._position.half - 1, self._position.counts  # half a round is the furthest it can tell
         demand = value / scale
         if not -limit <= demand - origin <= limit:
             reach = limit * abs(scale)
@@ -316,13 +370,13 @@ class ElmoCan(Driver):
         came[STATUS] = came[MOTION] = False
         if len(self.values) > 7:
             came[VOLTAGE] = False
-        if self._mode is OFF or not self._located:
+        if self._mode is OFF or not self._position.located:
             self._send_demand(DISABLE_VOLTAGE)
         elif self.state is ENABLED:
             self._send_demand(ENABLE_OPERATION)
         else:
             if self._reference == ANGLE:
-                self._value = self._counts  # hold where the shaft is at the moment operation begins
+                self._value = self._position.counts  # hold where the shaft is at the moment operation begins
             self._send_demand(self._towards_enabled())
 
     def _towards_enabled(self) -> int:
@@ -332,7 +386,10 @@ class ElmoCan(Driver):
             raise DeviceError(
                 f"{self.name}: is not enabled: no heartbeat was sent in {consumer_time:g} s, its dead-man is not armed"
             )
-        return cia402.towards_enabled(self.state)
+        word = cia402.towards_enabled(self.state)
+        if word == ENABLE_OPERATION and self._shown_mode != self._mode_number:
+            return cia402.SWITCH_ON  # it would follow what the mode before was told last
+        return word
 
     def end_cycle(self, deadline: float) -> None:
         """Collect what the drive sampled at the SYNC; NaN where it did not come.
@@ -413,7 +470,7 @@ class ElmoCan(Driver):
         ------
         DeviceFault : the drive is still in fault afterwards, its cause is still there.
         """
-        Commissioning(self.name, self.settings, self._sdo).reset_fault()
+        self._setup().reset_fault()
         self._emergency = ""
 
     # -- set-up ------------------------------------------------------------------------------------------------------
@@ -428,6 +485,8 @@ class ElmoCan(Driver):
             self._port.reopen()
 
     def _identifiers(self) -> dict[int, Any]:
+        number = event_tpdo(self.settings)
+        on_change = {} if number is None else {0x180 + 0x100 * number + self._node: self._on_change}
         return {
             0x080 + self._node: self._on_emergency,
             0x180 + self._node: self._on_status,
@@ -436,6 +495,9 @@ class ElmoCan(Driver):
             0x480 + self._node: self._on_clock,
             0x580 + self._node: self._on_sdo,
             0x700 + self._node: self._on_heartbeat,
+            0x600 + self._node: self._on_echo,
+            0x700 + self.settings.host_node: self._on_other_host,
+            **on_change,
         }
 
     def _nmt(self, command: int) -> None:
@@ -465,10 +527,13 @@ class ElmoCan(Driver):
         reference, value = self._reference, self._value
         torque = value if reference == CURRENT else 0
         self._port.send(0x200 + self._node, _torque_demand.pack(word, torque, self._mode_number))
-        if reference == CURRENT or self._mode is OFF:
+        if self._mode is OFF or (reference == CURRENT and word == ENABLE_OPERATION):
             return
-        angle, velocity = (value, 0) if reference == ANGLE else (self._counts, value)
-        self._port.send(0x300 + self._node, _motion_demand.pack(_of_32_bits(angle), velocity))
+        # on the way into operation in every mode: what another master has left there must not be followed for a moment
+        position = self._position
+        angle = value if reference == ANGLE else position.counts
+        velocity = value if reference == VELOCITY else 0
+        self._port.send(0x300 + self._node, _motion_demand.pack(position.shown(angle), velocity))
 
     def _on_status(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == 7:
@@ -489,12 +554,12 @@ class ElmoCan(Driver):
             if answers.watched and not answers.take(MOTION, self._clock.now()):
                 return
             counts, speed = _motion.unpack(data)
-            turned = counts - self._counts
-            if turned > 0x7FFFFFFF or turned < -0x80000000:
-                counts = self._counts + _of_32_bits(turned)
+            position = self._position
+            if not -position.half <= counts - position.counts < position.half:
+                counts = position.nearest(counts)
             values, scale = self.values, self._angle_per_count
-            self._counts, values[4], values[5] = counts, speed * scale, counts * scale
-            answers.came[MOTION] = self._located = True
+            position.counts, values[4], values[5] = counts, speed * scale, counts * scale
+            answers.came[MOTION] = position.located = True
 
     def _on_voltage(self, data: bytearray, _timestamp: float) -> None:
         voltage = self.settings.q_axis_voltage
@@ -510,6 +575,27 @@ class ElmoCan(Driver):
             late = self._life.lateness.see(int.from_bytes(data, "little"), self._clock.now())
             if late:
                 self._emergency = f"its answers are {late:.3f} s late by its own clock; {LATE_S:g} s are allowed"
+
+    def _on_change(self, data: bytearray, _timestamp: float) -> None:
+        """Hear of a state that the drive has changed to between two SYNCs: a held controlword would enable it again."""
+        state = cia402.state_of(int.from_bytes(data, "little"))
+        left = self._enable_by == NEVER and self._mode is not OFF and state is not ENABLED
+        if left and state not in FAULTS and not self._emergency:  # a fault keeps, and its emergency message tells more
+            self._emergency = f"left operation by itself, {state}, statusword 0x{int.from_bytes(data, 'little'):04X}"
+
+    def _on_other_host(self, _data: bytearray, _timestamp: float) -> None:
+        """Hear a heartbeat that should be the host's own, which no CAN bus brings back to it."""
+        if self._standing.echoes:
+            return
+        node = self.settings.host_node
+        self._emergency = self._emergency or (
+            f"another device sends heartbeats as node {node} (0x{0x700 + node:03X}), so that the drive would not notice"
+            " the host's end; give host_node a number that no device on the bus has"
+        )
+
+    def _on_echo(self, _data: bytearray, _timestamp: float) -> None:
+        """Hear one's own request, on what stands for a bus (udp_multicast): one's own heartbeats come back as well."""
+        self._standing.echoes = True
 
     def _on_sdo(self, data: bytearray, timestamp: float) -> None:
         if data[:4] == b"\x43\x79\x60\x00":
@@ -563,5 +649,6 @@ class ElmoCan(Driver):
             )
         if now > self._enable_by:
             raise NoAnswer(
-                f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {self.state}, 0x{self.statusword:04X}"
+                f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {self.state}, 0x{self.statusword:04X},"
+                f" mode {self._shown_mode} (0x6061) where {self._mode_number} was asked for"
             )

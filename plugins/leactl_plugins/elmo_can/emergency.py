@@ -4,12 +4,14 @@ import struct
 
 CODES = {
     0x0000: "error reset",
+    0x2311: "over-current",
     0x2340: "short circuit",
     0x3120: "under-voltage",
     0x3130: "AC phase loss",
     0x3310: "over-voltage",
     0x4310: "drive over-temperature",
     0x5280: "bad ECAM or gantry",
+    0x5281: "timing error",
     0x5400: "cannot start motor",
     0x5441: "inhibit, abort or limit switch",
     0x5442: "additional abort",
@@ -35,8 +37,11 @@ CODES = {
     0x8481: "speed limit exceeded",
     0x8611: "position tracking error",
     0x8680: "position limit exceeded",
+    0xFF01: "user program",
+    0xFF02: "interpolation without new setpoints",
     0xFF10: "failed to start motor",
     0xFF20: "safe torque off in use",
+    0xFF40: "gantry partner in fault",
 }
 
 CODE_RESET = 0x0000

@@ -28,6 +28,9 @@ PRE_OPERATIONAL, OPERATIONAL, STOPPED = 0x7F, 0x05, 0x04
 _FOLLOW = {4: "current", 8: "angle", 9: "velocity", 10: "current"}
 _WORD = {"disabled": 0x0240, "ready": 0x0231, "on": 0x0233, "enabled": 0x0637, "quick": 0x0617, "fault": 0x0218}
 _INTERNAL_LIMIT = 0x0800
+_POSITION_TURNED, _VELOCITY_TURNED = 0x80, 0x40  # bits of 0x607E (CiA 402, polarity)
+_SETTINGS = {0x607B, 0x607E, 0x608F, 0x6091, 0x6092, 0x60B0, 0x60B1, 0x60B2, 0x60C2, 0x6502}  # nothing is measured for
+_ON_CHANGE = 254  # from this transmission type on
 _ABORT_BAD_COMMAND = 0x05040001
 _FOREIGN_COB_MASK = 0x7FF
 _CONTROLWORD = (0x6040, 0)
@@ -82,6 +85,7 @@ class ElmoEmulator:
         self._host_deadline = math.inf
         self._booted = False
         self._emergencies: list[Frame] = []
+        self._changed = False  # the state, which a TPDO that is sent on a change has not told yet
         self._plan_pdos()
 
     @property
@@ -89,7 +93,7 @@ class ElmoEmulator:
         """Time of the next heartbeat, of the host's heartbeat running out, or now with an emergency to tell."""
         if self.frozen:
             return math.inf
-        if not self._booted or self._emergencies:
+        if not self._booted or self._emergencies or self._changed:
             return -math.inf
         return min(self._next_heartbeat, self._host_deadline)
 
@@ -99,6 +103,10 @@ class ElmoEmulator:
             return []
         if not self._booted:
             return [*self.tick(now), *self.receive(frame, now)]  # it answers nobody before it has booted
+        answers = self._answer(frame, now)
+        return answers + self._tell_changes() if self._changed else answers
+
+    def _answer(self, frame: Frame, now: float) -> list[Frame]:
         identifier, data = frame
         if identifier == 0x080 and self.nmt == OPERATIONAL:
             return self._sync(now)
@@ -123,7 +131,7 @@ class ElmoEmulator:
             frames.append(Frame(0x700 + self.node, bytes((self.nmt,))))
             period = self._values[0x1017, 0] * 1e-3
             self._next_heartbeat = max(self._next_heartbeat + period, now)
-        return frames + self._flush()
+        return frames + self._flush() + self._tell_changes()
 
     def freeze(self, frozen: bool) -> None:
         """Hear nothing, answer nothing and go on with the last demand, or come back to life."""
@@ -219,7 +227,8 @@ class ElmoEmulator:
     def _upload(self, index: int, sub: int) -> bytes:
         kind = self._entry(index, sub).kind
         size = SIZES[kind]
-        self._sample()
+        if index not in _SETTINGS:
+            self._sample()
         raw = self._values[index, sub].to_bytes(size, "little", signed=kind[0] == "i")
         return struct.pack("<BHB", 0x43 | (4 - size) << 2, index, sub) + raw.ljust(4, b"\0")
 
@@ -328,16 +337,41 @@ class ElmoEmulator:
         values = self._values
         per_mille = max(-0x8000, min(0x7FFF, round(current / self._q_per_mille)))
         values[0x6077, 0] = values[0x6078, 0] = per_mille
-        counts = round(angle * self._counts_per_rad)
-        values[0x6064, 0] = (counts + 0x80000000 & 0xFFFFFFFF) - 0x80000000  # 32 bits, going round
-        values[0x606C, 0] = max(-0x80000000, min(0x7FFFFFFF, round(velocity * self._counts_per_rad)))
-        values[0x6041, 0] = _WORD[self.state] | (_INTERNAL_LIMIT if self._limiting else 0)
-        values[0x6061, 0] = values[0x6060, 0]
+        polarity = values.get((0x607E, 0), 0)
+        counts = round(angle * self._counts_per_rad) * (-1 if polarity & _POSITION_TURNED else 1)
+        low, high = values.get((0x607B, 1), 0), values.get((0x607B, 2), 0)
+        if low >= high:
+            low, high = -0x80000000, 0x80000000  # its 32 bits
+        values[0x6064, 0] = (counts - low) % (high - low) + low
+        speed = round(velocity * self._counts_per_rad) * (-1 if polarity & _VELOCITY_TURNED else 1)
+        values[0x606C, 0] = max(-0x80000000, min(0x7FFFFFFF, speed))
+        values[0x6041, 0] = self._statusword
+        values[0x6061, 0] = self._shown_mode
         values[0x6079, 0] = max(0, round(self._machine.bus_voltage * 1e3))
         if self._voltage is not None:
             index, sub, kind, scale = self._voltage
             limit = (1 << 8 * SIZES[kind] - 1) - 1
             values[index, sub] = max(-limit - 1, min(limit, round(self._machine.voltage / scale)))
+
+    @property
+    def _statusword(self) -> int:
+        return _WORD[self.state] | (_INTERNAL_LIMIT if self._limiting else 0)
+
+    @property
+    def _shown_mode(self) -> int:
+        return self._values[0x6060, 0]
+
+    def _tell_changes(self) -> list[Frame]:
+        """TPDOs that are sent where an object has changed instead of at a SYNC (types 254 and 255)."""
+        changed, self._changed = self._changed, False
+        if not changed or self.nmt != OPERATIONAL:
+            return []
+        self._values[0x6041, 0] = self._statusword
+        return [
+            Frame(identifier, layout.pack(*[self._values[key] for key in objects]))
+            for identifier, kind, objects, layout in self._transmit
+            if kind >= _ON_CHANGE
+        ]
 
     def _control(self, previous: int, word: int) -> None:
         """One transition of the machine (402IG, controlword decode); an illegal word changes nothing."""
@@ -364,6 +398,7 @@ class ElmoEmulator:
         self._follow()
 
     def _go(self, state: str) -> None:
+        self._changed = self._changed or state != self.state
         self.state = state
         self._limiting = False
         if state != "enabled":
@@ -373,13 +408,15 @@ class ElmoEmulator:
         if self.state != "enabled":
             return
         values = self._values
-        mode = _FOLLOW.get(values[0x6060, 0])
+        mode = _FOLLOW.get(self._shown_mode)
+        offset = {"current": 0x60B2, "velocity": 0x60B1, "angle": 0x60B0}.get(mode or "")
+        added = values.get((offset, 0), 0) if offset else 0  # whoever left it there (CiA 402, 6.3.2 and 6.4)
         if mode is None:
             self._machine.command("off", 0.0)
         elif mode == "current":
-            asked, most = values[0x6071, 0], min(values[0x6072, 0], values[0x6073, 0])
+            asked, most = values[0x6071, 0] + added, min(values[0x6072, 0], values[0x6073, 0])
             self._limiting = abs(asked) > most
             self._machine.command("current", max(-most, min(most, asked)) * self._q_per_mille)
         else:
             target = values[0x607A, 0] if mode == "angle" else values[0x60FF, 0]
-            self._machine.command(mode, target / self._counts_per_rad)
+            self._machine.command(mode, (target + added) / self._counts_per_rad)

@@ -49,7 +49,7 @@ class ElmoSettings(DriverSettings):
     counts_per_turn: Annotated[int, Field(strict=True, ge=4, le=2**28)]
     sign: Literal[-1, 1] = 1
     current_convention: CurrentConvention = CurrentConvention.AMPLITUDE
-    host_node: Annotated[int, Field(strict=True, ge=1, le=127)] = 127
+    host_node: Annotated[int, Field(strict=True, ge=1, le=127)] = 126  # 127 is what Elmo ships a drive with
     consumer_heartbeat_ms: Annotated[int, Field(strict=True, ge=10, le=round(SAFE_STATE_S * 1000))] = 100
     producer_heartbeat_ms: Annotated[int, Field(strict=True, ge=5, le=5000)] = 50
     abort_option: Literal[1, 2, 3] = 2
