@@ -1,13 +1,23 @@
 """`leactl demo`, from an empty directory."""
 
+from pathlib import Path
+
 from leactl.runfile.integrity import verify
+from tests.cli.sessions import BLOCK, LIVE, commands, masked, typed
 from tests.cli.terminal import interpreted
+
+TUTORIAL = Path(__file__).parents[2] / "docs" / "tutorial" / "first-protocol.md"
 
 
 def test_the_demo_ends_with_the_paper_beside_what_it_found(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = interpreted("demo", COLUMNS="80", PYTHONIOENCODING="utf-8", LEACTL_STATE=str(tmp_path / "state"))
     assert done.returncode == 0, done.stderr
+
+    session = dict(line for block in BLOCK.findall(TUTORIAL.read_text(encoding="utf-8")) for line in commands(block))
+    assert masked(LIVE.sub("", done.stderr + done.stdout)) == masked(session["leactl demo"])
+    report = "leactl report leactl-demo --html lea.html"
+    assert masked(typed(report, tmp_path)) == masked(session[report])
 
     lines = done.stdout.splitlines()
     tables = {}

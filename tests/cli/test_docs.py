@@ -1,9 +1,11 @@
 """The manual that comes with the program."""
 
 import json
+import re
 from pathlib import Path
 
 from tests.cli.terminal import leactl
+from tests.cli.test_help import COMMANDS
 
 PAGES = Path(__file__).parents[2] / "docs"
 
@@ -25,3 +27,30 @@ def test_a_page_that_is_not_there_is_one_line_with_those_that_are():
     [line] = done.stderr.splitlines()
     assert "'safty'" in line
     assert "safety" in line
+
+
+def test_the_page_of_commands_has_each_with_its_first_sentence():
+    page = (PAGES / "reference" / "commands.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `(.*)` \| (.*) \|$", page, re.MULTILINE))
+    assert rows == {" ".join(path): command.get_short_help_str(10_000) for path, command in COMMANDS.items()}
+
+
+def test_the_readme_is_a_page_to_begin_with():
+    readme = (PAGES.parent / "README.md").read_text(encoding="utf-8")
+    assert len(readme.splitlines()) <= 80
+    assert "pytest -n 2" in readme
+    for target in re.findall(r"\]\(([^):#]+)\)", readme):
+        assert (PAGES.parent / target).exists(), target
+
+
+def test_every_link_of_a_page_leads_somewhere():
+    for page in (*PAGES.rglob("*.md"), *PAGES.parent.glob("plugins/**/*.md"), *PAGES.parent.glob("*.md")):
+        for target in re.findall(r"\]\((?!\w+://)([^)\s#]+)", page.read_text(encoding="utf-8")):
+            assert (page.parent / target).exists(), f"{page}: {target}"
+
+
+def test_the_site_has_every_page():
+    index = (PAGES / "index.md").read_text(encoding="utf-8")
+    for page in PAGES.glob("*/*.md"):
+        name = f"{page.parent.name}/{page.stem}"
+        assert name in index.splitlines() or f"{page.parent.name}/*" in index, name
