@@ -60,13 +60,20 @@ def info(name: str = NAME, as_json: bool = AS_JSON) -> None:
 
 @app.command(epilog=examples("driver check elmo_can", means={InputError: "a check fails or there is no such driver"}))
 def check(name: str = NAME, as_json: bool = AS_JSON) -> None:
-    """Run the conformance checks that need no hardware over one driver."""
+    """Hold a driver against the contract, and try it on its own far end: readings, setpoints, silence, its end."""
     from leactl.driver import conformance, registry
+    from leactl.emulation.trial.running import try_driver
 
-    faults = conformance.faults_of(registry.load(name))
+    driver = registry.load(name)
+    faults = conformance.faults_of(driver)
+    tried = [] if faults else try_driver(driver)
+    faults += [f"{trial.name}: {trial.fault}" for trial in tried if trial.fault]
     if as_json:
-        typer.echo(json.dumps({"name": name, "passed": not faults, "faults": faults}))
+        rows = [{"name": trial.name, "fault": trial.fault or None} for trial in tried]
+        typer.echo(json.dumps({"name": name, "passed": not faults, "faults": faults, "tried": rows}))
     if faults:
         raise InputError([f"driver '{name}': {fault}" for fault in faults])
     if not as_json:
-        typer.echo(f"{name}: keeps the driver contract")
+        typer.echo(f"{name}: keeps the driver contract, in {len(tried)} trials on its far end")
+        for trial in tried:
+            typer.echo(f"  {trial.name}")

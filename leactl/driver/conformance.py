@@ -1,4 +1,4 @@
-"""What every driver must keep, checked without hardware: settings, units, and an end that is safe from any state."""
+"""What a driver's class must have before one can be made: settings with units, and the methods of the contract."""
 
 import inspect
 from types import UnionType
@@ -23,7 +23,6 @@ UNIT_SUFFIXES = (
     "_per_V",
     "_ppm",
 )
-DIMENSIONLESS = ("sign", "node", "host_node", "counts_per_turn", "address", "abort_option", "vendor_id", "type")
 
 
 def faults_of(driver: type[Driver]) -> list[str]:
@@ -42,11 +41,10 @@ def faults_of(driver: type[Driver]) -> list[str]:
     if config.get("extra") != "forbid" or not config.get("frozen"):
         faults.append("Settings must be frozen and forbid unknown keys")
     for name, field in driver.Settings.model_fields.items():
-        if _is_number(field.annotation) and not name.endswith(UNIT_SUFFIXES) and name not in DIMENSIONLESS:
+        if _is_number(field.annotation) and not name.endswith(UNIT_SUFFIXES):  # a whole number counts something
             faults.append(f"setting {name} is a number whose name carries no unit")
-    members = [name for name, member in vars(driver).items() if inspect.isfunction(member) and name[:2] != "__"]
-    if not members or members[0] != "safe_state":
-        faults.append("safe_state is not the first method a reader meets")
+    if inspect.isabstract(driver):
+        faults.append(f"has no {', '.join(sorted(driver.__abstractmethods__))}")
     annotation = inspect.signature(driver.safe_state).return_annotation
     if annotation not in (Confirmation, "Confirmation"):
         faults.append("safe_state does not answer a Confirmation")
@@ -63,4 +61,4 @@ def faults_of(driver: type[Driver]) -> list[str]:
 def _is_number(annotation: Any) -> bool:
     if isinstance(annotation, UnionType):
         return any(_is_number(part) for part in annotation.__args__)
-    return annotation in (int, float)
+    return annotation is float

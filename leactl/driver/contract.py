@@ -138,6 +138,7 @@ class Driver(ABC):
     Settings: ClassVar[type[DriverSettings]]
     transport: ClassVar[str]  # the kind of bus it needs: "can", "i2c", "serial", or "none": the maker's own library
     summary: ClassVar[str]  # one line for `leactl driver list`
+    example: ClassVar[Mapping[str, Any]] = {}  # settings with which `leactl driver check` makes one and its far end
 
     @abstractmethod
     def __init__(self, name: str, role: str, settings: Any, port: Any, clock: Clock) -> None: ...

@@ -6,6 +6,7 @@ flag (TI SBAS444, section 9.6.3). Each input is a stream of its own, stamped at 
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
 
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver, Row, StreamSpec
@@ -57,6 +58,18 @@ class Ads1115(Driver):
     Settings = Ads1115Settings
     transport = "i2c"
     summary = "ADS1115 16-bit converter over I2C (torque sensor, voltages)"
+    example: ClassVar[Mapping[str, Any]] = {
+        "inputs": [
+            {
+                "name": "torque",
+                "quantity": "torque",
+                "role": "test",
+                "pins": "A0-A1",
+                "range_V": 6.144,
+                "scale_per_V": 3.0,
+            }
+        ]
+    }
 
     def __init__(self, name: str, role: str, settings: Ads1115Settings, port: I2cPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings

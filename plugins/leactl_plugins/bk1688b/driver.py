@@ -1,7 +1,8 @@
 """A BK Precision 1685B, 1687B or 1688B: off when met and when left, by what is measured at its terminals."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
 
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver, Row, StreamSpec
@@ -24,6 +25,12 @@ class Bk1688b(Driver):
     Settings = Bk1688bSettings
     transport = "serial"
     summary = "DC supply over a serial line (BK Precision 1685B, 1687B, 1688B)"
+    example: ClassVar[Mapping[str, Any]] = {
+        "model": "1688B",
+        "feeds": "leads",
+        "voltage_limit_V": 10.0,
+        "current_limit_A": 10.0,
+    }
 
     def __init__(self, name: str, role: str, settings: Bk1688bSettings, port: SerialPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings

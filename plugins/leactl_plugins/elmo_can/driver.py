@@ -5,9 +5,10 @@ Objects and defaults after Elmo's Gold EDS (CANedsGoldV005_0); the README of thi
 
 import math
 import struct
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 from leactl.driver.can_port import NMT_ID, CanPort
 from leactl.driver.clock import Clock
@@ -131,6 +132,7 @@ class ElmoCan(Driver):
     Settings = ElmoSettings
     transport = "can"
     summary = "Elmo Gold servo drive over CANopen (CiA 402)"
+    example: ClassVar[Mapping[str, Any]] = {"node": 1, "counts_per_turn": 40000}
 
     def __init__(self, name: str, role: str, settings: ElmoSettings, port: CanPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings

@@ -5,9 +5,9 @@ have, since the recorder's clock begins with the recording and tells no time of 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -33,6 +33,15 @@ class ElmoRecorderCsv(Driver):
     Settings = ElmoRecorderCsvSettings
     transport = "none"
     summary = "recordings of Elmo drives by the text files that the maker's tool saves"
+    example: ClassVar[Mapping[str, Any]] = {
+        "signals": {
+            "current": {"column": "Active Current", "quantity": "q_axis_current"},
+            "velocity": {"column": "Velocity", "quantity": "velocity"},
+            "angle": {"column": "Position", "quantity": "angle"},
+        },
+        "time_column": "Time",
+        "counts_per_turn": 40000,
+    }
 
     def __init__(self, name: str, role: str, settings: ElmoRecorderCsvSettings, port: Any, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings

@@ -5,8 +5,8 @@ the multiplexer, which the channel says. What the device lost is there as NaN, o
 """
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Block, Confirmation, Driver, Identity, StreamSpec
@@ -33,6 +33,13 @@ class NiDaq(Driver):
     Settings = NiDaqSettings
     transport = "none"
     summary = "NI multifunction converter through NI-DAQmx (line-to-line voltages; USB-6218 and its kin)"
+    example: ClassVar[Mapping[str, Any]] = {
+        "library": "emulated",
+        "inputs": [
+            {"name": "ab", "quantity": "phase_voltage_ab", "role": "test", "channel": "ai0", "range_V": 10.0},
+            {"name": "bc", "quantity": "phase_voltage_bc", "role": "test", "channel": "ai1", "range_V": 10.0},
+        ],
+    }
 
     def __init__(self, name: str, role: str, settings: NiDaqSettings, port: Library | None, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings

@@ -3,7 +3,8 @@
 The instrument takes tens of milliseconds for an answer, and nothing waits for one within the loop.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
 
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver, Identity, Row, StreamSpec, TripAccuracy
@@ -25,6 +26,13 @@ class ScpiSupply(Driver):
     Settings = ScpiSupplySettings
     transport = "serial"
     summary = "DC supply over a serial line (SCPI; Keysight E3632A to E3634A, Rigol DP811)"
+    example: ClassVar[Mapping[str, Any]] = {
+        "dialect": "e36xx",
+        "model": "E3633A",
+        "feeds": "leads",
+        "voltage_limit_V": 8.0,
+        "current_limit_A": 10.0,
+    }
 
     def __init__(self, name: str, role: str, settings: ScpiSupplySettings, port: SerialPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings

@@ -4,9 +4,9 @@ The camera takes no part in the control loop. Its program exports a file, before
 read as a whole and tied to the run's clock afterwards.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -28,6 +28,11 @@ class ThermalCsv(Driver):
     Settings = ThermalCsvSettings
     transport = "none"
     summary = "thermal camera by the text files that its program exports (Fotric 616C, FLIR and others)"
+    example: ClassVar[Mapping[str, Any]] = {
+        "regions": {"active_1": {"column": "Active 1", "quantity": "winding_temperature"}},
+        "time": {"column": "Time", "kind": "elapsed", "frame_rate_Hz": 30.0},
+        "unit": "degC",
+    }
 
     def __init__(self, name: str, role: str, settings: ThermalCsvSettings, port: Any, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings

@@ -1,0 +1,332 @@
+"""What every drive must keep: it reads what is there, follows what it is told, and is off when it says so."""
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+
+from leactl.driver.contract import SAFE_STATE_S, Mode
+from leactl.driver.far_end import Breakable
+from leactl.emulation.trial.stand import ANSWER_S, PERIOD_S, Broken, Stand
+from leactl.errors import DeviceError, InputError, LeactlError
+
+ENGAGED_S = 5.0  # within which a drive has to enter operation or say that it does not
+NOTICED_S = 3.0  # within which a drive that answers no more has to be told
+NEAR = 0.01  # of a value, for resolution and rounding
+LEAST = {"q_axis_current": 0.05, "velocity": 0.02, "angle": 0.002}  # A, rad/s, rad: the same beside zero
+SETPOINTS = {Mode.CURRENT: ("current", 1.5), Mode.VELOCITY: ("velocity", 2.0), Mode.ANGLE: ("angle", 0.5)}
+FACTORS = {
+    "turns for radians": 1 / (2 * math.pi),
+    "radians for turns": 2 * math.pi,
+    "degrees for radians": 180 / math.pi,
+    "radians for degrees": math.pi / 180,
+    "revolutions a minute for rad/s": 30 / math.pi,
+    "rad/s for revolutions a minute": math.pi / 30,
+    "the other sense": -1.0,
+    "milli-units": 1000.0,
+    "amplitude for power-invariant current": math.sqrt(2 / 3),
+    "power-invariant for amplitude current": math.sqrt(3 / 2),
+    "r.m.s. for power-invariant current": math.sqrt(1 / 3),
+    "power-invariant for r.m.s. current": math.sqrt(3),
+}
+TRUE_VALUES = ((3.0, 2.0, 0.75), (-1.5, -4.0, 1.5), (0.5, 1.0, -0.5))  # A, rad/s, rad
+
+
+def modes_of(stand: Stand) -> list[Mode]:
+    """The modes that the drive takes."""
+    taken = []
+    for mode in SETPOINTS:
+        with suppress(InputError):
+            stand.motion.engage(mode)
+            stand.motion.release()
+            taken.append(mode)
+    if not taken:
+        raise Broken(f"engages in none of {', '.join(SETPOINTS)}")
+    return taken
+
+
+def engage(stand: Stand, mode: Mode) -> None:
+    """Bring the drive into operation."""
+    stand.motion.engage(mode)
+    for _ in stand.cycles(ENGAGED_S):
+        if stand.motion.engaged:
+            return
+    raise Broken(f"engage({mode}) has not led to operation after {ENGAGED_S:g} s, nor was that told")
+
+
+def in_operation(stand: Stand) -> Mode:
+    """Open the drive and let it follow a setpoint; gives the mode."""
+    stand.driver.open()
+    mode = modes_of(stand)[0]
+    engage(stand, mode)
+    stand.motion.command(SETPOINTS[mode][1])
+    stand.cycle()
+    stand.cycle()
+    return mode
+
+
+def reads_si_units(stand: Stand) -> None:
+    """q-axis current in power-invariant A, velocity in rad/s and angle in rad are what the machine has."""
+    stand.driver.open()
+    for truth in TRUE_VALUES:
+        machine = stand.machine
+        machine.current, machine.velocity, machine.angle = truth
+        for _ in range(3):
+            stand.cycle()
+        for quantity, true in zip(LEAST, truth, strict=True):
+            compare(quantity, stand.read(quantity), true)
+
+
+def compare(quantity: str, read: float, true: float) -> None:
+    """Hold a reading against the truth."""
+    if math.isnan(read):
+        raise Broken(f"{quantity} is missing, or NaN although the drive answers")
+    if abs(read - true) <= NEAR * abs(true) + LEAST[quantity]:
+        return
+    raise Broken(f"{quantity} reads {read:.6g} where {true:g} is true{meant(read, true)}")
+
+
+def meant(value: float, true: float) -> str:
+    """The mistake that makes one value of another, as a question; nothing where none is known."""
+    for mistake, factor in FACTORS.items():
+        if abs(value - factor * true) <= 2.0 * NEAR * abs(factor * true):
+            return f": {mistake}?"
+    return ""
+
+
+def reads_each_sample_once(stand: Stand) -> None:
+    """A row has what the drive sampled in its own cycle, not in one before it."""
+    stand.driver.open()
+    stand.cycle()
+    for number in range(1, 40):
+        machine = stand.machine
+        machine.current, machine.velocity, machine.angle = 0.2 * number, 0.5 * number, 0.05 * number
+        stand.cycle()
+        read = stand.read("velocity")
+        if math.isnan(read) or abs(read - 0.5 * number) > NEAR * 0.5 * number + LEAST["velocity"]:
+            behind = number - read / 0.5
+            raise Broken(
+                f"velocity reads {read:.4g} in the cycle in which {0.5 * number:g} is true, {behind:.2g} behind"
+            )
+
+
+def leaves_out_what_did_not_come(stand: Stand) -> None:
+    """A drive that answers no more gives NaN, and is told."""
+    stand.driver.open()
+    stand.cycle()
+    freeze(stand)
+    stand.machine.velocity = 9.0
+    end = stand.clock.now() + NOTICED_S
+    with suppress(DeviceError):
+        while stand.clock.now() < end:
+            stand.cycle()
+            read = stand.read("velocity")
+            if not math.isnan(read):
+                raise Broken(f"velocity still reads {read:.4g} after the drive has fallen silent; NaN was expected")
+        raise Broken(f"a drive that has been silent for {NOTICED_S:g} s was not told")
+
+
+def freeze(stand: Stand) -> None:
+    """Let the far end answer nothing and go on with what it does; the cable is out where it cannot."""
+    if isinstance(stand.far_end, Breakable):
+        stand.far_end.freeze(True)
+    else:
+        stand.cut()
+
+
+def tells_whether_it_is_engaged(stand: Stand) -> None:
+    """`engaged` is what the drive says: false before operation, after leaving it and in a fault."""
+    stand.driver.open()
+    stand.cycle()
+    if stand.motion.engaged:
+        raise Broken("engaged is true before anything was engaged")
+    mode = modes_of(stand)[0]
+    stand.motion.engage(mode)
+    if stand.motion.engaged:
+        raise Broken("engaged is true before the drive has entered operation")
+    engage(stand, mode)
+    stand.motion.release()
+    for _ in stand.cycles(1.0):
+        if not stand.motion.engaged:
+            break
+    else:
+        raise Broken("engaged is true a second after release()")
+    if isinstance(stand.far_end, Breakable):
+        engage(stand, mode)
+        stand.far_end.fault(0x2310)
+        with suppress(DeviceError):
+            for _ in stand.cycles(1.0):
+                if not stand.motion.engaged:
+                    return
+            raise Broken("engaged is true a second after the drive has gone into fault")
+
+
+def follows_its_setpoint(stand: Stand) -> None:
+    """A setpoint arrives in its SI unit and with its sign, zero first."""
+    stand.driver.open()
+    for mode in modes_of(stand):
+        stand.machine.angle = 0.25
+        engage(stand, mode)
+        name, value = SETPOINTS[mode]
+        for asked in (value, -value):
+            stand.motion.command(asked)
+            stand.cycle()
+            stand.cycle()
+            followed, reached = stand.machine.following
+            if followed != name:
+                raise Broken(f"the machine follows '{followed}' where '{mode}' was engaged")
+            if abs(reached - asked) > NEAR * abs(asked) + 0.05:
+                near = [
+                    text for text, factor in FACTORS.items() if abs(reached - factor * asked) <= 0.02 * abs(reached)
+                ]
+                raise Broken(
+                    f"{mode}: {reached:.6g} arrives where {asked:g} was commanded{f': {near[0]}?' if near else ''}"
+                )
+        stand.motion.release()
+        for _ in stand.cycles(0.5):
+            pass
+        if stand.machine.following[0] != "off":
+            raise Broken(f"{mode}: the machine still follows {stand.machine.following} half a second after release()")
+
+
+def begins_at_rest(stand: Stand) -> None:
+    """Operation begins with zero current and speed, at the angle where the shaft is."""
+    stand.driver.open()
+    for mode in modes_of(stand):
+        stand.machine.angle = 0.7
+        engage(stand, mode)
+        followed, value = stand.machine.following
+        rest = 0.7 if mode is Mode.ANGLE else 0.0
+        if followed != "off" and abs(value - rest) > 0.01:
+            raise Broken(f"{mode}: begins at {value:.4g}, {rest:g} was expected")
+        stand.motion.release()
+        for _ in stand.cycles(0.2):
+            pass
+
+
+def refuses_what_it_cannot_follow(stand: Stand) -> None:
+    """What is not finite or beyond what the device can hold is refused, never clipped."""
+    stand.driver.open()
+    for mode in modes_of(stand):
+        engage(stand, mode)
+        for value in (math.nan, math.inf, -math.inf, 1e12):
+            try:
+                stand.motion.command(value)
+            except InputError:
+                continue
+            except Exception as error:  # noqa: BLE001 (whatever a driver raises in the place of the one error)
+                raise Broken(
+                    f"{mode}: command({value}) raises {type(error).__name__}; InputError was expected"
+                ) from None
+            raise Broken(f"{mode}: command({value}) is taken; InputError was expected")
+        stand.motion.release()
+        for _ in stand.cycles(0.2):
+            pass
+
+
+def confirmed(stand: Stand, deadline: float = SAFE_STATE_S) -> bool:
+    """Call `safe_state`; whether it confirms. It never raises and never waits beyond the deadline."""
+    began = stand.clock.now()
+    try:
+        confirmation = stand.driver.safe_state(deadline)
+    except Exception as error:  # noqa: BLE001 (it must never raise)
+        raise Broken(f"safe_state raises {type(error).__name__}: {error}") from None
+    took = stand.clock.now() - began
+    if took > deadline + 0.05:
+        raise Broken(f"safe_state({deadline:g}) takes {took:.2f} s")
+    return bool(confirmation.safe)
+
+
+def is_off_when_it_says_so(stand: Stand) -> None:
+    """`safe_state` takes the power away, in operation and before `open`, as often as it is called."""
+    confirmed_off(stand, "before open()")
+    in_operation(stand)
+    confirmed_off(stand, "in operation")
+    confirmed_off(stand, "the second time")
+
+
+def confirmed_off(stand: Stand, when: str) -> None:
+    """Have a drive that answers become safe, and look at the machine."""
+    if not confirmed(stand):
+        raise Broken(f"safe_state {when} is not confirmed although the drive answers")
+    if stand.machine.following[0] != "off":
+        raise Broken(f"safe_state {when} is confirmed while the machine follows {stand.machine.following}")
+
+
+def confirms_nothing_unheard(stand: Stand) -> None:
+    """`safe_state` is not confirmed where the drive does not answer, and comes back by its deadline."""
+    silent_in_operation(stand, freeze)
+
+
+def confirms_nothing_over_a_cut_cable(stand: Stand) -> None:
+    """The same with the cable out."""
+    silent_in_operation(stand, Stand.cut)
+
+
+def silent_in_operation(stand: Stand, silence: Callable[[Stand], None]) -> None:
+    """Have a drive that has fallen silent in operation become safe."""
+    in_operation(stand)
+    silence(stand)
+    if confirmed(stand) and stand.machine.following[0] != "off":
+        raise Broken("safe_state is confirmed by a drive that answers nothing and goes on")
+
+
+def is_cut_at_once(stand: Stand) -> None:
+    """`stop_now` sends what takes the power away, and waits for nothing."""
+    in_operation(stand)
+    began = stand.clock.now()
+    stand.driver.stop_now()
+    if stand.clock.now() > began:
+        raise Broken(f"stop_now waits for {stand.clock.now() - began:.3f} s; nothing is waited for there")
+    stand.wait(ANSWER_S)
+    if stand.machine.following[0] != "off":
+        raise Broken(f"the machine still follows {stand.machine.following} after stop_now()")
+
+
+def stops_without_its_host(stand: Stand) -> None:
+    """A drive that is said to listen for the host stops within that time once nothing comes, and not while it does."""
+    silence = stand.settings.host_silence_s
+    if silence is None:
+        return
+    in_operation(stand)
+    for _ in stand.cycles(6.0 * silence):
+        pass
+    if not stand.motion.engaged:
+        raise Broken(
+            f"leaves operation although feed() is called every {PERIOD_S:g} s; host_silence_s is {silence:g} s"
+        )
+    stand.wait(1.2 * silence + PERIOD_S)
+    if stand.machine.following[0] != "off":
+        raise Broken(
+            f"the machine still follows {stand.machine.following} {1.2 * silence:.3g} s after the host's last sign;"
+            f" host_silence_s says {silence:g} s"
+        )
+
+
+def comes_and_goes(stand: Stand) -> None:
+    """It may be closed twice, unopened too, and opened again."""
+    stand.driver.close()
+    in_operation(stand)
+    confirmed_off(stand, "in operation")
+    try:
+        stand.driver.close()
+        stand.driver.close()
+    except LeactlError as error:
+        raise Broken(f"close() raises where it is closed already: {error}") from None
+    in_operation(stand)
+
+
+TRIALS = (
+    reads_si_units,
+    reads_each_sample_once,
+    leaves_out_what_did_not_come,
+    tells_whether_it_is_engaged,
+    begins_at_rest,
+    follows_its_setpoint,
+    refuses_what_it_cannot_follow,
+    is_off_when_it_says_so,
+    confirms_nothing_unheard,
+    confirms_nothing_over_a_cut_cable,
+    is_cut_at_once,
+    stops_without_its_host,
+    comes_and_goes,
+)

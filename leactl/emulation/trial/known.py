@@ -1,0 +1,98 @@
+"""A bench whose every quantity is known at any time, behind the far end of the driver that is tried."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leactl.emulation.clock import EmulatedClock
+
+LOAD_OHM = 0.6
+BASES = {  # value at time zero and change in a second, in SI units and degC
+    "torque": (1.0, 0.2),
+    "bus_voltage": (29.6, 0.05),
+    "line_current": (2.0, 0.1),
+    "line_voltage": (1.2, 0.06),
+    "winding_temperature": (41.0, 0.5),
+    "housing_temperature": (33.0, 0.25),
+    "ambient_temperature": (24.0, 0.05),
+}
+OTHER = (1.5, 0.1)
+AMPLITUDE_V, PULSATION = 4.0, 2.0 * math.pi * 7.0
+
+
+class KnownMachine:
+    """A motor that a drive turns: it notes what it is told, and its sensors show what the trial says."""
+
+    voltage, bus_voltage = 3.25, 29.6
+
+    def __init__(self) -> None:
+        self.following = ("off", 0.0)
+        self.current: float | None = None  # A; the current that is commanded where the trial says none
+        self.velocity, self.angle = 0.0, 0.25
+
+    def command(self, mode: str, value: float) -> None:
+        """Follow a setpoint."""
+        self.following = (mode, value)
+
+    def read(self) -> tuple[float, float, float]:
+        """Current [A], velocity [rad/s] and angle [rad]."""
+        mode, value = self.following
+        flowing = value if mode == "current" else 0.0
+        return flowing if self.current is None else self.current, self.velocity, self.angle
+
+
+class KnownLoad:
+    """A resistor at a supply's terminals."""
+
+    def __init__(self) -> None:
+        self.fed = (0.0, 0.0)  # V and A that come of it
+
+    def feed(self, voltage: float, current: float) -> tuple[float, float]:
+        """Be fed with no more than this voltage [V] and current [A]."""
+        flowing = min(current, voltage / LOAD_OHM)
+        self.fed = (flowing * LOAD_OHM, flowing)
+        return self.fed
+
+
+class KnownTerminals:
+    """Three line-to-line voltages, a third of a turn apart."""
+
+    def __init__(self) -> None:
+        self.chance = np.random.default_rng(0)
+
+    def voltages(self, times: NDArray[np.float64], pair: int) -> NDArray[np.float64]:
+        """Voltages [V] of a pair at these times."""
+        return np.asarray(AMPLITUDE_V * np.sin(PULSATION * times - 2.0 * math.pi * pair / 3.0), np.float64)
+
+
+class KnownBench:
+    """The physics behind a far end (`leactl.driver.far_end.Physics`)."""
+
+    def __init__(self, clock: EmulatedClock) -> None:
+        self._clock = clock
+        self.machines: dict[str, KnownMachine] = {}
+        self.load, self.leads = KnownLoad(), KnownTerminals()
+
+    def machine(self, role: str) -> KnownMachine:
+        """What the drive of this role turns."""
+        return self.machines.setdefault(role, KnownMachine())
+
+    def reading(self, quantity: str, role: str, location: str = "") -> Callable[[], float]:
+        """A function that gives this quantity now."""
+        return lambda: float(self.true_value(quantity, self._clock.now()))
+
+    def true_value(self, quantity: str, time: Any) -> Any:
+        """Value of a quantity at one time [s] or many."""
+        begins, rises = BASES.get(quantity, OTHER)
+        return begins + rises * time
+
+    def terminals(self, role: str) -> KnownTerminals:
+        """The three leads of this role's motor."""
+        return self.leads
+
+    def at_supply(self, feeds: str, role: str) -> KnownLoad:
+        """What a power supply feeds."""
+        return self.load

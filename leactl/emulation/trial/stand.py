@@ -1,0 +1,109 @@
+"""One driver, its far end and the wire between them, made anew for each trial."""
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from leactl.driver.can_port import CanPort
+from leactl.driver.contract import Driver, MotionDevice
+from leactl.driver.i2c_port import I2cPort
+from leactl.driver.serial_port import SerialPort
+from leactl.emulation.clock import EmulatedClock
+from leactl.emulation.serial_wire import EmulatedSerialLine, SerialWire
+from leactl.emulation.trial.known import KnownBench, KnownMachine
+from leactl.emulation.wires import CanWire, EmulatedCanBus, EmulatedI2cBus
+
+BYTE_S = 11 / 9600  # of a serial line with two stop bits
+PERIOD_S, ANSWER_S = 0.01, 0.006
+ROLE = "test"
+
+
+class Broken(Exception):
+    """What a driver does not keep; its text says what was done, what came of it and what was expected."""
+
+
+class Stand:
+    """A driver that is not open yet, at the wire of its far end."""
+
+    def __init__(self, driver: type[Driver], folder: Path) -> None:
+        self.clock = EmulatedClock()
+        self.bench = KnownBench(self.clock)
+        self.settings = example_of(driver, folder)
+        far_end: Any = driver.far_end(self.settings, ROLE, self.bench)
+        self._wire: Any = None
+        port: Any = far_end
+        if driver.transport == "can":
+            wire = self._wire = CanWire(self.clock)
+            wire.attach(far_end)
+            port = CanPort(lambda: EmulatedCanBus(wire), self.clock)
+        elif driver.transport == "i2c":
+            address, far_end = far_end
+            bus = self._wire = EmulatedI2cBus(self.clock)
+            bus.devices[address] = far_end
+            port = I2cPort(lambda: bus)
+        elif driver.transport == "serial":
+            line = self._wire = SerialWire(self.clock, BYTE_S)
+            line.device = far_end
+            port = SerialPort(lambda: EmulatedSerialLine(line), self.clock)
+        else:
+            self.clock.follow(far_end.tick)
+            self.clock.stop_at(lambda: far_end.due)
+        self.far_end, self._port = far_end, port
+        self.driver = driver("tried", ROLE, self.settings, port, self.clock)
+
+    @property
+    def motion(self) -> MotionDevice:
+        """The driver as a drive."""
+        assert isinstance(self.driver, MotionDevice)
+        return self.driver
+
+    @property
+    def machine(self) -> KnownMachine:
+        """What the drive turns."""
+        return self.bench.machine(ROLE)
+
+    def cut(self) -> None:
+        """Take the cable out: nothing arrives, on either side."""
+        if isinstance(self._wire, EmulatedI2cBus):
+            self._wire.silent += self._wire.devices.values()
+        elif self._wire is not None:
+            self._wire.cut = True
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass with nothing sent."""
+        self.clock.sleep_until(self.clock.now() + seconds)
+
+    def cycle(self, feed: bool = True) -> list[float]:
+        """One cycle as the control loop makes it."""
+        began, drive = self.clock.now(), self.motion
+        drive.begin_cycle()
+        if isinstance(self._port, CanPort):
+            self._port.sync()
+        drive.end_cycle(began + ANSWER_S)
+        values = list(drive.values)
+        if feed:
+            drive.feed()
+        self.clock.sleep_until(began + PERIOD_S)
+        return values
+
+    def cycles(self, seconds: float) -> Iterable[list[float]]:
+        """Cycles for as long."""
+        end = self.clock.now() + seconds
+        while self.clock.now() < end:
+            yield self.cycle()
+
+    def read(self, quantity: str) -> float:
+        """The last cycle's value of a quantity; NaN where the drive has no such channel."""
+        for place, channel in enumerate(self.motion.loop_channels):
+            if channel.quantity == quantity:
+                return self.motion.values[place]
+        return math.nan
+
+
+def example_of(driver: type[Driver], folder: Path) -> Any:
+    """Settings of one device, by the driver's `example`; files go into a folder."""
+    given: dict[str, Any] = dict(driver.example)
+    if "exports_folder" in driver.Settings.model_fields:
+        given["exports_folder"] = str(folder)
+    return driver.Settings.model_validate(given)

@@ -1,0 +1,169 @@
+"""What every power supply must keep: it gives what it is told, no more, and is off when it says so."""
+
+import math
+from contextlib import suppress
+
+from leactl.driver.contract import PowerSupply
+from leactl.driver.far_end import FailingSupply
+from leactl.emulation.trial.drives import confirmed
+from leactl.emulation.trial.known import LOAD_OHM
+from leactl.emulation.trial.stand import Broken, Stand
+from leactl.errors import DeviceError, InputError
+
+ASKED_V, ASKED_A = 3.0, 2.0  # of which the load takes 2 A at 1.2 V
+SWITCHED_S = 5.0
+NEAR = 0.02
+LOOKS_S = 0.01
+
+
+def supply_of(stand: Stand) -> PowerSupply:
+    """The driver as a supply."""
+    assert isinstance(stand.driver, PowerSupply)
+    return stand.driver
+
+
+def listen(stand: Stand, seconds: float) -> list[float]:
+    """Take what comes, as the control loop does; gives the newest value of each channel."""
+    end, newest = stand.clock.now() + seconds, list[float]()
+    while stand.clock.now() < end:
+        for row in stand.driver.take():
+            newest = list(getattr(row, "values", ()))
+        stand.wait(LOOKS_S)
+    return newest
+
+
+def switched_on(stand: Stand) -> None:
+    """Open the supply and have it put out."""
+    supply = supply_of(stand)
+    stand.driver.open()
+    listen(stand, 0.2)
+    supply.supply(ASKED_V, ASKED_A)
+    supply.switch_on()
+    end = stand.clock.now() + SWITCHED_S
+    while not supply.supplying:
+        if stand.clock.now() >= end:
+            raise Broken(f"supplying is false {SWITCHED_S:g} s after switch_on()")
+        listen(stand, 0.05)
+
+
+def gives_what_it_is_told(stand: Stand) -> None:
+    """Voltage in V and current in A arrive at the terminals, and are measured as they are there."""
+    supply = supply_of(stand)
+    switched_on(stand)
+    newest = listen(stand, 2.0)
+    volts, amperes = stand.bench.load.fed
+    true = ASKED_A * LOAD_OHM, ASKED_A
+    if abs(volts - true[0]) > NEAR * true[0] or abs(amperes - true[1]) > NEAR * true[1]:
+        raise Broken(
+            f"{volts:.4g} V and {amperes:.4g} A at the terminals; {true[0]:g} V and {true[1]:g} A were expected"
+        )
+    channels = stand.driver.streams[0].channels
+    for channel, value in zip(channels, newest, strict=False):
+        expected = {"line_voltage": volts, "bus_voltage": volts, "line_current": amperes}.get(channel.quantity)
+        if expected is not None and not abs(value - expected) <= NEAR * expected + 0.05:
+            raise Broken(f"{channel.quantity} reads {value:.4g} where {expected:.4g} is true")
+    if not supply.supplying:
+        raise Broken("supplying is false while the output is on")
+
+
+def is_off_when_met(stand: Stand) -> None:
+    """Nothing is put out before it was switched on, and `supplying` is false."""
+    stand.driver.open()
+    listen(stand, 1.0)
+    if stand.bench.load.fed[1] > 0.0 or supply_of(stand).supplying:
+        raise Broken("its output is on, or said to be, before switch_on()")
+
+
+def switches_off(stand: Stand) -> None:
+    """`switch_off` ends the output, and `supplying` tells so once the instrument does."""
+    supply = supply_of(stand)
+    switched_on(stand)
+    supply.switch_off()
+    listen(stand, SWITCHED_S)
+    if stand.bench.load.fed[1] > 0.0:
+        raise Broken(f"{stand.bench.load.fed[1]:.4g} A still flow {SWITCHED_S:g} s after switch_off()")
+    if supply.supplying:
+        raise Broken(f"supplying is true {SWITCHED_S:g} s after switch_off()")
+
+
+def refuses_what_it_cannot_give(stand: Stand) -> None:
+    """What is not finite, negative or above `most` is refused."""
+    supply = supply_of(stand)
+    stand.driver.open()
+    volts, amperes = supply.most
+    for asked in ((math.nan, 1.0), (1.0, math.inf), (-1.0, 1.0), (1.0, -1.0), (1.1 * volts, 1.0), (1.0, 1.1 * amperes)):
+        try:
+            supply.supply(*asked)
+        except InputError:
+            continue
+        raise Broken(f"supply{asked} is taken; InputError was expected")
+
+
+def is_off_when_it_says_so(stand: Stand) -> None:
+    """`safe_state` ends the output, before `open` too, as often as it is called."""
+    for when in ("before open()", "in operation", "the second time"):
+        if when == "in operation":
+            switched_on(stand)
+        if not confirmed(stand):
+            raise Broken(f"safe_state {when} is not confirmed although the supply answers")
+        if stand.bench.load.fed[1] > 0.0:
+            raise Broken(f"safe_state {when} is confirmed while {stand.bench.load.fed[1]:.4g} A flow")
+
+
+def confirms_nothing_that_is_not_so(stand: Stand) -> None:
+    """An output that is stuck on, or a cable that is out, is never confirmed to be off."""
+    switched_on(stand)
+    if isinstance(stand.far_end, FailingSupply):
+        stand.far_end.stuck_on()
+    else:
+        stand.cut()
+    if confirmed(stand) and stand.bench.load.fed[1] > 0.0:
+        raise Broken(f"safe_state is confirmed while {stand.bench.load.fed[1]:.4g} A flow")
+
+
+def confirms_nothing_over_a_cut_cable(stand: Stand) -> None:
+    """The same with the cable out."""
+    switched_on(stand)
+    stand.cut()
+    if confirmed(stand) and stand.bench.load.fed[1] > 0.0:
+        raise Broken("safe_state is confirmed over a cable that is out")
+
+
+def is_cut_at_once(stand: Stand) -> None:
+    """`stop_now` sends what ends the output, and waits for nothing."""
+    switched_on(stand)
+    began = stand.clock.now()
+    stand.driver.stop_now()
+    if stand.clock.now() > began:
+        raise Broken(f"stop_now waits for {stand.clock.now() - began:.3f} s; nothing is waited for there")
+    stand.wait(1.0)
+    if stand.bench.load.fed[1] > 0.0:
+        raise Broken(f"{stand.bench.load.fed[1]:.4g} A still flow a second after stop_now()")
+
+
+def tells_silence(stand: Stand) -> None:
+    """A supply that answers no more is told within three seconds, or tells nothing more."""
+    switched_on(stand)
+    stand.cut()
+    end, came = stand.clock.now() + 3.0, 0
+    with suppress(DeviceError):
+        while stand.clock.now() < end:
+            rows = list(stand.driver.take())
+            if stand.clock.now() > end - 1.0:
+                came += sum(1 for row in rows if not all(math.isnan(value) for value in getattr(row, "values", ())))
+            stand.wait(LOOKS_S)
+        if came:
+            raise Broken(f"{came} readings have come in the last second of three over a cable that is out")
+
+
+TRIALS = (
+    is_off_when_met,
+    gives_what_it_is_told,
+    switches_off,
+    refuses_what_it_cannot_give,
+    is_off_when_it_says_so,
+    confirms_nothing_that_is_not_so,
+    confirms_nothing_over_a_cut_cable,
+    is_cut_at_once,
+    tells_silence,
+)

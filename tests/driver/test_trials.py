@@ -1,0 +1,297 @@
+"""`leactl driver check` makes a driver and its far end: one planted defect each is found, sound drivers pass."""
+
+import math
+import os
+import time
+
+import pytest
+from leactl_plugins.ads1115.driver import Ads1115
+from leactl_plugins.elmo_can.commissioning import Commissioning
+from leactl_plugins.elmo_can.driver import ElmoCan
+from leactl_plugins.scpi_supply.driver import ScpiSupply
+
+from leactl.driver import conformance, registry
+from leactl.driver.contract import Confirmation, Driver, DriverSettings
+from leactl.emulation.trial import running
+from leactl.emulation.trial.running import try_driver
+from leactl.errors import DeviceError, InputError
+
+ANGLE, VELOCITY = 5, 4  # among the values of the drive
+
+
+class Sound(ElmoCan):
+    """The drive as it is."""
+
+
+class SafeInWords(ElmoCan):
+    """Says that it is safe and does nothing for it."""
+
+    def safe_state(self, deadline_s):
+        return Confirmation(True, "quite safe")
+
+
+class SafeUnheard(ElmoCan):
+    """Takes silence for consent."""
+
+    def safe_state(self, deadline_s):
+        super().safe_state(deadline_s)
+        return Confirmation(True, "told to be safe")
+
+
+class SafeSlowly(ElmoCan):
+    """Waits by a clock of its own."""
+
+    def safe_state(self, deadline_s):
+        time.sleep(30)
+        return super().safe_state(deadline_s)
+
+
+class SafeLate(ElmoCan):
+    """Waits for longer than it may."""
+
+    def safe_state(self, deadline_s):
+        self._clock.sleep_until(self._clock.now() + 3.0)
+        return super().safe_state(deadline_s)
+
+
+class SafeByRaising(ElmoCan):
+    """Raises where a device does not answer."""
+
+    def safe_state(self, deadline_s):
+        confirmation = super().safe_state(deadline_s)
+        if not confirmation.safe:
+            raise DeviceError(confirmation.detail)
+        return confirmation
+
+
+class Stale(ElmoCan):
+    """Gives its first sample for ever."""
+
+    kept = None
+
+    def end_cycle(self, deadline):
+        super().end_cycle(deadline)
+        self.kept = self.kept or list(self.values)
+        self.values[:] = self.kept
+
+
+class OneBehind(ElmoCan):
+    """Gives each sample a cycle late."""
+
+    before = None
+
+    def end_cycle(self, deadline):
+        super().end_cycle(deadline)
+        now = list(self.values)
+        self.values[:] = self.before or now
+        self.before = now
+
+
+class Turns(ElmoCan):
+    """Tells turns."""
+
+    def end_cycle(self, deadline):
+        super().end_cycle(deadline)
+        self.values[ANGLE] /= 2 * math.pi
+
+
+class Degrees(ElmoCan):
+    """Tells degrees a second."""
+
+    def end_cycle(self, deadline):
+        super().end_cycle(deadline)
+        self.values[VELOCITY] *= 180 / math.pi
+
+
+class AlwaysEngaged(ElmoCan):
+    """Is engaged in its own opinion."""
+
+    @property
+    def engaged(self):
+        return True
+
+    @engaged.setter
+    def engaged(self, value): ...
+
+
+class Reversed(ElmoCan):
+    """Commands the other sense."""
+
+    def command(self, value):
+        super().command(-value)
+
+
+class Clips(ElmoCan):
+    """Brings what it cannot follow to what it can."""
+
+    def command(self, value):
+        super().command(0.0 if not math.isfinite(value) else max(-1.0, min(1.0, value)))
+
+
+class Unguarded(ElmoCan):
+    """Says that it stops without its host, and has armed nothing."""
+
+    def _setup(self):
+        setup = super()._setup()
+        setup.arm_dead_man = lambda: None
+        return setup
+
+
+class HoldsOldValues(ElmoCan):
+    """Goes on with the last reading of a drive that has fallen silent."""
+
+    def _leave_empty(self, now):
+        self._answers.end(now)
+
+
+class CutsLate(ElmoCan):
+    """Waits in `stop_now`."""
+
+    def stop_now(self):
+        self.safe_state(1.0)
+        self._clock.sleep_until(self._clock.now() + 0.1)
+
+
+class ClosesOnce(ElmoCan):
+    """Complains where it is closed already."""
+
+    def close(self):
+        if not self._opened:
+            raise DeviceError("closed already")
+        super().close()
+
+
+class TakesAllWithIt(ElmoCan):
+    """Ends the process."""
+
+    def open(self):
+        os._exit(0)
+
+
+class MilliUnits(Ads1115):
+    """Gives thousandths."""
+
+    def take(self):
+        return [row._replace(values=tuple(1000 * value for value in row.values)) for row in super().take()]
+
+
+class Repeats(Ads1115):
+    """Gives each conversion twice."""
+
+    def take(self):
+        return [row for row in super().take() for _ in range(2)]
+
+
+class StampsNow(Ads1115):
+    """Stamps a sample with a moment at which it was not there yet."""
+
+    def take(self):
+        return [row._replace(time=row.time + 0.5) for row in super().take()]
+
+
+class AlwaysSupplying(ScpiSupply):
+    """Supplies in its own opinion."""
+
+    supplying = True
+
+
+class OffInWords(ScpiSupply):
+    """Says that it is off."""
+
+    def safe_state(self, deadline_s):
+        return Confirmation(True, "off")
+
+
+class TakesEverything(ScpiSupply):
+    """Passes on whatever it is told."""
+
+    def supply(self, voltage, current):
+        if math.isfinite(voltage) and voltage >= 0 and math.isfinite(current) and current >= 0:
+            super().supply(min(voltage, self.most[0]), min(current, self.most[1]))
+
+
+PLANTED = [
+    (SafeInWords, "is off when it says so", "confirmed while the machine follows"),
+    (SafeUnheard, "confirms nothing", "answers nothing and goes on"),
+    (SafeSlowly, "is off when it says so", "it hangs"),
+    (SafeLate, "is off when it says so", "takes 3.00 s"),
+    (SafeByRaising, "confirms nothing", "safe_state raises DeviceError"),
+    (Stale, "reads each sample once", "in the cycle in which"),
+    (OneBehind, "reads each sample once", "in the cycle in which"),
+    (Turns, "reads si units", "turns for radians?"),
+    (Degrees, "reads si units", "degrees for radians?"),
+    (AlwaysEngaged, "tells whether it is engaged", "engaged is true before anything was engaged"),
+    (Reversed, "follows its setpoint", "the other sense?"),
+    (Clips, "refuses what it cannot follow", "command(nan) is taken"),
+    (Unguarded, "stops without its host", "after the host's last sign"),
+    (HoldsOldValues, "leaves out what did not come", "still reads"),
+    (CutsLate, "is cut at once", "stop_now waits"),
+    (ClosesOnce, "comes and goes", "closed already"),
+    (TakesAllWithIt, "reads si units", "taken the process with it"),
+    (MilliUnits, "measures what is there", "1000 times"),
+    (Repeats, "measures what is there", "a sample comes twice"),
+    (StampsNow, "measures what is there", "before the moment at which a sample is taken"),
+    (AlwaysSupplying, "is off when met", "before switch_on()"),
+    (OffInWords, "is off when it says so", "confirmed while 2 A flow"),
+    (TakesEverything, "refuses what it cannot give", "is taken"),
+]
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch):
+    monkeypatch.setattr(running, "WALL_S", 3.0)
+
+
+def faults_of(driver):
+    return [(tried.name, tried.fault) for tried in try_driver(driver) if tried.fault]
+
+
+@pytest.mark.parametrize(("driver", "trial", "said"), PLANTED, ids=[planted[0].__name__ for planted in PLANTED])
+def test_a_planted_defect_is_found_and_named(driver, trial, said):
+    faults = faults_of(driver)
+    assert any(name.startswith(trial) and said in fault for name, fault in faults), faults
+
+
+@pytest.mark.parametrize("name", registry.names())
+def test_every_shipped_driver_passes_every_trial(name):
+    assert faults_of(registry.load(name)) == []
+
+
+def test_a_driver_without_an_example_is_told_what_is_missing():
+    class Bare(ElmoCan):
+        example = {}
+
+    with pytest.raises(InputError, match=r"its `example` is no settings of one: .*node.*Field required"):
+        try_driver(Bare)
+
+
+def test_whole_numbers_without_a_unit_and_any_order_of_methods_are_sound():
+    class Settings(DriverSettings):
+        averages: int = 4
+
+    class Plain(Ads1115):
+        """Has another first method."""
+
+        def close(self): ...
+
+        def safe_state(self, deadline_s: float) -> Confirmation:
+            return Confirmation(True, "")
+
+    Plain.Settings = Settings
+    assert conformance.faults_of(Plain) == []
+
+
+def test_a_driver_that_lacks_a_method_is_told_which():
+    class Half(Driver):
+        """A driver that cannot be made."""
+
+        Settings, transport, summary = ElmoCan.Settings, "can", "half"
+
+        def safe_state(self, deadline_s: float) -> Confirmation:
+            return Confirmation(True, "")
+
+    assert conformance.faults_of(Half) == ["has no __init__, close, open"]
+
+
+def test_the_set_up_that_a_defect_is_planted_in_is_the_drives_own():
+    assert "arm_dead_man" in vars(Commissioning)
