@@ -231,6 +231,7 @@ def score_blind(
 ) -> None:
     """Diagnose every case, then open the key and say how often the diagnosis was right; a stop keeps what is done."""
     from leactl.emulation.blind.key import read_key, require_whole
+    from leactl.errors import InputError
     from leactl.gap.blind.check import Cases, check
     from leactl.gap.blind.score import score
     from leactl.report.blind import as_json as document
@@ -243,6 +244,8 @@ def score_blind(
     for folder in cases:
         require_whole(folder)
     sets = Cases.side_by_side(cases, key, answers)
+    if out in [part.answers for part in sets]:
+        raise InputError(f"--out {out}: is the folder that the answers go to; the name of a file was expected")
     with Steps() as step:
         marks = check(sets, read_key, processes, step)
     found = score(marks)

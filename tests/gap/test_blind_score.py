@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from leactl.cli.main import app
+from leactl.emulation.blind.key import HASH_NAME
 from leactl.errors import InputError
 from leactl.gap.blind import check as checking
 from leactl.gap.blind.marks import Departure, Mark, mark
@@ -320,6 +321,19 @@ def test_groups_show_each_machine_and_simulator_and_targets_follow_what_was_draw
     }
     assert found.shares[0].target == ">= 95 %"
     assert score([mark("c", truth_of("cogging"), answer, UNMEASURED)]).shares[0].target == ">= 98 %"
+
+
+def test_a_report_cannot_take_the_place_of_the_answers(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cases").mkdir()
+    (tmp_path / "cases" / HASH_NAME).write_text("0\n")
+    asked = ["gap", "blind", "score", "--cases", "cases", "--key", "key", "--out", "cases-answers"]
+    told = CliRunner().invoke(app, asked)
+    assert isinstance(told.exception, InputError)
+    assert (
+        str(told.exception)
+        == "--out cases-answers: is the folder that the answers go to; the name of a file was expected"
+    )
 
 
 def test_as_many_keys_as_sets_of_cases_are_needed(tmp_path):
