@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 app = group_of_commands()
 PAGE = """# The drill of the bench `{bench}`
 
-Written by `{command}`; what the columns mean is in [safety.md](safety.md), the faults are in [faults.md](faults.md).
+Written by `{command}`; `leactl docs safety` says what the columns mean, `leactl docs faults` what the faults are.
 
 """
 

@@ -54,3 +54,16 @@ def test_the_site_has_every_page():
     for page in PAGES.glob("*/*.md"):
         name = f"{page.parent.name}/{page.stem}"
         assert name in index.splitlines() or f"{page.parent.name}/*" in index, name
+
+
+def test_a_study_names_its_command_date_and_version():
+    for page in PAGES.glob("evidence/*.md"):
+        text = page.read_text(encoding="utf-8")
+        provenance = r"^Command: .*`.*\. Date: \d{4}-\d\d-\d\d\. Version: leactl \d+\.\d+\.\d+, revision [0-9a-f]{7}\.$"
+        assert page.stem == "README" or re.search(provenance, text, re.MULTILINE), page.name
+
+
+def test_no_page_has_a_path_of_a_machine():
+    for page in PAGES.rglob("*.md"):
+        text = page.read_text(encoding="utf-8")
+        assert not re.search(r"(?<![\w.])/(home|root|work|Users)\b|\.\./shared", text), page.name
