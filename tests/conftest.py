@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from leactl.analysis.analyze import is_known, results_of
 from leactl.analysis.estimate import Result
-from leactl.analysis.experiments import is_known, results_of
 from leactl.bench import benchfile
 
 HOLD = """

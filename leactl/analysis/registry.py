@@ -1,4 +1,4 @@
-"""Experiments by name: the shipped ones in one table, those of other packages by entry point `leactl.experiments`.
+"""Experiments by name: the shipped ones by their folder, those of other packages by entry point `leactl.experiments`.
 
 An experiment is a module, or any object, with
 
@@ -13,8 +13,10 @@ experiment is asked for and harms no other.
 
 import importlib
 import inspect
+import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -24,28 +26,7 @@ from leactl.runfile.reader import Run
 
 GROUP = "leactl.experiments"
 GENERIC = "channels"
-SHIPPED = {
-    name: f"leactl.analysis.{name.replace('-', '_')}"
-    for name in (
-        "back-drive",
-        "back-emf",
-        GENERIC,
-        "coast-down",
-        "current-noise",
-        "current-step",
-        "efficiency",
-        "friction",
-        "no-load-loss",
-        "position-noise",
-        "position-step",
-        "thermal",
-        "torque-constant",
-        "torque-pulses",
-        "torque-sensor-calibration",
-        "torque-speed-envelope",
-        "winding-rise",
-    )
-}
+ROOM = "leactl.analysis.experiments"
 
 
 @dataclass(frozen=True)
@@ -91,14 +72,21 @@ class Experiment:
         return f"analysis '{self.name}' of {self.source}"
 
 
+@cache
+def shipped() -> frozenset[str]:
+    """Names of the experiments of this package, one of each module in their folder."""
+    room = importlib.import_module(ROOM)
+    return frozenset(module.name.replace("_", "-") for module in pkgutil.iter_modules(room.__path__))
+
+
 def names() -> list[str]:
     """Names of all experiments, without importing any."""
-    return sorted({*SHIPPED, *foreign()})
+    return sorted({*shipped(), *foreign()})
 
 
 def foreign() -> dict[str, EntryPoint]:
     """Entry points of other packages by name; a shipped name stays with the shipped experiment."""
-    return {point.name: point for point in entry_points(group=GROUP) if point.name not in SHIPPED}
+    return {point.name: point for point in entry_points(group=GROUP) if point.name not in shipped()}
 
 
 def load(name: str) -> Experiment:
@@ -109,8 +97,8 @@ def load(name: str) -> Experiment:
     InputError : there is none of this name, or it cannot be imported or used.
     """
     name = name.replace("_", "-")
-    if name in SHIPPED:
-        return declared(name, "", importlib.import_module(SHIPPED[name]))
+    if name in shipped():
+        return declared(name, "", importlib.import_module(f"{ROOM}.{name.replace('-', '_')}"))
     point = foreign().get(name)
     if point is None:
         raise InputError(f"analysis '{name}' is not known; known: {', '.join(names())}")

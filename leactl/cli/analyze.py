@@ -33,8 +33,8 @@ def analyze(
     ),
 ) -> None:
     """Fit the parameters that runs were made for, with 95 % intervals, by actuator and condition."""
+    from leactl.analysis.analyze import GENERIC, analyze_each, numbers
     from leactl.analysis.estimate import FORMAT, VERSION
-    from leactl.analysis.experiments import GENERIC, analyze_each, numbers
     from leactl.errors import InputError
     from leactl.runfile.catalog import run_files
 

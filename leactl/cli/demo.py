@@ -17,7 +17,7 @@ def demo(
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
     """Characterise an emulated actuator: torque constant and friction in three preloads, beside the paper's figures."""
-    from leactl.analysis.experiments import analyze_runs
+    from leactl.analysis.analyze import analyze_runs
     from leactl.cli.run import finish, perform
     from leactl.report.terminal import print_summary
     from leactl.runner.request import prepare

@@ -45,7 +45,7 @@ def report(
     as_json: bool = typer.Option(False, "--json", help="Print the table as JSON on stdout."),
 ) -> None:
     """Make a datasheet from runs: results with intervals and sources beside the paper's, and the figures."""
-    from leactl.analysis.experiments import numbers
+    from leactl.analysis.analyze import numbers
     from leactl.report.datasheet.make import Wanted, make
 
     sheet = make(runs, compare, numbers(settings), Wanted(html, pdf, as_json))

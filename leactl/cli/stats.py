@@ -23,8 +23,8 @@ def stats(
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
     """Compare results over conditions: ANOVA with the actuator as a random factor, Tukey HSD, effect sizes."""
-    from leactl.analysis.conditions.each import compare_each
-    from leactl.analysis.experiments import numbers
+    from leactl.analysis.analyze import numbers
+    from leactl.analysis.anova.by_experiment import compare_each
     from leactl.errors import InputError
     from leactl.report.conditions import comparisons_text
 

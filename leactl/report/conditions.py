@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from leactl.analysis.conditions.comparison import Comparison, in_words
+from leactl.analysis.anova.comparison import Comparison, in_words
 from leactl.analysis.estimate import listed
 from leactl.report.terminal import aligned, number, wrapped
 

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from leactl.analysis.experiments import refuse_altered, refuse_repeated, remarks_on
+from leactl.analysis.analyze import refuse_altered, refuse_repeated, remarks_on
 from leactl.analysis.quality.gate import doubts_of
 from leactl.errors import InputError
 from leactl.gap.thermal_fit import ThermalFit, lacking, thermal_fit

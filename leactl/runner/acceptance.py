@@ -28,7 +28,7 @@ def check_analysis(plan: Plan, name: str) -> None:
     ------
     InputError : one line a fault with file, line and column.
     """
-    from leactl.analysis.experiments import asked_in, is_known, names, results_of
+    from leactl.analysis.analyze import asked_in, is_known, names, results_of
 
     asked = asked_in(plan.text)
     limits = {n: limit for n, limit in enumerate(plan.acceptance) if isinstance(limit, Acceptance)}
@@ -65,7 +65,7 @@ def judge(plan: Plan, run: Path) -> tuple[list[dict[str, Any]], list[str]]:
 
     A value that is missing is not met. How the channels did stands in the run's events.
     """
-    from leactl.analysis.experiments import analyze_runs
+    from leactl.analysis.analyze import analyze_runs
 
     limits = [limit for limit in plan.acceptance if isinstance(limit, Acceptance)]
     unmet = []

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from leactl.analysis.experiments import refuse_altered, refuse_repeated
+from leactl.analysis.analyze import refuse_altered, refuse_repeated
 from leactl.analysis.heating.narrowing import Accuracy, narrowed
 from leactl.analysis.quality.gate import doubts_of
 from leactl.errors import InputError

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from leactl.analysis.back_drive import analyze
+from leactl.analysis.experiments.back_drive import analyze
 from leactl.errors import NotIdentifiable
 
 from .back_driven import COG, ORDER, B, C, F, J, W, driven

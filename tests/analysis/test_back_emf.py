@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from leactl.analysis.back_emf import analyze
-from leactl.analysis.leads import PAIRS
+from leactl.analysis.experiments.back_emf import analyze
+from leactl.analysis.voltage_waves.line_voltages import PAIRS
 from leactl.errors import InputError, NotIdentifiable
 
 from .open_leads import KB, SPEED, OpenLeads

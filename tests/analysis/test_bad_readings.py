@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.analyze import analyze_runs
 from leactl.errors import InputError
 
 from .control_runs import step_run

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from leactl.analysis.coast_down import analyze
+from leactl.analysis.experiments.coast_down import analyze
 from leactl.errors import MissingChannel, NotIdentifiable
 
 from .run_outs import COAST_S, HELD_S, KT, RATE, SPEED, B, F, J, coasting

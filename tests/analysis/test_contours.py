@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leactl.analysis.powers.contours import band, contours
+from leactl.analysis.efficiency.contours import band, contours
 
 X, Y = np.meshgrid(np.linspace(-1.5, 1.5, 31), np.linspace(-1.5, 1.5, 31), indexing="ij")
 

@@ -5,7 +5,7 @@ from contextlib import nullcontext
 
 import pytest
 
-from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.analyze import analyze_runs
 from leactl.bench import benchfile
 from leactl.emulation import emulated_bench
 from leactl.runner.operators import granted

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from leactl.analysis.efficiency import analyze
-from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.analyze import analyze_runs
+from leactl.analysis.experiments.efficiency import analyze
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
 
 from .coupled import CURRENTS, SPEEDS, CoupledBench, Truth

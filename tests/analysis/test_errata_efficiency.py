@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from leactl.analysis.efficiency import analyze
+from leactl.analysis.experiments.efficiency import analyze
 from leactl.model.motor import load_motor
 from leactl.protocol import protocolfile
 from tests.protocol.writing import segments

@@ -10,8 +10,8 @@ from importlib.resources import files
 import pytest
 import yaml
 
-from leactl.analysis.experiments import analyze_runs
-from leactl.analysis.registry import SHIPPED
+from leactl.analysis.analyze import analyze_runs
+from leactl.analysis.registry import shipped
 from leactl.errors import InputError
 from leactl.runfile.reader import Run
 from tests.analysis.corrupted import CORRUPTIONS, constant, frozen, gappy, rewritten, thousandfold, turned
@@ -79,7 +79,7 @@ def test_every_shipped_protocol_and_experiment_has_a_short_form():
     analyses = {path.name.removesuffix(".yaml"): yaml.safe_load(path.read_text()).get("analysis") for path in protocols}
     analysed = {name: analysis for name, analysis in analyses.items() if analysis}
     assert set(SETTINGS) == set(analysed)
-    assert set(SHIPPED) == set(analysed.values())
+    assert set(shipped()) == set(analysed.values())
 
 
 @pytest.mark.long

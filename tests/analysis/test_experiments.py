@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
-from leactl.analysis.experiments import analyze_runs, names
+from leactl.analysis.analyze import analyze_runs, names
 from leactl.errors import InputError, MissingChannel
 from leactl.runfile.integrity import recover
 

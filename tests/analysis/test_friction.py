@@ -5,7 +5,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from leactl.analysis.friction import analyze
+from leactl.analysis.experiments.friction import analyze
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
 
 from .synthetic import HOLD_S, Bench, analyzed, covered

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.analyze import analyze_runs
 from leactl.errors import InputError
 
 from .back_driven import driven as back_driven

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from leactl.analysis.intervals import half_width, rounding_limit, rounding_of, step_of
+from leactl.analysis.statistics.intervals import half_width, rounding_limit, rounding_of, step_of
 
 
 @pytest.mark.parametrize(

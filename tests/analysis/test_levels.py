@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from leactl.analysis.levels import settled_mean, standard_error
+from leactl.analysis.signals.levels import settled_mean, standard_error
 from leactl.runfile.reader import Channel
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from leactl.analysis.no_load_loss import analyze
+from leactl.analysis.experiments.no_load_loss import analyze
 from leactl.errors import InputError, NotIdentifiable
 
 from .free_rotors import B, C, F, turned

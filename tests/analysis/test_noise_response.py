@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.signal import csd, welch
 
-from leactl.analysis.bandwidth import sampled_half_power
-from leactl.analysis.blackman_tukey import BlackmanTukey
-from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.analyze import analyze_runs
+from leactl.analysis.responses.bandwidth import sampled_half_power
+from leactl.analysis.responses.blackman_tukey import BlackmanTukey
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
 from tests.analysis.control_runs import NOISE_S, RATE, noise_run
 

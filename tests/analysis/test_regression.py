@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from leactl.analysis.regression import departure, least_squares, one_column_each, t_quantile
+from leactl.analysis.statistics.regression import departure, least_squares, one_column_each, t_quantile
 from leactl.errors import NotIdentifiable
 
 # NIST Statistical Reference Datasets, Norris: ozone monitors, y over x

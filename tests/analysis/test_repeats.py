@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from leactl.analysis.repeats import rows
+from leactl.analysis.quality.repeated_readings import rows
 
 
 def test_readings_beyond_all_numbers_are_equal_readings_too():

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leactl.analysis.levels import Hold
-from leactl.analysis.saturation import saturated
+from leactl.analysis.quality.saturation import saturated
+from leactl.analysis.signals.levels import Hold
 from leactl.runfile.reader import Channel
 
 LEVELS = (2.0, 4.0, 6.0, 8.0)

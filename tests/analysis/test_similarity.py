@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.analyze import analyze_runs
 
 from .back_driven import driven
 from .control_runs import noise_run, step_run

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from leactl.analysis.regression import CONFIDENCE
-from leactl.analysis.step_metrics import rise_time
-from leactl.analysis.step_trials import Trial
+from leactl.analysis.responses.step_metrics import rise_time
+from leactl.analysis.responses.step_trials import Trial
+from leactl.analysis.statistics.regression import CONFIDENCE
 from tests.analysis.control_runs import ringing
 from tests.loops import current_step
 

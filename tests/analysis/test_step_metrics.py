@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from leactl.analysis.jackknife import mean_of_levels, over_trials
-from leactl.analysis.step_metrics import overshoot, rise_time, settling_time
-from leactl.analysis.step_trials import Trial
+from leactl.analysis.responses.step_metrics import overshoot, rise_time, settling_time
+from leactl.analysis.responses.step_trials import Trial
+from leactl.analysis.statistics.jackknife import mean_of_levels, over_trials
 from tests.analysis.control_runs import ringing
 
 SAMPLE_S = 1e-3

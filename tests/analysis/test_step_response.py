@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.analyze import analyze_runs
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
 from tests.analysis.control_runs import BANDWIDTH, LEAD, LEAD_TIME, LEVELS, REST_S, TRIAL_S, ringing, step_run
 from tests.loops import current_figures, figures

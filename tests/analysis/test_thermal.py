@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import StateSpace, lsim
 
-from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.analyze import analyze_runs
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
 from leactl.runfile.reader import Run
 from tests.cli.terminal import leactl

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from leactl.analysis.torque_pulses import analyze
+from leactl.analysis.experiments.torque_pulses import analyze
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
 
 from .pulses import KT, pulsed

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from leactl.analysis.torque_sensor_calibration import analyze
+from leactl.analysis.experiments.torque_sensor_calibration import analyze
 from leactl.errors import InputError, NotIdentifiable
 
 from .synthetic import analyzed, covered

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from leactl.analysis.torque_speed_envelope import analyze
+from leactl.analysis.experiments.torque_speed_envelope import analyze
 from leactl.errors import MissingChannel, NotIdentifiable
 
 from .envelopes import ASKED, KT, SPEEDS, B, F, current_at, driven, true_corner

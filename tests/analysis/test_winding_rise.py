@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import pytest
 
-from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.analyze import analyze_runs
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
 
 from .warmed import ALPHA, LEADS, MODEL, SLOW, rise, warmed

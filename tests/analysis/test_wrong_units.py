@@ -4,8 +4,16 @@ import h5py
 import numpy as np
 import pytest
 
-from leactl.analysis import back_drive, back_emf, coast_down, friction, no_load_loss, torque_constant, torque_pulses
-from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.analyze import analyze_runs
+from leactl.analysis.experiments import (
+    back_drive,
+    back_emf,
+    coast_down,
+    friction,
+    no_load_loss,
+    torque_constant,
+    torque_pulses,
+)
 from leactl.errors import NotIdentifiable
 from leactl.runfile.reader import Run
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from leactl.analysis.torque_sensor_calibration import WEIGHED_BY
+from leactl.analysis.experiments.torque_sensor_calibration import WEIGHED_BY
 
 MASSES, ARM = (0.7, 1.4, 2.1, 2.8), 0.5
 GRAVITY = 9.81

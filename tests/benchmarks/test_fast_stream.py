@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 
-from leactl.analysis.back_emf import analyze
+from leactl.analysis.experiments.back_emf import analyze
 from leactl.driver.contract import Block, StreamSpec
 from leactl.emulation.clock import EmulatedClock
 from leactl.quantities import ChannelSpec

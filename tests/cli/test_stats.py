@@ -8,9 +8,9 @@ import h5py
 import numpy as np
 import pytest
 
-from leactl.analysis.conditions.comparison import compare, compare_all
-from leactl.analysis.conditions.values import Values
-from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.analyze import analyze_runs
+from leactl.analysis.anova.comparison import compare, compare_all
+from leactl.analysis.anova.values import Values
 from leactl.errors import InputError, NotIdentifiable
 from tests.analysis.envelopes import SPEEDS, driven
 from tests.analysis.run_outs import coasting

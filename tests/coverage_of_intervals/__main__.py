@@ -8,9 +8,9 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes share the cores already
 
+from leactl.analysis.analyze import analyze_runs
 from leactl.analysis.estimate import Estimate
-from leactl.analysis.experiments import analyze_runs
-from leactl.analysis.leads import PAIRS
+from leactl.analysis.voltage_waves.line_voltages import PAIRS
 from leactl.bench import benchfile
 from leactl.model.motor import load_motor
 

@@ -18,8 +18,8 @@ import numpy as np
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes share the cores already
 
+from leactl.analysis.analyze import analyze_runs
 from leactl.analysis.estimate import Grid, Result
-from leactl.analysis.experiments import analyze_runs
 from leactl.bench import benchfile
 from leactl.runner.operators import granted
 from leactl.runner.request import prepare

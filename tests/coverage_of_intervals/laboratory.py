@@ -17,8 +17,8 @@ import numpy as np
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes share the cores already
 
+from leactl.analysis.analyze import analyze_runs
 from leactl.analysis.estimate import Estimate
-from leactl.analysis.experiments import analyze_runs
 from tests.analysis.synthetic import Bench
 
 from .__main__ import HEAD

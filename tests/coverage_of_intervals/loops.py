@@ -21,8 +21,8 @@ import yaml
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes share the cores already
 
+from leactl.analysis.analyze import analyze_runs
 from leactl.analysis.estimate import Estimate
-from leactl.analysis.experiments import analyze_runs
 from leactl.bench import benchfile
 from leactl.emulation import emulated_bench
 from leactl.emulation.rig import Rig

@@ -17,8 +17,8 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
+from leactl.analysis.analyze import analyze_runs
 from leactl.analysis.estimate import Result
-from leactl.analysis.experiments import analyze_runs
 from tests.analysis.heated import HeatedBench, Plant, conduction
 
 from .judgement import LEAST_COVERED, MOST_COVERED, judge

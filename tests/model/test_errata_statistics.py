@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import f
 
-from leactl.analysis.conditions.anova import anova
-from leactl.analysis.conditions.comparison import compare
-from leactl.analysis.conditions.values import Values
+from leactl.analysis.anova.comparison import compare
+from leactl.analysis.anova.one_way import anova
+from leactl.analysis.anova.values import Values
 
 CONDITIONS = ("unloaded", "design", "loaded")
 DAMPING = ((18.2, 9.7), (23.8, 8.0), (25.5, 11.1))  # mN*m*s/rad, mean and +-

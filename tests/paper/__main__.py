@@ -10,8 +10,8 @@ from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 
+from leactl.analysis.analyze import analyze_runs, experiment_of
 from leactl.analysis.estimate import Estimate, Result
-from leactl.analysis.experiments import analyze_runs, experiment_of
 from leactl.report.terminal import figures, interval_text, value_text
 from leactl.runfile.reader import Run
 

@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from leactl.analysis.analyze import analyze_runs
+from leactl.analysis.analyze import names as experiments
 from leactl.analysis.estimate import Band, Estimate, Grid, Plot, Result, Series
-from leactl.analysis.experiments import analyze_runs
-from leactl.analysis.experiments import names as experiments
 from leactl.analysis.registry import SHIPPED
 from leactl.errors import InputError
 from leactl.report.datasheet.figures import heading, pretty

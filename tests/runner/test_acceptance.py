@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-import leactl.analysis
-from leactl.analysis import experiments
+import leactl.analysis.experiments
+from leactl.analysis import analyze, registry
 from leactl.analysis.estimate import NAN, Estimate, Result
 from leactl.errors import InputError
 from leactl.protocol import protocolfile
@@ -37,7 +37,7 @@ def analysed(monkeypatch):
         rows = (Estimate(name, value, NAN, NAN, NAN, units) for name, (value, units) in FOUND.items())
         return Result("a trial", ("run.h5",), tuple(rows))
 
-    monkeypatch.setattr(experiments, "analyze_runs", analyze_runs)
+    monkeypatch.setattr(analyze, "analyze_runs", analyze_runs)
     return asked
 
 
@@ -98,7 +98,7 @@ def refused(text, tmp_path):
 
 
 def test_an_analysis_that_is_not_known_is_refused_before_a_device_is_touched(tmp_path):
-    known = ", ".join(experiments.names())
+    known = ", ".join(registry.names())
     text = SPIN.replace("rate_Hz", "analysis: coastdown\nrate_Hz")
     assert refused(text, tmp_path) == [f":4:11  analysis: 'coastdown' is not known; known: {known}"]
 
@@ -123,10 +123,11 @@ def test_what_can_be_judged_is_let_pass(tmp_path, text):
 
 
 def test_the_known_analyses_are_those_that_can_be_imported():
-    modules = [module.name for module in pkgutil.iter_modules(leactl.analysis.__path__)]
-    found = [name for name in modules if hasattr(importlib.import_module(f"leactl.analysis.{name}"), "analyze")]
-    assert experiments.names() == sorted(name.replace("_", "-") for name in found)
-    assert not experiments.is_known("intervals")
+    room = leactl.analysis.experiments
+    modules = [module.name for module in pkgutil.iter_modules(room.__path__)]
+    found = [name for name in modules if hasattr(importlib.import_module(f"{room.__name__}.{name}"), "analyze")]
+    assert registry.names() == sorted(name.replace("_", "-") for name in found)
+    assert not analyze.is_known("intervals")
 
 
 @pytest.mark.parametrize("name", protocolfile.names())
@@ -176,6 +177,6 @@ def test_a_limit_that_nothing_could_meet_is_refused_before_the_run(tmp_path, lim
     assert told.startswith(fault)
 
 
-@pytest.mark.parametrize("name", experiments.names())
+@pytest.mark.parametrize("name", registry.names())
 def test_every_experiment_declares_its_results(name):
-    assert experiments.results_of(name) or name == experiments.GENERIC  # its results are named by the run's steps
+    assert analyze.results_of(name) or name == analyze.GENERIC  # its results are named by the run's steps

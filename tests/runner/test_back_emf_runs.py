@@ -6,7 +6,7 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.analyze import analyze_runs
 from leactl.bench import benchfile
 from leactl.errors import DeviceError, InputError
 from leactl.protocol import protocolfile

@@ -12,7 +12,7 @@ import yaml
 from leactl_plugins.thermal_csv.driver import ThermalCsv
 from leactl_plugins.thermal_csv.emulator import BEFORE_S, FAST_PPM
 
-from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.analyze import analyze_runs
 from leactl.bench import benchfile
 from leactl.errors import MissingChannel
 from leactl.protocol import protocolfile

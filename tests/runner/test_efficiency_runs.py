@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.analyze import analyze_runs
 from leactl.bench import benchfile
 from leactl.model.motor import load_motor
 from leactl.runfile.reader import Run

@@ -4,7 +4,7 @@ from importlib import resources
 
 import pytest
 
-from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.analyze import analyze_runs
 from leactl.bench import benchfile
 from leactl.errors import InputError
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from leactl.analysis.conditions.anova import anova
+from leactl.analysis.anova.one_way import anova
 
 from .trial import by_runs, by_values, drawn
 

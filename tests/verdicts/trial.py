@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from leactl.analysis.conditions.comparison import Comparison, compare, compare_all
-from leactl.analysis.conditions.values import Values
+from leactl.analysis.anova.comparison import Comparison, compare, compare_all
+from leactl.analysis.anova.values import Values
 from tests.analysis.synthetic import Bench
 
 from .draws import CONDITIONS, PARAMETERS, Printed

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.analysis.estimate import Result
+from leactl.analysis.experiments.thermal import analyze
 from leactl.analysis.heating.resistance import REFERENCE
-from leactl.analysis.thermal import analyze
 from leactl.errors import AcceptanceFailed, InputError, NotIdentifiable
 from leactl.model.motor import Motor
 from leactl.model.sheet import Thermal, Tolerances
@@ -42,7 +42,7 @@ def narrowed(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> Motor:
     Parameters
     ----------
     motor : file with the tolerances that hold before, inside which the actuator has to be.
-    runs : heated ones of one actuator, as `leactl.analysis.thermal` takes them.
+    runs : heated ones of one actuator, as `leactl.analysis.experiments.thermal` takes them.
 
     Raises
     ------

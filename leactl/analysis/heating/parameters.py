@@ -16,7 +16,7 @@ from leactl.analysis.heating.network import NETWORK, NetworkFit
 from leactl.analysis.heating.record import Array, Stretch
 from leactl.analysis.heating.resistance import REFERENCE, ResistanceLine
 from leactl.analysis.heating.scatter import Scatter, parts_of, scatter_of, spread_of_sums
-from leactl.analysis.regression import t_quantile
+from leactl.analysis.statistics.regression import t_quantile
 from leactl.model.thermal_network import Conductances
 
 NAMES = (

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from leactl.analysis.estimate import NAN, listed
 from leactl.analysis.quality.gate import hanging
 from leactl.analysis.quality.hanging import longest_row
-from leactl.analysis.saturation import clipped
+from leactl.analysis.quality.saturation import clipped
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
 from leactl.model.thermal_network import ACTIVE_SHARE
 from leactl.runfile.reader import Channel, Run

@@ -9,12 +9,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from leactl.analysis.levels import Held, span
 from leactl.analysis.quality.following import following
 from leactl.analysis.quality.hanging import Row, hangs, longest_row, stands_while
-from leactl.analysis.saturation import clipped
-from leactl.analysis.signs import SWAPPED
-from leactl.analysis.wrong_units import LIMITS, beyond_limits
+from leactl.analysis.quality.saturation import clipped
+from leactl.analysis.quality.sign_checks import SWAPPED
+from leactl.analysis.quality.wrong_units import LIMITS, beyond_limits
+from leactl.analysis.signals.levels import Held, span
 from leactl.runfile.reader import Array, Channel, Run
 
 DEMANDS = {

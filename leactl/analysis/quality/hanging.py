@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.repeats import FEWEST, IMPROBABLE, NOISY, rows
-from leactl.analysis.saturation import noise_shows
+from leactl.analysis.quality.repeated_readings import FEWEST, IMPROBABLE, NOISY, rows
+from leactl.analysis.quality.saturation import noise_shows
 
 Array = npt.NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import quote
 
-from leactl.analysis.conditions.comparison import Comparison
-from leactl.analysis.experiments import method_of
+from leactl.analysis.analyze import method_of
+from leactl.analysis.anova.comparison import Comparison
 from leactl.report.conditions import by_reason
 from leactl.report.datasheet.figures import figures, heading, over_conditions, plain, pretty
 from leactl.report.datasheet.instruments import instruments_of

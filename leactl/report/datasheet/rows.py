@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from leactl.analysis.conditions.pooled import difference, over_actuators, widest
+from leactl.analysis.analyze import names
+from leactl.analysis.anova.pooled import difference, over_actuators, widest
 from leactl.analysis.estimate import Estimate
-from leactl.analysis.experiments import names
 from leactl.report.datasheet.runset import Answer, Entry, RunSet
 from leactl.report.terminal import figures, printed, units_in_paper
 

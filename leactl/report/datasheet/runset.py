@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from leactl import yamlfile
-from leactl.analysis.conditions.comparison import Comparison, compare_all
+from leactl.analysis.analyze import analysis_of, analyze_runs, experiment_of, names
+from leactl.analysis.analyze import options_of as taken_by
+from leactl.analysis.anova.comparison import Comparison, compare_all
 from leactl.analysis.estimate import Result, listed
-from leactl.analysis.experiments import analysis_of, analyze_runs, experiment_of, names
-from leactl.analysis.experiments import options_of as taken_by
 from leactl.errors import InputError
 from leactl.runfile.catalog import run_files
 from leactl.runfile.integrity import altered

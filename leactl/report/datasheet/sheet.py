@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from leactl.analysis.experiments import names
+from leactl.analysis.analyze import names
 from leactl.errors import InputError
 from leactl.report.datasheet.instruments import instruments_of, warnings_of
 from leactl.report.datasheet.rows import NOT_MEASURED, Row, rows, unlisted

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from leactl.analysis.conditions.anova import anova, welch
-from leactl.analysis.conditions.comparison import compare
-from leactl.analysis.conditions.effect_size import omega_squared
-from leactl.analysis.conditions.pairs import pairs
-from leactl.analysis.conditions.values import Values
+from leactl.analysis.anova.comparison import compare
+from leactl.analysis.anova.effect_size import omega_squared
+from leactl.analysis.anova.one_way import anova, welch
+from leactl.analysis.anova.pairs import pairs
+from leactl.analysis.anova.values import Values
 from leactl.errors import NotIdentifiable
 
 RNG = np.random.default_rng(5)

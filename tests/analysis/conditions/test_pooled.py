@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from leactl.analysis.conditions.pooled import difference, over_actuators
+from leactl.analysis.anova.pooled import difference, over_actuators
 from leactl.analysis.estimate import Estimate
 from leactl.errors import NotIdentifiable
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from leactl.analysis.conditions.values import of_runs
-from leactl.analysis.experiments import analyze_runs
+from leactl.analysis.analyze import analyze_runs
+from leactl.analysis.anova.values import of_runs
 from leactl.analysis.quality.gate import doubts_of
 from leactl.errors import InputError
 from leactl.runfile.reader import Run

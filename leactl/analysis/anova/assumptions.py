@@ -1,0 +1,105 @@
+"""What an analysis of variance takes for granted, checked on its residuals: normal, alike in scatter, without drift."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.analysis.anova.one_way import SHOWN, Anova, FTest, f_test
+from leactl.analysis.anova.values import Array, Values
+
+DOUBTFUL = 0.01  # probability below which an assumption counts as broken: several are checked
+FEWEST = 3
+
+
+@dataclass(frozen=True)
+class Check:
+    """One assumption; p is the probability of what was seen if it held, None where it could not be checked."""
+
+    name: str
+    p: float | None
+    note: str = ""
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the assumption is broken by more than chance."""
+        return self.p is not None and self.p < DOUBTFUL
+
+
+def checks(values: Values, found: Anova) -> list[Check]:
+    """Every assumption, with what another test says where one is broken."""
+    by_condition = [found.residuals[values.condition == one] for one in found.design.conditions]
+    raw = [values.value[values.condition == one] for one in found.design.conditions]
+    single = len(found.design.actuators) == 1
+    return [
+        _normal(found.residuals, raw if single else []),
+        _alike(by_condition, found.unequal),
+        _without_drift(values, found.residuals),
+        _runs_alike(values),
+    ]
+
+
+def _normal(residuals: Array, raw: Sequence[Array]) -> Check:
+    from scipy.stats import kruskal, shapiro
+
+    if len(residuals) < FEWEST:
+        return Check("normal residuals (Shapiro-Wilk)", None)
+    p = float(shapiro(residuals).pvalue)
+    note = ""
+    if p < DOUBTFUL and raw:
+        note = f"by ranks (Kruskal-Wallis) conditions differ with p = {float(kruskal(*raw).pvalue):.2g}"
+    return Check("normal residuals (Shapiro-Wilk)", p, note)
+
+
+def _alike(groups: Sequence[Array], other: FTest | None) -> Check:
+    from scipy.stats import levene
+
+    name = "equal scatter (Brown-Forsythe)"
+    if min(map(len, groups)) < FEWEST:
+        return Check(name, None)
+    p = float(levene(*groups, center="median").pvalue)
+    note = "" if other is None else f"without it (Welch) conditions differ with p = {other.p:.2g}"
+    return Check(name, p if math.isfinite(p) else None, note)
+
+
+def _without_drift(values: Values, residuals: Array) -> Check:
+    """Slope of the residuals over the order of the trials within their runs."""
+    from scipy.stats import t
+
+    order = np.zeros(len(residuals))
+    apart = residuals.copy()
+    for run in np.unique(values.run):
+        of_it = values.run == run
+        order[of_it] = np.arange(of_it.sum()) - 0.5 * (of_it.sum() - 1)
+        apart[of_it] -= apart[of_it].mean()
+    dof = len(residuals) - len(np.unique(values.run)) - 1
+    if dof < 1 or not order.any():
+        return Check("no drift over the trials", None)
+    slope = float(order @ apart / (order @ order))
+    left = apart - slope * order
+    error = math.sqrt(float(left @ left) / dof / float(order @ order))
+    if error == 0.0:
+        return Check("no drift over the trials", None)
+    return Check("no drift over the trials", float(2.0 * t.sf(abs(slope) / error, dof)), f"{slope:+.2g} a trial")
+
+
+def _runs_alike(values: Values) -> Check:
+    """Whether runs of one actuator under one condition differ by more than their trials."""
+    name = "runs of a condition alike"
+    cells = np.unique(np.stack([values.actuator, values.condition], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
+    of_cells, of_runs = _groups(values.value, cells), _groups(values.value, values.run)
+    between, within = len(of_runs) - len(of_cells), len(values.value) - len(of_runs)
+    if between < 1 or within < 1:
+        return Check(name, None)
+    inside = sum(float(np.sum((group - group.mean()) ** 2)) for group in of_runs)
+    whole = sum(float(np.sum((group - group.mean()) ** 2)) for group in of_cells)
+    if inside <= 0.0:
+        return Check(name, None)
+    p = f_test((whole - inside) / between, between, inside / within, within).p
+    return Check(name, p, "trials of a run are not independent of each other: --by-run" if p < SHOWN else "")
+
+
+def _groups(values: Array, labels: npt.NDArray[np.int64]) -> list[Array]:
+    return [values[labels == label] for label in np.unique(labels)]

@@ -1,0 +1,47 @@
+"""Omega squared: the share of the variance that conditions explain, without what chance alone would explain.
+
+Its interval follows from that of the noncentrality of F, lambda / (lambda + N) (Steiger, Psychological Methods 9,
+2004).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from leactl.analysis.anova.one_way import FTest
+
+MOST = 1e5  # of a noncentrality; beyond it the share is 1 to four digits for any number of values here
+
+
+@dataclass(frozen=True)
+class Share:
+    """A share of the variance with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def omega_squared(test: FTest) -> Share:
+    """Omega squared of a test, partial where there is another factor; never below 0."""
+    from scipy.stats import ncf
+
+    count = test.between + test.within + 1.0
+    excess = test.between * (test.f - 1.0)
+
+    def below(noncentrality: float) -> float:
+        return float(ncf.cdf(test.f, test.between, test.within, noncentrality))
+
+    low, high = (_where(below, part) for part in (0.975, 0.025))
+    return Share(max(excess / (excess + count), 0.0), low / (low + count), high / (high + count))
+
+
+def _where(below: Callable[[float], float], part: float) -> float:
+    """The noncentrality at which so much of the distribution lies below; 0 where it never does."""
+    from scipy.optimize import brentq
+
+    if below(1e-9) <= part:
+        return 0.0
+    high = 1.0
+    while below(high) > part and high < MOST:
+        high *= 2.0
+    return float(brentq(lambda size: below(size) - part, 1e-9, high)) if high < MOST else MOST

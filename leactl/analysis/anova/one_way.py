@@ -1,0 +1,230 @@
+"""One-way analysis of variance over conditions; the actuator is a random factor where there is more than one.
+
+    y = mean + condition + actuator + (condition x actuator) + error
+
+Sums of squares are differences between residuals of nested models, conditions adjusted for actuators: without the
+interaction the ratio follows F exactly, however unequal the numbers. With it, expected mean squares are E = variance of
+the error + c x variance of the interaction, c = trace(Q Z Z') / degrees of freedom; the denominator is put together
+from interaction and error so that both expectations agree, with Satterthwaite's degrees of freedom. In a balanced
+design it is the mean square of the interaction. (Searle, Casella and McCulloch, Variance Components, 1992, chapters 4
+and 5.)
+
+F takes the scatter for equal; where it is twice as large under one of three conditions, 6 % are shown instead of 5 %.
+An effect is therefore claimed where Welch's test, which takes no scatter for equal, shows it too (Biometrika 38, 1951).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.analysis.anova.values import Array, Values
+from leactl.errors import NotIdentifiable
+
+FEWEST = 4  # values under a condition, below which its own scatter says too little for Welch's test
+SHOWN = 0.05  # probability below which a difference counts as shown, the paper's
+
+
+@dataclass(frozen=True)
+class FTest:
+    """A ratio of mean squares."""
+
+    f: float
+    between: float  # degrees of freedom of the numerator
+    within: float  # and of the denominator
+    p: float
+
+    @property
+    def shown(self) -> bool:
+        """Whether it is more than chance."""
+        return self.p < SHOWN
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Who was measured when: columns of ones for conditions, actuators and their cells, in order."""
+
+    conditions: tuple[str, ...]
+    actuators: tuple[str, ...]
+    condition: Array  # one column a condition
+    actuator: Array
+    cell: Array
+
+    @property
+    def additive(self) -> Array:
+        """Columns of conditions and actuators."""
+        return np.hstack([self.condition, self.actuator])
+
+
+@dataclass(frozen=True, eq=False)
+class Anova:
+    """What was found; `actuator` and `interaction` are None where there is one actuator or nothing to judge them by."""
+
+    design: Design
+    test: FTest  # of the conditions, by the error that `contrast` uses
+    error: "Error"
+    actuator: FTest | None
+    actuator_std: float | None  # between actuators
+    interaction: FTest | None
+    at_large: FTest | None  # of the conditions, for actuators of this make at large
+    residuals: Array  # about conditions and actuators
+    unequal: FTest | None = None  # by Welch's test; None where it says too little, or the interaction judges
+
+    @property
+    def shown(self) -> bool:
+        """Whether an effect of the condition is more than chance, scatter equal or not."""
+        return self.test.shown and (self.unequal is None or self.unequal.shown)
+
+
+@dataclass(frozen=True)
+class Error:
+    """Mean squares that a difference is judged by: of the error, and of the interaction where that is shown."""
+
+    mean_square: float
+    dof: float
+    interaction: tuple[float, float, float] | None = None  # mean square, degrees of freedom, c
+
+
+def anova(values: Values) -> Anova:
+    """Analyse the variance of one result over the conditions.
+
+    Raises
+    ------
+    NotIdentifiable : fewer than two conditions, no repeats or no scatter, or actuators not told from conditions.
+    """
+    design = design_of(values)
+    y, count = values.value, len(values.value)
+    outer, outer_rank = _residual(design.actuator, y)
+    left, rank = _residual(design.additive, y)
+    if rank - outer_rank < len(design.conditions) - 1:
+        raise NotIdentifiable(
+            f"{values.name}: conditions and actuators cannot be told apart: no actuator was measured under all of the"
+            " conditions that are to be compared"
+        )
+    if count - rank < 1:
+        raise NotIdentifiable(
+            f"{values.name}: {count} values of {_cells(design)} give no scatter to judge by; repeat one run or more"
+            " under a condition, or measure a further actuator under each"
+        )
+    error = Error(_squared(left) / (count - rank), count - rank)
+    if not error.mean_square > 1e-24 * float(np.max(np.abs(y))) ** 2:
+        raise NotIdentifiable(
+            f"{values.name}: the repeats are equal to the last digit; there is no scatter to judge by"
+        )
+    between = (_squared(outer) - _squared(left)) / (rank - outer_rank)
+    test = f_test(between, rank - outer_rank, error.mean_square, error.dof)
+    adjusted = _without_actuators(design, y)
+    unequal = welch([adjusted[values.condition == one] for one in design.conditions])
+    if len(design.actuators) < 2:
+        return Anova(design, test, error, None, None, None, None, left, unequal)
+    alone, alone_rank = _residual(design.condition, y)
+    of_actuators = (_squared(alone) - _squared(left)) / (rank - alone_rank)
+    spread = _trace(design.condition, design.additive, design.actuator) / (rank - alone_rank)
+    std = math.sqrt(max(of_actuators - error.mean_square, 0.0) / spread)
+    actuator = f_test(of_actuators, rank - alone_rank, error.mean_square, error.dof)
+    cells, cells_rank = _residual(design.cell, y)
+    if cells_rank == rank:
+        return Anova(design, test, error, actuator, std, None, None, left, unequal)
+    together = (_squared(left) - _squared(cells)) / (cells_rank - rank)
+    if count == cells_rank:
+        return Anova(design, test, error, actuator, std, None, test, left, unequal)
+    pure = Error(
+        _squared(cells) / (count - cells_rank),
+        count - cells_rank,
+        (together, cells_rank - rank, _trace(design.additive, design.cell, design.cell) / (cells_rank - rank)),
+    )
+    interaction = f_test(together, cells_rank - rank, pure.mean_square, pure.dof)
+    wide = _trace(design.actuator, design.additive, design.cell) / (rank - outer_rank)
+    at_large = f_test(between, rank - outer_rank, *combined(pure, 1.0, wide))
+    if interaction.shown:
+        return Anova(design, at_large, pure, actuator, std, interaction, at_large, left)
+    return Anova(design, test, error, actuator, std, interaction, at_large, left, unequal)
+
+
+def combined(error: Error, own: float, of_interaction: float) -> tuple[float, float]:
+    """A variance own x error + of_interaction x interaction from mean squares, with Satterthwaite's dof."""
+    if error.interaction is None:
+        return own * error.mean_square, error.dof
+    mean_square, dof, c = error.interaction
+    parts = [((own - of_interaction / c) * error.mean_square, error.dof), (of_interaction / c * mean_square, dof)]
+    total = sum(part for part, _ in parts)
+    if total <= 0.0:  # an interaction smaller than its error by chance
+        return own * error.mean_square, error.dof
+    return total, total**2 / sum(part**2 / own_dof for part, own_dof in parts)
+
+
+def f_test(numerator: float, between: float, denominator: float, within: float) -> FTest:
+    """The test of a ratio of mean squares."""
+    from scipy.stats import f
+
+    ratio = numerator / denominator
+    return FTest(ratio, between, within, float(f.sf(ratio, between, within)))
+
+
+def welch(groups: Sequence[Array]) -> FTest | None:
+    """Welch's test of equal means; None where a group has fewer than `FEWEST` values or no scatter."""
+    if min(map(len, groups)) < FEWEST or min(float(np.ptp(group)) for group in groups) == 0.0:
+        return None
+    counts = np.array([len(group) for group in groups])
+    means = np.array([group.mean() for group in groups])
+    variances = np.array([group.var(ddof=1) for group in groups])
+    weights = counts / variances
+    parts = weights / weights.sum()
+    between = len(groups) - 1.0
+    loss = float(np.sum((1.0 - parts) ** 2 / (counts - 1.0))) / (between * (between + 2.0))
+    spread = float(weights @ (means - parts @ means) ** 2) / between
+    return f_test(spread, between, 1.0 + 2.0 * (between - 1.0) * loss, 1.0 / (3.0 * loss))
+
+
+def design_of(values: Values) -> Design:
+    """Columns of ones for the labels of values.
+
+    Raises
+    ------
+    NotIdentifiable : fewer than two conditions.
+    """
+    conditions, actuators = (tuple(dict.fromkeys(labels.tolist())) for labels in (values.condition, values.actuator))
+    if len(conditions) < 2:
+        found = f"one condition, '{conditions[0]}'" if conditions else "no value"
+        raise NotIdentifiable(f"{values.name}: found {found}; two conditions or more are needed")
+    condition = _ones(values.condition, conditions)
+    actuator = _ones(values.actuator, actuators)
+    cell = np.hstack([condition * column[:, np.newaxis] for column in actuator.T])
+    return Design(conditions, actuators, condition, actuator, cell[:, cell.any(axis=0)])
+
+
+def _ones(labels: npt.NDArray[np.str_], known: tuple[str, ...]) -> Array:
+    return np.stack([(labels == one).astype(np.float64) for one in known], axis=1)
+
+
+def _residual(columns: Array, y: Array) -> tuple[Array, int]:
+    """What columns leave of the values, and their rank."""
+    basis = _basis(columns)
+    return y - basis @ (basis.T @ y), basis.shape[1]
+
+
+def _without_actuators(design: Design, y: Array) -> Array:
+    """Values less what their actuators differ by as a whole, alike over the conditions."""
+    found = np.linalg.pinv(design.additive) @ y
+    return np.asarray(y - design.actuator @ found[len(design.conditions) :], np.float64)
+
+
+def _squared(values: Array) -> float:
+    return float(values @ values)
+
+
+def _basis(columns: Array) -> Array:
+    left, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(left[:, sizes > 1e-9 * sizes[0]], np.float64)
+
+
+def _trace(smaller: Array, larger: Array, factor: Array) -> float:
+    """trace(Q Z Z') for the projection Q onto what the larger columns span beyond the smaller, Z being the factor's."""
+    return float(np.sum((_basis(larger).T @ factor) ** 2) - np.sum((_basis(smaller).T @ factor) ** 2))
+
+
+def _cells(design: Design) -> str:
+    several = f" and {len(design.actuators)} actuators" if len(design.actuators) > 1 else ""
+    return f"{len(design.conditions)} conditions{several}"

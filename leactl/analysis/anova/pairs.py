@@ -1,0 +1,96 @@
+"""Tukey's comparison of all pairs of conditions, Tukey-Kramer where numbers are unequal, and what would be seen."""
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from leactl.analysis.anova.one_way import SHOWN, Anova, combined
+from leactl.analysis.anova.values import Values
+
+PARTS = 2000
+SEEN = 0.8  # of such experiments, in which the smallest effect would have passed this test
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One condition against another, actuators alike; the interval holds for all pairs at once."""
+
+    first: str
+    second: str
+    difference: float  # second minus first
+    std: float
+    dof: float
+    low: float
+    high: float
+    compared: int  # conditions
+    smallest_seen: float  # size of a difference that would have passed this test in `SEEN` of such experiments
+
+    @property
+    def shown(self) -> bool:
+        """Whether the difference is more than chance."""
+        return self.low > 0.0 or self.high < 0.0
+
+    @property
+    def p(self) -> float:
+        """Probability of so large a difference anywhere among the conditions if there were none."""
+        from scipy.stats import studentized_range
+
+        return float(studentized_range.sf(math.sqrt(2.0) * abs(self.difference) / self.std, self.compared, self.dof))
+
+
+def pairs(values: Values, found: Anova) -> list[Pair]:
+    """Every pair of conditions."""
+    design = found.design
+    columns, count = design.additive, len(design.conditions)
+    solve = np.linalg.pinv(columns)
+    compared = []
+    for first in range(count):
+        for second in range(first + 1, count):
+            contrast = np.zeros(columns.shape[1])
+            contrast[first], contrast[second] = -1.0, 1.0
+            weights = contrast @ solve  # of the values in the difference
+            spread = float(np.sum((weights @ design.cell) ** 2)) if found.error.interaction else 0.0
+            variance, dof = combined(found.error, float(weights @ weights), spread)
+            std, difference = math.sqrt(variance), float(weights @ values.value)
+            critical = _critical(count, round(dof, 6))
+            compared.append(
+                Pair(
+                    design.conditions[first],
+                    design.conditions[second],
+                    difference,
+                    std,
+                    dof,
+                    difference - critical * std,
+                    difference + critical * std,
+                    count,
+                    std * _seen(critical, round(dof, 6)),
+                )
+            )
+    return compared
+
+
+@cache
+def _critical(conditions: int, dof: float) -> float:
+    """Difference in its standard errors beyond which any pair is shown."""
+    from scipy.stats import studentized_range
+
+    return float(studentized_range.ppf(1.0 - SHOWN, conditions, dof)) / math.sqrt(2.0)
+
+
+@cache
+def _seen(critical: float, dof: float) -> float:
+    """A difference, in its standard errors, that passes the critical one in `SEEN` of experiments.
+
+    The standard error scatters as chi does; its distribution is cut into parts of equal probability.
+    """
+    from scipy.optimize import brentq
+    from scipy.stats import chi2, norm
+
+    error = np.sqrt(chi2.ppf((np.arange(PARTS) + 0.5) / PARTS, dof) / dof)
+
+    def power(size: float) -> float:
+        return float(np.mean(norm.sf(critical * error - size) + norm.cdf(-critical * error - size)))
+
+    return float(brentq(lambda size: power(size) - SEEN, 0.0, critical * float(error[-1]) + 10.0))

@@ -1,0 +1,264 @@
+"""The values that are compared: one result of an analysis, once a trial, with its actuator and condition.
+
+Some analyses need more than one pass of the repeats, for a result or for anything: those are there once a run besides.
+"""
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from leactl.analysis.analyze import (
+    Experiment,
+    analysis_of,
+    experiment_of,
+    refuse_altered,
+    refuse_repeated,
+    refuse_unknown,
+    remarks_on,
+)
+from leactl.analysis.estimate import Estimate, listed
+from leactl.analysis.quality.gate import doubts_of
+from leactl.errors import InputError, NotIdentifiable
+from leactl.regular import open_regular
+from leactl.runfile.reader import Run, Step
+
+Array = npt.NDArray[np.float64]
+MOST_BYTES = 1 << 26  # of an answer; one of 50 runs has 200 kB
+Figure = Annotated[float, Field(ge=-1e100, le=1e100)]  # its square has to be a number still
+
+
+class _Row(BaseModel):
+    """What is taken of one result in an answer."""
+
+    model_config = ConfigDict(strict=True)
+    name: str
+    units: str
+    value: Figure | None
+    std: Figure | None
+    low: Figure | None
+    high: Figure | None
+    actuator: str = ""
+    condition: str = ""
+
+
+class _Answer(BaseModel):
+    """What is taken of an answer of `leactl analyze --json`."""
+
+    model_config = ConfigDict(strict=True)
+    experiment: str
+    runs: list[str]
+    results: list[_Row]
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """Values of one result; element k of each array is one trial."""
+
+    name: str
+    units: str
+    value: Array
+    actuator: npt.NDArray[np.str_]
+    condition: npt.NDArray[np.str_]
+    run: npt.NDArray[np.int64]  # trials of one run have one setting of the condition in common
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What one trial gave."""
+
+    actuator: str
+    condition: str
+    run: int
+    results: tuple[Estimate, ...]
+
+
+class _OneTrial(Run):
+    """A run of which only the steps of one repeat are seen."""
+
+    def __init__(self, run: Run, repeat: int) -> None:
+        self.__dict__.update(run.__dict__)
+        self._repeat = repeat
+
+    @property
+    def steps(self) -> list[Step]:
+        """The steps of that repeat."""
+        return [step for step in super().steps if step.parameters.get("repeat", self._repeat) == self._repeat]
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """Values of an experiment's results by name."""
+
+    experiment: str
+    trials: dict[str, Values]
+    runs: dict[str, Values]  # one a run; empty where single trials tell every result in each run
+
+
+def of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> Taken:
+    """Values of each result, from runs and from answers of `leactl analyze --json`.
+
+    A run gives one value for each pass of its repeats, a run without repeats and an answer one. Where a result is not
+    in every run's trials, whole runs give one value each besides.
+
+    Parameters
+    ----------
+    by_run : take each run as one value, all its repeats together.
+    options : of the analysis.
+
+    Raises
+    ------
+    InputError : files that are neither, of different experiments, given twice or altered, or without a condition.
+    NotIdentifiable : neither a trial nor a whole run could be analysed.
+    """
+    answers = [path for path in paths if path.suffix == ".json"]
+    files = [path for path in paths if path.suffix != ".json"]
+    given = listed(name for name, value in options.items() if value is not None)
+    if answers and given:
+        raise InputError(f"{answers[0]}: an answer is analysed already and cannot be told {given}; give runs")
+    if not paths:
+        raise InputError("nothing to compare; give run files, or answers of `leactl analyze --json`")
+    trials: list[Trial] = []
+    notes: list[str] = []
+    kinds: dict[str, Path] = {}
+    taken: dict[Path, Path] = {}  # which answer is of a run
+    for path in answers:
+        kind, found, own = _of_answer(path, len(trials))
+        kinds.setdefault(kind, path)
+        trials += found
+        for file in own:
+            if file in taken:
+                raise InputError(f"{path}: it is of {file.name}, as {taken[file]} is; give each run once")
+        taken |= dict.fromkeys(own, path)
+    for path in files:
+        if path.resolve() in taken:
+            raise InputError(f"{path}: {taken[path.resolve()]} is an answer of it; give each run once")
+    with ExitStack() as opened:
+        runs = [opened.enter_context(Run.open(path)) for path in files]
+        refuse_repeated(runs)
+        refuse_altered(runs)
+        for run in runs:
+            kinds.setdefault(experiment_of(run), run.path)
+        if len(kinds) > 1:
+            told = ", ".join(f"{path} is '{kind}'" for kind, path in kinds.items())
+            raise InputError(f"different experiments: {told}; give runs of one experiment")
+        whole, of_whole = list(trials), [""]
+        for number, run in enumerate(runs, start=len(trials)):
+            trials += _of_run(run, number, by_run, notes, options)
+        wanting = not by_run and any(len(_repeats(run)) > 1 for run in runs) and _lacking(trials, len(whole), len(runs))
+        for number, run in enumerate(runs if wanting else [], start=len(whole)):
+            whole += _of_run(run, number, True, of_whole, options)
+    experiment = next(iter(kinds))
+    if not trials and not (wanting and whole):
+        raise NotIdentifiable(f"{experiment}: no {'run' if by_run else 'trial'} could be analysed: {listed(notes, 2)}")
+    partly = "single trials give no uncertainty of it, or not under every condition"
+    why = partly if trials else f"no single trial could be analysed ({notes[-1]})"
+    of_whole[0] = f"one value a run, its repeats together: {why}"
+    return Taken(experiment, _columns(trials, notes), _columns(whole, of_whole) if wanting else {})
+
+
+def _lacking(trials: Sequence[Trial], first: int, count: int) -> bool:
+    """Whether a result has no uncertainty in any trial of one of the `count` runs from number `first` on."""
+    names = {item.name for trial in trials for item in trial.results}
+    told = {(trial.run, item.name) for trial in trials for item in trial.results if np.isfinite(item.std)}
+    return any(not names or (run, name) not in told for run in range(first, first + count) for name in names or {""})
+
+
+def _repeats(run: Run) -> list[int]:
+    """Numbers of the passes of its repeats; none where its steps tell none."""
+    return sorted({int(step.parameters["repeat"]) for step in run.steps if "repeat" in step.parameters})
+
+
+def _of_run(run: Run, number: int, by_run: bool, notes: list[str], options: dict[str, Any]) -> list[Trial]:
+    experiment = experiment_of(run)
+    analysis = analysis_of(experiment, str(run.path))
+    given = {name: value for name, value in options.items() if value is not None}
+    refuse_unknown(analysis, given)
+    actuator, condition = (str(run.attributes.get(name, "")) for name in ("actuator", "condition"))
+    if not condition:
+        raise InputError(f"{run.path}: the run has no condition; `leactl run --condition` names it")
+    notes += [*doubts_of(run), *remarks_on(run)]
+    repeats = _repeats(run)
+    parts = [run] if by_run or len(repeats) < 2 else [_OneTrial(run, repeat) for repeat in repeats]
+    found, lost = [], []
+    for repeat, part in zip(repeats or [1], parts, strict=False):
+        try:
+            found.append(Trial(actuator, condition, number, _analysed(analysis, part, given)))
+        except NotIdentifiable as fault:
+            lost.append((repeat, str(fault).removeprefix(f"{run.path}: ")))
+    if lost:
+        which = listed(repeat for repeat, _ in lost)
+        what = f"{len(lost)} of {len(parts)} trials gave nothing ({which})" if len(parts) > 1 else "it gave nothing"
+        notes.append(f"{run.path}: {what}: {lost[0][1]}")
+    return found
+
+
+def _analysed(analysis: Experiment, part: Run, options: dict[str, Any]) -> tuple[Estimate, ...]:
+    return analysis.answer([part], **options).results
+
+
+def _of_answer(path: Path, first: int) -> tuple[str, list[Trial], set[Path]]:
+    """Experiment of an answer, its trials, one for each actuator and condition, and its runs."""
+    try:
+        with open_regular(path, MOST_BYTES) as stream:
+            answer = _Answer.model_validate_json(stream.read())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except ValidationError:
+        raise InputError(f"{path}: an answer of `leactl analyze --json` was expected") from None
+    groups: dict[tuple[str, str], list[Estimate]] = {}
+    for row in answer.results:
+        value, std, low, high = (np.nan if one is None else one for one in (row.value, row.std, row.low, row.high))
+        groups.setdefault((row.actuator, row.condition), []).append(
+            Estimate(row.name, value, std, low, high, row.units)
+        )
+    if any(not condition for _, condition in groups):
+        raise InputError(f"{path}: its rows name no condition, as where one group was analysed; give the runs")
+    pairs = enumerate(groups.items(), start=first)
+    trials = [Trial(*group, number, tuple(estimates)) for number, (group, estimates) in pairs]
+    return answer.experiment, trials, {Path(run).resolve() for run in answer.runs}
+
+
+def experiment_of_answer(path: Path) -> str:
+    """The experiment that an answer of `leactl analyze --json` is of.
+
+    Raises
+    ------
+    InputError : the file is none.
+    """
+    return _of_answer(path, 0)[0]
+
+
+def _columns(trials: Sequence[Trial], notes: Sequence[str]) -> dict[str, Values]:
+    """One result each: those with an uncertainty that are no part of another, such as one direction alone."""
+    named: dict[str, str] = {}
+    for trial in trials:
+        for item in trial.results:
+            part = any(item.name.startswith(f"{other}_") for other in named)
+            if np.isfinite(item.std) and not part and named.setdefault(item.name, item.units) != item.units:
+                raise InputError(f"{item.name} is in {named[item.name]} and in {item.units}; one unit was expected")
+    found = {}
+    for name, units in named.items():
+        by_trial = [next((item.value for item in one.results if item.name == name), np.nan) for one in trials]
+        values = np.array(by_trial, np.float64)
+        good = np.isfinite(values)
+        said = list(notes)
+        if not good.all():
+            said.append(f"{name}: {int((~good).sum())} of {len(values)} values are missing and left out")
+        kept = [trial for trial, one in zip(trials, good, strict=True) if one]
+        found[name] = Values(
+            name,
+            units,
+            values[good],
+            np.array([trial.actuator for trial in kept], np.str_),
+            np.array([trial.condition for trial in kept], np.str_),
+            np.array([trial.run for trial in kept], np.int64),
+            tuple(said),
+        )
+    return found

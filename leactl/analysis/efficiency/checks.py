@@ -1,0 +1,104 @@
+"""Readings that contradict each other: swapped signs, and a torque sensor that drifts or is off by a factor."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from leactl.analysis.efficiency.balance import SENSE, Calibration
+from leactl.analysis.efficiency.operating_points import OTHER, Points
+from leactl.analysis.quality.sign_checks import SWAPPED
+from leactl.analysis.statistics.regression import least_squares
+from leactl.errors import InputError, NotIdentifiable
+from leactl.runfile.reader import Run
+
+MOST_WRONG = 0.5  # of the points, whose signs contradict the roles: above this they are swapped
+FEWEST = 12  # points, for a drift to be told from what speed and torque do
+ALONE = 0.5  # of the spread of time, that speed and torque must leave unexplained
+CLEAR = 4.0  # standard errors
+SHARE = 0.005  # of the largest torque: a smaller drift is not worth a note
+GAIN_OFF = 0.02  # that torque sensor and currents may disagree by
+
+
+def refuse_swapped(points: Points, place: str) -> None:
+    """Refuse readings whose signs say that the one that drives is driven.
+
+    Raises
+    ------
+    InputError : with the channels that contradict each other.
+    """
+    driving = np.array([one.driving for one in points.holds])
+    faults = []
+    for role in OTHER:
+        wanted = np.where(driving == role, 1.0, -1.0)
+        speed = points.value.get(("velocity", role), points.value.get(("velocity", OTHER[role])))
+        current = points.value.get(("q_axis_current", role))
+        if current is not None and speed is not None and _wrong(wanted * current * speed):
+            faults.append(f"current and velocity of the {role} actuator")
+        voltage = points.value.get(("q_axis_voltage", role))
+        if current is not None and voltage is not None and _wrong((voltage * current)[driving == role]):
+            faults.append(f"voltage and current of the {role} actuator")
+        elif current is not None and voltage is not None and speed is not None:
+            slack = np.abs(current) <= np.nanmedian(np.abs(current))  # where back-EMF is most of the voltage
+            if _wrong((voltage * speed)[slack]):
+                faults.append(f"voltage and velocity of the {role} actuator")
+    turned = next(points.value["velocity", role] for role in OTHER if ("velocity", role) in points.value)
+    if _wrong(np.where(driving == "test", 1.0, -1.0) * points.value["torque", "test"] * turned):
+        faults.append("torque and velocity")
+    if faults:
+        raise InputError(f"{place}: {' and '.join(faults)} have the signs of the other role in most points; {SWAPPED}")
+
+
+def _wrong(products: np.ndarray) -> bool:
+    known = products[np.isfinite(products)]
+    return bool(len(known)) and float(np.mean(known < 0.0)) > MOST_WRONG
+
+
+def drift_of(points: Points, runs: Sequence[Run], told: Calibration, notes: list[str]) -> Points:
+    """The points with what a drift of the torque sensor adds to the uncertainty of its zero; notes where there is one.
+
+    Each actuator's friction is Kt i less the torque that it gives. The two frictions add up to no torque reading at
+    all; their difference is twice the torque's error and what the actuators differ by, which goes with the speed.
+    """
+    if not all(("q_axis_current", role) in points.value for role in OTHER) or not np.isfinite(told.back_emf_constant):
+        return points
+    zero_std = points.zero_std.copy()
+    for number, run in enumerate(runs):
+        own = points.where(points.run == number)
+        torque = own.value["torque", "test"]
+        by_current = (
+            sum(SENSE[role] * own.value["q_axis_current", role] for role in OTHER) * told.back_emf_constant / 2.0
+        )
+        speed = np.array([one.speed for one in own.holds])
+        time = np.array([one.hold.start for one in own.holds])
+        good = np.isfinite(torque) & np.isfinite(by_current)
+        if good.sum() < FEWEST:
+            continue
+        over = (time - time[good].mean()) / max(float(np.ptp(time[good])), 1e-9)
+        others = np.column_stack([torque, speed, np.ones_like(over)])[good]
+        left = over[good] - others @ np.linalg.lstsq(others, over[good], rcond=None)[0]
+        if np.std(left) < ALONE * np.std(over[good]):
+            notes.append(
+                f"{run.path}: points were visited in the order of their speed or torque: a drift of torque sensor or"
+                " currents cannot be told from them, and is in no interval"
+            )
+            continue
+        design = np.column_stack([over[good], others])
+        try:
+            fit = least_squares(design, (torque - by_current)[good], design, str(run.path))
+        except NotIdentifiable:  # a grid of one level leaves nothing to compare
+            continue
+        drift, std = fit.combined(np.eye(design.shape[1])[0])
+        if abs(drift) > CLEAR * std and abs(drift) > SHARE * float(np.max(np.abs(torque[good]))):
+            notes.append(
+                f"{run.path}: torque drifts by {drift:.2g} N*m over the run against the currents; its zero is taken as"
+                " uncertain as that"
+            )
+            zero_std[number] = np.hypot(zero_std[number], abs(drift) / np.sqrt(3.0))  # root mean square of 0 to all
+        gain, std = fit.combined(np.eye(design.shape[1])[1])
+        if abs(gain) > GAIN_OFF and abs(gain) > CLEAR * std:
+            notes.append(
+                f"{run.path}: torque is {gain:+.1%} off what the currents and the torque constant make of it;"
+                " the sensor's calibration or the current's convention may be wrong"
+            )
+    return replace(points, zero_std=zero_std)

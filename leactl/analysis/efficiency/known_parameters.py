@@ -1,0 +1,105 @@
+"""What is known of the actuators and the instruments beside the readings: from the runs' model, or told."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.analysis.efficiency.balance import Calibration
+from leactl.analysis.efficiency.operating_points import OTHER, Points
+from leactl.analysis.run_model import model_of
+from leactl.errors import InputError, NotIdentifiable
+from leactl.runfile.reader import Run
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the caller says of the actuators, in place of the model."""
+
+    phase_resistance: float | None = None  # ohm
+    back_emf_constant: float | None = None  # V*s/rad
+    winding_temperature: float | None = None  # degC
+
+
+def calibration_of(
+    runs: Sequence[Run], points: Points, told: Told, relative: Mapping[str, float | None], notes: list[str]
+) -> tuple[Calibration, dict[str, float]]:
+    """How readings become powers, and the standard uncertainty of each number of it that has one.
+
+    Raises
+    ------
+    InputError : a number that makes no sense, or runs whose models differ.
+    NotIdentifiable : no voltage was measured and none can be worked out.
+    """
+    stds = {name: std or 0.0 for name, std in relative.items()}
+    for name, std in stds.items():
+        if not (math.isfinite(std) and std >= 0.0):
+            raise InputError(f"{name}_std {std:g}: a relative standard uncertainty of zero or more was expected")
+    if relative["torque_gain"] is None:
+        stds["torque_gain"] = max(run.channel("torque", role="test").scale_std for run in runs)
+    back_emf = _number(runs, "back_emf_constant", told.back_emf_constant)
+    cold = _number(runs, "phase_resistance", told.phase_resistance)
+    measured = all(
+        ("q_axis_voltage", role) in points.value for role in OTHER if ("q_axis_current", role) in points.value
+    )
+    if measured and told.winding_temperature is None:
+        if math.isnan(back_emf):
+            notes.append("no back-EMF constant is known: losses are not parted into copper and friction")
+        notes.append("electrical power is measured voltage times current, at the temperature that the winding had")
+        return Calibration(cold, back_emf, True), _absolute(stds, cold, back_emf)
+    if math.isnan(cold) or math.isnan(back_emf):
+        raise NotIdentifiable(
+            f"{runs[0].path}: no q-axis voltage was measured, and the run's model lacks phase_resistance or"
+            " back_emf_constant; give --set phase_resistance= and --set back_emf_constant="
+        )
+    reference = _number(runs, "reference_temperature", None)
+    temperature, slope = told.winding_temperature, _number(runs, "resistance_coefficient", None)
+    warm = cold
+    if temperature is not None:
+        if not (math.isfinite(slope) and math.isfinite(reference) and -50.0 <= temperature <= 400.0):
+            raise InputError(
+                f"winding_temperature {temperature:g} degC: -50 to 400 degC and a model with resistance_coefficient and"
+                " reference_temperature were expected"
+            )
+        warm = cold * (1.0 + slope * (temperature - reference))
+    elif math.isfinite(reference):
+        temperature = reference
+    where = f" at {temperature:g} degC" if temperature is not None else ""
+    notes.append(
+        f"no measured voltage: electrical power is that of windings of {warm:.4g} ohm{where} and a back-EMF constant of"
+        f" {back_emf:g} V*s/rad, as the paper has it; warmer ones take more (--set winding_temperature=)"
+    )
+    return Calibration(warm, back_emf, False), _absolute(stds, warm, back_emf)
+
+
+def sources_of(stds: Mapping[str, float]) -> str:
+    """A note on which instruments' uncertainties the intervals hold."""
+    held = [name.replace("_", " ") for name, std in stds.items() if std > 0.0]
+    if held:
+        return f"the intervals hold scatter, the torque sensor's zero and the told uncertainty of {', '.join(held)}"
+    return (
+        "the intervals are those of scatter and of the torque sensor's zero; what resistance, constants and"
+        " calibrations are off by is in them where it is told (--set resistance_std=,"
+        " back_emf_constant_std=, torque_gain_std=, current_gain_std=, voltage_gain_std=)"
+    )
+
+
+def _absolute(stds: dict[str, float], resistance: float, back_emf: float) -> dict[str, float]:
+    scale = {"resistance": resistance, "back_emf_constant": back_emf}
+    return {name: std * scale.get(name, 1.0) for name, std in stds.items() if std > 0.0}
+
+
+def _number(runs: Sequence[Run], name: str, told: float | None) -> float:
+    """A number of the runs' models, or the one that is told; NaN where neither has it."""
+    if told is not None:
+        if not (math.isfinite(told) and told > 0.0):
+            raise InputError(f"{name} {told:g}: a positive number was expected")
+        return told
+    found = [model_of(run).get(name) for run in runs]
+    numbers = {float(one) if isinstance(one, int | float) and not isinstance(one, bool) else math.nan for one in found}
+    if len(numbers) > 1 and not all(np.isnan(list(numbers))):
+        raise InputError(
+            f"{runs[0].path}: the runs' models differ in {name} ({', '.join(map(str, found))}); tell which"
+        )
+    return numbers.pop()

@@ -1,0 +1,84 @@
+"""Maps as the paper draws them: torque over speed, current over voltage, driven points to the left of zero."""
+
+import itertools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from leactl.analysis.efficiency.contours import Polygon, band, contours
+from leactl.analysis.efficiency.means import MapMeans
+from leactl.analysis.estimate import Band, Grid, Plot, Series
+from leactl.analysis.statistics.regression import Array
+
+LEVELS = (-1.0, -0.5, 0.0, 0.2, 0.4, 0.5, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9)
+CLASSES = {  # the first has the paper's black marks
+    "below -100 %": (-np.inf, -1.0),
+    "-100 to 0 %": (-1.0, 0.0),
+    "0 to 50 %": (0.0, 0.5),
+    "50 % and more": (0.5, np.inf),
+}
+QUANTITIES = {
+    "efficiency_1": "efficiency", "torque_Nm": "torque", "velocity_rad_s": "speed", "q_axis_voltage_V": "voltage",
+    "q_axis_current_A": "current", "electrical_W": "electrical", "mechanical_W": "mechanical", "loss_W": "loss",
+    "copper_W": "copper", "friction_W": "friction",
+}  # fmt: skip
+
+
+def grid_of(means: MapMeans, name: str) -> Grid:
+    """Every quantity at every point; NaN where the bench did not hold it."""
+    columns = {key: means.over_map(what) for key, what in QUANTITIES.items()}
+    columns["efficiency_std_1"] = np.where(means.counts > 0, means.std_over_map("efficiency"), np.nan)
+    values = {key: tuple(tuple(row) for row in column.tolist()) for key, column in columns.items()}
+    axes = {"velocity_rad_s": tuple(means.speeds.tolist()), "current_A": tuple(means.currents.tolist())}
+    return Grid(name, axes, values)
+
+
+def speeds_and_torques(maps: Sequence[MapMeans]) -> Plot:
+    """Torque over speed, both as magnitudes, the speed of driven points negative."""
+
+    def x(means: MapMeans) -> Array:
+        return np.abs(means.over_map("speed")) * (1.0 if means.driving else -1.0)
+
+    return _plot(
+        maps, "speed, negative where driven [rad/s]", "shaft torque [N*m]", x, lambda m: np.abs(m.over_map("torque"))
+    )
+
+
+def currents_and_voltages(maps: Sequence[MapMeans]) -> Plot:
+    """Current as a magnitude over the voltage that goes with it, negative where the actuator gives power."""
+
+    def x(means: MapMeans) -> Array:
+        return np.asarray(means.over_map("voltage") * np.sign(means.over_map("current")))
+
+    return _plot(
+        maps, "voltage, negative where power is given [V]", "current [A]", x, lambda m: np.abs(m.over_map("current"))
+    )
+
+
+def _plot(
+    maps: Sequence[MapMeans], x_label: str, y_label: str, x: Callable[[MapMeans], Array], y: Callable[[MapMeans], Array]
+) -> Plot:
+    points: dict[str, tuple[list[float], list[float]]] = {label: ([], []) for label in CLASSES}
+    lines = []
+    steps = list(itertools.pairwise((-np.inf, *LEVELS, np.inf)))
+    polygons: list[list[Polygon]] = [[] for _ in steps]
+    for means in maps:
+        across, up, efficiency = x(means), y(means), means.over_map("efficiency")
+        for label, (low, high) in CLASSES.items():
+            inside = (efficiency >= low) & (efficiency < high)
+            points[label][0].extend(across[inside].tolist())
+            points[label][1].extend(up[inside].tolist())
+        for level in LEVELS:
+            lines += [Series(f"{level:.0%}", *line) for line in contours(across, up, efficiency, level)]
+        for part, (low, high) in zip(polygons, steps, strict=True):
+            part += band(across, up, efficiency, low, high)
+    shown = tuple(Series(label, tuple(a), tuple(b)) for label, (a, b) in points.items() if a)
+    bands = tuple(Band(words_of(*step), tuple(part)) for step, part in zip(steps, polygons, strict=True))
+    return Plot(x_label, y_label, shown, tuple(lines), bands=bands)
+
+
+def words_of(low: float, high: float) -> str:
+    """The name of the band between two efficiencies, one of which may be infinite."""
+    if low == -np.inf:
+        return f"below {high:.0%}"
+    return f"{low:.0%} and more" if high == np.inf else f"{low:.0%} to {high:.0%}"

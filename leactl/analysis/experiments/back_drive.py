@@ -1,0 +1,144 @@
+"""Back-drive: what it takes to turn the unpowered actuator from outside, by the torque sensor alone.
+
+No current and no torque constant is in it: breakaway from standstill, drag by speed (drag.py), and what goes with the
+angle (cogging.py). The sensor is between the machines, so that the driving one's friction is in nothing; the zero of
+the sensor cancels between both directions.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
+from leactl.analysis.experiments.torque_constant import TORQUE
+from leactl.analysis.quality.calibration_uncertainty import doubts, gain_std
+from leactl.analysis.quality.sign_checks import refuse_below_zero
+from leactl.analysis.quality.usable_readings import usable
+from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.signals.breakaway import LettingGo, lettings_go
+from leactl.analysis.signals.cogging import cogging_of, turns_of
+from leactl.analysis.signals.drag import VELOCITY, both_ways, coefficients, drag_at, fit_drag, reached, weights_at
+from leactl.analysis.signals.levels import Held, Levels, gather
+from leactl.analysis.statistics.linefit import LineFit, expect_setup, place_of, remarks
+from leactl.analysis.statistics.trial_means import mean_of
+from leactl.errors import NotIdentifiable
+from leactl.runfile.reader import Run
+
+RESULTS = {
+    "breakaway_torque": "N*m",
+    "viscous_damping": "N*m*s/rad",
+    "coulomb_friction": "N*m",
+    "quadratic_drag": "N*m*s^2/rad^2",
+    "cogging_order": "1",
+    "cogging_amplitude": "N*m",
+    "cogging_peak_to_peak": "N*m",
+}
+
+HELD = Held("velocity_rad_s", "rad/s", "load")
+ENABLED = "drive_enabled"
+DRAWN = 40  # speeds of a line in the figure
+
+
+def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Result:
+    """Breakaway torque, drag by speed and cogging of an unpowered actuator.
+
+    `breakaway_torque` [N*m], `coulomb_friction` [N*m], `viscous_damping` [N*m*s/rad], `quadratic_drag`
+    [N*m*s^2/rad^2], `cogging_order` (periods a turn), `cogging_amplitude` [N*m] of that order, `cogging_peak_to_peak`
+    [N*m]. Breakaway and cogging are there where the runs have such steps.
+
+    Parameters
+    ----------
+    runs : of one actuator under one condition, coupled, its drive off, whose steps `hold` a velocity of the load.
+    torque_gain_std : relative standard uncertainty of the torque's calibration; the channel's own unless told.
+
+    Raises
+    ------
+    MissingChannel : a run has no torque, velocity or angle of the test actuator.
+    NotIdentifiable : the test drive was on, or fewer than four speeds at which the shaft turned steadily.
+    InputError : an uncertainty below zero, or torque and motion of opposite senses.
+    """
+    place = f"{place_of(runs)}: back-drive"
+    notes = expect_setup(runs, ("coupled",), "another machine has to turn the shaft")
+    gain = gain_std(runs, TORQUE, torque_gain_std)
+    for run in runs:
+        refuse_powered(run)
+    channels = [usable(run, TORQUE, notes, HELD) for run in runs]
+    by_run = dict(zip((run.path for run in runs), channels, strict=True))
+    levels = gather(
+        runs,
+        (VELOCITY, TORQUE),
+        notes,
+        lambda run, name: by_run[run.path] if name == TORQUE else usable(run, name, notes, HELD),
+        HELD,
+    )
+    levels = reached(runs, levels, place, notes)
+    line = fit_drag(levels, -levels.value[TORQUE], place)
+    fastest = float(np.max(np.abs(levels.setpoint)))
+    refuse_below_zero(line.fit.estimate("drag", "N*m", weights_at(line, fastest)), place, "torque and velocity")
+    notes += remarks(line, levels.std[TORQUE], "N*m")
+    if not both_ways(levels):
+        notes.append("the shaft turned one way only: the zero of the torque sensor is part of coulomb_friction")
+
+    numbered = list(enumerate(zip(runs, channels, strict=True)))
+    released = [one for number, (run, torque) in numbered for one in lettings_go(run, number, torque, notes)]
+    damping = line.slope("viscous_damping")
+    turns = [one for number, (run, torque) in numbered for one in turns_of(run, number, torque, damping, notes)]
+    results = [breakaway(released, gain, notes)] if released else []
+    for one in results:
+        refuse_below_zero(one, place, "torque and angle")
+    results += coefficients(line, gain)
+    plots = [plot_of_drag(levels, line)]
+    if turns:
+        try:
+            found, plot = cogging_of(turns, gain, notes)
+            results += found
+            plots += [plot] if plot is not None else []
+        except NotIdentifiable as fault:
+            notes.append(str(fault))
+    notes += doubts({"the torque sensor": gain}, "all torques")
+    notes[:0] = doubted(runs, results, [TORQUE], [VELOCITY])
+    paths = tuple(str(run.path) for run in runs)
+    return Result("back-drive", paths, tuple(results), tuple(notes), tuple(plots))
+
+
+def refuse_powered(run: Run) -> None:
+    """Refuse a run whose test drive let current flow while the shaft was turned: its torque is in the sensor's.
+
+    Raises
+    ------
+    NotIdentifiable : it was on.
+    """
+    if not run.has(ENABLED):
+        return
+    enabled = run.channel(ENABLED)
+    for hold in HELD.levels(run):
+        part = (enabled.time >= hold.start) & (enabled.time < hold.stop)
+        if np.any(enabled.values[part] > 0.0):
+            raise NotIdentifiable(f"{run.path}: the test drive was on at {hold.start:.1f} s; back-drive is unpowered")
+
+
+def breakaway(released: Sequence[LettingGo], gain: float, notes: list[str]) -> Estimate:
+    """Mean breakaway torque over both directions; without an interval where there is no repeat."""
+    trials, values = [one.trial for one in released], [one.torque for one in released]
+    if len({trial.side for trial in trials}) == 1:
+        notes.append("breakaway in one direction only: the zero of the torque sensor is part of it")
+    try:
+        return mean_of(values, trials, "breakaway_torque", "N*m", gain)
+    except NotIdentifiable:
+        notes.append("breakaway without a repeat: how it scatters is not known")
+        return Estimate("breakaway_torque", float(np.mean(values)), NAN, NAN, NAN, "N*m")
+
+
+def plot_of_drag(levels: Levels, line: LineFit) -> Plot:
+    """Torque against the motion over speed, each direction, and the fit."""
+    velocity = levels.value[VELOCITY]
+    zeros = line.fit.coefficients[len(line.slopes) :][np.searchsorted(np.unique(levels.run), levels.run)]
+    against = (-levels.value[TORQUE] - (zeros if both_ways(levels) else 0.0)) * np.sign(velocity)
+    points = []
+    for label, sign in (("forward", 1.0), ("backward", -1.0)):
+        of_it = np.sign(velocity) == sign
+        if of_it.any():
+            points.append(Series(label, tuple(np.abs(velocity[of_it]).tolist()), tuple(against[of_it].tolist())))
+    speeds = np.linspace(0.0, float(np.max(np.abs(velocity))), DRAWN)
+    fitted = Series("fit", tuple(speeds.tolist()), tuple(drag_at(line.fit, line, speeds).tolist()))
+    return Plot("speed [rad/s]", "torque against the motion [N*m]", tuple(points), (fitted,))

@@ -1,0 +1,293 @@
+"""Back-EMF constant: flux linkage of the three pairs of leads, wave by wave, while the load actuator turns the shaft.
+
+Paper, section "Back-EMF Constant": amplitude and frequency of each wave of the line-to-line voltages, the speed from
+that frequency and the pole pairs, Kb_q = Kb_ll / sqrt(2) of a wye. Amplitude over speed is taken here as one integral
+over each wave (waves.py), so that a speed that drifts within it is no error. The pole pairs are counted: electrical
+angle against the shaft's encoder.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from leactl.analysis.estimate import Estimate, Plot, Result, Series
+from leactl.analysis.quality import current_convention
+from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.run_model import model_of
+from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.analysis.statistics.regression import t_quantile
+from leactl.analysis.voltage_waves.harmonics import harmonics_of
+from leactl.analysis.voltage_waves.line_voltages import PAIRS
+from leactl.analysis.voltage_waves.pole_pairs import counted, whole
+from leactl.analysis.voltage_waves.turning_holds import Part, parts_of
+from leactl.analysis.voltage_waves.wave_means import Shares, constant_of, drift_of
+from leactl.errors import InputError, NotIdentifiable
+from leactl.runfile.reader import Run
+
+RESULTS = {
+    "back_emf_constant": "V*s/rad",
+    "line_to_line_constant": "V*s/rad",
+    "line_to_line_constant_ab": "V*s/rad",
+    "line_to_line_constant_bc": "V*s/rad",
+    "line_to_line_constant_ca": "V*s/rad",
+    "unevenness": "1",
+    "pole_pairs": "1",
+    "electrical_frequency": "Hz",
+    "torque_constant_ratio": "1",
+    "total_harmonic_distortion": "1",
+    "harmonic_2": "1",
+    "harmonic_2_phase": "rad",
+    "harmonic_3": "1",
+    "harmonic_3_phase": "rad",
+    "harmonic_5": "1",
+    "harmonic_5_phase": "rad",
+    "harmonic_7": "1",
+    "harmonic_7_phase": "rad",
+    "harmonic_11": "1",
+    "harmonic_11_phase": "rad",
+    "harmonic_13": "1",
+    "harmonic_13_phase": "rad",
+}
+
+TO_Q = {"wye": 1.0 / math.sqrt(2.0), "delta": math.sqrt(1.5)}  # q axis of the winding's own frame over line to line
+TIME_BASE = 50e-6 / math.sqrt(3.0)  # a converter's quartz is good to 50 ppm (USB-6218 data sheet), evenly spread
+UNEVEN = 0.005  # between pairs, above which a note says so
+SUM_OF_THREE = 0.01  # of a pair, that may be left of the three voltages' sum
+SHIFTED = 0.01  # of the amplitude: an offset of a channel of which a note says so
+UNITS = "V*s/rad"
+
+
+def analyze(
+    runs: Sequence[Run], *, torque_constant: float | None = None, torque_constant_std: float | None = None
+) -> Result:
+    """Kb of the q axis, line to line and of each pair, pole pairs, harmonics, and Kt over Kb.
+
+    `back_emf_constant` [V*s/rad] (q axis, power-invariant), `line_to_line_constant` (amplitude over shaft speed, mean
+    of the pairs) and `line_to_line_constant_ab`, `_bc`, `_ca`; `unevenness` of the pairs, `pole_pairs` as counted,
+    `electrical_frequency` [Hz], `torque_constant_ratio` (Kt / Kb, 1 in theory), `total_harmonic_distortion` and
+    `harmonic_2`, `_3`, `_5`, ... over the fundamental with their `_phase` [rad]: cos(x) + r_h cos(h x + phase_h).
+
+    Parameters
+    ----------
+    runs : of one actuator under one condition, unpowered, whose steps `hold` a velocity of the shaft.
+    torque_constant : [N*m/A], for the ratio; in place of the one in the runs' model.
+    torque_constant_std : [N*m/A], its standard uncertainty.
+
+    Raises
+    ------
+    NotIdentifiable : no pair with waves, too few of them, or a count of pole pairs that is no whole number.
+    InputError : a torque constant that is no positive number.
+    """
+    place = f"{place_of(runs)}: back-EMF"
+    notes = expect_setup(runs, ("coupled",), "another machine has to turn the shaft")
+    parts = [part for run in runs for part in parts_of(run, notes)]
+    if not parts:
+        raise NotIdentifiable("\n".join([f"{place}: no hold with waves that can be used", *notes]))
+    count, poles, pole_notes = pole_pairs_of(parts, place)
+    notes += pole_notes
+    winding = winding_of(runs[0], notes)
+
+    series = {name: [poles * part.sizes[name] for part in parts if name in part.sizes] for name in PAIRS}
+    series = {name: found for name, found in series.items() if found}
+    shares = Shares(
+        scale=max(part.scale_std for part in parts),
+        time_base=TIME_BASE,
+        resolution=max(part.resolution for part in parts),
+        ripple=max(part.shaft.ripple for part in parts),
+    )
+    whole_machine = [poles * part.mean_of_pairs for part in parts]
+    both = all(part.complete for part in parts)
+    line = constant_of("line_to_line_constant", UNITS, whole_machine, shares if both else shares.of_one_pair)
+    if any(part.left_over > SUM_OF_THREE for part in parts):
+        line = covering(line, series, notes)
+    kb = scaled(line, TO_Q[winding], "back_emf_constant", UNITS)
+    results = [kb, line]
+    results += [
+        constant_of(f"line_to_line_constant_{name}", UNITS, found, shares.of_one_pair) for name, found in series.items()
+    ]
+    if len(series) > 1:
+        results.append(unevenness(series, shares))
+    results.append(count)
+    results.append(
+        constant_of("electrical_frequency", "Hz", [part.angle.frequencies for part in parts], shares.of_time)
+    )
+    results += torque_constant_ratio(runs, kb, torque_constant, torque_constant_std, notes)
+    results += harmonics_of(parts)
+
+    notes += remarks(parts, series, shares, both)
+    notes[:0] = doubted(runs, [kb], ["phase_voltage"])
+    paths = tuple(str(run.path) for run in runs)
+    return Result(
+        "back-emf", paths, tuple(results), tuple(notes), (plot_over_time(parts, poles), plot_of_wave(parts, poles))
+    )
+
+
+def pole_pairs_of(parts: Sequence[Part], place: str) -> tuple[Estimate, int, list[str]]:
+    """Waves a turn, the whole number that they mean, and a note where the run's model says another.
+
+    Raises
+    ------
+    NotIdentifiable : no whole number, or not the same in all holds.
+    """
+    found = [counted(len(part.angle.edges) - 1, part.shaft) for part in parts]
+    numbers = {
+        whole(value, std, f"{part.run.path} from {part.start:.2f} s")
+        for part, (value, std) in zip(parts, found, strict=True)
+    }
+    if len(numbers) > 1:
+        raise NotIdentifiable(f"{place}: pole pairs of {' and '.join(map(str, sorted(numbers)))} in different holds")
+    poles = numbers.pop()
+    values, errors = np.array(found).T
+    value, std = float(values.mean()), math.sqrt(float(np.sum(errors**2))) / len(found)
+    half = 1.96 * std
+    notes = []
+    for path, told in {str(part.run.path): model_of(part.run).get("pole_pairs") for part in parts}.items():
+        if told == 2 * poles:
+            notes.append(f"{path}: the model has {told} pole pairs; {poles} were counted: its figure is that of poles")
+        elif isinstance(told, int) and told != poles:
+            notes.append(
+                f"{path}: the model has {told} pole pairs; {poles} were counted, by which the speed is taken:"
+                f" the model or the encoder's counts a turn are wrong; by {told} every constant would be"
+                f" {told / poles:.3g} times as large"
+            )
+    return Estimate("pole_pairs", value, std, value - half, value + half, "1"), poles, notes
+
+
+def winding_of(run: Run, notes: list[str]) -> str:
+    """Wye or delta, as the run's model has it; wye where it does not say."""
+    told = model_of(run).get("winding")
+    if told not in TO_Q:
+        notes.append(f"{run.path}: no winding in its model; wye is taken, Kb_q = Kb_ll / sqrt(2)")
+        return "wye"
+    if told == "delta":
+        notes.append("the winding is a delta: Kb_q = sqrt(3/2) Kb_ll in its own frame, Kb_ll / sqrt(2) as a wye's")
+    return str(told)
+
+
+def scaled(item: Estimate, factor: float, name: str, units: str) -> Estimate:
+    """An estimate times a number that is exact."""
+    value, std, low, high = (factor * number for number in (item.value, item.std, item.low, item.high))
+    return Estimate(name, value, std, low, high, units)
+
+
+def covering(line: Estimate, series: dict[str, list[np.ndarray]], notes: list[str]) -> Estimate:
+    """The mean of pairs of which one is wrong, nobody knows which: its interval holds how they scatter about it."""
+    means = [float(np.mean([np.nanmean(size) for size in found])) for found in series.values()]
+    error = float(np.std(means, ddof=1)) / math.sqrt(len(means))
+    half = math.hypot(0.5 * (line.high - line.low), t_quantile(len(means) - 1) * error)
+    notes.append(
+        "line_to_line_constant and back_emf_constant: the pairs contradict each other, so that the uncertainty holds"
+        f" their scatter of {error / line.value:.2%} on the mean"
+    )
+    return Estimate(line.name, line.value, math.hypot(line.std, error), line.value - half, line.value + half, UNITS)
+
+
+def unevenness(series: dict[str, list[np.ndarray]], shares: Shares) -> Estimate:
+    """Largest less smallest pair over their mean; the scale that they share is in none of it."""
+    own = [constant_of(name, UNITS, found, shares.between_pairs) for name, found in series.items()]
+    values = [item.value for item in own]
+    mean = sum(values) / len(values)
+    value = (max(values) - min(values)) / mean
+    std = math.hypot(own[values.index(max(values))].std, own[values.index(min(values))].std) / mean
+    low = value - 1.96 * std if value > 3.5 * std else 0.0
+    return Estimate("unevenness", value, std, low, value + 1.96 * std, "1")
+
+
+def torque_constant_ratio(
+    runs: Sequence[Run], kb: Estimate, given: float | None, std: float | None, notes: list[str]
+) -> list[Estimate]:
+    """Kt over Kb, which a wrong convention of current makes 0.82, 1.22 or 1.73; nothing where no Kt is known.
+
+    Raises
+    ------
+    InputError : a torque constant or an uncertainty that makes no sense.
+    """
+    if given is not None and not (math.isfinite(given) and given > 0.0):
+        raise InputError(f"torque constant {given:g}: a positive number in N*m/A was expected")
+    if std is not None and not (math.isfinite(std) and std >= 0.0):
+        raise InputError(f"standard uncertainty of the torque constant {std:g}: zero or more in N*m/A was expected")
+    told = given if given is not None else model_of(runs[0]).get("torque_constant")
+    if not isinstance(told, int | float) or isinstance(told, bool) or told <= 0.0:
+        notes.append("no torque constant is known to compare with: give --torque-constant")
+        return []
+    source = "as given" if given is not None else "of the model in the run"
+    ratio = told / kb.value
+    relative = math.hypot(kb.std / kb.value, (std or 0.0) / told)
+    why = current_convention.named_by_voltages(ratio, given is not None)
+    if why:
+        notes.append(f"the torque constant {told:g} N*m/A, {source}, is {ratio:.3f} times the back-EMF constant: {why}")
+    half = ratio * math.hypot(0.5 * (kb.high - kb.low) / kb.value, 1.96 * (std or 0.0) / told)
+    doubt = "its own uncertainty is in the ratio's" if std else "its own uncertainty is not in the ratio's"
+    notes.append(f"torque_constant_ratio is with {told:g} N*m/A, {source}; {doubt}")
+    return [Estimate("torque_constant_ratio", ratio, relative * ratio, ratio - half, ratio + half, "1")]
+
+
+def remarks(parts: Sequence[Part], series: dict[str, list[np.ndarray]], shares: Shares, complete: bool) -> list[str]:
+    """What a reader must know of the channels, the pairs and the speed."""
+    notes = [
+        "uncertainties hold the scatter of the waves, the converter's steps and time base"
+        + (f" and {shares.scale:.2g} of its scale" if shares.scale else "; the run tells none of its scale")
+    ]
+    if not complete:
+        notes.append("fewer than two pairs: how uneven the others are is not in the uncertainty of the constant")
+    for part in parts:
+        where = f"{part.run.path} from {part.start:.2f} s"
+        notes += [f"{where}: {text}" for text in part.findings]
+        if part.shaft.ripple > UNEVEN:
+            notes.append(
+                f"{where}: the speed ripples by {part.shaft.ripple:.2%} twice a wave, which moves single pairs by a"
+                " quarter of that, and their mean by nothing"
+            )
+        if part.left_over > SUM_OF_THREE:
+            notes.append(
+                f"{where}: the three voltages leave {part.left_over:.1%} of a pair, and not zero: a channel's scale is"
+                " off, or a pair is not measured at the motor's leads"
+            )
+        for name, offset in part.offsets.items():
+            if abs(offset) > SHIFTED * part.volts[name]:
+                notes.append(f"{where}: pair {name} is offset by {offset:+.3g} V, which does not count")
+        moved = {name: drift_of(size) / float(np.nanmean(size)) for name, size in part.sizes.items()}
+        drifting = {name: change for name, change in moved.items() if change}
+        told = ", ".join(f"{name} by {change:+.2%}" for name, change in drifting.items())
+        if len(drifting) == len(moved) and len(moved) > 1:
+            notes.append(f"{where}: all pairs drift ({told}): the magnets' temperature, or the converter's scale")
+        elif drifting:
+            notes.append(f"{where}: pair {told} drifts, others do not: its channel, or the contacts of its leads")
+    spread = [float(np.nanmean(np.concatenate(found))) for found in series.values()]
+    if max(spread) - min(spread) > UNEVEN * max(spread):
+        notes.append(
+            f"the pairs differ by {(max(spread) - min(spread)) / max(spread):.1%}: windings, dividers or contacts"
+        )
+    return notes
+
+
+def plot_over_time(parts: Sequence[Part], poles: int) -> Plot:
+    """Kb line to line of every wave over the time of its middle."""
+    points = []
+    for name in PAIRS:
+        own = [part for part in parts if name in part.sizes]
+        if own:
+            time = np.concatenate([0.5 * (part.angle.edges[1:] + part.angle.edges[:-1]) for part in own])
+            size = np.concatenate([poles * part.sizes[name] for part in own])
+            points.append(Series(name, tuple(time.tolist()), tuple(size.tolist())))
+    mean = float(np.nanmean(np.concatenate([poles * part.mean_of_pairs for part in parts])))
+    every = [moment for item in points for moment in item.x]
+    line = Series("mean", (min(every), max(every)), (mean, mean))
+    return Plot("time [s]", f"Kb line to line [{UNITS}]", tuple(points), (line,))
+
+
+def plot_of_wave(parts: Sequence[Part], poles: int) -> Plot:
+    """The mean wave of each pair over the electrical angle, at a shaft speed of 1 rad/s."""
+    angle = np.linspace(0.0, 2.0 * math.pi, 49)
+    points = []
+    for name in PAIRS:
+        own = [part.waves[name].linkage for part in parts if name in part.waves]
+        if own:
+            mean = np.nanmean(own[0], axis=1)
+            orders = np.arange(1, len(mean) + 1)[:, np.newaxis]
+            shape = poles * np.sum(
+                np.abs(mean)[:, np.newaxis] * np.cos(orders * angle + np.angle(mean)[:, np.newaxis]), axis=0
+            )
+            points.append(Series(name, tuple(angle.tolist()), tuple(shape.tolist())))
+    return Plot("electrical angle [rad]", f"voltage over speed [{UNITS}]", tuple(points), ())

@@ -1,0 +1,292 @@
+"""Channels of a protocol of one's own: mean, deviation and drift of each hold, gain and phase of each excitation.
+
+It needs no model and no other experiment. Intervals take the autocorrelation of the record into account (levels.py);
+gain and phase are those of Blackman and Tukey (blackman_tukey.py), known where the coherence is enough.
+"""
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from leactl.analysis.estimate import NAN, Estimate, Grid, Plot, Result, Series, listed, tally
+from leactl.analysis.quality.gate import AT_REST
+from leactl.analysis.responses.channel_response import EXCITATIONS, gain_and_phase
+from leactl.analysis.signals.levels import FEWEST_SAMPLES, settled_mean, span, standard_error
+from leactl.analysis.statistics.regression import CONFIDENCE, Array, t_quantile
+from leactl.errors import InputError, MissingChannel
+from leactl.runfile.reader import Channel, Run, Step
+
+RESULTS: dict[str, str] = {}  # named by the steps and channels of a run
+
+BINS = 40  # of a histogram
+NOISY = ("torque", "q_axis_current", "velocity")  # whose readings differ by noise even where nothing moves
+MOST_PLOTTED = 3  # channels that are plotted where none is chosen
+SETPOINTS = ("current_A", "velocity_rad_s", "angle_rad")  # parameters of a hold that moves to a setpoint of its own
+UNMOVED = ({"repeat"}, {"repeat", "until"})  # and what alone is told of a hold that keeps the one before
+
+
+def analyze(runs: Sequence[Run], *, channel: Sequence[str] | None = None) -> Result:
+    """Mean, deviation and drift of each channel over the settled part of each hold, and the response to excitations.
+
+    `hold_1_torque` is the mean over the first hold, `hold_1_torque_deviation` the deviation of single readings,
+    `hold_1_torque_drift` the slope over time, `steady_1_torque` the mean over the first hold with the name `steady`.
+    `chirp_1_velocity_gain_at_10_Hz` and `..._phase_at_10_Hz` [rad] are from the setpoint that moves to the channel. A
+    run without steps counts as one hold, `whole`. Runs of one protocol with the same parameters are repeats and
+    averaged; of several, the protocol and the parameters that differ open the names.
+
+    Parameters
+    ----------
+    runs : of one actuator under one condition.
+    channel : what to look at, such as `torque` or `load_velocity`; every measured channel by default.
+
+    Raises
+    ------
+    MissingChannel : a run has no such channel.
+    InputError : repeats that came to their end and whose steps differ.
+    """
+    notes: list[str] = []
+    results: list[Estimate] = []
+    plots: list[Plot] = []
+    grids: list[Grid] = []
+    for label, members in by_protocol(runs).items():
+        answers = [of_run(run, channel, notes) for run in members]
+        kept = comparable(members, answers, notes)
+        means = averaged([answers[index].results for index in kept], [str(members[index].path) for index in kept])
+        results += [replace(item, name=f"{label}{item.name}") for item in means]
+        plots += [plot for index in kept for plot in answers[index].plots]
+        grids += [grid for index in kept for grid in answers[index].grids]
+    if not channel and any(len(chosen(run, channel)) > MOST_PLOTTED for run in runs):
+        notes.append("plots and histograms are those of chosen channels: --channel NAME")
+    paths = tuple(str(run.path) for run in runs)
+    return Result("channels", paths, tuple(results), tuple(notes), tuple(plots), (), tuple(grids))
+
+
+def by_protocol(runs: Sequence[Run]) -> dict[str, list[Run]]:
+    """Runs of the same protocol with the same parameters together, by what opens the names of their results.
+
+    That is nothing where all are alike, else the protocol and the parameters, of each what is not the same in all.
+    """
+    kinds = [(str(run.attributes.get("protocol", "")), run.parameters) for run in runs]
+    protocols = {protocol for protocol, _ in kinds}
+    groups: dict[str, list[Run]] = {}
+    for run, (protocol, values) in zip(runs, kinds, strict=True):
+        namesakes = [others for name, others in kinds if name == protocol]
+        differing = [name for name in values if any(others.get(name) != values[name] for others in namesakes)]
+        parameters = ", ".join(f"{name}={json.dumps(values[name])}" for name in differing)
+        label = " ".join(filter(None, (protocol if len(protocols) > 1 else "", parameters)))
+        groups.setdefault(f"{label}: " if label else "", []).append(run)
+    return groups
+
+
+def of_run(run: Run, channel: Sequence[str] | None, notes: list[str]) -> Result:
+    """What one run by itself gives; what is left out goes into the notes."""
+    measured = chosen(run, channel)
+    holds = held(run)
+    too_few: dict[tuple[str, ...], list[str]] = {}  # labels of holds by the channels that they know too little of
+    results = [item for label, step in holds for item in over_hold(label, step, measured, too_few)]
+    for names, labels in too_few.items():
+        reason = f"fewer than {FEWEST_SAMPLES} samples over its settled part"
+        notes += tally({reason: list(names)}, f"{run.path}: {listed(labels)}")
+    notes += [note for name, one in measured.items() for note in unmoved(run, name, one)]
+    plots: list[Plot] = []
+    grids: list[Grid] = []
+    for label, step in excited(run):
+        estimates, more_plots, more_grids = gain_and_phase(run, label, step, measured, notes)
+        results, plots, grids = results + estimates, plots + more_plots, grids + more_grids
+    if channel or len(measured) <= MOST_PLOTTED:
+        plots += [plot for name, one in measured.items() for plot in pictures(name, one, holds)]
+    grids += [histogram(name, one) for name, one in measured.items() if np.isfinite(one.values).any()]
+    return Result("channels", (str(run.path),), tuple(results), (), tuple(plots), (), tuple(grids))
+
+
+def unmoved(run: Run, name: str, channel: Channel) -> Iterator[str]:
+    """A note on a sensor with noise that gives one and the same reading throughout: its deviation of 0 is none.
+
+    A drive that is off and a shaft that stands read 0.
+    """
+    seen = channel.values[np.isfinite(channel.values)]
+    if channel.quantity not in NOISY or len(seen) < FEWEST_SAMPLES or np.any(seen != seen[0]):
+        return
+    if seen[0] or channel.quantity not in AT_REST:
+        yield f"{run.path}: {name} reads exactly {seen[0]:.6g} {channel.units} throughout: is its sensor connected?"
+
+
+def comparable(runs: Sequence[Run], answers: Sequence[Result], notes: list[str]) -> list[int]:
+    """Which runs are averaged: all but those that ended early and so have other results than one that did not.
+
+    Where all ended early, the one with the most results is what the others are compared with.
+    """
+    names = [{item.name for item in answer.results} for answer in answers]
+    whole = [run.status in ("complete", "") for run in runs]
+    first = max(range(len(runs)), key=lambda index: (whole[index], len(names[index]), -index))
+    kept = [index for index in range(len(runs)) if whole[index] or names[index] == names[first]]
+    reason = f"left out: it ended early and has other steps or channels than {runs[first].path}"
+    notes += [f"{run.path}: {reason}" for index, run in enumerate(runs) if index not in kept]
+    return kept
+
+
+def chosen(run: Run, wanted: Sequence[str] | None) -> dict[str, Channel]:
+    """Measured channels by name: quantity, after a role other than test and before a location."""
+    known = {}
+    for stream, specs in run.streams.items():
+        for spec in specs:
+            role = "" if spec.role == "test" else f"{spec.role}_"
+            location = f"_{spec.location}" if spec.location else ""
+            known[f"{role}{spec.quantity or spec.name}{location}".replace(" ", "_")] = f"{stream}/{spec.name}"
+    lacking = [name for name in wanted or () if name not in known and name not in known.values()]
+    if lacking:
+        raise MissingChannel(f"{run.path}: no channel {', '.join(lacking)}; the run has {', '.join(known)}")
+    if wanted:
+        kept = {name: place for name, place in known.items() if name in wanted or place in wanted}
+    else:
+        kept = {name: place for name, place in known.items() if not name.endswith("_reference")}
+    return {name: run.channel_at(place) for name, place in kept.items()}
+
+
+def held(run: Run) -> list[tuple[str, Step]]:
+    """Holds of a run with their labels, also those of another name; the whole of a run that has no steps."""
+    steps = run.steps
+    if not steps:
+        times = [time for stream in run.streams if len(time := run.time(stream))]
+        if not times:
+            return []
+        stop = float(np.nextafter(max(time[-1] for time in times), math.inf))
+        return [("whole", Step("whole", float(min(time[0] for time in times)), stop, 0.0, {}))]
+    return numbered(step for step in steps if is_hold(step))
+
+
+def is_hold(step: Step) -> bool:
+    """Whether a setpoint stands still over a step: its name says so, or what is told of it."""
+    stands = any(key in step.parameters for key in SETPOINTS) or step.parameters.keys() in UNMOVED
+    return step.name == "hold" or ("kind" not in step.parameters and stands and step.stop > step.start)
+
+
+def excited(run: Run) -> list[tuple[str, Step]]:
+    """Steps of a run that excite it with many frequencies, with their labels."""
+    return numbered(step for step in run.steps if step.name in EXCITATIONS)
+
+
+def numbered(steps: Iterable[Step]) -> list[tuple[str, Step]]:
+    """Steps with their labels: the name, and the how manieth of its name it is."""
+    counts: Counter[str] = Counter()
+    labelled = []
+    for step in steps:
+        counts[step.name] += 1
+        labelled.append((f"{step.name}_{counts[step.name]}", step))
+    return labelled
+
+
+def over_hold(
+    label: str, step: Step, measured: dict[str, Channel], too_few: dict[tuple[str, ...], list[str]]
+) -> list[Estimate]:
+    """Mean, deviation and drift of each channel over one hold; channels with too few samples go into `too_few`."""
+    found: list[Estimate] = []
+    lacking = []
+    start = step.start + step.settle
+    for name, one in measured.items():
+        mean = settled_mean(one, start, step.stop)
+        if mean is None:
+            lacking.append(name)
+            continue
+        part = span(one, start, step.stop)
+        found += statistics(f"{label}_{name}", one.time[part], one.values[part], one.units)
+    if lacking:
+        too_few.setdefault(tuple(lacking), []).append(label)
+    return found
+
+
+def statistics(name: str, time: Array, values: Array, units: str) -> list[Estimate]:
+    """Mean, deviation of single readings and drift of an evenly sampled record, with 95 % intervals."""
+    from scipy.stats import chi2
+
+    good = np.isfinite(values)
+    varies = float(np.ptp(values[good])) > 0.0
+    deviation, error = float(np.std(values[good], ddof=1)) if varies else 0.0, standard_error(values)
+    dof = independent(deviation, error, int(good.sum())) - 1.0
+    mean = with_interval(name, float(values[good].mean()), error, dof, units)
+    low, high = (deviation * math.sqrt(dof / chi2.ppf(0.5 + side * CONFIDENCE / 2, dof)) for side in (1, -1))
+    scatter = Estimate(f"{name}_deviation", deviation, deviation / math.sqrt(2.0 * dof), low, high, units)
+
+    since = time - time[good].mean()
+    length = float(np.sum(since[good] ** 2))
+    away = values - (values[good].mean() if varies else values[good][0])  # of a constant exactly zero
+    slope = float(np.sum(since[good] * away[good])) / length
+    rest = away - slope * since
+    rest_deviation, rest_error = float(np.std(rest[good], ddof=1)), standard_error(rest)
+    effective = independent(rest_deviation, rest_error, int(good.sum()))
+    error = rest_deviation * math.sqrt(good.sum() / effective / length)
+    drift = with_interval(f"{name}_drift", slope, error, effective - 2.0, f"{units}/s")
+    return [mean, scatter, drift]
+
+
+def independent(deviation: float, error: float, samples: int) -> float:
+    """How many independent readings know a mean as well: at least the five that the autocorrelation is summed by."""
+    return (deviation / error) ** 2 if error > 0.0 else float(samples)
+
+
+def with_interval(name: str, value: float, std: float, dof: float, units: str) -> Estimate:
+    """An estimate with the interval of Student's t."""
+    half = std * t_quantile(dof)
+    return Estimate(name, value, std, value - half, value + half, units)
+
+
+def averaged(every: Sequence[Sequence[Estimate]], paths: Sequence[str]) -> list[Estimate]:
+    """Each result over all runs: the mean, with the scatter between and within runs where there is more than one.
+
+    Raises
+    ------
+    InputError : a run has other results than the first.
+    """
+    if len(every) == 1:
+        return list(every[0])
+    named = [{item.name: item for item in found} for found in every]
+    for path, other in zip(paths[1:], named[1:], strict=True):
+        if differing := sorted(other.keys() ^ named[0].keys()):
+            raise InputError(f"{path}: other steps or channels than {paths[0]} ({differing[0]}); analyse them apart")
+    return [mean_of([other[name] for other in named]) for name in named[0]]
+
+
+def mean_of(repeats: Sequence[Estimate]) -> Estimate:
+    """The mean of a result over repeats, no better known than by what the repeats know of themselves."""
+    count, first = len(repeats), repeats[0]
+    values = np.array([item.value for item in repeats])
+    by_scatter = with_interval(
+        first.name, float(values.mean()), float(np.std(values, ddof=1)) / math.sqrt(count), count - 1.0, first.units
+    )
+    std = math.hypot(*(item.std for item in repeats)) / count
+    half = math.hypot(*(0.5 * (item.high - item.low) for item in repeats)) / count
+    mean = by_scatter.value
+    low, high = min(by_scatter.low, mean - half), max(by_scatter.high, mean + half)
+    return replace(by_scatter, std=max(by_scatter.std, std), low=low, high=high)
+
+
+def counted(channel: Channel) -> tuple[Array, Array]:
+    """Middles of the bins of a histogram, and how many readings fall into each."""
+    counts, edges = np.histogram(channel.values[np.isfinite(channel.values)], bins=BINS)
+    return 0.5 * (edges[1:] + edges[:-1]), counts.astype(np.float64)
+
+
+def histogram(name: str, channel: Channel) -> Grid:
+    """How often a channel read what, over the whole run."""
+    middles, counts = counted(channel)
+    axes = {"run": (1.0,), f"{name} [{channel.units}]": tuple(middles.tolist())}
+    return Grid(f"{name}_histogram", axes, {"readings [1]": (tuple(counts.tolist()),)})
+
+
+def pictures(name: str, channel: Channel, holds: Sequence[tuple[str, Step]]) -> list[Plot]:
+    """The means of the holds over time, and the histogram."""
+    means = [(step.start, settled_mean(channel, step.start + step.settle, step.stop)) for _, step in holds]
+    points = [(start, mean.value if mean is not None else NAN) for start, mean in means]
+    found = []
+    if len(points) > 1:
+        x, y = zip(*points, strict=True)
+        found.append(Plot("time [s]", f"{name} [{channel.units}]", (Series("mean of a hold", x, y),), ()))
+    if np.isfinite(channel.values).any():
+        middles, counts = counted(channel)
+        series = Series("readings", tuple(middles.tolist()), tuple(counts.tolist()))
+        found.append(Plot(f"{name} [{channel.units}]", "readings [1]", (series,), ()))
+    return found

@@ -1,0 +1,226 @@
+"""Coast-down: inertia and friction from run-outs with the drive off, by the retardation method (IEC 60034-2-2).
+
+Unpowered, J dw/dt = -(f + b w + c w^2): a run-out alone gives f/J, b/J and c/J and nothing of the inertia. The current
+that held the speed before gives the drag in N*m, and drag over deceleration at that speed is the inertia. The equation
+is fitted in its integral form, w = w0 - d t - a int w dt - q int w^2 dt, which takes no derivative of a noisy speed;
+the lag of the drive's speed filter is in w and its integrals alike.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, tally
+from leactl.analysis.experiments.friction import TorqueConstants, torque_constants
+from leactl.analysis.quality.sign_checks import refuse_below_zero
+from leactl.analysis.quality.usable_readings import usable
+from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.signals.levels import Held, settled_mean, span
+from leactl.analysis.statistics.intervals import rounding_of, step_of
+from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.analysis.statistics.regression import Array, least_squares
+from leactl.analysis.statistics.trial_means import Trial, mean_of
+from leactl.errors import NotIdentifiable
+from leactl.runfile.reader import Channel, Run, Step
+
+RESULTS = {
+    "rotor_inertia": "kg*m^2",
+    "coulomb_friction": "N*m",
+    "viscous_damping": "N*m*s/rad",
+    "quadratic_drag": "N*m*s^2/rad^2",
+    "coulomb_over_inertia": "rad/s^2",
+    "damping_over_inertia": "1/s",
+    "quadratic_over_inertia": "1/rad",
+}
+
+CURRENT, VELOCITY, ENABLED = "q_axis_current", "velocity", "drive_enabled"
+HELD = Held("velocity_rad_s", "rad/s")
+COAST = "coast"
+SLOWEST = 0.1  # of the speed before: below, the filter's lag and sticking show
+FEWEST_SAMPLES = 20
+MISSED = 0.05  # of the setpoint: a velocity further from it was not reached
+LIKE = 0.05  # of the speed before, that a run-out may lie above it
+OVER_INERTIA = {"coulomb": "rad/s^2", "damping": "1/s", "quadratic": "1/rad"}
+DRAG = {"coulomb_friction": "N*m", "viscous_damping": "N*m*s/rad", "quadratic_drag": "N*m*s^2/rad^2"}
+
+
+@dataclass(frozen=True, eq=False)
+class RunOut:
+    """One run-out: d + a w + q w^2 is its deceleration [rad/s^2] at speed w."""
+
+    trial: Trial
+    before: float  # rad/s, magnitude of the speed that was held
+    current: float  # A, that held it, along the motion
+    rounding: float  # relative standard uncertainty of that by the steps of its readings, the same in every trial
+    time: Array  # s, since the fit's first sample
+    speed: Array  # rad/s, magnitude
+    fitted: Array  # rad/s
+    fit: tuple[float, float, float]  # d, a, q
+
+    @property
+    def deceleration(self) -> float:
+        """At the speed that was held [rad/s^2]."""
+        d, a, q = self.fit
+        return d + a * self.before + q * self.before**2
+
+
+def analyze(
+    runs: Sequence[Run],
+    *,
+    torque_constant: float | None = None,
+    torque_constant_std: float | None = None,
+    current_gain_std: float | None = None,
+) -> Result:
+    """Inertia and drag from run-outs and the current before each; without a torque constant their ratios alone.
+
+    `rotor_inertia` [kg*m^2], `coulomb_friction` [N*m], `viscous_damping` [N*m*s/rad], `quadratic_drag`
+    [N*m*s^2/rad^2], in proportion to the torque constant; from the run-outs alone `coulomb_over_inertia` [rad/s^2],
+    `damping_over_inertia` [1/s] and `quadratic_over_inertia` [1/rad]. Each is the mean over both directions, with the
+    scatter of the run-outs as its uncertainty.
+
+    Parameters
+    ----------
+    runs : of one actuator under one condition, free, with steps `coast` after steps that `hold` a velocity.
+    torque_constant : [N*m/A], in place of the one in the runs' model.
+    torque_constant_std : [N*m/A], its standard uncertainty, which then is part of that of J, b and f.
+    current_gain_std : relative, of the current's calibration; see `friction`.
+
+    Raises
+    ------
+    MissingChannel : a run has no velocity of the test actuator, or no q-axis current.
+    NotIdentifiable : fewer than two run-outs in a direction more than once.
+    InputError : a torque constant that is no positive number, or current and velocity of opposite senses.
+    """
+    place = f"{place_of(runs)}: coast-down"
+    notes = expect_setup(runs, ("free",), "inertia and drag of whatever else is on the shaft are counted in")
+    found = [run_out for number, run in enumerate(runs) for run_out in run_outs_of(run, number, notes)]
+    sides = {run_out.trial.side for run_out in found}
+    if len(found) <= len(sides) or not found:
+        why = f" ({'; '.join(notes)})" if notes else ""
+        raise NotIdentifiable(
+            f"{place}: found {len(found)} run-outs in {len(sides)} directions{why}; "
+            "two or more in one direction are needed for their scatter"
+        )
+    if len(sides) == 1:
+        notes.append("run-outs in one direction only: a zero error of the current is part of the inertia")
+    trials = [run_out.trial for run_out in found]
+    results = []
+    try:
+        constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
+        notes.append(constants.note.replace("viscous damping", "inertia, viscous damping"))
+        results += scaled(found, trials, constants)
+        refuse_below_zero(results[0], place, "current and velocity")
+    except NotIdentifiable as fault:
+        notes.append(f"{fault}; a run-out alone gives no inertia, only what is over it")
+        units = {"rotor_inertia": "kg*m^2", **DRAG}
+        results += [Estimate(name, NAN, NAN, NAN, NAN, unit) for name, unit in units.items()]
+    for place_in_fit, (name, unit) in enumerate(OVER_INERTIA.items()):
+        values = [run_out.fit[place_in_fit] for run_out in found]
+        results.append(mean_of(values, trials, f"{name}_over_inertia", unit))
+    notes[:0] = doubted(runs, results, [CURRENT], [VELOCITY], torque_constant)
+    paths = tuple(str(run.path) for run in runs)
+    return Result("coast-down", paths, tuple(results), tuple(notes), (plot_of(found),))
+
+
+def scaled(found: Sequence[RunOut], trials: Sequence[Trial], constants: TorqueConstants) -> list[Estimate]:
+    """Inertia from drag over deceleration at the speed that was held, and the drag's parts times it."""
+    inertias = [
+        float(constants.values[run_out.trial.run]) * run_out.current / run_out.deceleration for run_out in found
+    ]
+    relative = math.hypot(constants.relative_std, max(run_out.rounding for run_out in found))
+    results = [mean_of(inertias, trials, "rotor_inertia", "kg*m^2", relative)]
+    for place_in_fit, (name, unit) in enumerate(DRAG.items()):
+        values = [inertia * run_out.fit[place_in_fit] for inertia, run_out in zip(inertias, found, strict=True)]
+        results.append(mean_of(values, trials, name, unit, relative))
+    return results
+
+
+def run_outs_of(run: Run, number: int, notes: list[str]) -> list[RunOut]:
+    """The run-outs of a run that can be used; why others cannot goes into the notes."""
+    found: list[RunOut] = []
+    left_out: dict[str, list[str]] = {}
+    steps = run.steps
+    velocity, current = (usable(run, name, notes, HELD, least=1) for name in (VELOCITY, CURRENT))
+    for step in (step for step in steps if step.name == COAST):
+        try:
+            found.append(run_out_of(run, number, step, velocity, current))
+        except NotIdentifiable as fault:
+            left_out.setdefault(str(fault), []).append(f"at {step.start:.1f} s")
+    if not any(step.name == COAST for step in steps):
+        notes.append(f"{run.path}: no step named '{COAST}'")
+    notes += tally(left_out, f"{run.path}")
+    return found
+
+
+def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Channel) -> RunOut:
+    """One run-out and the hold before it.
+
+    Raises
+    ------
+    NotIdentifiable : why it cannot be used.
+    """
+    before = [hold for hold in HELD.levels(run) if hold.stop <= step.start + 1e-9]
+    if not before:
+        raise NotIdentifiable("no held velocity before it")
+    speed, drive = (settled_mean(channel, before[-1].start, before[-1].stop) for channel in (velocity, current))
+    if speed is None or drive is None:
+        raise NotIdentifiable("too little velocity or current in the hold before it")
+    if drive.value == 0.0:
+        raise NotIdentifiable("no current held the speed before it")
+    if abs(speed.value - before[-1].setpoint) > MISSED * abs(before[-1].setpoint):
+        raise NotIdentifiable("the velocity was not reached in the hold before it")
+    side = 1 if speed.value > 0.0 else -1
+    part = span(velocity, step.start + step.settle, step.stop)
+    time, along = velocity.time[part], side * velocity.values[part]
+    seen = np.isfinite(along)
+    if run.has(ENABLED):
+        enabled = run.channel(ENABLED)
+        on = np.interp(time, enabled.time, np.nan_to_num(enabled.values)) if len(enabled.time) else np.zeros(len(time))
+        if (on > 0.0).mean() > 0.5:
+            raise NotIdentifiable("the drive was on")
+        seen &= on == 0.0
+    slow = np.flatnonzero(along < SLOWEST * abs(speed.value))
+    if len(slow):
+        seen[slow[0] :] = False
+    time, along = time[seen], along[seen]
+    if len(time) < FEWEST_SAMPLES:
+        raise NotIdentifiable(f"fewer than {FEWEST_SAMPLES} readings before the rotor stood: record faster")
+    if along.max() > (1.0 + LIKE) * abs(speed.value):
+        raise NotIdentifiable("the rotor was faster than in the hold before it")
+    fitted, fit = fit_of(time - time[0], along)
+    own = current.values[span(current, before[-1].start, before[-1].stop)]
+    rounding = rounding_of(own, step_of(current.values)) / abs(drive.value)
+    trial, drawn = Trial(number, side), side * drive.value
+    found = RunOut(trial, abs(speed.value), drawn, rounding, time - time[0], along, fitted, fit)
+    if found.deceleration <= 0.0:
+        raise NotIdentifiable("the rotor did not slow down")
+    return found
+
+
+def fit_of(time: Array, speed: Array) -> tuple[Array, tuple[float, float, float]]:
+    """The fitted speed, and the three coefficients of the deceleration."""
+    design = np.column_stack([np.ones_like(time), -time, -integral(speed, time), -integral(speed**2, time)])
+    fit = least_squares(design, speed, design, COAST)
+    _, d, a, q = fit.coefficients.tolist()
+    return speed - fit.residuals, (d, a, q)
+
+
+def integral(values: Array, time: Array) -> Array:
+    """By trapezoids and their first correction: without it J is 0.02 % off where the rotor stops within 20 readings."""
+    steps, slope = np.diff(time), np.gradient(values, time)
+    parts = 0.5 * steps * (values[1:] + values[:-1]) - steps**2 / 12.0 * np.diff(slope)
+    return np.concatenate([[0.0], np.cumsum(parts)])
+
+
+def plot_of(found: Sequence[RunOut]) -> Plot:
+    """Speed over time of every run-out, and the fit to the first of each direction."""
+    points, lines = [], []
+    for label, side in (("forward", 1), ("backward", -1)):
+        own = [run_out for run_out in found if run_out.trial.side == side]
+        if own:
+            time, speed = (np.concatenate([getattr(one, name) for one in own]) for name in ("time", "speed"))
+            points.append(Series(label, tuple(time.tolist()), tuple(speed.tolist())))
+            lines.append(Series(label, tuple(own[0].time.tolist()), tuple(own[0].fitted.tolist())))
+    return Plot("time [s]", "speed [rad/s]", tuple(points), tuple(lines))

@@ -1,0 +1,153 @@
+"""Efficiency over speed and torque: one actuator drives at a speed, the other is driven and opposes with a current.
+
+Paper, section "Efficiency": eta+ = tau w / (V i) of the one that drives, eta- = V i / (tau w) of the one that is
+driven, negative where its winding takes more heat than the shaft brings in. The mean is that of the points of the grid,
+each counting once, as in the paper; points that the bench did not hold have no value and are no part of it.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from leactl.analysis.efficiency.checks import drift_of, refuse_swapped
+from leactl.analysis.efficiency.drive_losses import drives_loss
+from leactl.analysis.efficiency.known_parameters import Told, calibration_of, sources_of
+from leactl.analysis.efficiency.maps import currents_and_voltages, grid_of, speeds_and_torques
+from leactl.analysis.efficiency.means import MapMeans
+from leactl.analysis.efficiency.operating_points import gather
+from leactl.analysis.estimate import NAN, Estimate, Grid, Result
+from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.errors import NotIdentifiable
+from leactl.runfile.reader import Run
+
+RESULTS = {
+    "driving_efficiency": "1",
+    "driving_efficiency_spread": "1",
+    "driving_efficiency_highest": "1",
+    "driving_power_mechanical": "W",
+    "driving_power_electrical": "W",
+    "driving_loss": "W",
+    "driving_loss_copper": "W",
+    "driving_loss_friction": "W",
+    "driving_negative_share": "1",
+    "driven_efficiency": "1",
+    "driven_efficiency_spread": "1",
+    "driven_efficiency_highest": "1",
+    "driven_power_mechanical": "W",
+    "driven_power_electrical": "W",
+    "driven_loss": "W",
+    "driven_loss_copper": "W",
+    "driven_loss_friction": "W",
+    "driven_negative_share": "1",
+    "load_driving_efficiency": "1",
+    "load_driving_efficiency_spread": "1",
+    "load_driving_efficiency_highest": "1",
+    "load_driving_power_mechanical": "W",
+    "load_driving_power_electrical": "W",
+    "load_driving_loss": "W",
+    "load_driving_loss_copper": "W",
+    "load_driving_loss_friction": "W",
+    "load_driving_negative_share": "1",
+    "load_driven_efficiency": "1",
+    "load_driven_efficiency_spread": "1",
+    "load_driven_efficiency_highest": "1",
+    "load_driven_power_mechanical": "W",
+    "load_driven_power_electrical": "W",
+    "load_driven_loss": "W",
+    "load_driven_loss_copper": "W",
+    "load_driven_loss_friction": "W",
+    "load_driven_negative_share": "1",
+    "drives_loss": "W",
+}
+
+MEANS = {  # name of a result after `driving_` or `driven_`: what of `Balance`, and its unit
+    "loss": ("loss", "W"),
+    "loss_copper": ("copper", "W"),
+    "loss_friction": ("friction", "W"),
+    "power_electrical": ("electrical", "W"),
+    "power_mechanical": ("mechanical", "W"),
+}
+
+
+def analyze(
+    runs: Sequence[Run],
+    *,
+    phase_resistance: float | None = None,
+    back_emf_constant: float | None = None,
+    winding_temperature: float | None = None,
+    resistance_std: float | None = None,
+    back_emf_constant_std: float | None = None,
+    torque_gain_std: float | None = None,
+    current_gain_std: float | None = None,
+    voltage_gain_std: float | None = None,
+) -> Result:
+    """Efficiency and losses over the grid, of the actuator that drives and of the one that is driven.
+
+    `driving_efficiency` and `driven_efficiency` (means over the grid), `_spread` (standard deviation over the grid),
+    `_highest`, and, in W as means over the grid, `driving_loss`, `_loss_copper`, `_loss_friction`, `_power_electrical`,
+    `_power_mechanical`, and the same of `driven`; `driven_negative_share`, of the points at which efficiency is
+    negative. Those of the load actuator have `load_` before them. `drives_loss` [W] where the current of the DC link
+    is measured. Grids hold every point.
+
+    Parameters
+    ----------
+    runs : of one actuator under one condition, coupled, whose steps `hold` a speed of one actuator and a current of the
+        other.
+    phase_resistance, back_emf_constant : [ohm], [V*s/rad], q axis, in place of those of the runs' model.
+    winding_temperature : [degC], at which electrical power is stated; that of the model's resistance unless told. Where
+        the runs have q-axis voltages, power is that measured, unless this is told.
+    resistance_std, back_emf_constant_std, torque_gain_std, current_gain_std, voltage_gain_std : relative standard
+        uncertainties of what they name, 0 unless told; that of torque is the channel's own where it has one.
+
+    Raises
+    ------
+    MissingChannel : a run has no torque, no velocity, or no current of either actuator.
+    NotIdentifiable : no hold of a grid, none that was held, or no voltage and no resistance to work it out from.
+    InputError : an uncertainty below zero, or readings whose signs contradict each other.
+    """
+    place = f"{place_of(runs)}: efficiency"
+    notes = expect_setup(runs, ("coupled",), "another machine has to drive or to be driven")
+    told = Told(phase_resistance, back_emf_constant, winding_temperature)
+    relative = {
+        "resistance": resistance_std, "back_emf_constant": back_emf_constant_std, "torque_gain": torque_gain_std,
+        "current_gain": current_gain_std, "voltage_gain": voltage_gain_std,
+    }  # fmt: skip
+    points = gather(runs, notes)
+    calibration, stds = calibration_of(runs, points, told, relative, notes)
+    refuse_swapped(points, place)
+    points = drift_of(points, runs, calibration, notes)
+    results: list[Estimate] = []
+    grids: list[Grid] = []
+    maps: list[MapMeans] = []
+    for role, prefix in (("test", ""), ("load", "load_")):
+        for driving, word in ((True, "driving"), (False, "driven")):
+            own = points.where(np.array([(one.driving == role) == driving for one in points.holds], np.bool_))
+            if not own.holds or ("q_axis_current", role) not in own.value:
+                continue
+            means = MapMeans(own, role, driving, calibration, stds)
+            if not means.reached:
+                notes.append(f"no point was held at which the {role} actuator was {word}")
+                continue
+            results += estimates(means, f"{prefix}{word}")
+            grids.append(grid_of(means, f"{prefix}{word}"))
+            maps.append(means)
+            notes += means.remarks(f"{role} {word}")
+    if not results:
+        raise NotIdentifiable("\n".join([f"{place}: no point of the grid was held", *notes]))
+    results += drives_loss(runs, points, calibration, notes)
+    notes.append(sources_of(stds))
+    paths = tuple(str(run.path) for run in runs)
+    plots = (speeds_and_torques(maps), currents_and_voltages(maps))
+    return Result("efficiency", paths, tuple(results), tuple(notes), plots, grids=tuple(grids))
+
+
+def estimates(means: MapMeans, name: str) -> list[Estimate]:
+    """Every figure of one map."""
+    found = [means.mean("efficiency", f"{name}_efficiency", "1")]
+    found += [means.spread(f"{name}_efficiency_spread"), means.highest(f"{name}_efficiency_highest")]
+    found += [means.mean(what, f"{name}_{word}", units) for word, (what, units) in MEANS.items()]
+    if not means.driving:
+        efficiency = means.over_map("efficiency")
+        share = float(np.mean(efficiency[np.isfinite(efficiency)] < 0.0))
+        found.append(Estimate(f"{name}_negative_share", share, NAN, NAN, NAN, "1"))
+    return found

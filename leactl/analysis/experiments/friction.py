@@ -1,0 +1,257 @@
+"""Viscous damping and Coulomb friction of a free rotor: Kt i = b w + f sgn(w) at steady velocity.
+
+Paper, section "Friction and Damping". The current is set and the velocity follows, with all the scatter of the friction
+in it, so the setpoint is the instrument of the velocity (linefit.py). Both b and f are in proportion to the torque
+constant, which comes from the model that the run carries or from the caller, and to what the drive takes for an ampere.
+A constant found with the same drive carries the error of its ampere the other way round: then the caller says so.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, tally
+from leactl.analysis.quality.calibration_uncertainty import doubts, gain_std
+from leactl.analysis.quality.sign_checks import SWAPPED
+from leactl.analysis.quality.usable_readings import usable
+from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.run_model import torque_constant_of_model
+from leactl.analysis.signals.levels import Levels, gather, require_levels
+from leactl.analysis.statistics.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
+from leactl.analysis.statistics.regression import Array
+from leactl.errors import InputError, NotIdentifiable
+from leactl.runfile.reader import Run
+
+RESULTS = {
+    "viscous_damping": "N*m*s/rad",
+    "viscous_damping_forward": "N*m*s/rad",
+    "viscous_damping_backward": "N*m*s/rad",
+    "coulomb_friction": "N*m",
+    "coulomb_friction_forward": "N*m",
+    "coulomb_friction_backward": "N*m",
+    "offset": "N*m",
+    "r_squared": "1",
+    "r_squared_forward": "1",
+    "r_squared_backward": "1",
+}
+
+CURRENT, VELOCITY = "q_axis_current", "velocity"
+DIRECTIONS = {"forward": 1.0, "backward": -1.0}
+CLEAR = 4.0  # standard errors of a mean velocity, below which it may be none
+CREEPING = 0.02  # of the fastest level: slower does not count as turning
+STEADY = 0.05  # of the mean: how far the means of the quarters of a settled part may lie apart
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueConstants:
+    """The torque constant of each run [N*m/A], what is known of its uncertainty, and where it is from."""
+
+    values: Array
+    relative_std: float  # with that of the current's calibration
+    note: str
+
+
+def analyze(
+    runs: Sequence[Run],
+    *,
+    torque_constant: float | None = None,
+    torque_constant_std: float | None = None,
+    current_gain_std: float | None = None,
+) -> Result:
+    """Fit the torque of the current over steady velocity, both directions together and each alone.
+
+    `viscous_damping` [N*m*s/rad], `coulomb_friction` [N*m], `offset` [N*m] where both directions are there (mean over
+    the runs; a zero error of current), `r_squared`, and the same for each direction alone as `_forward`, `_backward`.
+
+    Parameters
+    ----------
+    runs : of one actuator under one condition, free, whose steps `hold` its current at two levels or more.
+    torque_constant : [N*m/A], in place of the one in the runs' model.
+    torque_constant_std : [N*m/A], its standard uncertainty, which then is part of that of b and f.
+    current_gain_std : relative standard uncertainty of the current's calibration, as far as the torque constant does
+        not make up for it; the channel's own unless told.
+
+    Raises
+    ------
+    MissingChannel : a run has no velocity or no q-axis current of the test actuator.
+    NotIdentifiable : no torque constant, fewer than two levels at which the rotor turned, or too few points.
+    InputError : a torque constant that is no positive number, or current and velocity of opposite senses.
+    """
+    place = f"{place_of(runs)}: friction"
+    constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
+    notes = expect_setup(runs, ("free",), "friction of whatever else is on the shaft is counted in")
+    gathered = gather(runs, (CURRENT, VELOCITY), notes, lambda run, name: usable(run, name, notes))
+    levels = steady(runs, gathered, place, notes)
+    sign = np.sign(levels.value[VELOCITY])
+    torque = constants.values[levels.run] * levels.value[CURRENT]
+    unit = "N" if levels.units[VELOCITY] == "m/s" else "N*m"
+    notes.append(constants.note)
+
+    each = {name: alone(levels, torque, direction, place) for name, direction in DIRECTIONS.items()}
+    if len(np.unique(sign)) == 2:
+        line = together(levels, torque, sign, place)
+        results = line_results(line, "", unit, constants.relative_std)
+        for name, found in each.items():
+            if isinstance(found, NotIdentifiable):
+                notes.append(f"{name} levels alone give no line: {str(found).removeprefix(place + ': ')}")
+            else:
+                results += line_results(found, f"_{name}", unit, constants.relative_std, DIRECTIONS[name])
+    else:
+        direction = float(sign[0])
+        name = next(name for name, value in DIRECTIONS.items() if value == direction)
+        found = each[name]
+        if isinstance(found, NotIdentifiable):
+            raise found
+        line = found
+        results = line_results(line, "", unit, constants.relative_std, direction)
+        notes.append(f"the rotor turned {name} only: a zero error of the current is part of coulomb_friction")
+    damping = line.slope("viscous_damping")
+    noise = np.hypot(constants.values[levels.run] * levels.std[CURRENT], damping * levels.std[VELOCITY])
+    notes += remarks(line, noise, unit)
+    paths = tuple(str(run.path) for run in runs)
+    plot = plot_of(levels, torque, line, sign, unit)
+    names = ("viscous_damping", "coulomb_friction", "offset", "r_squared")
+    whole = [item for item in results if not item.name.endswith(tuple(DIRECTIONS))]
+    notes[:0] = doubted(runs, whole, [CURRENT], [VELOCITY], torque_constant)
+    results.sort(key=lambda item: next(k for k, name in enumerate(names) if item.name.startswith(name)))
+    return Result("friction", paths, tuple(results), tuple(notes), (plot,))
+
+
+def torque_constants(
+    runs: Sequence[Run], given: float | None, std: float | None, current_gain_std: float | None
+) -> TorqueConstants:
+    """The torque constant to use for each run: the given one, else that of the model it carries.
+
+    The error of the current's calibration is another factor on the same torque.
+
+    Raises
+    ------
+    NotIdentifiable : none is given and a run has none.
+    InputError : a value or an uncertainty that makes no sense.
+    """
+    if given is not None and not (math.isfinite(given) and given > 0.0):
+        raise InputError(f"torque constant {given:g}: a positive number in N*m/A was expected")
+    if std is not None and not (math.isfinite(std) and std >= 0.0):
+        raise InputError(f"standard uncertainty of the torque constant {std:g}: zero or more in N*m/A was expected")
+    values = np.array([given if given is not None else torque_constant_of_model(run) for run in runs])
+    shown = ", ".join(f"{value:g}" for value in np.unique(values))
+    source = "as given" if given is not None else "from the model in the run"
+    relative, gain = (std or 0.0) / float(values.mean()), gain_std(runs, CURRENT, current_gain_std)
+    known = f"its standard uncertainty of {relative:.2%} is in theirs" if std else "its uncertainty is not in theirs"
+    note = f"torque constant {shown} N*m/A, {source}; viscous damping and Coulomb friction scale with it, {known}"
+    note += "".join(f"; {one}" for one in doubts({"current": gain}, "them")) if gain else ""
+    return TorqueConstants(values, math.hypot(relative, gain), note)
+
+
+def steady(runs: Sequence[Run], levels: Levels, place: str, notes: list[str]) -> Levels:
+    """Only the levels at which the rotor turned steadily with its current; the others are named in the notes.
+
+    The means of four quarters of each settled part are compared, not of two halves: a rotor that stops late moves the
+    last quarter more than the second half.
+
+    Raises
+    ------
+    NotIdentifiable : fewer than two distinct levels are left.
+    InputError : the rotor turned against its current throughout.
+    """
+    velocity, current = levels.value[VELOCITY], levels.value[CURRENT]
+    stood = np.abs(velocity) < np.maximum(CLEAR * levels.std[VELOCITY], CREEPING * float(np.max(np.abs(velocity))))
+    stood |= velocity == 0.0
+    quarters = levels.quarters[VELOCITY]
+    uneven = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1) > STEADY * np.abs(velocity)
+    turned = ~stood
+    if turned.any() and (velocity * current < 0.0)[turned].all():
+        raise InputError(
+            f"{place}: the rotor turned against its current in all {turned.sum()} holds in which it turned; {SWAPPED}"
+        )
+    reasons = {
+        "the rotor did not turn": stood,
+        "the velocity was not steady": uneven,
+        "the rotor turned against its current": velocity * current < 0.0,
+    }
+    kept = np.ones(len(levels), np.bool_)
+    left_out: dict[tuple[int, str], list[str]] = {}
+    for reason, applies in reasons.items():
+        for index in np.flatnonzero(applies & kept):
+            left_out.setdefault((int(levels.run[index]), reason), []).append(str(levels.holds[index]))
+        kept &= ~applies
+    for (number, reason), holds in sorted(left_out.items()):
+        notes += tally({reason: holds}, f"{runs[number].path}")
+    distinct = len(np.unique(np.round(levels.setpoint[kept], 9)))
+    if distinct < 2:
+        why = "; ".join(f"{len(holds)} holds: {reason}" for (_, reason), holds in left_out.items())
+        raise NotIdentifiable(
+            f"{place}: found {distinct} levels of current at which the rotor turned steadily"
+            f"{f' ({why})' if why else ''}; two or more are needed"
+        )
+    return levels.where(kept)
+
+
+def regressors(levels: Levels, sign: Array) -> dict[str, Array]:
+    """Velocity, and its sign where both are there."""
+    columns = {"viscous_damping": levels.value[VELOCITY]}
+    return columns | {"coulomb_friction": sign} if len(np.unique(sign)) == 2 else columns
+
+
+def together(levels: Levels, torque: Array, sign: Array, place: str) -> LineFit:
+    """Both directions with one b, one f and an offset for each run; the slope needs two levels in one direction."""
+    faults = []
+    for direction in DIRECTIONS.values():
+        own = levels.where(sign == direction)
+        try:
+            require_levels(place, "velocity", own.setpoint, own.value[VELOCITY], own.std[VELOCITY])
+        except NotIdentifiable as fault:
+            faults.append(fault)
+    if len(faults) == len(DIRECTIONS):
+        raise faults[0]
+    return fit_lines(regressors(levels, sign), torque, levels, place)
+
+
+def alone(levels: Levels, torque: Array, direction: float, place: str) -> LineFit | NotIdentifiable:
+    """The line of one direction, or why there is none."""
+    of_it = np.sign(levels.value[VELOCITY]) == direction
+    if not of_it.any():
+        return NotIdentifiable(f"{place}: found no level at which the rotor turned that way")
+    own = levels.where(of_it)
+    velocity = own.value[VELOCITY]
+    try:
+        require_levels(place, "velocity", own.setpoint, velocity, own.std[VELOCITY])
+        return fit_lines({"viscous_damping": velocity}, torque[of_it], own, place)
+    except NotIdentifiable as fault:
+        return fault
+
+
+def line_results(
+    line: LineFit, suffix: str, unit: str, relative_std: float, direction: float | None = None
+) -> list[Estimate]:
+    """Estimates of one fit; of a direction alone, its intercept is the friction."""
+    per_velocity = "N*s/m" if unit == "N" else "N*m*s/rad"
+    fit = line.fit
+    found = [line.estimate("viscous_damping", f"viscous_damping{suffix}", per_velocity, relative_std)]
+    if direction is not None:
+        intercept = direction * line.mean_intercept
+        found.append(fit.estimate(f"coulomb_friction{suffix}", unit, intercept, relative_std))
+    else:
+        found.append(line.estimate("coulomb_friction", "coulomb_friction", unit, relative_std))
+        found.append(fit.estimate("offset", unit, line.mean_intercept, relative_std))
+    return [*found, Estimate(f"r_squared{suffix}", fit.r_squared, NAN, NAN, NAN, "1")]
+
+
+def plot_of(levels: Levels, torque: Array, line: LineFit, sign: Array, unit: str) -> Plot:
+    """Torque of the current over speed, both along the motion, so that the directions lie beside each other."""
+    velocity = levels.value[VELOCITY]
+    intercept = float(line.fit.coefficients @ line.mean_intercept)
+    coulomb = line.slope("coulomb_friction") if "coulomb_friction" in line.slopes else 0.0
+    points, lines = [], []
+    for label, direction in DIRECTIONS.items():
+        of_it = sign == direction
+        if of_it.any():
+            speed, along = direction * velocity[of_it], direction * torque[of_it]
+            points.append(Series(label, tuple(speed.tolist()), tuple(along.tolist())))
+            ends = np.array([speed.min(), speed.max()])
+            fitted = line.slope("viscous_damping") * ends + coulomb + direction * intercept
+            lines.append(Series(label, tuple(ends.tolist()), tuple(fitted.tolist())))
+    label = "rad/s" if unit == "N*m" else "m/s"
+    return Plot(f"speed [{label}]", f"torque of the current [{unit}]", tuple(points), tuple(lines))

@@ -1,0 +1,167 @@
+"""No-load loss up to full speed: the current that keeps a decoupled rotor turning, by how it grows with speed.
+
+f |w| is of Coulomb friction and of hysteresis in the iron, b w^2 of viscous friction and of eddy currents, c |w|^3 of
+air (drag.py). Speed alone tells no more: friction and iron are told apart where the drag of the same rotor without its
+magnets, or in a stator without iron, is known from a run of its own and given.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
+from leactl.analysis.experiments.friction import torque_constants
+from leactl.analysis.quality.sign_checks import refuse_below_zero
+from leactl.analysis.quality.usable_readings import usable
+from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.signals.drag import VELOCITY, both_ways, coefficients, drag_at, fit_drag, reached, weights_at
+from leactl.analysis.signals.levels import Held, Levels, gather
+from leactl.analysis.statistics.linefit import LineFit, expect_setup, place_of, remarks
+from leactl.analysis.statistics.regression import Array, t_quantile
+from leactl.errors import InputError
+from leactl.runfile.reader import Run
+
+RESULTS = {
+    "viscous_damping": "N*m*s/rad",
+    "coulomb_friction": "N*m",
+    "quadratic_drag": "N*m*s^2/rad^2",
+    "full_speed": "rad/s",
+    "no_load_loss": "W",
+    "hysteresis_torque": "N*m",
+    "eddy_damping": "N*m*s/rad",
+}
+
+CURRENT = "q_axis_current"
+HELD = Held("velocity_rad_s", "rad/s")
+IRON = {"hysteresis_torque": "coulomb_friction", "eddy_damping": "viscous_damping"}
+DRAWN = 40  # speeds of a line in the figure
+
+
+@dataclass(frozen=True)
+class Mechanical:
+    """What friction alone takes, of the coefficient that iron shares with it."""
+
+    value: float
+    std: float
+
+
+def analyze(
+    runs: Sequence[Run],
+    *,
+    torque_constant: float | None = None,
+    torque_constant_std: float | None = None,
+    current_gain_std: float | None = None,
+    mechanical_friction: float | None = None,
+    mechanical_friction_std: float | None = None,
+    mechanical_damping: float | None = None,
+    mechanical_damping_std: float | None = None,
+) -> Result:
+    """Drag by speed and the loss at full speed, iron told apart from friction where friction alone is known.
+
+    `viscous_damping` [N*m*s/rad], `coulomb_friction` [N*m] and `quadratic_drag` [N*m*s^2/rad^2], iron included;
+    `full_speed` [rad/s] and `no_load_loss` [W] there; `hysteresis_torque` [N*m] and `eddy_damping` [N*m*s/rad], which
+    have no value, only an interval from zero to all of the drag, without what friction alone takes.
+
+    Parameters
+    ----------
+    runs : of one actuator under one condition, free, whose steps `hold` its velocity at four speeds or more.
+    torque_constant, torque_constant_std : [N*m/A], in place of the one in the runs' model, and its uncertainty.
+    current_gain_std : relative, of the current's calibration; see `friction`.
+    mechanical_friction, mechanical_damping : [N*m], [N*m*s/rad], f and b of the rotor without iron loss.
+    mechanical_friction_std, mechanical_damping_std : their standard uncertainties.
+
+    Raises
+    ------
+    MissingChannel : a run has no velocity or no q-axis current of the test actuator.
+    NotIdentifiable : no torque constant, or fewer than four speeds at which the rotor turned steadily.
+    InputError : a given number that makes no sense, or current and velocity of opposite senses.
+    """
+    place = f"{place_of(runs)}: no-load loss"
+    alone = {
+        "coulomb_friction": mechanical("mechanical_friction", mechanical_friction, mechanical_friction_std),
+        "viscous_damping": mechanical("mechanical_damping", mechanical_damping, mechanical_damping_std),
+    }
+    constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
+    notes = expect_setup(runs, ("free",), "losses of whatever else is on the shaft are counted in")
+    every = gather(runs, (VELOCITY, CURRENT), notes, lambda run, name: usable(run, name, notes, HELD), HELD)
+    levels = reached(runs, every, place, notes)
+    torque = constants.values[levels.run] * levels.value[CURRENT]
+    line = fit_drag(levels, torque, place)
+    notes += [constants.note, *remarks(line, constants.values[levels.run] * levels.std[CURRENT], "N*m")]
+    if not both_ways(levels):
+        notes.append("the rotor turned one way only: a zero error of the current is part of coulomb_friction")
+    full = float(np.max(np.abs(levels.setpoint)))
+    loss = line.fit.estimate("no_load_loss", "W", full * weights_at(line, full), constants.relative_std)
+    refuse_below_zero(loss, place, "current and velocity")
+    results = coefficients(line, constants.relative_std)
+    results += [Estimate("full_speed", full, NAN, NAN, NAN, "rad/s"), loss]
+    results += iron(results, alone, notes)
+    notes[:0] = doubted(runs, results, [CURRENT], [VELOCITY], torque_constant)
+    paths = tuple(str(run.path) for run in runs)
+    return Result("no-load-loss", paths, tuple(results), tuple(notes), (plot_of(levels, torque, line),))
+
+
+def mechanical(name: str, value: float | None, std: float | None) -> Mechanical | None:
+    """What is known of friction alone; None where nothing is given.
+
+    Raises
+    ------
+    InputError : a negative number, or an uncertainty of nothing.
+    """
+    if value is None and std is None:
+        return None
+    if value is None:
+        raise InputError(f"{name}_std is given without {name}; give both or neither")
+    for key, number in ((name, value), (f"{name}_std", std or 0.0)):
+        if not (math.isfinite(number) and number >= 0.0):
+            raise InputError(f"{key} {number:g}: zero or more was expected")
+    return Mechanical(value, std or 0.0)
+
+
+def iron(found: Sequence[Estimate], alone: dict[str, Mechanical | None], notes: list[str]) -> list[Estimate]:
+    """Hysteresis and eddy currents: the drag less what friction alone takes."""
+    by_name = {item.name: item for item in found}
+    told, unknown = [], []
+    for name, shared in IRON.items():
+        whole, known = by_name[shared], alone[shared]
+        if known is None:
+            unknown.append(name)
+            told.append(Estimate(name, NAN, NAN, 0.0, max(whole.high, 0.0), whole.units))
+            continue
+        half = math.hypot(whole.high - whole.value, t_quantile(math.inf) * known.std)
+        value = whole.value - known.value
+        told.append(Estimate(name, value, math.hypot(whole.std, known.std), value - half, value + half, whole.units))
+        if value + half < 0.0:
+            notes.append(f"{name} is below zero: the friction that is given is more than all of the drag")
+    if unknown:
+        notes.append(
+            f"{' and '.join(unknown)}: not identifiable from the speed alone, anything from zero to all of the drag;"
+            " give mechanical_friction and mechanical_damping of the rotor without iron loss"
+        )
+    return told
+
+
+def plot_of(levels: Levels, torque: Array, line: LineFit) -> Plot:
+    """Loss over speed, each direction, and the fit with its three parts on top of one another."""
+    velocity = levels.value[VELOCITY]
+    zeros = line.fit.coefficients[len(line.slopes) :][np.searchsorted(np.unique(levels.run), levels.run)]
+    shown = (torque - zeros if both_ways(levels) else torque) * velocity
+    points = []
+    for label, sign in (("forward", 1.0), ("backward", -1.0)):
+        of_it = np.sign(velocity) == sign
+        if of_it.any():
+            points.append(Series(label, tuple(np.abs(velocity[of_it]).tolist()), tuple(shown[of_it].tolist())))
+    speeds = np.linspace(0.0, float(np.max(np.abs(velocity))), DRAWN)
+    friction = weights_at(line, 0.0) @ line.fit.coefficients * speeds
+    lines = (
+        Series("all", tuple(speeds.tolist()), tuple((drag_at(line.fit, line, speeds) * speeds).tolist())),
+        Series("Coulomb, hysteresis", tuple(speeds.tolist()), tuple(friction.tolist())),
+        Series(
+            "and viscous, eddy currents",
+            tuple(speeds.tolist()),
+            tuple((friction + line.slope("viscous_damping") * speeds**2).tolist()),
+        ),
+    )
+    return Plot("speed [rad/s]", "no-load loss [W]", tuple(points), lines)

@@ -1,0 +1,22 @@
+"""Noise of the angle of a free shaft: how far up in frequency a drive's position servo follows."""
+
+from collections.abc import Sequence
+
+from leactl.analysis.estimate import Result
+from leactl.analysis.responses.noise_records import Loop
+from leactl.analysis.responses.noise_response import noise_response
+from leactl.runfile.reader import Run
+
+RESULTS = {
+    "bandwidth": "Hz",
+    "coherent_band_low": "Hz",
+    "coherent_band_high": "Hz",
+}
+
+# the paper's cut-off [Hz] of the record over that of its noise, so that a loop of any speed is filtered alike
+LOOP = Loop("position-noise", "angle_reference", "angle", "offset_rad", "free", (5, 50.0 / 40.0))
+
+
+def analyze(runs: Sequence[Run]) -> Result:
+    """Bandwidth and coherent band; see `noise_response`."""
+    return noise_response(runs, LOOP)

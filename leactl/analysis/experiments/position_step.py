@@ -1,0 +1,19 @@
+"""Steps of the angle of a free shaft: how fast and how truly a drive's position servo follows."""
+
+from collections.abc import Sequence
+
+from leactl.analysis.estimate import Result
+from leactl.analysis.responses.step_response import step_response
+from leactl.runfile.reader import Run
+
+RESULTS = {
+    "rise_time": "s",
+    "overshoot": "%",
+    "settling_time": "s",
+    "steady_state_error": "%",
+}
+
+
+def analyze(runs: Sequence[Run]) -> Result:
+    """Rise time, overshoot, settling time and steady-state error of the angle; see `step_response`."""
+    return step_response("position-step", runs, "angle_reference", "angle", "angle_rad", "free")

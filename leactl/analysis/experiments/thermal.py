@@ -1,0 +1,218 @@
+"""Thermal network and winding resistance from a heated record: direct current through two leads, then cooling.
+
+Paper, section "Thermal Dynamics". Cw dTw/dt = Q - (Tw - Ta)/Rwa - (Tw - Th)/Rwh, Ch dTh/dt = (Tw - Th)/Rwh -
+(Th - Ta)/Rha with Q the voltage between the leads times the current. Readings of the supply are joined by straight
+lines, or hold over the interval where a channel says that they are means, and the network is solved exactly between.
+The joint covariance has calibration in common to network and resistance; noise and drift count in each by itself.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from leactl.analysis.estimate import Covariance, Result
+from leactl.analysis.heating.capability import carried
+from leactl.analysis.heating.estimates import (
+    LATE,
+    LEAST_SEEN,
+    STEADY,
+    camera_results,
+    network_results,
+    remarks,
+    residual_results,
+    resistance_results,
+    slow_constants_seen,
+    steadiness,
+    untold,
+)
+from leactl.analysis.heating.network import NetworkFit, Unknowns, fit_network
+from leactl.analysis.heating.parameters import NAMES, Instruments, known_of, natural_covariance, uncertainty
+from leactl.analysis.heating.plots import plots_of
+from leactl.analysis.heating.record import frames_of, stretches
+from leactl.analysis.heating.resistance import REFERENCE, resistance_line
+from leactl.analysis.quality.calibration_uncertainty import gain_std
+from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.run_model import model_of
+from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.errors import InputError
+from leactl.runfile.reader import Run
+
+RESULTS = {
+    "winding_ambient_resistance": "K/W",
+    "winding_housing_resistance": "K/W",
+    "housing_ambient_resistance": "K/W",
+    "winding_capacitance": "J/K",
+    "housing_capacitance": "J/K",
+    "parallel_thermal_resistance": "K/W",
+    "line_resistance": "ohm",
+    "phase_resistance": "ohm",
+    "resistance_coefficient": "1/K",
+    "resistance_r_squared": "1",
+    "rmse": "K",
+    "rmse_winding": "K",
+    "rmse_housing": "K",
+    "rmse_over_noise": "1",
+    "change_in_30_min": "K",
+    "camera_lag": "s",
+    "camera_offset_winding": "K",
+    "camera_offset_housing": "K",
+    "continuous_current": "A",
+    "peak_current_1s": "A",
+    "peak_current_2s": "A",
+    "peak_current_5s": "A",
+    "peak_current_10s": "A",
+    "peak_current_20s": "A",
+    "peak_current_60s": "A",
+    "peak_current_300s": "A",
+    "continuous_current_standing": "A",
+    "peak_current_1s_standing": "A",
+    "peak_current_2s_standing": "A",
+    "peak_current_5s_standing": "A",
+    "peak_current_10s_standing": "A",
+    "peak_current_20s_standing": "A",
+    "peak_current_60s_standing": "A",
+    "peak_current_300s_standing": "A",
+}
+
+PHASE_OF_LINE = {"wye": 0.5, "delta": 1.5}  # each in its own frame
+LEFT_OUT = 0.01  # of the frames, above which it is told
+WINDING_LIMIT = 130.0  # degC, the paper's
+
+
+def analyze(
+    runs: Sequence[Run],
+    *,
+    camera_offset_std: float = 1.0,
+    camera_gain_std: float = 0.01,
+    voltage_gain_std: float | None = None,
+    current_gain_std: float | None = None,
+    camera_lag: float | None = None,
+    winding_limit: float | None = None,
+    ambient: float = 25.0,
+) -> Result:
+    """Fit the two-node network and the resistance of the winding, and say what the actuator can carry by them.
+
+    Resistances [K/W] and capacitances [J/K] of the network, their combination `parallel_thermal_resistance` Rwa ||
+    (Rwh + Rha), resistance at 25 degC and its coefficient, residuals against noise, the change in the last 30 minutes
+    of heating, continuous and peak current [A] with all phases alike, and with the rotor standing. What a record does
+    not tell is NaN, and a note says so.
+
+    Parameters
+    ----------
+    runs : of one actuator under one condition, with temperatures of active and inactive windings and of the housing.
+    camera_offset_std : [K], standard uncertainty of the camera's zero; 1 K is half of the +-2 K of a thermal camera.
+    camera_gain_std : relative, of the rise that it shows; 0.01 is half of its +-2 %.
+    voltage_gain_std, current_gain_std : relative, of the supply's readings; those of the channels unless told.
+    camera_lag : [s], how late the camera's clock is by the supply's; estimated where it is not told.
+    winding_limit : [degC], for the currents; that of the run's model, else 130, where it is not told.
+    ambient : [degC], for the currents.
+
+    Raises
+    ------
+    MissingChannel : a run lacks the temperatures of winding or housing, line current or line voltage.
+    NotIdentifiable : no current, or no network of two bodies follows what was seen.
+    InputError : temperatures in kelvin, a resistance below zero, or an option out of range.
+    """
+    place = f"{place_of(runs)}: thermal"
+    supply = [
+        gain_std(runs, name, told)
+        for name, told in (("line_voltage", voltage_gain_std), ("line_current", current_gain_std))
+    ]
+    instruments = Instruments(camera_offset_std, camera_gain_std, *supply)
+    refuse_options(
+        {**asdict(instruments), "camera_lag": camera_lag, "ambient": ambient, "winding_limit": winding_limit}
+    )
+    model = model_of(runs[0])
+    limit = winding_limit if winding_limit is not None else limit_of(model)
+    if limit <= ambient:
+        raise InputError(f"{place}: a winding limit of {limit:g} degC is not above the ambient of {ambient:g} degC")
+    notes = expect_setup(runs, ("heated",), "friction and iron loss would heat besides")
+    phase_of_line = phase_share(model, notes)
+    records = [part for run in runs for part in stretches(run, notes)]
+    fit = fit_network(records, Unknowns(camera_offset_std, camera_lag), place)
+    unknown = sum(frames_of(run) for run in runs) - sum(len(one.time) for one in fit.stretches)
+    if unknown > LEFT_OUT * sum(len(one.time) for one in fit.stretches):
+        notes.append(f"left out {unknown} frames at which the supply was not recorded")
+    spread = uncertainty(fit, camera_offset_std)
+    line = resistance_line(fit, place)
+    air = [float(np.mean(one.ambient)) for one in fit.stretches if one.ambient is not None]
+    instruments = as_seen(instruments, fit, notes)
+    known = known_of(fit, spread, line, instruments, float(np.mean(air)) if air else REFERENCE)
+
+    seen = slow_constants_seen(fit)
+    results = network_results(known, seen, notes)
+    results += resistance_results(known, line, phase_of_line, notes)
+    results += residual_results(fit, spread, notes)
+    results += steadiness(fit.stretches, notes)
+    results += camera_results(fit, spread, camera_offset_std, notes)
+    notes[:0] = doubted(
+        runs, [item for item in results if item.name == "phase_resistance"], ["line_voltage"], ["line_current"]
+    )
+    currents = carried(known, phase_of_line, limit, ambient)
+    if seen < LEAST_SEEN:
+        currents = [untold(one) if one.name in STEADY else one for one in currents]
+    notes += remarks(known, fit.stretches, instruments)
+    notes.append(
+        f"currents take the hottest phase from {ambient:g} to {limit:g} degC; friction and iron loss are not in them"
+    )
+    return Result(
+        "thermal",
+        tuple(str(run.path) for run in runs),
+        (*results, *currents),
+        tuple(dict.fromkeys(notes)),
+        plots_of(fit, line, currents),
+        (Covariance(NAMES, tuple(tuple(row) for row in natural_covariance(known).tolist())),),
+    )
+
+
+def as_seen(instruments: Instruments, fit: NetworkFit, notes: list[str]) -> Instruments:
+    """The instruments, with a camera that is further off the sensor of the air than is told of it known no better."""
+    off = [
+        abs(float(fit.point[at]))
+        for index in range(len(fit.stretches))
+        for name in ("offset_winding", "offset_housing")
+        if (at := fit.own(index, name)) is not None
+    ]
+    worst = max(off, default=0.0)
+    if worst <= LATE * instruments.camera_offset:
+        return instruments
+    rise = max(float(np.nanmax(one.winding) - np.nanmin(one.winding)) for one in fit.stretches)
+    found = replace(instruments, camera_offset=worst, camera_gain=math.hypot(instruments.camera_gain, worst / rise))
+    notes.append(
+        f"the camera is {worst:.1f} K off the sensor of the air: its uncertainty is taken as that much in place of"
+        f" {instruments.camera_offset:g} K, and as {found.camera_gain:.1%} of the rise"
+    )
+    return found
+
+
+def refuse_options(options: Mapping[str, float | None]) -> None:
+    """Refuse what is no number, and uncertainties below zero."""
+    for name, value in options.items():
+        if value is not None and not math.isfinite(value):
+            raise InputError(f"{name}: {value} is no number")
+        if value is not None and name.endswith(("_offset", "_gain")) and value < 0.0:
+            raise InputError(f"{name}_std: {value:g} is below zero; a standard uncertainty was expected")
+
+
+def limit_of(model: Mapping[str, Any]) -> float:
+    """The winding's limit [degC] in a model, else the paper's."""
+    limits = model.get("limits")
+    found = limits.get("winding_temperature") if isinstance(limits, Mapping) else None
+    return float(found) if isinstance(found, int | float) and not isinstance(found, bool) else WINDING_LIMIT
+
+
+def phase_share(model: Mapping[str, Any], notes: list[str]) -> float:
+    """Resistance of a phase over that between two leads, by the winding that a model tells."""
+    winding = model.get("winding")
+    if winding not in PHASE_OF_LINE:
+        notes.append("no model tells the winding; taken as a wye")
+        return PHASE_OF_LINE["wye"]
+    if winding == "delta":
+        notes.append(
+            "the winding is a delta: all its phases are heated, 2/3 of the heat in one; active windings are those of"
+            " that phase, and a mean weighted 2/3 to 1/3 is too hot"
+        )
+    return PHASE_OF_LINE[str(winding)]

@@ -1,0 +1,154 @@
+"""Torque constant: slope of shaft torque over q-axis current while the load actuator holds position.
+
+Paper, section "Torque Constant". A rotor at rest sticks: friction carries up to its own torque past the sensor. Where
+each level is reached from one side throughout, what it carries is the same for all rising levels and opposite for all
+falling ones, so that torque = Kt i + c + s d with d = 1 rising and d = -1 falling. A line through the origin would take
+s for torque constant, 2 to 3 % of it on the LEA.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
+from leactl.analysis.quality.calibration_uncertainty import doubts, gain_std
+from leactl.analysis.quality.current_convention import named
+from leactl.analysis.quality.sign_checks import refuse_below_zero
+from leactl.analysis.quality.usable_readings import usable
+from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.run_model import torque_constant_of_model
+from leactl.analysis.signals.levels import Levels, gather, require_levels
+from leactl.analysis.statistics.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
+from leactl.analysis.statistics.regression import Array
+from leactl.errors import InputError, NotIdentifiable
+from leactl.runfile.reader import Run
+
+RESULTS = {
+    "torque_constant": "N*m/A",
+    "torque_constant_rising": "N*m/A",
+    "torque_constant_falling": "N*m/A",
+    "sticking_torque": "N*m",
+    "offset": "N*m",
+    "r_squared": "1",
+}
+
+CURRENT, TORQUE = "q_axis_current", "torque"
+SIDES = {"rising": 1, "falling": -1}
+
+
+def analyze(
+    runs: Sequence[Run], *, torque_gain_std: float | None = None, current_gain_std: float | None = None
+) -> Result:
+    """Fit shaft torque over q-axis current, levels reached from below and from above apart by the sticking torque.
+
+    `torque_constant` [N*m/A], `sticking_torque` [N*m] (half the way between rising and falling levels), `offset` [N*m]
+    (mean over the runs), `r_squared`, and `torque_constant_rising` and `_falling`, each from a line of its own.
+
+    Parameters
+    ----------
+    runs : of one actuator under one condition, whose steps `hold` its current at two levels or more.
+    torque_gain_std, current_gain_std : relative standard uncertainties of the readings' calibration; those of the
+        channels unless told.
+
+    Raises
+    ------
+    MissingChannel : a run has no torque or no q-axis current of the test actuator.
+    NotIdentifiable : fewer than two distinct levels within the sensor's range, or too few points.
+    InputError : an uncertainty below zero, or torque and current of opposite senses.
+    """
+    place = f"{place_of(runs)}: torque constant"
+    notes = expect_setup(runs, ("coupled", "locked"), "a shaft that turns takes torque past the sensor")
+    torque_std = gain_std(runs, TORQUE, torque_gain_std)
+    current_std = gain_std(runs, CURRENT, current_gain_std)
+    both_stds = math.hypot(torque_std, current_std)
+    every = gather(runs, (CURRENT, TORQUE), notes, lambda run, quantity: usable(run, quantity, notes))
+    levels = of_one_kind(every, notes)
+    current, torque = levels.value[CURRENT], levels.value[TORQUE]
+    require_levels(place, "current", levels.setpoint, current, levels.std[CURRENT])
+
+    columns = {"torque_constant": current}
+    both = len(np.unique(levels.direction)) == 2
+    if both:
+        columns["sticking_torque"] = levels.direction.astype(np.float64)
+    else:
+        notes.append("all levels were reached from one side or none is said: sticking friction is part of the offset")
+    line = fit_lines(columns, torque, levels, place)
+    expected = np.hypot(levels.std[TORQUE], line.slope("torque_constant") * levels.std[CURRENT])
+    unit = levels.units[TORQUE]
+    notes += remarks(line, expected, unit)
+    notes += [f"{run.path}: {what}" for run in runs for what in convention(run, line.slope("torque_constant"))]
+    notes += doubts({"torque": torque_std, "current": current_std}, "the torque constants")
+
+    results = [line.estimate("torque_constant", "torque_constant", f"{unit}/A", both_stds)]
+    refuse_below_zero(results[0], place, "torque and current")
+    results += one_side_each(levels, place, both_stds, notes) if both else []
+    if both:
+        results.append(magnitude(line.estimate("sticking_torque", "sticking_torque", unit, torque_std)))
+    results.append(line.fit.estimate("offset", unit, line.mean_intercept, torque_std))
+    results.append(Estimate("r_squared", line.fit.r_squared, NAN, NAN, NAN, "1"))
+    notes[:0] = doubted(runs, results[:1], [TORQUE], [CURRENT])
+    paths = tuple(str(run.path) for run in runs)
+    return Result("torque-constant", paths, tuple(results), tuple(notes), (plot_of(levels, line),))
+
+
+def convention(run: Run, found: float) -> list[str]:
+    """A note where the torque constant is off the model's by just what a wrong convention of current makes."""
+    try:
+        ratio = found / torque_constant_of_model(run)
+    except InputError:  # a foreign run may carry none, or none that can be read
+        return []
+    why = named(ratio)
+    return [f"the torque constant is {ratio:.3f} times that of the model in the run: {why}"] if why else []
+
+
+def of_one_kind(levels: Levels, notes: list[str]) -> Levels:
+    """Without the holds that do not say their direction, where others do."""
+    silent = levels.direction == 0
+    if not silent.any() or silent.all():
+        return levels
+    where = [hold for hold, left_out in zip(levels.holds, silent, strict=True) if left_out]
+    notes.append(f"left out {len(where)}: no direction, where other holds have one ({listed(where)})")
+    return levels.where(~silent)
+
+
+def magnitude(signed: Estimate) -> Estimate:
+    """Size of a torque whose sign is a convention of the bench; an interval around zero starts at zero."""
+    ends = sorted((abs(signed.low), abs(signed.high)))
+    low = 0.0 if signed.low <= 0.0 <= signed.high else ends[0]
+    return Estimate(signed.name, abs(signed.value), signed.std, low, ends[1], signed.units)
+
+
+def one_side_each(levels: Levels, place: str, relative_std: float, notes: list[str]) -> list[Estimate]:
+    """Slopes of the rising and of the falling levels alone, where there are enough of them."""
+    found = []
+    for name, sign in SIDES.items():
+        own = levels.where(levels.direction == sign)
+        columns = {"slope": own.value[CURRENT]}
+        try:
+            require_levels(place, "current", own.setpoint, own.value[CURRENT], own.std[CURRENT])
+            line = fit_lines(columns, own.value[TORQUE], own, place)
+        except NotIdentifiable as fault:
+            notes.append(f"{name} levels alone give no slope: {str(fault).removeprefix(place + ': ')}")
+            continue
+        units = f"{levels.units[TORQUE]}/A"
+        found.append(line.estimate("slope", f"torque_constant_{name}", units, relative_std))
+    return found
+
+
+def plot_of(levels: Levels, line: LineFit) -> Plot:
+    """Level means by direction, each run's offset taken out, and the fitted lines."""
+    current, torque = levels.value[CURRENT], levels.value[TORQUE]
+    intercepts = line.fit.coefficients[len(line.slopes) :]
+    mean = float(np.mean(intercepts))
+    shown: Array = torque - intercepts[np.searchsorted(np.unique(levels.run), levels.run)] + mean
+    points, lines = [], []
+    for label, sign in {**SIDES, "levels": 0}.items():
+        of_it = levels.direction == sign
+        if of_it.any():
+            points.append(Series(label, tuple(current[of_it].tolist()), tuple(shown[of_it].tolist())))
+            ends = np.array([current[of_it].min(), current[of_it].max()])
+            slopes = dict(zip(line.slopes, line.fit.coefficients, strict=False))
+            fitted = slopes["torque_constant"] * ends + sign * slopes.get("sticking_torque", 0.0) + mean
+            lines.append(Series(label, tuple(ends.tolist()), tuple(fitted.tolist())))
+    return Plot("q-axis current [A]", f"torque [{levels.units[TORQUE]}]", tuple(points), tuple(lines))

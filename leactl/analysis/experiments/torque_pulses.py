@@ -1,0 +1,252 @@
+"""Torque pulses to peak current: how the torque falls behind the current as the iron saturates.
+
+    torque = K i / sqrt(1 + p (i/I)^2 + q (i/I)^4) + s d + e sgn(i) + c
+
+for currents up to I: an odd function of the current, since iron has no sign of its own, that bends as knees do. s is
+what a rotor that sticks keeps from the sensor, by the side d that a level was reached from (torque_constant.py): no
+more than its Coulomb friction, less where it rings before it stops. e is what of it does not turn with d, and no torque
+of the current. A gain error of sensor or current is a factor on K; one of the current moves along the bend.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
+from leactl.analysis.experiments.torque_constant import CURRENT, SIDES, TORQUE, convention, of_one_kind
+from leactl.analysis.quality.calibration_uncertainty import doubts, gain_std
+from leactl.analysis.quality.sign_checks import refuse_below_zero
+from leactl.analysis.quality.usable_readings import usable
+from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.signals.levels import Levels, gather, require_levels
+from leactl.analysis.statistics.linefit import LineFit, expect_setup, fit_lines, place_of, remarks
+from leactl.analysis.statistics.regression import Array, t_quantile
+from leactl.errors import NotIdentifiable
+from leactl.runfile.reader import Run
+
+RESULTS = {
+    "torque_constant": "N*m/A",
+    "peak_current": "A",
+    "torque_at_peak": "N*m",
+    "loss_at_peak": "1",
+    "straight_up_to": "A",
+    "sticking_torque": "N*m",
+}
+
+FEWEST_LEVELS = 5  # magnitudes of current: one more than K, p, q and e need
+BENDS = {"second_power": 2, "fourth_power": 4}
+LEAST_UNDER = 0.1  # of the root's argument, on the way to the fit
+SETTLED = 1e-9
+ROUNDS = 20  # Gauss-Newton; it converges in four
+STRAIGHT = 0.02  # of the torque: a loss up to which a current counts as within the straight part
+
+
+@dataclass(frozen=True, eq=False)
+class Bent:
+    """The fitted curve and its highest current."""
+
+    line: LineFit
+    peak: float  # A
+
+    @property
+    def constant(self) -> float:
+        """Torque constant at small currents [N*m/A]."""
+        return self.line.slope("torque_constant")
+
+    def loss(self, current: float) -> tuple[float, Array]:
+        """Share of the torque that is missing at a current, and its gradient by the fit's coefficients."""
+        ratio = current / self.peak
+        kept = kept_at(ratio, [self.line.slope(name) for name in BENDS])
+        of = {name: 0.5 * kept**3 * ratio**power for name, power in BENDS.items()}
+        return 1.0 - kept, weights(self.line, of)
+
+
+def kept_at(ratio: Array | float, bends: Sequence[float]) -> Any:
+    """Share of the torque that is left at a current over the peak."""
+    under = 1.0 + sum(bend * ratio**power for bend, power in zip(bends, BENDS.values(), strict=True))
+    return 1.0 / np.sqrt(np.maximum(under, LEAST_UNDER))
+
+
+def analyze(
+    runs: Sequence[Run], *, torque_gain_std: float | None = None, current_gain_std: float | None = None
+) -> Result:
+    """Fit torque over current up to the peak, both signs, and tell how much of it saturation takes there.
+
+    `torque_constant` [N*m/A] at small currents, `peak_current` [A], `torque_at_peak` [N*m] (with all that sticking may
+    hide in its interval), `loss_at_peak` (share of the torque missing there), `straight_up_to` [A] (where 2 % are
+    missing; without a value, above the peak, where they are not), `sticking_torque` [N*m] (half the way between both
+    sides of a level, a lower bound of the Coulomb friction).
+
+    Parameters
+    ----------
+    runs : of one actuator under one condition, locked, whose steps `hold` its current at five magnitudes or more.
+    torque_gain_std, current_gain_std : relative standard uncertainties of the readings' calibration; those of the
+        channels unless told.
+
+    Raises
+    ------
+    MissingChannel : a run has no torque or no q-axis current of the test actuator.
+    NotIdentifiable : fewer than five magnitudes of current within the sensor's range, or too few points.
+    InputError : an uncertainty below zero, or torque and current of opposite senses.
+    """
+    place = f"{place_of(runs)}: torque pulses"
+    notes = expect_setup(runs, ("locked", "coupled"), "a shaft that turns takes torque past the sensor")
+    torque_std = gain_std(runs, TORQUE, torque_gain_std)
+    current_std = gain_std(runs, CURRENT, current_gain_std)
+    both_stds = math.hypot(torque_std, current_std)
+    levels = of_one_kind(gather(runs, (CURRENT, TORQUE), notes, lambda run, name: usable(run, name, notes)), notes)
+    current, torque = levels.value[CURRENT], levels.value[TORQUE]
+    require_levels(place, "current", levels.setpoint, current, levels.std[CURRENT])
+    magnitudes = np.unique(np.round(np.abs(levels.setpoint), 9))
+    if len(magnitudes) < FEWEST_LEVELS:
+        raise NotIdentifiable(
+            f"{place}: found {len(magnitudes)} magnitudes of current; {FEWEST_LEVELS} or more are needed to tell a bend"
+            " from sticking"
+        )
+    peak = float(magnitudes[-1])
+    columns: dict[str, Array] = {}
+    if len(np.unique(np.sign(levels.setpoint))) == 2:
+        columns["remainder"] = np.sign(levels.setpoint)
+    else:
+        notes.append("pulses of one sign only: whether the torque is the same both ways is not known")
+    if len(np.unique(levels.direction)) == 2:
+        columns["sticking_torque"] = levels.direction.astype(np.float64)
+    else:
+        notes.append("all levels were reached from one side or none is said: sticking friction is not told apart")
+    try:
+        line = fitted(current / peak, peak, torque, columns, levels, place)
+    except NotIdentifiable as fault:  # as where a current is a thousand times its setpoints
+        raise NotIdentifiable("; ".join([str(fault), *doubted(runs, [], [TORQUE], [CURRENT])])) from None
+    bent = Bent(line, peak)
+    expected = np.hypot(levels.std[TORQUE], bent.constant * levels.std[CURRENT])
+    notes += remarks(line, expected, levels.units[TORQUE])
+    notes += [f"{run.path}: {what}" for run in runs for what in convention(run, bent.constant)]
+    notes += doubts({"torque": torque_std, "current": current_std}, "torques and torque_constant")
+    notes.append("a torque sensor that bends is in the loss")
+
+    unit = levels.units[TORQUE]
+    constant = line.estimate("torque_constant", "torque_constant", f"{unit}/A", both_stds)
+    refuse_below_zero(constant, place, "torque and current")
+    results = [
+        constant,
+        Estimate("peak_current", peak, NAN, NAN, NAN, "A"),
+        at_peak(bent, unit, both_stds),
+        loss_at_peak(bent, current_std),
+        straight_up_to(bent, notes),
+    ]
+    if "sticking_torque" in line.slopes:
+        found = line.fit.estimate("sticking_torque", unit, -weights(line, {"sticking_torque": 1.0}), torque_std)
+        results.append(found)
+        notes.append("sticking_torque is what the rotor kept from the sensor: a lower bound of its Coulomb friction")
+    notes[:0] = doubted(runs, results[:1], [TORQUE], [CURRENT])
+    paths = tuple(str(run.path) for run in runs)
+    plot = plot_of(levels, bent)
+    return Result("torque-pulses", paths, tuple(results), tuple(notes), (plot,))
+
+
+def fitted(ratio: Array, peak: float, torque: Array, others: dict[str, Array], levels: Levels, place: str) -> LineFit:
+    """The curve through the levels, by straight lines along its slopes until they do not move."""
+    constant, bends = 0.0, [0.0] * len(BENDS)
+    for _ in range(ROUNDS):
+        kept = kept_at(ratio, bends)
+        along = {"torque_constant": peak * ratio * kept}
+        pull = constant or float(along["torque_constant"] @ torque) / float(
+            along["torque_constant"] @ along["torque_constant"]
+        )
+        along |= {name: -0.5 * pull * peak * ratio ** (1 + power) * kept**3 for name, power in BENDS.items()}
+        shift = sum(bend * along[name] for bend, name in zip(bends, BENDS, strict=True))
+        line = fit_lines(along | others, torque + shift, levels, place)
+        before, bends = bends, [line.slope(name) for name in BENDS]
+        constant = line.slope("torque_constant")
+        if max(abs(new - old) for new, old in zip(bends, before, strict=True)) < SETTLED:
+            break
+    return line
+
+
+def weights(line: LineFit, of: dict[str, float]) -> Array:
+    """Weights of the fit's coefficients by the names of its slopes."""
+    found = np.zeros(len(line.fit.coefficients))
+    for name, weight in of.items():
+        found[line.slopes.index(name)] = weight
+    return found
+
+
+def at_peak(bent: Bent, unit: str, relative_std: float) -> Estimate:
+    """Torque of the peak current; the interval is as wide as what sticking may hide there, whole.
+
+    e is a torque of the current or none of it, and how s goes with the level e may do as well: neither is an error that
+    scatters, so that the interval holds the truth more often than 95 % ones do.
+    """
+    fit, (loss, gradient) = bent.line.fit, bent.loss(bent.peak)
+    full = bent.constant * bent.peak
+    own = weights(bent.line, {"torque_constant": bent.peak * (1.0 - loss)}) - full * gradient
+    remainder = bent.line.slope("remainder") if "remainder" in bent.line.slopes else 0.0
+    value = full * (1.0 - loss) + 0.5 * remainder
+    hidden = 0.5 * abs(remainder) + abs(trend_of_sticking(bent))
+    std = math.sqrt(fit.variance * float(own @ fit.unscaled @ own))
+    scattered = math.hypot(std, relative_std * value)
+    half = t_quantile(fit.dof * (scattered / std) ** 4 if std > 1e-9 * scattered else math.inf) * scattered + hidden
+    whole = math.hypot(scattered, hidden / math.sqrt(3.0))
+    return Estimate("torque_at_peak", value, whole, value - half, value + half, unit)
+
+
+def trend_of_sticking(bent: Bent) -> float:
+    """By how much half the way between both sides changes from no current to the peak."""
+    levels = bent.line.levels
+    if "sticking_torque" not in bent.line.slopes:
+        return 0.0
+    ratio = np.abs(levels.setpoint) / bent.peak
+    ratio = (ratio - ratio.mean()) * levels.direction
+    return float(ratio @ bent.line.fit.residuals) / float(ratio @ ratio)
+
+
+def loss_at_peak(bent: Bent, current_std: float) -> Estimate:
+    """Share of the torque that is missing at the peak; a current that is off by its gain is elsewhere on the bend."""
+    fit = bent.line.fit
+    value, gradient = bent.loss(bent.peak)
+    fitted = math.sqrt(fit.variance * float(gradient @ fit.unscaled @ gradient))
+    off = current_std * (bent.loss(1.01 * bent.peak)[0] - bent.loss(0.99 * bent.peak)[0]) / 0.02
+    std = math.hypot(fitted, off)
+    half = math.hypot(t_quantile(fit.dof) * fitted, t_quantile(math.inf) * off)
+    return Estimate("loss_at_peak", value, std, value - half, value + half, "1")
+
+
+def straight_up_to(bent: Bent, notes: list[str]) -> Estimate:
+    """The lowest current at which a share of `STRAIGHT` is missing."""
+    fit = bent.line.fit
+    currents = np.linspace(0.0, bent.peak, 1001)[1:]
+    losses, halves = np.empty_like(currents), np.empty_like(currents)
+    for index, current in enumerate(currents):
+        losses[index], gradient = bent.loss(float(current))
+        halves[index] = t_quantile(fit.dof) * math.sqrt(fit.variance * float(gradient @ fit.unscaled @ gradient))
+
+    def first(values: Array) -> float:
+        past = np.flatnonzero(values >= STRAIGHT)
+        return float(currents[past[0]]) if len(past) else math.inf
+
+    value, low, high = first(losses), first(losses + halves), first(losses - halves)
+    if math.isinf(value):
+        notes.append(f"up to {bent.peak:g} A less than {STRAIGHT:.0%} of the torque are missing: the bend lies above")
+        return Estimate("straight_up_to", NAN, NAN, min(low, bent.peak), math.inf, "A")
+    slope = (bent.loss(value * 1.01)[0] - bent.loss(value * 0.99)[0]) / (0.02 * value)
+    std = float(halves[np.searchsorted(currents, value)]) / t_quantile(fit.dof) / abs(slope) if slope else NAN
+    return Estimate("straight_up_to", value, std, low, high, "A")
+
+
+def plot_of(levels: Levels, bent: Bent) -> Plot:
+    """What the torque lacks of the straight line through small currents, both signs on one side."""
+    line, sign, current = bent.line, np.sign(levels.setpoint), levels.value[CURRENT]
+    points = []
+    intercepts = line.fit.coefficients[len(line.slopes) :][np.searchsorted(np.unique(levels.run), levels.run)]
+    lack = sign * (bent.constant * current - (levels.value[TORQUE] - intercepts))
+    for label, side in {**SIDES, "levels": 0}.items():
+        of_it = levels.direction == side
+        if of_it.any():
+            points.append(Series(label, tuple(np.abs(current[of_it]).tolist()), tuple(lack[of_it].tolist())))
+    drawn = np.linspace(0.0, bent.peak, 60)
+    missing = [bent.loss(float(amperes))[0] * bent.constant * float(amperes) for amperes in drawn]
+    fitted = Series("fit, without sticking", tuple(drawn.tolist()), tuple(missing))
+    return Plot("q-axis current [A]", f"torque missing from K i [{levels.units[TORQUE]}]", tuple(points), (fitted,))

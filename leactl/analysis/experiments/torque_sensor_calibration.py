@@ -1,0 +1,291 @@
+"""Calibration of the torque sensor by dead weights on an arm, with an uncertainty budget (GUM, JCGM 100:2008).
+
+reading = S m g l + zero: what the weights do is known but for mass, gravity and arm, so S is the factor by which the
+bench's scale is off. The zero may drift along a straight line: weights of one sense all come before those of the other,
+and a drift would be taken for a part of S. What a straight line does not tell is a part of the budget each: type A from
+the scatter of repeats, type B as a rectangle of half the width that was seen (GUM, 4.3.7). The coverage factor is by
+Welch and Satterthwaite.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series, listed
+from leactl.analysis.experiments.torque_constant import TORQUE
+from leactl.analysis.quality.usable_readings import usable
+from leactl.analysis.signals.levels import Held, Levels, gather
+from leactl.analysis.statistics.intervals import half_width, step_of
+from leactl.analysis.statistics.linefit import LineFit, cells_of, fit_lines, place_of, remarks
+from leactl.analysis.statistics.regression import Array, t_quantile
+from leactl.errors import InputError, NotIdentifiable
+from leactl.runfile.reader import Run
+
+RESULTS = {
+    "sensitivity": "1",
+    "zero": "N*m",
+    "highest_torque": "N*m",
+    "uncertainty_repeatability": "N*m",
+    "uncertainty_sensitivity": "N*m",
+    "uncertainty_linearity": "N*m",
+    "uncertainty_hysteresis": "N*m",
+    "uncertainty_resolution": "N*m",
+    "uncertainty_zero_drift": "N*m",
+    "uncertainty_reference": "N*m",
+    "combined_uncertainty": "N*m",
+    "coverage_factor": "1",
+    "expanded_uncertainty": "N*m",
+}
+
+HELD = Held("weight_Nm", "N*m", "bench")
+WEIGHED_BY = 9.80665  # m/s^2, in the torque that the holds tell
+GRAVITY_WITHIN = 0.026  # m/s^2: 9.780 at the equator to 9.832 at the poles
+MASS_STD = 5e-4 / math.sqrt(3.0)  # relative: OIML R 111, class M3
+ARM_STD_M = 0.2e-3 / math.sqrt(3.0)  # a drawing's tolerance
+FEWEST_WEIGHTS = 3
+LOOP = "hysteresis"
+FOLLOWS = 10.0  # standard errors that the sensitivity must differ from zero by
+OFF = 0.005  # from one: a factor of which a note says what to do
+SWINGS = 0.002  # of the highest torque, between the quarters of a hold
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What the torque of the weights is known to."""
+
+    factor: float  # gravity at the place over the one that the holds tell
+    relative_std: float  # of mass, arm and gravity, as far as what is told of them goes
+    within: float  # relative; gravity lies anywhere between as much less and as much more where none is told
+
+    @property
+    def whole_std(self) -> float:
+        """Relative standard uncertainty."""
+        return math.hypot(self.relative_std, self.within / math.sqrt(3.0))
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of the budget: its standard uncertainty [N*m] at the highest torque, and what that rests on."""
+
+    name: str
+    std: float
+    dof: float = math.inf  # infinite for type B
+
+
+def analyze(
+    runs: Sequence[Run],
+    *,
+    gravity: float | None = None,
+    gravity_std: float | None = None,
+    mass_relative_std: float | None = None,
+    arm_std_m: float | None = None,
+) -> Result:
+    """The factor that the bench's torque is off by, its zero, and the budget of a torque that is measured with it.
+
+    `sensitivity` (reading over torque), `zero` [N*m] halfway through the run, `highest_torque` [N*m] that weights made;
+    standard uncertainties there [N*m]: `uncertainty_repeatability`, `_sensitivity`, `_linearity`, `_hysteresis`,
+    `_resolution`, `_zero_drift`, `_reference`; `combined_uncertainty` [N*m], `coverage_factor`, `expanded_uncertainty`
+    [N*m] at 95 %.
+
+    Parameters
+    ----------
+    runs : of one sensor, whose steps `hold` weights at three torques or more.
+    gravity, gravity_std : [m/s^2] at the place, and its standard uncertainty.
+    mass_relative_std : standard uncertainty of the masses over their mass.
+    arm_std_m : [m], standard uncertainty of the arm's length.
+
+    Raises
+    ------
+    MissingChannel : a run has no torque.
+    NotIdentifiable : fewer than three weights, or a sensor that does not follow them.
+    InputError : a given number that makes no sense.
+    """
+    place = f"{place_of(runs)}: torque sensor calibration"
+    notes: list[str] = []
+    reference = reference_of(runs, gravity, gravity_std, mass_relative_std, arm_std_m, notes)
+    levels = gather(runs, (TORQUE,), notes, lambda run, name: usable(run, name, notes, HELD), HELD)
+    weights = np.unique(np.round(levels.setpoint, 9))
+    if len(weights) < FEWEST_WEIGHTS:
+        raise NotIdentifiable(
+            f"{place}: found {len(weights)} torques of weights; {FEWEST_WEIGHTS} or more are needed to see whether the"
+            " sensor is straight"
+        )
+    applied = levels.setpoint * reference.factor
+    line = fitted(applied, levels, place)
+    factor = line.slope("sensitivity")
+    highest = float(np.max(np.abs(applied)))
+    notes += remarks(line, levels.std[TORQUE], "N*m")
+    own = line.estimate("sensitivity", "sensitivity", "1")
+    if abs(factor) < FOLLOWS * own.std:
+        raise NotIdentifiable(
+            f"{place}: the readings do not follow the weights: {factor:.2g} of {highest:.3g} N*m is seen"
+        )
+    notes += judged(line, levels, factor, highest)
+    parts = budget(runs, levels, line, own.std, highest, notes)
+    parts.append(Part("reference", highest * reference.whole_std))
+    results = [
+        sensitivity(line, reference),
+        line.fit.estimate("zero", "N*m", line.mean_intercept),
+        Estimate("highest_torque", highest, NAN, NAN, NAN, "N*m"),
+        *(Estimate(f"uncertainty_{part.name}", part.std, NAN, NAN, NAN, "N*m") for part in parts),
+        *combined(parts),
+    ]
+    paths = tuple(str(run.path) for run in runs)
+    return Result("torque-sensor-calibration", paths, tuple(results), tuple(notes), (plot_of(levels, line, applied),))
+
+
+def reference_of(
+    runs: Sequence[Run],
+    gravity: float | None,
+    gravity_std: float | None,
+    mass_relative_std: float | None,
+    arm_std_m: float | None,
+    notes: list[str],
+) -> Reference:
+    """What is known of gravity, masses and arm; what is not given is taken wide, and said.
+
+    Raises
+    ------
+    InputError : a gravity that is none of this planet's, a negative uncertainty, or an arm of no length.
+    """
+    if gravity is not None and not 9.7 < gravity < 9.9:
+        raise InputError(f"gravity {gravity:g}: 9.7 to 9.9 m/s^2 was expected")
+    stds = {"gravity_std": gravity_std, "mass_relative_std": mass_relative_std, "arm_std_m": arm_std_m}
+    for name, number in stds.items():
+        if number is not None and not (math.isfinite(number) and number >= 0.0):
+            raise InputError(f"{name} {number:g}: zero or more was expected")
+    arms = {float(arm) for run in runs for step in run.steps if (arm := step.parameters.get("arm_m")) is not None}
+    if not arms or min(arms) <= 0.0:
+        raise NotIdentifiable(f"{place_of(runs)}: no hold tells the arm of its weights (arm_m)")
+    somewhere = gravity is None and gravity_std is None
+    taken = {
+        "gravity_std": GRAVITY_WITHIN / math.sqrt(3.0) if somewhere else 0.0,
+        "mass_relative_std": MASS_STD,
+        "arm_std_m": ARM_STD_M,
+    }
+    lacking = [f"{name} {taken[name]:.2g}" for name, number in stds.items() if number is None and taken[name]]
+    if lacking:
+        notes.append(f"not given and taken: {listed(lacking)}; gravity {gravity or WEIGHED_BY:g} m/s^2")
+    own = {name: taken[name] if number is None else number for name, number in stds.items()}
+    at_place = gravity or WEIGHED_BY
+    known = 0.0 if somewhere else own["gravity_std"] / at_place
+    relative = math.hypot(known, own["mass_relative_std"], own["arm_std_m"] / min(arms))
+    return Reference(at_place / WEIGHED_BY, relative, GRAVITY_WITHIN / at_place if somewhere else 0.0)
+
+
+def fitted(applied: Array, levels: Levels, place: str) -> LineFit:
+    """Reading over torque, with what goes with time or side as far as the holds tell it.
+
+    Each run's zero drifts by itself; hysteresis opens a loop between rising and falling weights, closed at both ends.
+    """
+    time = np.array([0.5 * (hold.start + hold.stop) for hold in levels.holds])
+    columns = {"sensitivity": applied}
+    for number in np.unique(levels.run):
+        of_it = levels.run == number
+        middle = 0.5 * (time[of_it].min() + time[of_it].max())
+        columns[f"drift_{number}"] = np.where(of_it, time - middle, 0.0) / max(float(np.ptp(time[of_it])), 1e-9)
+    if {1, -1} <= set(levels.direction.tolist()):
+        columns[LOOP] = -np.sign(applied) * levels.direction * loop_at(applied)
+    try:
+        return fit_lines(columns, levels.value[TORQUE], levels, place)
+    except NotIdentifiable:
+        return fit_lines({"sensitivity": applied}, levels.value[TORQUE], levels, place)
+
+
+def loop_at(applied: Array) -> Array:
+    """Half the width of a loop over its greatest."""
+    share = np.abs(applied) / float(np.max(np.abs(applied)))
+    return np.asarray(4.0 * share * (1.0 - share))
+
+
+def sensitivity(line: LineFit, reference: Reference) -> Estimate:
+    """The factor, with what the weights' torque is known to."""
+    own = line.estimate("sensitivity", "sensitivity", "1", reference.relative_std)
+    half = half_width((own.high - own.value) / t_quantile(math.inf), math.inf, reference.within * own.value)
+    std = math.hypot(own.std, reference.within / math.sqrt(3.0) * own.value)
+    return Estimate(own.name, own.value, std, own.value - half, own.value + half, own.units)
+
+
+def judged(line: LineFit, levels: Levels, factor: float, highest: float) -> list[str]:
+    """What the sensor's owner should do or look at."""
+    notes = []
+    if factor < 0.0:
+        notes.append("the reading falls as the torque rises: the sensor's sign is the other one; change `sign`")
+    elif abs(factor - 1.0) > OFF:
+        notes.append(f"the reading is {factor:.4f} times the torque: multiply scale_per_V by {1.0 / factor:.5g}")
+    quarters = levels.quarters[TORQUE]
+    swing = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1)
+    swinging = swing > SWINGS * highest
+    if swinging.any():
+        where = [str(hold) for hold, applies in zip(levels.holds, swinging, strict=True) if applies]
+        notes.append(
+            f"the weight swung or crept in {len(where)} holds ({listed(where)}): wait longer before confirming"
+        )
+    if len(np.unique(np.sign(levels.setpoint))) < 3 and not (levels.setpoint == 0.0).all():
+        notes.append("weights in one sense only: whether the sensor reads alike in the other is not known")
+    return notes
+
+
+def budget(
+    runs: Sequence[Run], levels: Levels, line: LineFit, slope_std: float, highest: float, notes: list[str]
+) -> list[Part]:
+    """What a straight line does not tell, as standard uncertainties of a torque [N*m]; NaN where it was not seen."""
+    factor = abs(line.slope("sensitivity"))
+    residuals = line.fit.residuals / factor
+    if LOOP in line.slopes:  # the loop is a part of the budget
+        residuals = residuals + line.slope(LOOP) / factor * line.fit.projected[:, line.slopes.index(LOOP)]
+    cells = np.unique(np.column_stack([cells_of(levels), levels.run]), axis=0, return_inverse=True)[1].reshape(-1)
+    counts = np.bincount(cells)
+    within = residuals - (np.bincount(cells, residuals) / counts)[cells]
+    dof = float(len(residuals) - len(counts))
+    repeat = math.sqrt(float(within @ within) / dof) if dof else NAN
+    if not dof:
+        notes.append("no weight was hung twice: repeatability is not known, and not in the combined uncertainty")
+    means = {
+        side: {value: float(residuals[of_it & (levels.setpoint == value)].mean()) for value in levels.setpoint[of_it]}
+        for side in (1, -1)
+        if (of_it := levels.direction == side).any()
+    }
+    both = [abs(means[1][value] - means[-1][value]) for value in means.get(1, {}) if value in means.get(-1, {})]
+    if not both:
+        notes.append("weights were not hung rising and falling: hysteresis is not known, and not in the combined one")
+    straight = [abs(float(residuals[levels.setpoint == value].mean())) for value in np.unique(levels.setpoint)]
+    zeros = levels.value[TORQUE][levels.setpoint == 0.0] / factor
+    steps = [step_of(run.channel(TORQUE).values) / factor for run in runs]
+    return [
+        Part("repeatability", repeat, dof or math.inf),
+        Part("sensitivity", highest * slope_std / factor, line.fit.dof),
+        Part("linearity", max(straight) / math.sqrt(3.0)),
+        Part("hysteresis", 0.5 * max(both) / math.sqrt(3.0) if both else NAN),
+        Part("resolution", math.sqrt(2.0) * max(steps) / math.sqrt(12.0)),  # of a reading and of its zero
+        Part("zero_drift", 0.5 * float(np.ptp(zeros)) / math.sqrt(3.0) if len(zeros) > 1 else NAN),
+    ]
+
+
+def combined(parts: Sequence[Part]) -> list[Estimate]:
+    """Root of the sum of squares, its coverage factor and the expanded uncertainty; unknown parts are left out."""
+    known = [part for part in parts if math.isfinite(part.std)]
+    std = math.sqrt(sum(part.std**2 for part in known))
+    spread = sum(part.std**4 / part.dof for part in known)
+    factor = t_quantile(std**4 / spread if spread > 0.0 else math.inf)
+    return [
+        Estimate("combined_uncertainty", std, NAN, NAN, NAN, "N*m"),
+        Estimate("coverage_factor", factor, NAN, NAN, NAN, "1"),
+        Estimate("expanded_uncertainty", factor * std, NAN, NAN, NAN, "N*m"),
+    ]
+
+
+def plot_of(levels: Levels, line: LineFit, applied: Array) -> Plot:
+    """What readings depart from the straight line, over the torque of the weights."""
+    points = []
+    for label, side in (("rising", 1), ("falling", -1), ("weights", 0)):
+        of_it = levels.direction == side
+        if of_it.any():
+            shown = line.fit.residuals[of_it]
+            points.append(Series(label, tuple(applied[of_it].tolist()), tuple(shown.tolist())))
+    ends = (float(applied.min()), float(applied.max()))
+    return Plot(
+        "torque of the weights [N*m]", "reading less the line [N*m]", tuple(points), (Series("line", ends, (0.0, 0.0)),)
+    )

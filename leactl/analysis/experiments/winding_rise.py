@@ -1,0 +1,275 @@
+"""Rise of a winding's temperature by its resistance: voltage over direct current through two leads, cold and hot.
+
+IEC 60034-1, 8.6.2: rise = (R hot / R cold - 1) (1 / alpha + T cold - T ref). It needs no camera, and gives the mean of
+the two phases that carry the current, which is warmer than the mean of the winding.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
+from leactl.analysis.heating.record import AMBIENT, refuse_clipped, refuse_not_celsius
+from leactl.analysis.quality.calibration_uncertainty import doubts, gain_std
+from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.run_model import model_of, positive
+from leactl.analysis.statistics.intervals import half_width, rounding_limit, rounding_of, step_of
+from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.analysis.statistics.regression import least_squares
+from leactl.errors import InputError, NotIdentifiable
+from leactl.runfile.reader import Run
+
+RESULTS = {
+    "cold_resistance": "ohm",
+    "hot_resistance": "ohm",
+    "winding_rise": "K",
+    "change_in_last_30_min": "K",
+}
+
+Array = npt.NDArray[np.float64]
+ON = 0.2  # of the largest current, above which it counts as switched on
+COLD_S = 3.0  # after switching on, over which a parabola leads back to the cold winding; it takes 7 s to warm
+SKIPPED = 2  # readings after switching on, which the supply may have begun before
+HOT_S = 30.0
+STEADY_S, STEADY_K = 1800.0, 1.0
+BLOCK_S = 60.0  # whose mean counts
+FEWEST = 10
+UNKNOWN_COLD = (25.0, 3.0)  # degC and its standard uncertainty, where no ambient was measured
+SHOWN = 300  # points of the plot
+
+
+@dataclass(frozen=True, eq=False)
+class Heating:
+    """The longest stretch with the current on: resistance between the leads, and what its readings resolve."""
+
+    time: Array  # s since switching on
+    resistance: Array  # ohm
+    step: float  # ohm, of a resistance by the steps of the voltage
+    of_current: float  # relative standard uncertainty of a resistance by the steps of the current
+    before: float  # s of the run, at which it was switched on
+
+
+@dataclass(frozen=True)
+class Copper:
+    """How the resistance goes with the temperature, by the model of a run."""
+
+    coefficient: float  # 1/K
+    within: float  # relative: it lies anywhere between as much less and as much more
+    reference: float  # degC
+
+
+@dataclass(frozen=True)
+class Known:
+    """A resistance [ohm] and what it is known to."""
+
+    value: float
+    std: float  # of what scatters
+    dof: float
+    limit: float  # of the rounding error of the voltage, which is evenly spread
+    of_current: float  # relative standard uncertainty by the steps of the current, which both resistances share
+
+    def estimate(self, name: str, gain: float) -> Estimate:
+        """With the steps of the current, and a relative standard uncertainty of the readings' calibration."""
+        shared = math.hypot(self.of_current, gain) * self.value
+        std = math.hypot(self.std, shared)
+        dof = self.dof * (std / self.std) ** 4 if self.std > 1e-9 * std else math.inf
+        half = half_width(std, dof, self.limit)
+        whole = math.hypot(std, self.limit / math.sqrt(3.0))
+        return Estimate(name, self.value, whole, self.value - half, self.value + half, "ohm")
+
+
+def analyze(
+    runs: Sequence[Run], *, voltage_gain_std: float | None = None, current_gain_std: float | None = None
+) -> Result:
+    """Cold and hot resistance [ohm], rise [K], and its change over the last 30 minutes of heating [K].
+
+    Parameters
+    ----------
+    runs : one run of one actuator, heated.
+    voltage_gain_std, current_gain_std : relative standard uncertainties of the supply's readings; those of the channels
+        unless told.
+
+    Raises
+    ------
+    MissingChannel : a run lacks line current or line voltage of the test actuator.
+    NotIdentifiable : more than one run, no current, too few readings, or no resistance coefficient in the model.
+    InputError : an uncertainty below zero, or leads that are swapped.
+    """
+    place = place_of(runs)
+    if len(runs) > 1:
+        raise NotIdentifiable(f"{place}: one run at a time; each begins from a temperature of its own")
+    run = runs[0]
+    notes = expect_setup(runs, ("heated",), "friction and iron loss would heat besides")
+    copper, heating = copper_of(run), heating_of(run)
+    gains = {
+        "the supply's voltage": gain_std(runs, "line_voltage", voltage_gain_std),
+        "the supply's current": gain_std(runs, "line_current", current_gain_std),
+    }
+    gain = math.hypot(*gains.values())
+    cold, hot = cold_resistance(heating, place), hot_resistance(heating)
+    at_first, at_first_std = cold_temperature(run, heating.before, notes)
+    per_ratio = 1.0 / copper.coefficient + at_first - copper.reference  # K for a resistance twice the cold one
+    results = (
+        cold.estimate("cold_resistance", gain),
+        hot.estimate("hot_resistance", gain),
+        winding_rise(cold, hot, per_ratio, at_first_std, copper),
+        change(heating, per_ratio / cold.value, notes),
+    )
+    notes += doubts(gains, "the resistances and not on the rise")
+    notes[:0] = doubted(runs, results[:1], ["line_voltage"], ["line_current"])
+    every = max(1, len(heating.time) // SHOWN)
+    kelvin = (heating.resistance[::every] / cold.value - 1.0) * per_ratio
+    shown = Series(str(run.path), tuple(heating.time[::every].tolist()), tuple(kelvin.tolist()))
+    return Result(
+        "winding-rise", (str(run.path),), results, tuple(notes), (Plot("time [s]", "rise [K]", (shown,), ()),)
+    )
+
+
+def heating_of(run: Run) -> Heating:
+    """Readings of the longest stretch with the current on."""
+    current, voltage = run.channel("line_current", role="test"), run.channel("line_voltage", role="test")
+    for one in (current, voltage):
+        refuse_clipped(run, one)
+    seen = np.isfinite(voltage.values)
+    time, volts = voltage.time[seen], voltage.values[seen]
+    known = np.isfinite(current.values)
+    if known.sum() < FEWEST or len(time) < FEWEST:
+        raise NotIdentifiable(f"{run.path}: line_current or line_voltage of test has no readings")
+    amperes = np.interp(time, current.time[known], current.values[known])
+    on = np.abs(amperes) > max(ON * float(np.max(np.abs(amperes))), 1e-3)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(int)))
+    parts = [slice(int(a) + SKIPPED, int(b)) for a, b in edges.reshape(-1, 2) if b - a > FEWEST + SKIPPED]
+    if not parts:
+        raise NotIdentifiable(f"{run.path}: no current flows for {FEWEST} readings: nothing was heated")
+    longest = max(parts, key=lambda part: time[part.stop - 1] - time[part.start])
+    resistance = volts[longest] / amperes[longest]
+    if float(np.median(resistance)) <= 0.0:
+        raise InputError(
+            f"{run.path}: line_voltage over line_current is {np.median(resistance):.3g} ohm; above zero was expected:"
+            " one of the two has its leads swapped"
+        )
+    begun = float(time[longest.start - SKIPPED])
+    mean = abs(float(np.mean(amperes[longest])))
+    of_current = rounding_of(amperes[longest], step_of(amperes[longest])) / mean
+    return Heating(time[longest] - begun, resistance, step_of(volts[longest]) / mean, of_current, begun)
+
+
+def cold_resistance(heating: Heating, place: str) -> Known:
+    """Resistance at the moment of switching on."""
+    first = heating.time < COLD_S
+    if int(np.sum(first)) < FEWEST:
+        raise NotIdentifiable(
+            f"{place}: {np.sum(first)} readings in the first {COLD_S:g} s of heating; at least {FEWEST} are needed to"
+            " lead back to the cold winding"
+        )
+    design = np.vander(heating.time[first], 3, increasing=True)
+    fit = least_squares(design, heating.resistance[first], design, place)
+    value, own = fit.combined(np.array([1.0, 0.0, 0.0]))
+    limit = left_of_steps(heating, heating.resistance[first] - fit.residuals, np.linalg.pinv(design)[0], fit.residuals)
+    if heating.step and limit:  # the residuals are of noise and steps; what the steps do is counted by itself
+        own *= math.sqrt(max(0.0, 1.0 - heating.step**2 / 12.0 / max(fit.variance, 1e-30)))
+    return Known(value, own, fit.dof, limit, heating.of_current)
+
+
+def hot_resistance(heating: Heating) -> Known:
+    """Mean resistance of the last half minute."""
+    last = heating.time >= heating.time[-1] - HOT_S
+    value, own, limit = mean_of_part(heating, last)
+    return Known(value, own, float(np.sum(last)) - 1.0, limit, heating.of_current)
+
+
+def mean_of_part(heating: Heating, part: npt.NDArray[np.bool_]) -> tuple[float, float, float]:
+    """Mean resistance over some readings, its standard error, and the limit of its rounding error [ohm]."""
+    time, values = heating.time[part], heating.resistance[part]
+    design = np.column_stack([np.ones_like(time), time - time.mean()])
+    rest = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
+    limit = left_of_steps(heating, values - rest, np.full(len(values), 1.0 / len(values)), rest)
+    return float(np.mean(values)), float(np.std(rest)) / math.sqrt(max(len(values) - 2, 1)), limit
+
+
+def left_of_steps(heating: Heating, curve: Array, weights: Array, rest: Array) -> float:
+    """Limit of the rounding error in a weighted sum, as far as noise leaves one [ohm]."""
+    if heating.step <= 0.0:
+        return 0.0
+    noise = math.sqrt(max(0.0, float(np.var(rest)) - heating.step**2 / 12.0))
+    return rounding_limit(curve, heating.step, weights) * math.exp(-2.0 * (math.pi * noise / heating.step) ** 2)
+
+
+def winding_rise(cold: Known, hot: Known, per_ratio: float, at_first_std: float, copper: Copper) -> Estimate:
+    """Rise by the ratio of both resistances; a coefficient below the model's moves it more than one as far above."""
+    ratio = hot.value / cold.value
+    rise = (ratio - 1.0) * per_ratio
+    own = per_ratio * ratio * math.hypot(hot.std / hot.value, cold.std / cold.value)
+    scattered = math.hypot(own, rise * at_first_std / per_ratio)
+    steps = [per_ratio * ratio * known.limit / known.value for known in (hot, cold)]
+    of_copper = rise / per_ratio * copper.within / copper.coefficient
+    to_zero = math.copysign(copper.within, rise)
+    below, above = (half_width(scattered, math.inf, of_copper / (1.0 + off), *steps) for off in (to_zero, -to_zero))
+    std = math.hypot(scattered, *(limit / math.sqrt(3.0) for limit in (of_copper, *steps)))
+    return Estimate("winding_rise", rise, std, rise - below, rise + above, "K")
+
+
+def copper_of(run: Run) -> Copper:
+    """The resistance coefficient in the model that a run carries.
+
+    Raises
+    ------
+    NotIdentifiable : there is none.
+    InputError : a tolerance or a reference temperature that makes no sense.
+    """
+    model = model_of(run)
+    coefficient = positive(model.get("resistance_coefficient"))
+    if math.isnan(coefficient):
+        raise NotIdentifiable(f"{run.path}: its model has no resistance_coefficient; a rise cannot be told without")
+    tolerances = model.get("tolerances")
+    width = tolerances.get("resistance_coefficient", 0.0) if isinstance(tolerances, dict) else 0.0
+    reference = model.get("reference_temperature", 25.0)
+    for name, value, (least, most), unit in (
+        ("tolerances.resistance_coefficient", width, (0.0, 0.99), ""),
+        ("reference_temperature", reference, (-100.0, 1000.0), " degC"),
+    ):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
+            raise InputError(
+                f"{run.path}: {name} of its model is {value}; a number from {least:g} to {most:g}{unit} was expected"
+            )
+    return Copper(coefficient, float(width), float(reference))
+
+
+def cold_temperature(run: Run, before: float, notes: list[str]) -> tuple[float, float]:
+    """Temperature of the winding before it was heated [degC]: that of the air."""
+    for air in run.channels(AMBIENT, "bench") or run.channels(AMBIENT):
+        refuse_not_celsius(run, air)
+        rest = air.values[(air.time < before) & np.isfinite(air.values)]
+        if len(rest):
+            return float(np.mean(rest)), 1.0
+    notes.append(f"no ambient temperature before heating; taken as {UNKNOWN_COLD[0]:g} degC, within 6 K")
+    return UNKNOWN_COLD
+
+
+def change(heating: Heating, kelvin_per_ohm: float, notes: list[str]) -> Estimate:
+    """How far the rise still went in the last half hour of heating, minute against minute; steady is 1 K or less."""
+    name = "change_in_last_30_min"
+    if heating.time[-1] < STEADY_S + BLOCK_S:
+        notes.append(f"heated for {heating.time[-1] / 60:.0f} min: whether it is steady shows after 31 min")
+        return Estimate(name, NAN, NAN, NAN, NAN, "K")
+    end = heating.time[-1]
+    then, now = (
+        mean_of_part(heating, (heating.time > stop - BLOCK_S) & (heating.time <= stop))
+        for stop in (end - STEADY_S, end)
+    )
+    value = (now[0] - then[0]) * kelvin_per_ohm
+    scattered = math.hypot(now[1], then[1]) * kelvin_per_ohm
+    limits = [part[2] * kelvin_per_ohm for part in (then, now)]
+    half = half_width(scattered, math.inf, *limits)
+    std = math.hypot(scattered, *(limit / math.sqrt(3.0) for limit in limits))
+    found = Estimate(name, value, std, value - half, value + half, "K")
+    if max(abs(found.low), abs(found.high)) <= STEADY_K:
+        notes.append(f"steady: no more than {STEADY_K:g} K in the last 30 min of heating")
+    elif found.low > STEADY_K or found.high < -STEADY_K:
+        notes.append(f"no steady state: {found.value:+.1f} K in the last 30 min of heating")
+    else:
+        notes.append(f"whether it is steady ({STEADY_K:g} K in 30 min) cannot be told from these readings")
+    return found

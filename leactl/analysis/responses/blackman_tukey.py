@@ -1,0 +1,109 @@
+"""Frequency response from noise by Blackman and Tukey: windowed covariances, transformed.
+
+Ljung, System Identification, 2nd ed. (1999), section 6.4; Jenkins & Watts, Spectral Analysis and Its Applications
+(1968), chapter 10, for coherence and the variance of the gain. The window is Hann's, over lags to both sides. It
+averages the response over some frequencies around each; the same average, taken once more, tells how much that has
+changed it, and the estimate is corrected by that (Tukey's twicing).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.analysis.statistics.regression import Array
+
+Complex = npt.NDArray[np.complex128]
+Mask = npt.NDArray[np.bool_]
+FINER = 4  # frequencies from one resolved frequency to the next
+
+
+class Spectra(NamedTuple):
+    """Sums over records of what the covariances of input and output become, at the frequencies of a grid."""
+
+    input: Array
+    output: Array
+    cross: Complex
+    samples: int
+
+    def plus(self, other: "Spectra", sign: int = 1) -> "Spectra":
+        """Records of both; with -1, without those of the other."""
+        return Spectra(
+            self.input + sign * other.input,
+            self.output + sign * other.output,
+            self.cross + sign * other.cross,
+            self.samples + sign * other.samples,
+        )
+
+
+def together(spectra: Sequence[Spectra]) -> Spectra:
+    """Of all these records."""
+    return reduce(Spectra.plus, spectra)
+
+
+@dataclass(frozen=True, eq=False)
+class BlackmanTukey:
+    """An estimator for records of one rate."""
+
+    interval: float  # s
+    lags: int  # to either side
+    highest: float  # Hz
+
+    @property
+    def resolved(self) -> float:
+        """Hz from one frequency to the next that the window tells apart."""
+        return 1.0 / (2 * self.lags * self.interval)
+
+    @property
+    def frequency(self) -> Array:
+        """The grid [Hz], beyond the highest frequency by as much as the correction needs."""
+        count = round(self.highest / self.resolved * FINER) + FINER + 1
+        return np.asarray(self.resolved / FINER * np.arange(count), np.float64)
+
+    def spectra(self, given: Array, answer: Array) -> Spectra:
+        """Of one record, its means taken out."""
+        given, answer = given - given.mean(), answer - answer.mean()
+        size = 1 << (2 * len(given) - 1).bit_length()
+        u, y = np.fft.rfft(given, size), np.fft.rfft(answer, size)
+        lag = np.arange(-self.lags, self.lags + 1)
+        window = 0.5 * (1.0 + np.cos(math.pi * lag / self.lags))
+        turns = np.exp(-2j * math.pi * self.interval * np.outer(self.frequency, lag))
+        found = [
+            turns @ (window * np.fft.irfft(pair, size)[lag]) for pair in (u.conj() * u, y.conj() * y, u.conj() * y)
+        ]
+        return Spectra(found[0].real, found[1].real, found[2], len(given))
+
+    def response(self, spectra: Spectra) -> "Response":
+        """Gain and phase with coherence, as far as the highest frequency."""
+        raw = spectra.cross / spectra.input
+        power = spectra.input * spectra.output
+        # an answer without power, as of a sensor that stands still, has nothing in common with anything
+        coherence = np.divide(np.abs(spectra.cross) ** 2, power, out=np.zeros_like(power), where=power > 0.0)
+        mirrored = np.concatenate([raw[FINER:0:-1].conj(), raw])  # the response at negative frequencies
+        count = len(raw) - FINER
+        again = 0.5 * raw[:count] + 0.25 * (mirrored[:count] + mirrored[2 * FINER : 2 * FINER + count])
+        lag = np.arange(-self.lags, self.lags + 1)
+        window = 0.5 * (1.0 + np.cos(math.pi * lag / self.lags))
+        share = float(np.sum((window * (2.0 - window)) ** 2)) / (2.0 * spectra.samples)
+        coherence = np.clip(coherence[:count], 1e-12, 1.0)
+        return Response(
+            self.frequency[:count], 2.0 * raw[:count] - again, coherence, np.sqrt(share * (1.0 / coherence - 1.0))
+        )
+
+
+class Response(NamedTuple):
+    """A frequency response."""
+
+    frequency: Array  # Hz
+    value: Complex
+    coherence: Array
+    relative_std: Array  # of the gain; in rad, of the phase
+
+    @property
+    def gain(self) -> Array:
+        """Magnitude."""
+        return np.abs(self.value)

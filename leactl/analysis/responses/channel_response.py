@@ -1,0 +1,141 @@
+"""Gain and phase from the setpoint that a chirp, a multisine or noise moves to the channels that were measured."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from leactl.analysis.estimate import Estimate, Grid, Plot, Series, listed
+from leactl.analysis.responses.blackman_tukey import FINER, BlackmanTukey, Mask, Response
+from leactl.analysis.responses.noise_records import EVEN
+from leactl.analysis.responses.noise_response import COHERENT, SHOWN
+from leactl.analysis.signals.levels import span
+from leactl.analysis.statistics.regression import Array, t_quantile
+from leactl.runfile.reader import Channel, Run, Step
+
+EXCITATIONS = ("chirp", "multisine", "noise")
+PART = 8  # of a record, that the lags to either side reach over
+FEWEST = 80  # samples
+REACHED = 1e-3  # of the setpoint's greatest power, below which it counts as not excited (-30 dB)
+SKIRT = 0.5  # of the greatest power within a line's width, below which it is what the window spreads from elsewhere
+LISTED = 5  # frequencies that are results; all are in the grid
+
+
+def gain_and_phase(
+    run: Run, label: str, step: Step, measured: dict[str, Channel], notes: list[str]
+) -> tuple[list[Estimate], list[Plot], list[Grid]]:
+    """The response of every channel that is sampled with the setpoint that moves in a step."""
+    estimates: list[Estimate] = []
+    plots: list[Plot] = []
+    grids: list[Grid] = []
+    setpoint = moving(run, step)
+    if setpoint is None:
+        notes.append(f"{run.path}: {label}: no setpoint moves in it: gain and phase are not known")
+        return estimates, plots, grids
+    unknown: dict[str, list[str]] = {}
+    for name, channel in measured.items():
+        response = response_of(setpoint, channel, step)
+        if isinstance(response, str):
+            unknown.setdefault(response, []).append(name)
+            continue
+        title, units = f"{label}_{name}", f"{channel.units}/({setpoint.units})"
+        if channel.units == setpoint.units:
+            units = "1"
+        estimates += rows(title, response, units)
+        plots += curves(title, response, units)
+        grids.append(table(title, step, response, units))
+    notes += [f"{run.path}: {label}: {reason}: {listed(names)}" for reason, names in unknown.items()]
+    return estimates, plots, grids
+
+
+def moving(run: Run, step: Step) -> Channel | None:
+    """The setpoint of a step's role that moves in it; None where there is none."""
+    role = str(step.parameters.get("role", "test"))
+    for stream, specs in run.streams.items():
+        for spec in specs:
+            if spec.quantity.endswith("_reference") and spec.role == role:
+                channel = run.channel_at(f"{stream}/{spec.name}")
+                values = channel.values[span(channel, step.start + step.settle, step.stop)]
+                if np.isfinite(values).any() and np.nanmax(values) > np.nanmin(values):
+                    return channel
+    return None
+
+
+def response_of(setpoint: Channel, channel: Channel, step: Step) -> Response | str:
+    """The response at the frequencies that the setpoint reaches and the channel follows coherently, or why not."""
+    from scipy.ndimage import maximum_filter1d
+
+    if len(channel.time) != len(setpoint.time) or not np.array_equal(channel.time, setpoint.time):
+        return "not sampled with the setpoint"
+    part = span(setpoint, step.start + step.settle, step.stop)
+    time, given, answer = setpoint.time[part], setpoint.values[part], channel.values[part]
+    if len(time) < FEWEST:
+        return f"fewer than {FEWEST} samples"
+    intervals = np.diff(time)
+    interval = float(np.median(intervals))
+    if not np.isfinite(given + answer).all() or np.any(np.abs(intervals / interval - 1.0) > EVEN):
+        return "samples are missing"
+    if not np.ptp(answer) > 0.0:
+        return "the channel does not move"
+    method = BlackmanTukey(interval, len(time) // PART, 0.5 / interval)
+    spectra = method.spectra(given, answer)
+    response = method.response(spectra)
+    power = spectra.input[: len(response.frequency)]
+    around = maximum_filter1d(power, 4 * FINER + 1)  # Hann's main lobe reaches two resolved frequencies to either side
+    known = (power > REACHED * power.max()) & (power > SKIRT * around) & (response.coherence >= COHERENT)
+    known &= excited(given, interval, response.frequency, method.resolved)
+    known &= (response.frequency >= method.resolved) & (response.frequency < method.highest)
+    if not known.any():
+        return f"no frequency with a coherence of {COHERENT:g} or more"
+    return Response(*(column[known] for column in response))
+
+
+def excited(given: Array, interval: float, frequency: Array, resolved: float) -> Mask:
+    """Which frequencies the setpoint itself reaches: a lag window's side lobes spread 3 % of a line far beyond it."""
+    from scipy.ndimage import maximum_filter1d
+    from scipy.signal.windows import blackmanharris  # side lobes below -90 dB
+
+    power = np.abs(np.fft.rfft((given - given.mean()) * blackmanharris(len(given)))) ** 2
+    bins = np.fft.rfftfreq(len(given), interval)
+    half = round(0.5 * resolved / bins[1])
+    return np.asarray(np.interp(frequency, bins, maximum_filter1d(power, 2 * half + 1)) > REACHED * power.max())
+
+
+def rows(title: str, response: Response, units: str) -> list[Estimate]:
+    """Gain and phase at a few of the frequencies, evenly over their decades."""
+    wanted = np.geomspace(response.frequency[0], response.frequency[-1], LISTED)
+    indices = dict.fromkeys(int(np.argmin(np.abs(response.frequency - at))) for at in wanted)
+    found = []
+    for index in indices:
+        at = f"at_{response.frequency[index]:.4g}_Hz"
+        gain, phase = float(response.gain[index]), float(np.angle(response.value[index]))
+        std = float(response.relative_std[index])
+        half = std * t_quantile(np.inf)
+        low = max(gain * (1.0 - half), 0.0)
+        found.append(Estimate(f"{title}_gain_{at}", gain, gain * std, low, gain * (1.0 + half), units))
+        found.append(Estimate(f"{title}_phase_{at}", phase, std, phase - half, phase + half, "rad"))
+    return found
+
+
+def curves(title: str, response: Response, units: str) -> list[Plot]:
+    """Gain, phase and coherence over frequency."""
+    every = slice(0, None, max(1, len(response.frequency) // SHOWN))
+    x = tuple(response.frequency[every].tolist())
+    columns = {f"gain [{units}]": response.gain, "phase [rad]": np.unwrap(np.angle(response.value))}
+    columns["coherence [1]"] = response.coherence
+    plot = Plot("frequency [Hz]", "", (), (), x_log=True)
+    return [
+        replace(plot, y_label=f"{title} {label}", points=(Series(title, x, tuple(values[every].tolist())),))
+        for label, values in columns.items()
+    ]
+
+
+def table(title: str, step: Step, response: Response, units: str) -> Grid:
+    """All frequencies that are known, with half the 95 % interval of gain (relative) and phase."""
+    axes = {"start [s]": (step.start,), "frequency [Hz]": tuple(response.frequency.tolist())}
+    columns = {
+        f"gain [{units}]": response.gain,
+        "phase [rad]": np.unwrap(np.angle(response.value)),
+        "relative half width of gain, half width of phase [rad]": t_quantile(np.inf) * response.relative_std,
+        "coherence [1]": response.coherence,
+    }
+    return Grid(f"{title}_response", axes, {name: (tuple(values.tolist()),) for name, values in columns.items()})

@@ -1,0 +1,134 @@
+"""Frequency response of a drive's loops to noise about several levels: -3 dB bandwidth and the band that is known.
+
+Paper, section "Controller Performance": Blackman-Tukey with a window of 400 samples, bandwidth at the -3 dB crossover,
+mean over trials and levels. A response counts where its coherence is 0.6 or more (Tischler & Remple, Aircraft and
+Rotorcraft System Identification, 2nd ed., section 2.2) and the noise was meant to reach; elsewhere it is not known, and
+so is a bandwidth that lies there. It is the response to noise of that size: friction takes more of a smaller one.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from leactl.analysis.estimate import NAN, Estimate, Plot, Result, Series
+from leactl.analysis.responses.bandwidth import HALF_POWER, bandwidth_of
+from leactl.analysis.responses.blackman_tukey import BlackmanTukey, Mask, Response, Spectra, together
+from leactl.analysis.responses.noise_records import Loop, Record, records_of
+from leactl.analysis.statistics.linefit import expect_setup, place_of
+from leactl.analysis.statistics.regression import Array
+from leactl.errors import NotIdentifiable
+from leactl.runfile.reader import Run
+
+LAGS = 400
+COHERENT = 0.6
+SAMPLED = 0.1  # of the record's rate, above which holding and sampling show
+SHOWN = 80  # points of a level in a plot
+
+
+def noise_response(runs: Sequence[Run], loop: Loop) -> Result:
+    """Bandwidth of the test actuator's loop.
+
+    `bandwidth` [Hz]: where the gain first falls below -3 dB, mean over the levels. Where it does not in the band that
+    is known, its value is NaN and `low` is how far the gain stays above at 95 % confidence. `coherent_band_low` and
+    `coherent_band_high` [Hz]: what is known of every level, without the stretches that the notes name.
+
+    Raises
+    ------
+    MissingChannel : a run has no reference or no response of the test actuator.
+    NotIdentifiable : no noise with data, no band of enough coherence, or a response against its reference.
+    """
+    place = f"{place_of(runs)}: {loop.experiment}"
+    notes = expect_setup(runs, (loop.setup,), "the response is that of another load")
+    records = [record for run in runs for record in records_of(run, loop, notes)]
+    interval = float(np.median([record.interval for record in records]))
+    highest = min(min(record.cutoff for record in records), 0.5 / interval)
+    method = BlackmanTukey(interval, LAGS, highest)
+    levels = spectra_of(records, method)
+    counts = {level: len(trials) for level, trials in levels.items()}
+    if len(set(counts.values())) > 1:
+        shown = ", ".join(f"{count} at {level:.3g}" for level, count in counts.items())
+        notes.append(f"repeats are missing: records are {shown}; every level counts the same")
+
+    responses = {level: method.response(together(trials)) for level, trials in levels.items()}
+    known = {level: known_of(response, method.resolved, level, notes) for level, response in responses.items()}
+    band = method.frequency[: len(next(iter(known.values())))][np.all(list(known.values()), axis=0)]
+    if not len(band):
+        raise NotIdentifiable(f"{place}: no frequency at which the coherence of every level is {COHERENT:g} or more")
+    for level, response in responses.items():
+        refuse_swapped(response, known[level], f"{place}: at {level:.3g}")
+    bandwidth = bandwidth_of(method, levels, responses, known, notes)
+    ends = [("coherent_band_low", float(band[0])), ("coherent_band_high", float(band[-1]))]
+    results = (bandwidth, *(Estimate(name, value, NAN, NAN, NAN, "Hz") for name, value in ends))
+    if not bandwidth.high <= SAMPLED / interval:
+        notes.append(
+            f"above {SAMPLED / interval:g} Hz, a tenth of the record's rate, the response is that of a sampled loop to "
+            "references that are held; what that takes from the gain or adds to it is within the bandwidth's limits"
+        )
+    units = runs[0].channel(loop.response, role="test").units
+    plots = plots_of(responses, known, units)
+    return Result(loop.experiment, tuple(str(run.path) for run in runs), results, tuple(notes), plots)
+
+
+def spectra_of(records: Sequence[Record], method: BlackmanTukey) -> dict[float, list[Spectra]]:
+    """Spectra by level, one for each noise: records of the same noise are no trials of their own."""
+    found: dict[float, dict[object, Spectra]] = {}
+    for record in sorted(records, key=lambda record: record.level):
+        spectra, own = method.spectra(record.given, record.answer), found.setdefault(record.level, {})
+        own[record.noise] = own[record.noise].plus(spectra) if record.noise in own else spectra
+    return {level: list(own.values()) for level, own in found.items()}
+
+
+def known_of(response: Response, resolved: float, level: float, notes: list[str]) -> Mask:
+    """Where a level's response is known; stretches of too little coherence go into the notes."""
+    frequency = response.frequency
+    known = (response.coherence >= COHERENT) & (frequency >= resolved)
+    unknown = ~known & (frequency >= resolved)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], unknown, [False]]).astype(np.int8)))
+    for first, last in zip(edges[::2], edges[1::2] - 1, strict=True):
+        notes.append(
+            f"coherence at {level:.3g} is below {COHERENT:g} from {frequency[first]:.1f} to {frequency[last]:.1f} Hz: "
+            "the response there is not known"
+        )
+    return known
+
+
+def refuse_swapped(response: Response, known: Mask, place: str) -> None:
+    """Refuse a response that goes against its reference where it should follow it best.
+
+    Raises
+    ------
+    NotIdentifiable : it does.
+    """
+    lowest = np.flatnonzero(known)[:4]
+    if np.mean(response.value[lowest].real) < 0.0:
+        at = response.frequency[lowest[0]]
+        raise NotIdentifiable(f"{place} the response goes against the reference at {at:.1f} Hz: a sign is swapped")
+
+
+def plots_of(responses: Mapping[float, Response], known: Mapping[float, Mask], units: str) -> tuple[Plot, ...]:
+    """Gain, phase and coherence over frequency; what is not known of gain and phase is left out."""
+    gains, limits, phases, coherences = [], [], [], []
+    for level, response in responses.items():
+        every = slice(0, None, max(1, len(response.frequency) // SHOWN))
+        label, x = f"{level:.3g} {units}", tuple(response.frequency[every].tolist())
+        shown = np.where(known[level], response.gain, NAN)
+        gains.append(Series(label, x, _tuple(20.0 * np.log10(shown)[every])))
+        for side in (-1.96, 1.96):
+            limit = np.maximum(shown * (1.0 + side * response.relative_std), 1e-6)
+            limits.append(Series(f"{label}, 95 %", x, _tuple(20.0 * np.log10(limit)[every])))
+        phase = np.where(known[level], np.unwrap(np.angle(response.value)), NAN)
+        phases.append(Series(label, x, _tuple(np.degrees(phase)[every])))
+        coherences.append(Series(label, x, _tuple(response.coherence[every])))
+    ends = (0.0, max(series.x[-1] for series in gains))
+    minus_3_db = Series("-3 dB", ends, (20.0 * math.log10(HALF_POWER),) * 2)
+    threshold = Series("known from here", ends, (COHERENT,) * 2)
+    return (
+        Plot("frequency [Hz]", "gain [dB]", tuple(gains), (minus_3_db, *limits), x_log=True),
+        Plot("frequency [Hz]", "phase [deg]", tuple(phases), (), x_log=True),
+        Plot("frequency [Hz]", "coherence [1]", tuple(coherences), (threshold,), x_log=True),
+    )
+
+
+def _tuple(values: Array) -> tuple[float, ...]:
+    return tuple(values.tolist())

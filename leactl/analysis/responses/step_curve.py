@@ -1,0 +1,110 @@
+"""The response that several trials make together, and where it passes a level.
+
+A drive may act anywhere in the sample in which its reference jumps, so that a response of a few samples says little of
+where it was between them: how far a passing may be off comes with it.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from leactl.analysis.responses.step_trials import Trial
+from leactl.analysis.statistics.regression import Array
+
+LOW, HIGH = 0.1, 0.9  # of the steady value, between which the rise time counts
+SMOOTH = 0.5  # of the way between two bins, by which the ways beside it differ at the most for a curve through them
+EVEN = 0.01  # of an interval, to which samples lie evenly
+
+
+class Curve(NamedTuple):
+    """A response averaged in bins, from its jump on."""
+
+    time: Array  # s, the first one 0
+    value: Array
+    error: Array  # standard error of a bin from the noise of the readings
+    noise: float  # standard deviation of one reading
+    interval: float  # s, between samples
+    quantum: float  # resolution of the readings
+    steady_from: float  # s
+
+
+def curve_of(trials: Sequence[Trial], growth: float = 0.0) -> Curve:
+    """The response of trials together, in bins of a sample or of this part of the time since the jump."""
+    time = np.concatenate([trial.time for trial in trials])
+    values = np.concatenate([trial.response for trial in trials])
+    interval = float(np.median([np.median(np.diff(trial.time)) for trial in trials]))
+    edges = [0.5 * interval]
+    while edges[-1] < time.max():
+        edges.append(edges[-1] + max(interval, growth * edges[-1]))
+    place = np.searchsorted(edges, time)
+    counts = np.bincount(place, minlength=len(edges))
+    filled = counts > 0
+    means = [np.bincount(place, column, minlength=len(edges))[filled] / counts[filled] for column in (time, values)]
+    noise = math.sqrt(np.mean([trial.noise**2 for trial in trials]))
+    return Curve(
+        time=np.concatenate([[0.0], means[0]]),
+        value=np.concatenate([[0.0], means[1]]),
+        error=np.concatenate([[0.0], noise / np.sqrt(counts[filled])]),
+        noise=noise,
+        interval=interval,
+        quantum=max(trial.quantum for trial in trials),
+        steady_from=max(trial.steady_from for trial in trials),
+    )
+
+
+class Passing(NamedTuple):
+    """Where a response passes a level."""
+
+    time: float  # s
+    limit: float  # s, by which that may be off
+
+
+def crossing(curve: Curve, index: int, level: float) -> float:
+    """Where the response passes a level between the bin before this one and this one."""
+    before, after = float(curve.value[index - 1]), float(curve.value[index])
+    share = (level - before) / (after - before)
+    return float(curve.time[index - 1] + share * (curve.time[index] - curve.time[index - 1]))
+
+
+def passing(curve: Curve, index: int, level: float) -> Passing:
+    """Where the response passes a level, by a curve through the bins around it if samples lie close enough on it.
+
+    Where they do not, it may pass as early or as late as the two bins allow; a response that bends one way lies on one
+    side of the straight line between them.
+    """
+    straight = crossing(curve, index, level)
+    place = slice(index - 1, index + 3)
+    time = np.concatenate([[-curve.interval], curve.time])[place]
+    values = np.concatenate([[0.0], curve.value])[place]
+    rise, bends = float(values[2] - values[1]), np.diff(values, 2)
+    bent = float(np.max(np.abs(bends))) / rise
+    if len(bends) == 2 and bent < SMOOTH:
+        through = np.polynomial.Polynomial.fit(time, values - level, 3)
+        roots = [float(root.real) for root in through.roots() if not root.imag and time[1] <= root.real <= time[2]]
+        nearest = min(roots, key=lambda root: abs(root - straight), default=straight)
+        return Passing(nearest, bent * abs(nearest - straight))
+    if (relaxed := _relaxing(curve, index, level)) is not None:
+        return Passing(relaxed, abs(relaxed - straight))
+    sooner = straight - float(time[1]) if np.min(bends) < 0.0 else 0.0
+    later = float(time[2]) - straight if np.max(bends) > 0.0 else 0.0
+    return Passing(straight, max(sooner, later))
+
+
+def _relaxing(curve: Curve, index: int, level: float) -> float | None:
+    """The same for a response of few samples: by the exponential through three, of which one lies on the way.
+
+    None where there is none, or where they do not slow down.
+    """
+    first = index - 1 if curve.value[index - 1] > LOW else index
+    time, values = curve.time[first : first + 3], curve.value[first : first + 3]
+    if len(values) < 3 or values[0] >= HIGH or not np.allclose(np.diff(time), curve.interval, rtol=EVEN):
+        return None
+    ways = np.diff(values)
+    if not 0.0 < ways[1] < ways[0]:
+        return None
+    ratio = float(ways[1] / ways[0])
+    gap = float(ways[0]) / (1.0 - ratio)
+    passed = math.log(1.0 - (level - float(values[0])) / gap) / math.log(ratio)
+    return float(np.clip(time[0] + passed * curve.interval, curve.time[index - 1], curve.time[index]))

@@ -1,0 +1,86 @@
+"""Step responses of a drive's loops: rise time, overshoot, settling time and steady-state error over trials and levels.
+
+Paper, section "Controller Performance": each figure is the mean over trials and levels. The paper does not print its
+band of settling; here it is 2 % of the step about the steady value, from which overshoot and rise are counted as well.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from leactl.analysis.estimate import Plot, Result, Series
+from leactl.analysis.quality.wrong_units import doubted
+from leactl.analysis.responses.step_curve import curve_of
+from leactl.analysis.responses.step_metrics import GROWTH, overshoot, rise_time, settling_time
+from leactl.analysis.responses.step_trials import BAND, Trial, of_another_size, trials_of, uneven, wandering
+from leactl.analysis.statistics.jackknife import LevelValue, Reading, mean_of_levels, over_trials
+from leactl.analysis.statistics.linefit import expect_setup
+from leactl.runfile.reader import Run
+
+SHOWN = 60  # points of a level in the plot
+FURTHER = 2.0  # settling times that the plot goes on for
+
+
+def step_response(experiment: str, runs: Sequence[Run], reference: str, response: str, key: str, setup: str) -> Result:
+    """Step metrics of the test actuator's `response`, with `reference` and the setpoint's `key` in the steps.
+
+    `rise_time` [s] from 10 to 90 %, `overshoot` [%], `settling_time` [s] to within 2 %, `steady_state_error` [%], the
+    part of the step by which the steady value falls short of the reference; NaN where the trials leave one open.
+
+    Raises
+    ------
+    MissingChannel : a run has no reference or no response of the test actuator.
+    NotIdentifiable : a run has no step response that settles.
+    """
+    notes = expect_setup(runs, (setup,), "the response is that of another load")
+    every = [trial for run in runs for trial in trials_of(run, reference, response, key, notes)]
+    levels = [[trial for trial in every if trial.level == level] for level in sorted({trial.level for trial in every})]
+    notes += [*uneven(levels), *wandering(levels)]
+    units = runs[0].channel(response, role="test").units
+    metrics: dict[str, tuple[str, Callable[[Sequence[Trial]], Reading]]] = {
+        "rise_time": ("s", rise_time),
+        "overshoot": ("%", overshoot),
+        "settling_time": ("s", settling_time),
+    }
+    results = []
+    for name, (unit, metric) in metrics.items():
+        values = [_over(trials, metric) for trials in levels]
+        results.append(mean_of_levels(name, unit, values))
+        shown = ", ".join(
+            f"{value.reading.value:.4g} {unit} at {trials[0]} {units}"
+            for value, trials in zip(values, levels, strict=True)
+        )
+        notes.append(f"{name} by level: {shown}")
+        if not math.isfinite(results[-1].value):
+            notes.append(f"{name} is not known: noise of the readings goes beyond {BAND:.0%} of the smallest step")
+    results.append(mean_of_levels("steady_state_error", "%", [_steady_error(trials) for trials in levels]))
+    until = FURTHER * results[2].value if math.isfinite(results[2].value) else math.inf
+    notes[:0] = of_another_size(levels, response) or doubted(runs, [], [response])
+    paths = tuple(str(run.path) for run in runs)
+    return Result(experiment, paths, tuple(results), tuple(notes), (_plot(levels, units, until),))
+
+
+def _over(trials: Sequence[Trial], metric: Callable[[Sequence[Trial]], Reading]) -> LevelValue:
+    return over_trials(len(trials), lambda kept: metric([trials[k] for k in kept]))
+
+
+def _steady_error(trials: Sequence[Trial]) -> LevelValue:
+    still = [0.0 if trial.noise > 0.5 * trial.quantum else 0.5 * trial.quantum for trial in trials]
+    return over_trials(
+        len(trials),
+        lambda kept: Reading(100.0 * float(np.mean([trials[k].steady_error for k in kept])), own=(100.0 * max(still),)),
+    )
+
+
+def _plot(levels: Sequence[Sequence[Trial]], units: str, until: float) -> Plot:
+    points = []
+    for trials in levels:
+        curve = curve_of(trials, GROWTH)
+        shown = np.flatnonzero(curve.time <= until)
+        shown = shown[:: max(1, len(shown) // SHOWN)]
+        time, value = (1e3 * curve.time[shown]).tolist(), curve.value[shown].tolist()
+        points.append(Series(f"{trials[0]} {units}", tuple(time), tuple(value)))
+    ends = (0.0, max(series.x[-1] for series in points))
+    lines = [Series("band of settling", ends, (1.0 + side, 1.0 + side)) for side in (BAND, -BAND)]
+    return Plot("time since the step [ms]", "response [of the step]", tuple(points), tuple(lines))

@@ -1,0 +1,232 @@
+"""Trials of step experiments: one jump of a setpoint each, what was measured around it, and which of them count.
+
+A trial is a step of the run named `step` that says from where to where (`signal: {kind: step}` of a protocol). The jump
+is where the recorded reference makes it: a row holds the reference that the drive followed until then, so the response
+begins with the last row of the old one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.analysis.estimate import tally
+from leactl.analysis.quality.saturation import piles_up, saturated
+from leactl.analysis.quality.wrong_units import asked
+from leactl.analysis.signals.levels import Hold, span
+from leactl.analysis.statistics.regression import Array
+from leactl.errors import NotIdentifiable
+from leactl.runfile.reader import Channel, Run, Step
+
+BAND = 0.02  # of the step, about the steady value: settled for good inside
+FEWEST_SAMPLES = 20  # before the jump or in the steady part
+MISSING = 0.1  # of a trial's samples
+EPS_S = 1e-6  # rounding of stamps; a row at either end of a step may belong to what is before or behind it
+FOLLOWS = 0.5  # of a step that the response makes of it at the least
+WHOLE = 1.0  # of a step, beyond which a response that misses its reference is no loop's doing
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One jump; the response goes from 0 before it to 1 in the steady part, which need not be where it was sent."""
+
+    level: float  # the setpoint after the jump, in the channel's unit
+    time: Array  # s since the jump, all samples behind it
+    response: Array
+    steady_error: float  # by which the steady value falls short of the reference, of the step
+    steady_from: float  # s since the jump
+    noise: float  # standard deviation of one sample in the steady part, of the step
+    quantum: float  # resolution of the readings, of the step; 0 where none shows
+    rest: float  # what was read before the jump, less what was asked for, of the step
+    times: float = 1.0  # the reference's jump, that the response makes
+
+    def __str__(self) -> str:
+        return f"{self.level:.3g}"
+
+
+@dataclass(frozen=True)
+class Jump:
+    """What a step of the run says of its jump."""
+
+    step: Step
+    start: float
+    target: float
+
+    def __str__(self) -> str:
+        return f"{self.target:g} at {self.step.start:.1f} s"
+
+
+def trials_of(run: Run, reference: str, response: str, key: str, notes: list[str]) -> list[Trial]:
+    """Every usable trial of the test actuator; what is left out goes into the notes.
+
+    Parameters
+    ----------
+    reference, response : quantities of what was asked for and what was measured.
+    key : of the setpoint in a step's parameters behind `from_` and `to_`: `current_A`, `angle_rad`.
+
+    Raises
+    ------
+    MissingChannel : the run lacks one of the quantities.
+    NotIdentifiable : no trial is there, or none of them counts.
+    """
+    asked, measured = run.channel(reference, role="test"), run.channel(response, role="test")
+    jumps = jumps_of(run, key)
+    holds = [Hold(jump.target, 0, jump.step.start + jump.step.settle, jump.step.stop) for jump in jumps]
+    value, at_end = clipped(measured, holds, [jump.step.settle for jump in jumps])
+    left_out: dict[str, list[str]] = {}
+    found = []
+    for jump, hold in zip(jumps, holds, strict=True):
+        trial: Trial | str = f"{response} is clipped at {value:g} {measured.units}"
+        if hold.start not in at_end:
+            trial = _trial(asked, measured, jump)
+        if isinstance(trial, str):
+            left_out.setdefault(trial, []).append(str(jump))
+        else:
+            found.append(trial)
+    notes += tally(left_out, str(run.path))
+    if not found:
+        why = "; ".join(f"{len(which)}: {reason}" for reason, which in left_out.items())
+        what = f"{len(jumps)} steps of {response}, none of use ({why})" if jumps else f"no step from and to a {key}"
+        raise NotIdentifiable(f"{run.path}: found {what}; one response that settles is needed")
+    return found
+
+
+def clipped(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> tuple[float, set[float]]:
+    """The value that a channel stops at, and where the settled parts begin of the steps that reach it.
+
+    `befores` are the lengths of what comes before each settled part [s].
+    Where readings mostly come twice, a level at rest looks the same as an end of range; only two levels there tell.
+    """
+    value, reached = saturated(channel, holds)
+    parts = [channel.values[span(channel, hold.start, hold.stop)] for hold in holds]
+    still = np.median([np.mean(np.diff(part) == 0.0) for part in parts if len(part) > 1] or [0.0]) > 0.5
+    if still:
+        return value, {hold.start for hold in reached if len({hold.setpoint for hold in reached}) > 1}
+    if not reached:
+        return tops(channel, holds, befores)
+    return value, {hold.start for hold in reached}
+
+
+def tops(channel: Channel, holds: Sequence[Hold], befores: Sequence[float]) -> tuple[float, set[float]]:
+    """The same of responses that are cut off on their way, such as at the top of an overshoot."""
+    whole = [span(channel, hold.start - before, hold.stop) for hold, before in zip(holds, befores, strict=True)]
+    parts = [channel.values[part][np.isfinite(channel.values[part])] for part in whole]
+    every = np.concatenate(parts) if parts else np.zeros(0)
+    for extreme in (every.max(), every.min()) if len(every) else ():
+        cut = {hold.start for hold, part in zip(holds, parts, strict=True) if piles_up(part, float(extreme), share=0.0)}
+        if cut:
+            return float(extreme), cut
+    return float("nan"), set()
+
+
+def jumps_of(run: Run, key: str) -> list[Jump]:
+    """Steps of the run that jump from one setpoint of the test actuator to another."""
+    found = []
+    for step in run.steps:
+        ends = [step.parameters.get(f"{end}_{key}") for end in ("from", "to")]
+        numbers = [float(end) for end in ends if isinstance(end, int | float) and not isinstance(end, bool)]
+        if step.name == "step" and len(numbers) == 2 and step.parameters.get("role", "test") == "test":
+            found.append(Jump(step, *numbers))
+    return found
+
+
+def _trial(asked: Channel, measured: Channel, jump: Jump) -> Trial | str:
+    """The trial of a jump, or why it does not count."""
+    step = jump.step
+    rows = slice(*np.searchsorted(asked.time, (step.start + EPS_S, step.stop - EPS_S)))
+    references, stamps = asked.values[rows], asked.time[rows]
+    nearer = np.abs(references - jump.target) < np.abs(references - jump.start)
+    if not nearer.any() or nearer[0] or jump.target == jump.start:
+        return "the recorded reference does not jump"
+    first = int(np.argmax(nearer))
+    jumped, before_it = float(stamps[first - 1]), references[:first]
+    start, target = (float(np.nanmedian(part)) for part in (before_it, references[first:]))
+
+    time = measured.time - (0.5 * float(np.median(np.diff(measured.time))) if measured.sampling == "mean" else 0.0)
+    within = (time > step.start + EPS_S) & (time < step.stop - EPS_S)
+    time, values = time[within] - jumped, measured.values[within]
+    behind, steady = time > 0.0, time >= step.start + step.settle - jumped
+    resting = (time <= 0.0) & (time >= 0.5 * (step.start - jumped))  # the later half of the wait for the jump
+    good = np.isfinite(values)
+    if (~good[behind]).mean() > MISSING if behind.any() else True:
+        return "too many samples are missing"
+    if step.settle <= jumped - step.start or min((good & resting).sum(), (good & steady).sum()) < FEWEST_SAMPLES:
+        return f"fewer than {FEWEST_SAMPLES} samples before the jump or in the steady part"
+    zero, one = float(values[good & resting].mean()), float(values[good & steady].mean())
+    made, sent = one - zero, target - start
+    if made * sent < 0.0 and abs(made) > FOLLOWS * abs(sent):
+        return "the response goes against the reference: a sign is swapped"
+    if abs(made) < FOLLOWS * abs(sent):
+        return f"the response makes less than {FOLLOWS:.0%} of the step"
+    response = (values - zero) / made
+    rest = response[good & steady] - 1.0
+    quarters = np.array([part.mean() for part in np.array_split(rest, 4)])
+    if np.max(np.abs(quarters)) > BAND:
+        return f"the response never settles within {BAND:.0%}"
+    return Trial(
+        level=jump.target,
+        time=time[good & behind],
+        response=response[good & behind],
+        steady_error=(target - one) / sent,
+        steady_from=float(step.start + step.settle - jumped),
+        noise=float(np.sqrt(0.5 * np.mean(np.diff(rest) ** 2))),  # what drifts or slips is none
+        quantum=quantum_of(values[good]) / abs(made),
+        rest=(zero - start) / made,
+        times=made / sent,
+    )
+
+
+def quantum_of(values: Array) -> float:
+    """Smallest step between two readings; zero where hardly any comes twice."""
+    distinct = np.unique(values)
+    if len(distinct) < 2 or len(distinct) > 0.9 * len(values):
+        return 0.0
+    steps = np.diff(distinct)
+    steps = steps[steps > 1e-6 * np.max(np.abs(distinct))]  # what storing in single precision takes apart
+    return float(steps.min()) if len(steps) else 0.0
+
+
+def wandering(levels: Sequence[Sequence[Trial]]) -> list[str]:
+    """What a reader must know of levels that are not where they were sent, and of what is read before a jump."""
+    notes = []
+    for trials in levels:
+        short = mean_error(trials)
+        if BAND < abs(short) <= WHOLE:
+            notes.append(
+                f"at {trials[0]} the response stays {short:+.1%} of the step short of its reference: a channel that is"
+                " clipped or drifts, or a loop that lets it; every figure counts from where it stays"
+            )
+        apart = float(np.ptp([trial.rest for trial in trials]))
+        if apart > BAND:
+            notes.append(
+                f"at {trials[0]} what is read before the jump moves by {apart:.1%} of the step over the trials: the"
+                " channel drifts, and overshoot and settling are off by what it drifts meanwhile"
+            )
+    return notes
+
+
+def of_another_size(levels: Sequence[Sequence[Trial]], response: str) -> list[str]:
+    """What a reader must know of levels whose response misses the reference by more than all of the step."""
+    far = [trials for trials in levels if abs(mean_error(trials)) > WHOLE]
+    if not far:
+        return []
+    times = float(np.mean([trial.times for trials in far for trial in trials]))
+    where = ", ".join(str(trials[0]) for trials in far)
+    return [f"at {where} the response makes {times:.4g} times the step of its reference: {asked(times, [response])}"]
+
+
+def mean_error(trials: Sequence[Trial]) -> float:
+    """By how much of the step a level's steady values fall short of the reference."""
+    return float(np.mean([trial.steady_error for trial in trials]))
+
+
+def uneven(levels: Sequence[Sequence[Trial]]) -> list[str]:
+    """What a reader must know of levels that lack repeats."""
+    counts = {str(trials[0]): len(trials) for trials in levels}
+    notes = []
+    if len(set(counts.values())) > 1:
+        shown = ", ".join(f"{count} at {level}" for level, count in counts.items())
+        notes.append(f"repeats are missing: trials are {shown}; every level counts the same")
+    if lone := [level for level, count in counts.items() if count == 1]:
+        notes.append(f"one trial alone at {', '.join(lone)}: its scatter is not known, so that there are no intervals")
+    return notes

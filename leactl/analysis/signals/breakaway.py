@@ -1,0 +1,89 @@
+"""Breakaway: the torque at which a shaft that stands lets go, from a slow ramp of what drives it.
+
+Before it lets go the torque on the line grows with the drive, after it the torque is that of turning, for some
+hundredths of a second the same. The corner between both is fitted, since the highest reading would be one of noise.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.analysis.estimate import tally
+from leactl.analysis.statistics.regression import Array
+from leactl.analysis.statistics.trial_means import Trial
+from leactl.errors import NotIdentifiable
+from leactl.runfile.reader import Channel, Run, Step
+
+BREAKAWAY = "breakaway"
+COUNTS = 3.0  # of the encoder, that tell a motion from the shaft's twist
+FITTED = 0.2  # of the time from the start of the ramp to the moment of motion, just before it
+FEWEST = 20  # readings of torque in it
+
+
+@dataclass(frozen=True, eq=False)
+class LettingGo:
+    """One breakaway: its torque, against the motion, and what is around it."""
+
+    trial: Trial
+    torque: float  # N*m, against the motion, the sensor's zero in it
+    time: Array  # s, since the shaft moved
+    along: Array  # N*m
+
+
+def lettings_go(run: Run, number: int, torque: Channel, notes: list[str]) -> list[LettingGo]:
+    """Every breakaway of a run; why others cannot be used goes into the notes."""
+    angle = run.channel("angle")
+    found: list[LettingGo] = []
+    left_out: dict[str, list[str]] = {}
+    for step in (step for step in run.steps if step.name == BREAKAWAY):
+        try:
+            found.append(letting_go(number, step, angle, torque))
+        except NotIdentifiable as fault:
+            left_out.setdefault(str(fault), []).append(f"at {step.start:.1f} s")
+    notes += tally(left_out, f"{run.path}")
+    return found
+
+
+def letting_go(number: int, step: Step, angle: Channel, torque: Channel) -> LettingGo:
+    """One breakaway.
+
+    Raises
+    ------
+    NotIdentifiable : why it cannot be used.
+    """
+    moment, side = motion(step, angle)
+    part = (
+        (torque.time >= moment - FITTED * (moment - step.start)) & (torque.time < moment) & np.isfinite(torque.values)
+    )
+    time, along = torque.time[part] - moment, -side * torque.values[part]
+    if len(time) < FEWEST:
+        raise NotIdentifiable(f"fewer than {FEWEST} readings of torque before the shaft moved")
+    return LettingGo(Trial(number, side), corner(time, along), time, along)
+
+
+def motion(step: Step, angle: Channel) -> tuple[float, int]:
+    """When the shaft moved by more than a few counts [s], and which way."""
+    part = (angle.time >= step.start) & (angle.time < step.stop) & np.isfinite(angle.values)
+    time, values = angle.time[part], angle.values[part]
+    if len(values) < FEWEST:
+        raise NotIdentifiable("no angle is recorded")
+    steps = np.diff(np.unique(values))
+    counts = COUNTS * float(steps.min()) if len(steps) else 0.0
+    moved = np.flatnonzero(np.abs(values - values[0]) > counts)
+    if not len(moved):
+        raise NotIdentifiable("the shaft did not let go: give a higher current")
+    if moved[0] < FEWEST:
+        raise NotIdentifiable("the shaft turned from the beginning")
+    return float(time[moved[0]]), int(np.sign(values[moved[0]] - values[0]))
+
+
+def corner(time: Array, along: Array) -> float:
+    """The level after a corner that the torque rises to, by least squares over every place of the corner."""
+    best, level = np.inf, float("nan")
+    for at in time[len(time) // 4 : -2]:
+        design = np.column_stack([np.ones_like(time), np.minimum(time - at, 0.0)])
+        solution, *_ = np.linalg.lstsq(design, along, rcond=None)
+        rest = float(np.sum((along - design @ solution) ** 2))
+        if rest < best:
+            best, level = rest, float(solution[0])
+    return level

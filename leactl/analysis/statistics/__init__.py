@@ -1,0 +1,1 @@
+"""Regressions, means of trials and intervals, of numbers that know nothing of a bench."""

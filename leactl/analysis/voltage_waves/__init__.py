@@ -1,0 +1,1 @@
+"""Voltages of a turning motor with its leads open: pairs of leads, waves cut and averaged, harmonics, pole pairs."""

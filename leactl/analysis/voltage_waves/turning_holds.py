@@ -1,0 +1,174 @@
+"""Holds of a turning shaft with the motor's leads open: angle, waves and wiring of each, what cannot be used named."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.analysis.voltage_waves.line_voltages import PAIRS, Pair, pairs_of, third_of, wiring_of
+from leactl.analysis.voltage_waves.pole_pairs import Shaft, shaft_of
+from leactl.analysis.voltage_waves.waves import FEWEST_WAVES, Angle, Array, Waves, follow, waves_of
+from leactl.errors import NotIdentifiable
+from leactl.runfile.reader import Run
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One hold: its waves by pair, all over the same electrical angle."""
+
+    run: Run
+    start: float  # s
+    angle: Angle
+    shaft: Shaft
+    waves: Mapping[str, Waves]
+    sizes: Mapping[str, Array]  # V*s a wave, of each pair's fundamental
+    mean_of_pairs: Array  # V*s a wave; of three pairs where one could be worked out
+    complete: bool  # whether it is of three
+    offsets: Mapping[str, float]  # V
+    volts: Mapping[str, float]  # amplitudes
+    left_over: float  # of the sum of three over one; NaN where there are not three
+    scale_std: float
+    resolution: float  # relative standard uncertainty by rounding, where every wave rounds alike
+    findings: Sequence[str]
+
+
+def parts_of(run: Run, notes: list[str]) -> Iterator[Part]:
+    """The holds of a run whose waves can be used; why others cannot goes into the notes."""
+    for start, stop in spans_of(run, notes):
+        try:
+            yield part_of(run, start, stop, notes)
+        except NotIdentifiable as fault:
+            notes.append(f"{run.path} from {start:.2f} s: {fault}")
+
+
+def spans_of(run: Run, notes: list[str]) -> list[tuple[float, float]]:
+    """Settled parts of the steps that hold a velocity; the whole record where the run has no steps."""
+    steps = run.steps
+    if not steps:
+        channels = [channel for name in PAIRS for channel in run.channels(f"phase_voltage_{name}", role="test")]
+        times = [channel.time for channel in channels if len(channel.time)]
+        notes.append(f"{run.path}: the run tells no steps; its whole record is used")
+        return [(min(t[0] for t in times), math.nextafter(max(t[-1] for t in times), math.inf))] if times else []
+    found = []
+    for step in steps:
+        speed = step.parameters.get("velocity_rad_s")
+        if step.name == "hold" and isinstance(speed, int | float) and not isinstance(speed, bool) and speed != 0:
+            found.append((step.start + step.settle, step.stop))
+    if not found:
+        notes.append(f"{run.path}: no step named 'hold' with velocity_rad_s among its {len(steps)}")
+    return found
+
+
+def part_of(run: Run, start: float, stop: float, notes: list[str]) -> Part:
+    """One hold.
+
+    Raises
+    ------
+    NotIdentifiable : the motor was powered, no pair has enough waves, or nothing tells the shaft's speed.
+    """
+    refuse_powered(run, start, stop)
+    pairs = pairs_of(run, start, stop, notes)
+    if not pairs:
+        raise NotIdentifiable("no pair that can be used")
+    angle = follow(pairs[best_of(pairs)].record)
+    waves = {name: waves_of(pair.record, angle) for name, pair in pairs.items()}
+    for name in list(waves):
+        there = int(np.isfinite(waves[name].offset).sum())
+        if there < FEWEST_WAVES:
+            notes.append(f"{run.path}: pair {name} from {start:.2f} s has {there} whole waves; it does not count")
+            del waves[name]
+    if not waves:
+        raise NotIdentifiable(f"no pair with {FEWEST_WAVES} whole waves")
+    sizes = {name: sizes_of(found) for name, found in waves.items()}
+    frequency = float(angle.frequencies.mean())
+    volts = {name: 2.0 * math.pi * frequency * float(np.nanmean(size)) for name, size in sizes.items()}
+    shaft = shaft_of(run, angle)
+    findings, left_over, swapped = wired(waves, shaft)
+    lost = len(angle.edges) - 1 - min(int(np.isfinite(found.offset).sum()) for found in waves.values())
+    if lost:
+        findings.append(f"{lost} of {len(angle.edges) - 1} waves lack samples and do not count")
+    every = list(sizes.values())
+    if len(waves) == 2:
+        third = third_of([found.linkage[0] for found in waves.values()])
+        every.append(sizes_of(Waves(third[np.newaxis], np.zeros(0))))
+        missing = next(name for name in PAIRS if name not in waves)
+        findings.append(f"pair {missing} is taken as what the other two leave of zero")
+    samples = len(angle.time) / max(len(angle.edges) - 1, 1)
+    rounding = {
+        name: pairs[name].resolution / math.sqrt(12.0) * math.sqrt(2.0 / samples) / volts[name] for name in waves
+    }
+    return Part(
+        run=run,
+        start=start,
+        angle=angle,
+        shaft=shaft,
+        waves=swapped,
+        sizes=sizes,
+        mean_of_pairs=np.mean(every, axis=0),
+        complete=len(every) == len(PAIRS),
+        offsets={name: float(np.nanmean(found.offset)) for name, found in waves.items()},
+        volts=volts,
+        left_over=left_over,
+        scale_std=max(pairs[name].scale_std for name in waves),
+        resolution=max(rounding.values()),
+        findings=findings,
+    )
+
+
+def refuse_powered(run: Run, start: float, stop: float) -> None:
+    """Refuse a hold in which the drive was enabled: its leads carry more than back-EMF.
+
+    Raises
+    ------
+    NotIdentifiable : so.
+    """
+    for channel in run.channels("drive_enabled", role="test"):
+        first, last = np.searchsorted(channel.time, (start, stop))
+        if np.any(channel.values[first:last] > 0.0):
+            raise NotIdentifiable("the test drive was enabled: its leads carry more than back-EMF")
+
+
+def best_of(pairs: Mapping[str, Pair]) -> str:
+    """The pair to follow: the one with the fewest samples missing, the largest of several."""
+
+    def rank(name: str) -> tuple[float, float]:
+        values = pairs[name].record.values
+        return float(np.mean(np.isfinite(values))), float(np.nanstd(values))
+
+    return max(pairs, key=rank)
+
+
+def sizes_of(waves: Waves) -> Array:
+    """Flux linkage of each wave's fundamental along their common phase: noise across it adds nothing [V*s]."""
+    fundamental = waves.linkage[0]
+    mean = complex(np.nanmean(fundamental))
+    return np.asarray((fundamental * np.conj(mean) / abs(mean)).real)
+
+
+def wired(waves: Mapping[str, Waves], shaft: Shaft) -> tuple[list[str], float, dict[str, Waves]]:
+    """What the phases of three pairs say of their leads, what is left of their sum, and the waves with signs mended."""
+    phasors = {name: complex(np.nanmean(found.linkage[0])) for name, found in waves.items()}
+    if len(phasors) < len(PAIRS):
+        return [], math.nan, dict(waves)
+    wiring = wiring_of(phasors)
+    if wiring is None:
+        apart = ", ".join(
+            f"{name} {math.degrees(math.remainder(float(np.angle(value / phasors['ab'])), 2 * math.pi)):+.0f} degrees"
+            for name, value in phasors.items()
+            if name != "ab"
+        )
+        return (
+            [f"the pairs are not thirds of a wave apart ({apart} from ab): a pair is not what it is taken for"],
+            math.nan,
+            dict(waves),
+        )
+    findings = [f"pair {name} has its two leads swapped" for name, sign in wiring.signs.items() if sign < 0]
+    if wiring.forward != (shaft.turned > 0.0):
+        findings.append(
+            "the pairs follow one another against the sense of rotation: two leads, or two pairs' channels, are"
+            " exchanged, or the encoder's sign is wrong"
+        )
+    mended = {name: Waves(wiring.signs[name] * found.linkage, found.offset) for name, found in waves.items()}
+    rest = abs(sum(wiring.signs[name] * phasor for name, phasor in phasors.items()))
+    return findings, rest / (sum(map(abs, phasors.values())) / len(phasors)), mended
