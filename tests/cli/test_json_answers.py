@@ -1,0 +1,88 @@
+"""What `--json` prints fits the page of JSON answers, and the page has nothing that no answer has."""
+
+import dataclasses
+import json
+import re
+import shlex
+import shutil
+from pathlib import Path
+from typing import get_args, get_type_hints
+
+import pytest
+
+from leactl.gap.diagnosis import Diagnosis
+from tests.cli.answers import SCHEMA, schema_of, sections, written
+from tests.cli.terminal import leactl
+from tests.cli.test_schema import PAGES, misfits
+
+ANSWERS = sections()
+SELDOM = r"welch\.|unexplained\.|causes\[\]|region\.|acceptance\[\]\.(result|bisect)|results\[\]\.(actuator|condition)$"
+
+
+def test_the_file_of_schemas_is_that_of_the_page():
+    assert SCHEMA.read_text(encoding="utf-8") == written()
+    assert len(ANSWERS) >= 16
+
+
+def keys_of(kind):
+    """Every key of a dataclass and of those within, as the page writes them."""
+    for name, hint in get_type_hints(kind).items():
+        inner = [part for part in (hint, *get_args(hint)) if dataclasses.is_dataclass(part)]
+        several = "tuple" in str(hint)
+        yield from (f"{name}{'[]' if several else ''}.{key}" for part in inner for key in keys_of(part))
+        yield name
+
+
+def test_the_page_has_every_key_of_a_diagnosis():
+    page = {key.replace("[]", "") for key, _, _ in ANSWERS["A diagnosis"][1]}
+    code = {key.replace("[]", "") for key in keys_of(Diagnosis) if not key.startswith("extra")}
+    assert {key for key in code if not key.startswith("unexplained.shapes.")} | {"format", "format_version"} == page
+
+
+@pytest.fixture(scope="module")
+def workshop(tmp_path_factory):
+    """A folder with runs, protocols and a model."""
+    folder = tmp_path_factory.mktemp("answers")
+    state = {"LEACTL_STATE": str(folder / "state")}
+    for text in re.findall(r"```yaml\n(name: .*?)```", PAGES["protocol"].read_text(), re.DOTALL):
+        (folder / f"{re.match(r'name: (.*)', text)[1]}.yaml").write_text(text)
+    (folder / "nominal.yaml").write_text(leactl("bench", "model", "emulated").stdout)
+    friction = "friction", "--set", "trials=2", "--set", "hold_s=3", "--set", "settle_s=1"
+    for condition in ("unloaded", "design"):
+        for words in (friction, ("torque-constant", "--set", "trials=1")):
+            words = *words, "--bench", "emulated", "--condition", condition, "--out", folder / "runs"
+            assert leactl("run", *words, **state).returncode == 0
+    for path in sorted((folder / "runs").glob("*.h5")):
+        path.rename(path.with_name(re.sub(r"^.*?Z-", "", path.name)))
+    shutil.copy(next((folder / "runs").glob("torque*.h5")), folder / "RUN.h5")
+    return folder
+
+
+def keys_in(answer, known, key=""):
+    """The keys of the page that an answer has."""
+    if key in known:
+        yield key
+    if isinstance(answer, dict):
+        for name, value in answer.items():
+            for part in (name, "*"):
+                yield from keys_in(value, known, f"{key}.{part}" if key else part)
+        if not answer:
+            yield f"{key}.*"
+    elif isinstance(answer, list):
+        for item in answer:
+            yield from keys_in(item, known, f"{key}[]")
+        if not answer:
+            yield f"{key}[]"
+
+
+@pytest.mark.parametrize("title", ANSWERS)
+def test_an_answer_fits_its_table(title, workshop, monkeypatch):
+    monkeypatch.chdir(workshop)
+    command, rows = ANSWERS[title]
+    words = [name for word in shlex.split(command) for name in (sorted(map(str, Path().glob(word))) or [word])]
+    done = leactl(*words, LEACTL_STATE=str(workshop / "state"))
+    assert done.returncode == 0, done.stderr
+    answer, schema = json.loads(done.stdout), schema_of(rows)
+    assert list(misfits(answer, schema, schema)) == []
+    known = {key for key, _, _ in rows}
+    assert not [key for key in known - set(keys_in(answer, known)) if not re.search(SELDOM, key)]
