@@ -128,9 +128,9 @@ def serve(
     """Serve an emulated bench on real buses, by the wall clock, until Ctrl-C."""
     from leactl.bench.benchfile import put_elsewhere
     from leactl.bench.records import placed
-    from leactl.emulation.emulated_bench import EmulatedBench
-    from leactl.emulation.serving import bridged, stub_chips
-    from leactl.emulation.serving import serve as serve_until
+    from leactl.emulation.bench.emulated_bench import EmulatedBench
+    from leactl.emulation.wires.serving import bridged, stub_chips
+    from leactl.emulation.wires.serving import serve as serve_until
     from leactl.runner.checked_bench import load_checked
     from leactl.runner.signals import listening
 

@@ -458,7 +458,7 @@ def _planned_bytes(plan: Plan, bench: Bench) -> float:
 def _wiring(request: Request) -> Wiring:
     if not request.in_process:
         return MachineWiring()
-    from leactl.emulation.emulated_bench import EmulatedBench
+    from leactl.emulation.bench.emulated_bench import EmulatedBench
 
     plan = request.plan
     return EmulatedBench(

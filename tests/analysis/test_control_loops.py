@@ -7,7 +7,7 @@ import pytest
 
 from leactl.analysis.analyze import analyze_runs
 from leactl.bench import benchfile
-from leactl.emulation import emulated_bench
+from leactl.emulation.bench import emulated_bench
 from leactl.runner.operators import granted
 from leactl.runner.request import prepare
 from leactl.runner.session import execute

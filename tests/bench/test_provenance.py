@@ -11,7 +11,7 @@ from leactl.bench import benchfile
 from leactl.bench.bench import Bench
 from leactl.bench.provenance import Provenance, overdue
 from leactl.driver.contract import Identity
-from leactl.emulation.emulated_bench import EmulatedBench
+from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.errors import DeviceError
 from leactl.runfile.instruments import Instrument
 from leactl.runfile.reader import Run

@@ -13,7 +13,7 @@ from leactl.bench.tty import Tty
 from leactl.bench.wiring import MachineWiring
 from leactl.driver.clock import MonotonicClock
 from leactl.driver.serial_port import SerialPort
-from leactl.emulation.pseudo_terminal import PseudoTerminal
+from leactl.emulation.wires.pseudo_terminal import PseudoTerminal
 from leactl.errors import DeviceError, InputError
 
 SUPPLY = {

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import can
 
 from leactl.driver.far_end import Frame
+from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.emulation.clock import EmulatedClock
-from leactl.emulation.emulated_bench import EmulatedBench
-from leactl.emulation.wires import EmulatedCanBus
+from leactl.emulation.wires.buses import EmulatedCanBus
 
 SYNC = 0x080
 NODES = (1, 2)

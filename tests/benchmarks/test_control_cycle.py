@@ -8,8 +8,8 @@ import can
 from leactl.bench.bench import Bench
 from leactl.bench.benchfile import CanBus
 from leactl.driver.i2c_port import SmBus
+from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.emulation.clock import EmulatedClock
-from leactl.emulation.emulated_bench import EmulatedBench
 from leactl.runfile.writer import RunWriter
 from leactl.runner.channel_limits import ChannelLimits
 from leactl.runner.loop import Loop

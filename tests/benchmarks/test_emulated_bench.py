@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from leactl.bench import benchfile
-from leactl.emulation.phase_lanes import PhaseLane, PhaseLanes
+from leactl.emulation.plant.phase_lanes import PhaseLane, PhaseLanes
 from leactl.runner.operators import granted
 from leactl.runner.request import prepare
 from leactl.runner.session import execute

@@ -2,8 +2,8 @@
 
 from leactl import yamlfile
 from leactl.driver.contract import Row, StreamSpec
+from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.emulation.clock import EmulatedClock
-from leactl.emulation.emulated_bench import EmulatedBench
 from leactl.quantities import ChannelSpec
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.supervisor import Axis, Supervisor

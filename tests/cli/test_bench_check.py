@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leactl.bench.benchfile import SHIPPED, names
-from leactl.emulation.parameters import ActuatorParameters, BenchParameters
+from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
 from leactl.errors import InputError
 from leactl.model.motor import load_motor
 from leactl.runner.checked_bench import load_checked

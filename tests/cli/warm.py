@@ -22,7 +22,7 @@ IMPORTED = (
     "leactl.cli.main",  # before any other, since it asks for matrix products in one thread: no thread outlives a fork
     *("canopen", "h5py", "pydantic", "rich.progress", "scipy.linalg", "scipy.optimize", "scipy.signal", "yaml"),
     *("leactl.analysis.analyze", "leactl.cli.bench", "leactl.cli.protocol", "leactl.cli.runs"),
-    *("leactl.emulation.emulated_bench", "leactl.protocol.protocolfile", "leactl.runner.session"),
+    *("leactl.emulation.bench.emulated_bench", "leactl.protocol.protocolfile", "leactl.runner.session"),
 )
 AT_START = ("LANG", "LC_", "PYTHON", "TZ", "FORCE_COLOR")  # what an interpreter and its imports read of the environment
 MESSAGE = 1 << 20  # bytes, of arguments and environment

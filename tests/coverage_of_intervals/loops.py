@@ -24,8 +24,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes share the co
 from leactl.analysis.analyze import analyze_runs
 from leactl.analysis.estimate import Estimate
 from leactl.bench import benchfile
-from leactl.emulation import emulated_bench
-from leactl.emulation.rig import Rig
+from leactl.emulation.bench import emulated_bench
+from leactl.emulation.plant.exact.rig import Rig
 from leactl.runner.operators import granted
 from leactl.runner.request import prepare
 from leactl.runner.session import execute

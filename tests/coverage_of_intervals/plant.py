@@ -8,8 +8,8 @@ import numpy as np
 from scipy.signal import butter, csd, sosfilt, welch
 
 from leactl.bench import benchfile
-from leactl.emulation.parameters import ActuatorParameters, BenchParameters
-from leactl.emulation.rig import Rig
+from leactl.emulation.plant.exact.rig import Rig
+from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
 from tests.loops import StepFigures, current_bandwidth, figures
 
 DRAWN = (

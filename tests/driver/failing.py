@@ -8,7 +8,7 @@ from leactl_plugins.elmo_can.emulator import PRE_OPERATIONAL, STOPPED, ElmoEmula
 from leactl_plugins.scpi_supply.emulator import ScpiSupplyEmulator
 
 from leactl.driver.far_end import Frame
-from leactl.emulation.wires import CanWire
+from leactl.emulation.wires.buses import CanWire
 
 RATED_MA = 11186
 COUNTS = 40000

@@ -13,9 +13,9 @@ from pathlib import Path
 from leactl.bench.benchfile import CanBus
 from leactl.bench.wiring import MachineWiring
 from leactl.emulation.clock import EmulatedClock
-from leactl.emulation.serial_wire import SerialWire
-from leactl.emulation.serving import CanBridge, SerialBridge, StubChip, serve, stub_bus
-from leactl.emulation.wires import CanWire
+from leactl.emulation.wires.buses import CanWire
+from leactl.emulation.wires.serial import SerialWire
+from leactl.emulation.wires.serving import CanBridge, SerialBridge, StubChip, serve, stub_bus
 from tests.driver.failing import SUPPLY_ENDS, FailingConverter, FailingDrive
 
 CHIP = 0x48

@@ -6,7 +6,7 @@ from leactl.bench import benchfile
 from leactl.bench.bench import Bench
 from leactl.driver import conformance, registry
 from leactl.driver.contract import Driver, Identity
-from leactl.emulation.emulated_bench import EmulatedBench
+from leactl.emulation.bench.emulated_bench import EmulatedBench
 
 TOLD = {
     "elmo_can": Identity("Gold DC Whistle, hardware 1.0", "1", "Whistle 01.01.16.00 08Mar2018G"),

@@ -17,8 +17,8 @@ from leactl.bench.benchfile import CanBus, I2cBus, SerialBus
 from leactl.bench.wiring import MachineWiring
 from leactl.driver.clock import MonotonicClock
 from leactl.emulation.clock import EmulatedClock
-from leactl.emulation.serial_wire import EmulatedSerialLine, SerialWire
-from leactl.emulation.wires import CanWire, EmulatedCanBus, EmulatedI2cBus
+from leactl.emulation.wires.buses import CanWire, EmulatedCanBus, EmulatedI2cBus
+from leactl.emulation.wires.serial import EmulatedSerialLine, SerialWire
 from tests.driver.failing import SUPPLY_ENDS, FailingConverter, FailingDrive
 
 ROOT = Path(__file__).parents[2]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from leactl.emulation.parameters import ActuatorParameters
+from leactl.emulation.plant.parameters import ActuatorParameters
 
 Array = NDArray[np.float64]
 AT_REST = np.array([2.0 / 3.0, 1.0 / 6.0, 1.0 / 6.0])  # shares of the heat with phase a on the q axis

@@ -14,8 +14,8 @@ from leactl.emulation.blind import draws, programs
 from leactl.emulation.blind.draws import RUN_KINDS, STRENGTHS, draw_case, draw_effect
 from leactl.emulation.blind.key import read_key
 from leactl.emulation.blind.make import make
-from leactl.emulation.effects.contract import own_hooks
-from leactl.emulation.unlisted import unlisted_effects
+from leactl.emulation.plant.effects.contract import own_hooks
+from leactl.emulation.plant.effects_outside_library import unlisted_effects
 from leactl.errors import InputError
 from leactl.vocabulary.effect import effect_definition, effect_names, effects_on
 

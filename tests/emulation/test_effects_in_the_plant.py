@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leactl.emulation.effects import known_effects, make_effect
-from leactl.emulation.parameters import ActuatorParameters, BenchParameters
-from leactl.emulation.stepped import TICK, SteppedPlant
-from leactl.emulation.stepped_heating import heat
-from leactl.emulation.stepped_lanes import Lane
-from leactl.emulation.stepped_run import Signals
-from leactl.emulation.stepped_sensors import Sensors, Spread
+from leactl.emulation.plant.effects import known_effects, make_effect
+from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
+from leactl.emulation.plant.stepped.heating import heat
+from leactl.emulation.plant.stepped.lanes import Lane
+from leactl.emulation.plant.stepped.plant import TICK, SteppedPlant
+from leactl.emulation.plant.stepped.run import Signals
+from leactl.emulation.plant.stepped.sensors import Sensors, Spread
 from leactl.vocabulary.effect import effect_definition, effects_on
 
 LEA = ActuatorParameters()

@@ -13,10 +13,10 @@ import yaml
 
 from leactl.bench import benchfile
 from leactl.driver.i2c_port import swapped
-from leactl.emulation import emulated_bench
-from leactl.emulation.emulated_bench import EmulatedBench
+from leactl.emulation.bench import emulated_bench
+from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.emulation.faults import check_faults, known_faults
-from leactl.emulation.serving import CanBridge
+from leactl.emulation.wires.serving import CanBridge
 from leactl.errors import InputError
 from tests.cli.terminal import COMMAND, leactl
 from tests.driver.transports import ROOT

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leactl.emulation.parameters import ActuatorParameters, PhaseParameters, ThermalParameters
-from leactl.emulation.phase_lanes import PhaseLane, PhaseLanes
+from leactl.emulation.plant.parameters import ActuatorParameters, PhaseParameters, ThermalParameters
+from leactl.emulation.plant.phase_lanes import PhaseLane, PhaseLanes
 from leactl.errors import InputError
 from tests.emulation.five_nodes import EVEN, TWO_LEADS, integrated, settled
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leactl.emulation.parameters import ActuatorParameters, PhaseParameters, ThermalParameters
-from leactl.emulation.phases import PhaseNetwork, lead_squares, turning_squares
-from leactl.emulation.thermal import ThermalNetwork
+from leactl.emulation.plant.parameters import ActuatorParameters, PhaseParameters, ThermalParameters
+from leactl.emulation.plant.phases import PhaseNetwork, lead_squares, turning_squares
+from leactl.emulation.plant.thermal import ThermalNetwork
 from tests.emulation.five_nodes import AT_REST, EVEN, TWO_LEADS, capacitances, conductances, integrated, settled
 
 LEA = ActuatorParameters()

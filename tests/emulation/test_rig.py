@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from leactl.emulation.effects import known_effects, make_effect
-from leactl.emulation.parameters import ActuatorParameters, BenchParameters
-from leactl.emulation.rig import Rig
-from leactl.emulation.stepped_rig import SteppedRig
+from leactl.emulation.plant.effects import known_effects, make_effect
+from leactl.emulation.plant.exact.rig import Rig
+from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
+from leactl.emulation.plant.stepped.rig import SteppedRig
 from leactl.errors import InputError
 from tests.loops import current_step, position_step
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from leactl.bench import benchfile
-from leactl.emulation.effects import make_effect
-from leactl.emulation.emulated_bench import EmulatedBench
-from leactl.emulation.parameters import ActuatorParameters, BenchParameters, PhaseParameters, ThermalParameters
-from leactl.emulation.phase_lanes import PhaseLane, PhaseLanes
-from leactl.emulation.phases import lead_squares
-from leactl.emulation.rig import Rig
-from leactl.emulation.rig_phases import PARTS, HottestPhase
-from leactl.emulation.stepped_rig import SteppedRig
+from leactl.emulation.bench.emulated_bench import EmulatedBench
+from leactl.emulation.plant.effects import make_effect
+from leactl.emulation.plant.exact.rig import Rig
+from leactl.emulation.plant.exact.rig_phases import PARTS, HottestPhase
+from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters, PhaseParameters, ThermalParameters
+from leactl.emulation.plant.phase_lanes import PhaseLane, PhaseLanes
+from leactl.emulation.plant.phases import lead_squares
+from leactl.emulation.plant.stepped.rig import SteppedRig
 from leactl.errors import InputError
 from leactl.model.thermal_network import ACTIVE_SHARE
 from leactl.safety.thermal.turning import LED_LOOSE

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from leactl.emulation.clock import EmulatedClock
-from leactl.emulation.serial_wire import MOST_UNSENT, EmulatedSerialLine, SerialWire
+from leactl.emulation.wires.serial import MOST_UNSENT, EmulatedSerialLine, SerialWire
 
 BYTE_S = 10 / 9600
 

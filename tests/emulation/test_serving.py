@@ -13,10 +13,10 @@ import yaml
 from leactl.bench import benchfile
 from leactl.bench.benchfile import I2cBus
 from leactl.driver.far_end import I2cEmulator
+from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.emulation.clock import EmulatedClock
-from leactl.emulation.emulated_bench import EmulatedBench
-from leactl.emulation.serving import CanBridge, stub_bus, stub_chips
-from leactl.emulation.wires import CanWire, EmulatedI2cBus
+from leactl.emulation.wires.buses import CanWire, EmulatedI2cBus
+from leactl.emulation.wires.serving import CanBridge, stub_bus, stub_chips
 from leactl.errors import InputError
 from tests.cli.terminal import COMMAND
 from tests.driver.transports import CAN, I2C, can_place, i2c_place
@@ -129,7 +129,7 @@ def test_a_far_end_that_keeps_no_registers_is_not_put_behind_a_stub(monkeypatch)
     bench = EmulatedBench(file, devices, "free", "")
     bench.i2c_buses["i2c1"].devices[0x48] = Deaf()
     store = EmulatedI2cBus(EmulatedClock())
-    monkeypatch.setattr("leactl.emulation.serving.stub_bus", lambda number: store)
+    monkeypatch.setattr("leactl.emulation.wires.serving.stub_bus", lambda number: store)
     with pytest.raises(InputError, match="0x48 cannot stand behind i2c-stub"):
         stub_chips(file, bench)
     assert isinstance(file.buses["i2c1"], I2cBus)

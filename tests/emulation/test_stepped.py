@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leactl.emulation.effects import make_effect
-from leactl.emulation.parameters import ActuatorParameters, BenchParameters
-from leactl.emulation.rig import Rig
-from leactl.emulation.stepped import TICK, SteppedPlant
-from leactl.emulation.stepped_heating import heat
-from leactl.emulation.stepped_lanes import Lane
-from leactl.emulation.stepped_rig import SteppedRig
-from leactl.emulation.stepped_run import Program, simulate
+from leactl.emulation.plant.effects import make_effect
+from leactl.emulation.plant.exact.rig import Rig
+from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
+from leactl.emulation.plant.stepped.heating import heat
+from leactl.emulation.plant.stepped.lanes import Lane
+from leactl.emulation.plant.stepped.plant import TICK, SteppedPlant
+from leactl.emulation.plant.stepped.rig import SteppedRig
+from leactl.emulation.plant.stepped.run import Program, simulate
 from leactl.errors import InputError
 
 LEA = ActuatorParameters()

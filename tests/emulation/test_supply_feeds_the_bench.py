@@ -12,9 +12,9 @@ from leactl.bench import benchfile
 from leactl.bench.bench import Bench
 from leactl.driver.far_end import FailingSupply
 from leactl.driver.stopping import doubt, make_safe
-from leactl.emulation.emulated_bench import EmulatedBench
-from leactl.emulation.rig import Rig
-from leactl.emulation.stepped_rig import SteppedRig
+from leactl.emulation.bench.emulated_bench import EmulatedBench
+from leactl.emulation.plant.exact.rig import Rig
+from leactl.emulation.plant.stepped.rig import SteppedRig
 from leactl.errors import InputError
 from tests.cli.terminal import COMMAND, leactl
 

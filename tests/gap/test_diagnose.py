@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from leactl.emulation.blind.make import make
-from leactl.emulation.unlisted import unlisted_effects
+from leactl.emulation.plant.effects_outside_library import unlisted_effects
 from leactl.errors import InputError
 from leactl.gap.diagnose import Case, diagnose, read_case, split
 from leactl.gap.search.evidence import Evidence

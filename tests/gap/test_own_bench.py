@@ -6,7 +6,7 @@ import pytest
 
 from leactl import yamlfile
 from leactl.bench import benchfile
-from leactl.emulation.parameters import BenchParameters
+from leactl.emulation.plant.parameters import BenchParameters
 from leactl.model.motor import load_motor
 from leactl.model.nominal import Model
 from tests.cli.terminal import leactl

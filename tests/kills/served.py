@@ -8,8 +8,8 @@ import json
 import sys
 
 from leactl.bench import benchfile
-from leactl.emulation.emulated_bench import EmulatedBench
-from leactl.emulation.serving import bridged, serve
+from leactl.emulation.bench.emulated_bench import EmulatedBench
+from leactl.emulation.wires.serving import bridged, serve
 from leactl.runner.signals import listening
 
 FLOWING_A = 0.05

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.parameters import ActuatorParameters
+from leactl.emulation.plant.parameters import ActuatorParameters
 from leactl.model.motor import load_motor
 
 LEA = load_motor("lea")[0]

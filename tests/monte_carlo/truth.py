@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from leactl.emulation.phase_lanes import PhaseLane, PhaseLanes
+from leactl.emulation.plant.phase_lanes import PhaseLane, PhaseLanes
 from leactl.safety.thermal.box import Array
 from tests.monte_carlo.plants import ROLES, Truth
 from tests.monte_carlo.rotors import TICK_S

@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from leactl.bench import benchfile
-from leactl.emulation.witness import witnessed
+from leactl.emulation.bench.emulated_bench import observed
 from leactl.runfile.integrity import verify
 from leactl.runfile.reader import Run
 from leactl.runner import windings
@@ -64,7 +64,7 @@ def trial(draw: np.random.Generator, number: int, guard_of: MakeGuard) -> dict[s
             str(place / "trial.yaml"), str(place / "bench.yaml"), [f"seed={number}"], "", "", "", place, realtime=False
         )
         plant = Plant()
-        with witnessed(plant.see):
+        with observed(plant.see):
             outcome = execute(request, granted, lambda _progress: nullcontext())
         time = plant.bench.time
         time.sleep_until(time.now() + AFTER_S)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from leactl.analysis.analyze import analyze_runs
 from leactl.analysis.analyze import names as experiments
 from leactl.analysis.estimate import Band, Estimate, Grid, Plot, Result, Series
-from leactl.analysis.registry import SHIPPED
+from leactl.analysis.registry import shipped
 from leactl.errors import InputError
 from leactl.report.datasheet.figures import heading, pretty
 from leactl.report.datasheet.make import Wanted, make, refuse_shared
@@ -191,7 +191,7 @@ def test_an_experiment_is_taken_by_what_its_result_says(tmp_path, monkeypatch):
     (tmp_path / "plugged").mkdir()
     (tmp_path / "plugged" / "shakes.py").write_text(NOVEL)
     monkeypatch.syspath_prepend(tmp_path / "plugged")
-    monkeypatch.setitem(SHIPPED, "shakes", "shakes")
+    monkeypatch.setitem(shipped(), "shakes", "shakes")
     path = Bench(tmp_path).torque(protocol="name: x\nanalysis: shakes\n")
     refuse_untaken({"gain": 2.0})
     root = tree(of(path, options={"gain": 2.0}), tmp_path / "out.html")

@@ -4,7 +4,7 @@ from contextlib import nullcontext
 
 import pytest
 
-from leactl.emulation import emulated_bench
+from leactl.emulation.bench import emulated_bench
 from leactl.runner.operators import granted
 from leactl.runner.request import prepare
 from leactl.runner.session import execute

@@ -1,6 +1,6 @@
 """What a cycle reads most keeps few attributes: with more, Python 3.11 to 3.13 keep them in a dictionary."""
 
-from leactl.emulation.emulated_bench import EmulatedBench
+from leactl.emulation.bench.emulated_bench import EmulatedBench
 from tests.benchmarks.test_control_cycle import prepared, request_in
 
 MOST = 29  # that an object holds without one (CPython, SHARED_KEYS_MAX_SIZE less one)

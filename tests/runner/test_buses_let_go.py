@@ -5,7 +5,7 @@ from contextlib import nullcontext
 import pytest
 from leactl_plugins.ads1115.driver import Ads1115
 
-from leactl.emulation import emulated_bench
+from leactl.emulation.bench import emulated_bench
 from leactl.runner import session
 from leactl.runner.operators import granted
 from leactl.runner.request import prepare

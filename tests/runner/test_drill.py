@@ -10,8 +10,8 @@ from leactl_plugins.elmo_can.driver import ElmoCan
 
 from leactl.bench import benchfile
 from leactl.driver.contract import Confirmation
+from leactl.emulation.bench.emulated_bench import observed
 from leactl.emulation.faults import known_faults
-from leactl.emulation.witness import witnessed
 from leactl.errors import InputError, Stopped
 from leactl.runfile.integrity import verify
 from leactl.runner.drill import real
@@ -198,7 +198,7 @@ def test_a_sensor_that_a_person_unplugs_must_trip_and_leaves_the_bench_latched(t
         bench.i2c_buses["i2c1"].silent.append(bench.far_ends["torque_sensor"])
 
     person = Person(lambda _text: True, unplug, True)
-    with witnessed(seen.append):
+    with observed(seen.append):
         drilled = RealDrill("emulated", [real.UNPLUGGED], tmp_path, person).run()
     (finding,) = drilled.findings
     assert (finding.status, finding.faults) == ("failed", [])

@@ -10,7 +10,7 @@ import pytest
 from leactl_plugins.ads1115.driver import Ads1115
 from leactl_plugins.elmo_can.driver import ElmoCan
 
-from leactl.emulation.wires import EmulatedI2cBus
+from leactl.emulation.wires.buses import EmulatedI2cBus
 from leactl.errors import DeviceError, InputError, SafetyTrip
 from leactl.runfile import writer
 from leactl.runfile.writer import RecordingFailed

@@ -233,7 +233,7 @@ def test_a_slow_disk_holds_up_no_cycle_and_loses_nothing(rehearse):
 
 def test_every_write_of_the_run_file_waits_for_a_slow_disk(rehearse, monkeypatch):
     waited = []
-    monkeypatch.setattr("leactl.emulation.emulated_bench.time.sleep", waited.append)
+    monkeypatch.setattr("leactl.emulation.bench.emulated_bench.time.sleep", waited.append)
     assert rehearse(SLOW)[0].status == "complete"
     assert waited.count(0.4) == len(waited) >= 2  # the first flush and the last
 

@@ -10,7 +10,7 @@ import yaml
 from leactl_plugins.bk1688b.driver import Bk1688b
 
 from leactl.bench import benchfile
-from leactl.emulation.witness import witnessed
+from leactl.emulation.bench.emulated_bench import observed
 from leactl.runner.drill.plant import Plant
 
 FACTORS = (2 / 3, math.sqrt(1.5), math.sqrt(2.0), 1.5, math.sqrt(3.0))  # true current over its reading
@@ -51,7 +51,7 @@ def misread(spin, tmp_path):
         path = tmp_path / "misread.yaml"
         path.write_text(yaml.safe_dump(bench))
         plant = Plant()
-        with witnessed(plant.see):
+        with observed(plant.see):
             outcome, _bench = spin(text, bench=str(path), condition="", **options)
         return outcome, max(plant.bench.rig.hottest_phase(role).highest for role in ("test", "load"))
 

@@ -226,7 +226,7 @@ def test_an_angle_is_reached_by_a_ramp_and_never_by_a_leap(spin):
 
 
 def test_a_slow_disk_before_the_loop_begins_ages_nothing(spin, monkeypatch):
-    from leactl.emulation.emulated_bench import EmulatedBench
+    from leactl.emulation.bench.emulated_bench import EmulatedBench
     from leactl.runner import session
 
     clocks, wired, made = [], session._wiring, session.RunWriter

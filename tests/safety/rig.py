@@ -6,7 +6,7 @@ from leactl_plugins.ads1115.settings import Ads1115Settings
 from leactl import yamlfile
 from leactl.driver.contract import Mode
 from leactl.driver.i2c_port import I2cPort
-from leactl.emulation.wires import EmulatedI2cBus
+from leactl.emulation.wires.buses import EmulatedI2cBus
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.limits import Limits
 from leactl.safety.supervisor import Axis, Supervisor

@@ -18,7 +18,7 @@ from leactl.bench.benchfile import load
 from leactl.driver.contract import Mode, Row
 from leactl.driver.far_end import Frame
 from leactl.emulation.clock import EmulatedClock
-from leactl.emulation.wires import CanWire, EmulatedCanBus
+from leactl.emulation.wires.buses import CanWire, EmulatedCanBus
 from leactl.errors import DeviceError, InputError, SafetyTrip
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.supervisor import Axis, Supervisor

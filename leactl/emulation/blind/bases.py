@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leactl.emulation.parameters import ActuatorParameters, BenchParameters, ThermalParameters
+from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters, ThermalParameters
 
 Generator = np.random.Generator
 NOMINAL = ActuatorParameters()

@@ -12,13 +12,13 @@ import numpy as np
 from leactl import yamlfile
 from leactl.emulation.blind.bases import Base, draw_base
 from leactl.emulation.blind.programs import DRAWN, RUN_KINDS, SETUPS, heating
-from leactl.emulation.effects import make_effect
-from leactl.emulation.effects.contract import Effect
-from leactl.emulation.stepped_lanes import Array, Lane
-from leactl.emulation.stepped_run import Program
-from leactl.emulation.stepped_sensors import Spread
-from leactl.emulation.unlisted import unlisted_effects
-from leactl.emulation.unlisted.drawn import Unlisted
+from leactl.emulation.plant.effects import make_effect
+from leactl.emulation.plant.effects.contract import Effect
+from leactl.emulation.plant.effects_outside_library import unlisted_effects
+from leactl.emulation.plant.effects_outside_library.drawn import Unlisted
+from leactl.emulation.plant.stepped.lanes import Array, Lane
+from leactl.emulation.plant.stepped.run import Program
+from leactl.emulation.plant.stepped.sensors import Spread
 from leactl.vocabulary.effect import effect_definition, effects_on
 
 Generator = np.random.Generator

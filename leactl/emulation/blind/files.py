@@ -9,10 +9,10 @@ import numpy as np
 from leactl import __version__
 from leactl.emulation.blind.bases import nominal_text
 from leactl.emulation.blind.draws import Case, RunDraw
-from leactl.emulation.stepped_heating import Heated
-from leactl.emulation.stepped_lanes import Array
-from leactl.emulation.stepped_run import Program, Signals
-from leactl.emulation.stepped_sensors import Sensors
+from leactl.emulation.plant.stepped.heating import Heated
+from leactl.emulation.plant.stepped.lanes import Array
+from leactl.emulation.plant.stepped.run import Program, Signals
+from leactl.emulation.plant.stepped.sensors import Sensors
 from leactl.quantities import ChannelSpec
 from leactl.runfile.writer import RunInfo, RunWriter
 

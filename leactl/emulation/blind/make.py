@@ -12,9 +12,9 @@ from leactl.emulation.blind.draws import STRENGTHS, Case, draw_case, usual_effec
 from leactl.emulation.blind.files import entry, write_heated, write_model, write_moving
 from leactl.emulation.blind.key import write_key
 from leactl.emulation.blind.plans import KINDS, counts, faults_of, in_turn
-from leactl.emulation.stepped_heating import heat
-from leactl.emulation.stepped_run import Program, simulate
-from leactl.emulation.unlisted import unlisted_effects
+from leactl.emulation.plant.effects_outside_library import unlisted_effects
+from leactl.emulation.plant.stepped.heating import heat
+from leactl.emulation.plant.stepped.run import Program, simulate
 from leactl.errors import InputError
 from leactl.vocabulary.effect import effects_on
 

@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from leactl.emulation.stepped import TICK
-from leactl.emulation.stepped_lanes import Array
-from leactl.emulation.stepped_run import Program
+from leactl.emulation.plant.stepped.lanes import Array
+from leactl.emulation.plant.stepped.plant import TICK
+from leactl.emulation.plant.stepped.run import Program
 
 MOVING = ("locked_staircase", "coupled_grid", "free_multisine", "free_velocity")
 RUN_KINDS = (*MOVING, "heating")

@@ -1,13 +1,9 @@
 """A CAN controller that has left the bus."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from leactl.bench.benchfile import BenchFile
-from leactl.emulation.faults.contract import Draw, Drill, OfBus, Undo
-
-if TYPE_CHECKING:
-    from leactl.emulation.emulated_bench import EmulatedBench
+from leactl.emulation.faults.contract import Draw, Drill, FaultTarget, OfBus, Undo
 
 
 class BusOff(OfBus):
@@ -20,7 +16,7 @@ class BusOff(OfBus):
         """Off."""
         return (Drill({}, 0.05, "the bus itself"),)
 
-    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+    def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
         """Take the host's connections off the segment."""
         wire = bench.wires[self.bus]
         wire.off = True

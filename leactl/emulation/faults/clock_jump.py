@@ -1,15 +1,12 @@
 """A host whose clock jumps."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from pydantic import Field
 
 from leactl.bench.benchfile import BenchFile
-from leactl.emulation.faults.contract import Draw, Drill, Fault, Undo
-
-if TYPE_CHECKING:
-    from leactl.emulation.emulated_bench import EmulatedBench
+from leactl.emulation.faults.contract import Draw, Drill, Fault, FaultTarget, Undo
 
 
 class ClockJump(Fault):
@@ -27,7 +24,7 @@ class ClockJump(Fault):
         """Forward by a second, and back by a second and by little."""
         return tuple(Drill({"jump_s": jump}, 0.05, "clock, or a heartbeat's age") for jump in (1.0, -1.0, -0.05))
 
-    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+    def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
         """Move what the host's clock shows."""
         bench.host_clock.ahead += self.jump_s
         return lambda: None

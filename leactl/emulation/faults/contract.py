@@ -3,7 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 from pydantic import Field
@@ -11,19 +11,32 @@ from pydantic import Field
 from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice
 from leactl.driver import registry
 from leactl.driver.far_end import Breakable, CanEmulator, FailingSupply, Frame
-from leactl.emulation.parameters import BenchParameters
-from leactl.emulation.signals import STILL, Signals
+from leactl.emulation.clock import EmulatedClock, HostClock
+from leactl.emulation.faults.device_readings import STILL, Signals
+from leactl.emulation.plant.parameters import BenchParameters
+from leactl.emulation.wires.buses import CanWire, EmulatedI2cBus
 from leactl.errors import InputError
 from leactl.yamlblock import Block
-
-if TYPE_CHECKING:
-    from leactl.emulation.emulated_bench import EmulatedBench
 
 Positive = Annotated[float, Field(strict=True, gt=0, le=1e6, allow_inf_nan=False)]
 Share = Annotated[float, Field(strict=True, gt=0, le=1)]
 Direction = Literal["both", "to_devices", "to_host"]
 Undo = Callable[[], None]
 Draw = np.random.Generator
+
+
+class FaultTarget(Protocol):
+    """What of an emulated bench faults reach."""
+
+    time: EmulatedClock
+    host_clock: HostClock
+    disk_delay_s: float
+    rig: Any
+    wires: dict[str, CanWire]
+    i2c_buses: dict[str, EmulatedI2cBus]
+    bus_of: dict[str, str]
+    far_ends: dict[str, Any]
+    signals: dict[str, Signals]
 
 
 class Standing(NamedTuple):
@@ -91,7 +104,7 @@ class Fault(Block, ABC):
         return {}
 
     @abstractmethod
-    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+    def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
         """Let it happen; what is returned ends it."""
 
 
@@ -123,7 +136,7 @@ class OfFrames(OfBus):
     share: Share = Field(1.0, description="share of the frames that it happens to, each by chance")
     direction: Direction = Field("both", description="both, to_devices or to_host")
 
-    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+    def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
         """Stand in the way of every frame."""
         spared = {"both": None, "to_devices": False, "to_host": True}[self.direction]  # whether it comes from a host
 
@@ -182,7 +195,7 @@ class OfPowerSupply(OfDevice, LastingFault):
         fails = isinstance(far_end, FailingSupply)
         return {} if fails else {"device": f"'{self.device}' is no power supply that can fail so"}
 
-    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+    def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
         """Let the supply fail, until it is whole again."""
         supply: FailingSupply = bench.far_ends[self.device]
         self.strike(supply)
@@ -202,7 +215,7 @@ class OfSensor(OfDevice, LastingFault):
         """A quantity that the device does not read."""
         return self.unread(self.quantity, quantities)
 
-    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+    def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
         """Stand between the physics and the device."""
         return bench.signals[self.device].change(self.quantity, self.reads(draw))
 
@@ -227,7 +240,7 @@ class OfSupply(LastingFault):
     def misfit_of(self, usual: float) -> str:
         """The side of the bench's voltage that was expected, where this one is not there."""
 
-    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+    def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
         """Put the voltage there."""
         usual = bench.rig.bench.bus_voltage
         bench.rig.supply(self.bus_voltage_V)

@@ -1,15 +1,12 @@
 """A sensor whose cable, or whose converter, is off."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import Field
 
 from leactl.bench.benchfile import BenchFile, I2cBus
-from leactl.emulation.faults.contract import Draw, Drill, LastingFault, OfDevice, Standing, Undo
-
-if TYPE_CHECKING:
-    from leactl.emulation.emulated_bench import EmulatedBench
+from leactl.emulation.faults.contract import Draw, Drill, FaultTarget, LastingFault, OfDevice, Standing, Undo
 
 
 class DisconnectedSensor(OfDevice, LastingFault):
@@ -38,7 +35,7 @@ class DisconnectedSensor(OfDevice, LastingFault):
             return {} if isinstance(bus, I2cBus) else {"device": text}
         return self.unread(self.quantity, quantities)
 
-    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+    def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
         """Pull the plug."""
         if self.quantity is not None:
             return bench.signals[self.device].change(self.quantity, lambda _value: 0.0)

@@ -1,15 +1,12 @@
 """A drive that fails and says so."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
 from leactl.bench.benchfile import BenchFile
-from leactl.emulation.faults.contract import Draw, Drill, OfDrive, Undo
-
-if TYPE_CHECKING:
-    from leactl.emulation.emulated_bench import EmulatedBench
+from leactl.emulation.faults.contract import Draw, Drill, FaultTarget, OfDrive, Undo
 
 
 def _hexadecimal(value: Any) -> Any:
@@ -36,7 +33,7 @@ class DriveFault(OfDrive):
         """A short circuit."""
         return (Drill({"code": 0x2340}, 0.05, "the drive's emergency message"),)
 
-    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+    def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
         """Fail."""
         bench.far_ends[self.device].fault(self.code)
         return lambda: None

@@ -1,13 +1,9 @@
 """A drive whose firmware hangs."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from leactl.bench.benchfile import BenchFile
-from leactl.emulation.faults.contract import Draw, Drill, LastingFault, OfDrive, Undo
-
-if TYPE_CHECKING:
-    from leactl.emulation.emulated_bench import EmulatedBench
+from leactl.emulation.faults.contract import Draw, Drill, FaultTarget, LastingFault, OfDrive, Undo
 
 
 class FrozenDrive(OfDrive, LastingFault):
@@ -20,7 +16,7 @@ class FrozenDrive(OfDrive, LastingFault):
         """Each drive."""
         return (Drill({}, 0.1, "cyclic_age_s", stays_on=True),)
 
-    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+    def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
         """Freeze it."""
         far_end = bench.far_ends[self.device]
         far_end.freeze(True)

@@ -1,16 +1,13 @@
 """A drive that shows no sign of life and goes on."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import Field
 
 from leactl.bench.benchfile import BenchFile, CanBus
 from leactl.driver.far_end import CanEmulator, Frame
-from leactl.emulation.faults.contract import Draw, Drill, LastingFault, OfDevice, Standing, Undo
-
-if TYPE_CHECKING:
-    from leactl.emulation.emulated_bench import EmulatedBench
+from leactl.emulation.faults.contract import Draw, Drill, FaultTarget, LastingFault, OfDevice, Standing, Undo
 
 ERROR_CONTROL, FUNCTION = 0x700, 0x780  # CiA 301: the function code of the heartbeat is 1110b
 
@@ -32,7 +29,7 @@ class HeartbeatLoss(OfDevice, LastingFault):
         bus = standing.file.buses.get(standing.devices[self.device].entry.bus or "")
         return {} if isinstance(bus, CanBus) else {"device": f"'{self.device}' is not on a CAN bus"}
 
-    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+    def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
         """Take its frames off the wire."""
         own = bench.far_ends[self.device]
 

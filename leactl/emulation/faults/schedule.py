@@ -3,20 +3,16 @@
 import heapq
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from leactl.emulation.faults.contract import Fault
-
-if TYPE_CHECKING:
-    from leactl.emulation.emulated_bench import EmulatedBench
+from leactl.emulation.faults.contract import Fault, FaultTarget
 
 
 class Schedule:
     """The faults of one bench, each with random numbers of its own, so that one more changes nothing of the others."""
 
-    def __init__(self, bench: "EmulatedBench", faults: Sequence[Fault], seed: int) -> None:
+    def __init__(self, bench: FaultTarget, faults: Sequence[Fault], seed: int) -> None:
         self._coming: list[tuple[float, int, Callable[[], None]]] = []
         self._count = 0
         for index, fault in enumerate(faults):
@@ -25,7 +21,7 @@ class Schedule:
         bench.time.follow(self._pass_time)
         bench.time.stop_at(lambda: self._coming[0][0] if self._coming else math.inf)
 
-    def _beginning(self, bench: "EmulatedBench", fault: Fault, draw: np.random.Generator) -> Callable[[], None]:
+    def _beginning(self, bench: FaultTarget, fault: Fault, draw: np.random.Generator) -> Callable[[], None]:
         def begin() -> None:
             end = fault.begin(bench, draw)
             if fault.ends_s < math.inf:

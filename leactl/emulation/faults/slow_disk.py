@@ -1,13 +1,8 @@
 """A disk that takes its time."""
 
-from typing import TYPE_CHECKING
-
 from pydantic import Field
 
-from leactl.emulation.faults.contract import Draw, LastingFault, Positive, Undo
-
-if TYPE_CHECKING:
-    from leactl.emulation.emulated_bench import EmulatedBench
+from leactl.emulation.faults.contract import Draw, FaultTarget, LastingFault, Positive, Undo
 
 
 class SlowDisk(LastingFault):
@@ -19,7 +14,7 @@ class SlowDisk(LastingFault):
 
     delay_s: Positive = Field(description="how long a write waits before it begins, in seconds of the wall clock")
 
-    def begin(self, bench: "EmulatedBench", draw: Draw) -> Undo:
+    def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
         """Delay what is written from now on."""
         bench.disk_delay_s += self.delay_s
 

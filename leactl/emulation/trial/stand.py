@@ -10,9 +10,9 @@ from leactl.driver.contract import Driver, MotionDevice
 from leactl.driver.i2c_port import I2cPort
 from leactl.driver.serial_port import SerialPort
 from leactl.emulation.clock import EmulatedClock
-from leactl.emulation.serial_wire import EmulatedSerialLine, SerialWire
 from leactl.emulation.trial.known import KnownBench, KnownMachine
-from leactl.emulation.wires import CanWire, EmulatedCanBus, EmulatedI2cBus
+from leactl.emulation.wires.buses import CanWire, EmulatedCanBus, EmulatedI2cBus
+from leactl.emulation.wires.serial import EmulatedSerialLine, SerialWire
 
 BYTE_S = 11 / 9600  # of a serial line with two stop bits
 PERIOD_S, ANSWER_S = 0.01, 0.006

@@ -20,9 +20,10 @@ from leactl.gap.search.evidence import ORDERS_TRIED, Evidence, forms_here
 from leactl.gap.search.orders import strongest
 from leactl.gap.search.parameters import calibrated, effect_parameters, with_calibration, with_effects
 from leactl.gap.search.regression import Candidate
-from leactl.gap.search.sets import best_of_each, refine
+from leactl.gap.search.sets import BEYOND, best_of_each, member, refine
 from leactl.gap.verdict.shrinkage import shrinkage
 from leactl.model.nominal import Model, as_mapping
+from leactl.vocabulary.effect import effect_definition
 
 UNKNOWN = "unknown"
 BENCH = "emulated bench"  # what every case was of before machines were drawn
@@ -123,7 +124,7 @@ def oracle(case: Case, effects: Sequence[str]) -> tuple[Model, Model]:
 
 
 def true_set(evidence: Evidence, effects: Sequence[str]) -> list[Candidate]:
-    """The best form of each effect with the others there; one that no run shows is left out."""
+    """The best form of each effect with the others there; one that no run shows, in a size that is met, is left out."""
     hypothesis: list[Candidate] = []
     # orders are looked for in what the others leave over, then each is tried again beside all others
     for name in (*sorted(effects, key=lambda name: bool(library()[name].periodic)), *effects):
@@ -134,4 +135,14 @@ def true_set(evidence: Evidence, effects: Sequence[str]) -> list[Candidate]:
             evidence.add([one for one in orders if one[0] == name])
         found = best_of_each(evidence, evidence.normal(), others)
         hypothesis = [*others, *(one.candidate for one in found if one.effect == name)]
-    return refine(evidence, hypothesis)
+    hypothesis = refine(evidence, hypothesis)
+    evidence.settle(hypothesis)
+    normal = evidence.normal()
+    members = [member(evidence, normal, hypothesis, index) for index in range(len(hypothesis))]
+    # a form that fades away before the slowest row leaves a column of next to nothing, and any coefficient to it
+    return [one.candidate for one in members if one is not None and one.size <= most(one.effect)]
+
+
+def most(effect: str) -> float:
+    """The largest size in which an effect is met."""
+    return BEYOND * effect_definition(effect).largest

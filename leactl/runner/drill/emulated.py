@@ -17,8 +17,8 @@ import yaml
 from leactl.bench import benchfile
 from leactl.bench.benchfile import BenchFile, CheckedDevice
 from leactl.driver import registry
+from leactl.emulation.bench.emulated_bench import observed
 from leactl.emulation.faults.drilling import Rehearsal, rehearsals
-from leactl.emulation.witness import witnessed
 from leactl.errors import InputError, Stopped
 from leactl.protocol import by_hand
 from leactl.runfile.integrity import verify
@@ -185,7 +185,7 @@ class EmulatedDrill:
             plant.cycle = plant.bench.time.now()
             return STOPPED if stop_at is not None and plant.cycle >= stop_at else ""
 
-        with _own_state(), witnessed(plant.see):
+        with _own_state(), observed(plant.see):
             outcome = execute(request, granted, begin, [each_cycle])
         if isinstance(outcome.error, Stopped) and outcome.reason != STOPPED:
             raise outcome.error

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from leactl.emulation.emulated_bench import EmulatedBench
+    from leactl.emulation.bench.emulated_bench import EmulatedBench
 
 
 class Plant:

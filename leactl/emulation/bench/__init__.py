@@ -1,0 +1,1 @@
+"""An emulated bench behind a bench file."""

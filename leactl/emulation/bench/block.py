@@ -1,0 +1,94 @@
+"""The `emulated:` block of a bench file: what it makes, and every fault in it with its place.
+
+The check makes what a run makes, so that neither takes what the other refuses.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields
+from functools import partial
+from typing import Any
+
+from leactl.bench.benchfile import BenchFile, CheckedDevice
+from leactl.emulation.faults import check_faults
+from leactl.emulation.plant.effects import make_effect
+from leactl.emulation.plant.effects.contract import Effect
+from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
+from leactl.errors import InputError
+from leactl.model.motor import load_motor
+from leactl.yamlfile import Document, Location
+
+
+def actuator_of(file: BenchFile, role: str, changes: Mapping[str, Any]) -> ActuatorParameters:
+    """The parameters of an emulated actuator: its motor's, and the bench file's own over them.
+
+    Raises
+    ------
+    InputError : a parameter that is not known or out of its range.
+    """
+    name = file.motors.get("test" if role == "test" else "load", file.motors["test"])
+    motor, _document = load_motor(name)
+    whole = motor.model_dump(include={item.name for item in fields(ActuatorParameters)})
+    thermal = changes.get("thermal", {})
+    if not isinstance(thermal, Mapping):
+        raise InputError(f"thermal: found {thermal!r}, expected parameters by name")
+    return ActuatorParameters.from_mapping(whole | dict(changes) | {"thermal": whole["thermal"] | dict(thermal)})
+
+
+def effect_of(entry: Mapping[str, Any]) -> Effect:
+    """An effect of the bench file; what a model file says, `{effect: id, parameters: {...}}`, is understood too.
+
+    Raises
+    ------
+    InputError : an effect or a parameter that is not known, or a value out of its range.
+    """
+    if "effect" not in entry:
+        return make_effect(str(entry.get("name")), {key: value for key, value in entry.items() if key != "name"})
+    unknown = [key for key in entry if key not in ("effect", "parameters")]
+    if unknown:
+        raise InputError(f"{unknown[0]}: unknown key; effect and parameters were expected")
+    parameters = entry.get("parameters") or {}
+    if not isinstance(parameters, Mapping):
+        raise InputError(f"parameters: found {parameters!r}, expected values by name")
+    return make_effect(str(entry["effect"]), parameters)
+
+
+def check_emulated(file: BenchFile, devices: Sequence[CheckedDevice], document: Document) -> None:
+    """Refuse what no emulated bench can be made of, in any of its conditions.
+
+    Raises
+    ------
+    InputError : one line a fault, with file, line and column.
+    """
+    if file.emulated is None:
+        return
+    lines = list(_faults(file, document))
+    try:
+        check_faults(file, devices, document)
+    except InputError as error:
+        lines += error.faults
+    if lines:
+        raise InputError(lines)
+
+
+def _faults(file: BenchFile, document: Document) -> Iterator[str]:
+    emulated = file.emulated
+    assert emulated is not None
+    for role, changes in (("test", emulated.test), ("load", emulated.load)):
+        yield from _refused(document, ("emulated", role), partial(actuator_of, file, role, changes))
+    for label, changes in emulated.conditions.items():
+        yield from _refused(document, ("emulated", "conditions", label), partial(actuator_of, file, "test", changes))
+    yield from _refused(document, ("emulated", "bench"), partial(BenchParameters.from_mapping, emulated.bench))
+    for index, entry in enumerate(emulated.effects):
+        yield from _refused(document, ("emulated", "effects", index), partial(effect_of, entry))
+
+
+def _refused(document: Document, place: Location, make: Callable[[], object]) -> Iterator[str]:
+    """What refuses to be made, at the key that each line names first."""
+    try:
+        make()
+    except InputError as error:
+        for text in error.faults:
+            name, colon, message = text.partition(": ")
+            path = (*place, *name.split("."))
+            known = bool(colon) and path[: len(place) + 1] in document.places
+            yield document.fault(path, message) if known else document.fault(place, text)

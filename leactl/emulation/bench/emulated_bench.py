@@ -1,0 +1,253 @@
+"""An emulated bench behind a bench file: the plant, the devices' far ends, and a wiring that leads to them."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import can
+import numpy as np
+
+from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus, SerialBus
+from leactl.driver import registry
+from leactl.driver.far_end import BuslessEmulator, Numbered, Physics, SupplyLoad
+from leactl.driver.i2c_port import SmBus
+from leactl.driver.serial_port import SerialLine
+from leactl.emulation.bench.block import actuator_of, effect_of
+from leactl.emulation.clock import EmulatedClock, HostClock
+from leactl.emulation.faults import make_fault
+from leactl.emulation.faults.device_readings import Signals
+from leactl.emulation.faults.schedule import Schedule
+from leactl.emulation.plant.effects.contract import RIG_HOOKS, own_hooks
+from leactl.emulation.plant.exact.rig import Actuator, Rig
+from leactl.emulation.plant.exact.rig_phases import PARTS
+from leactl.emulation.plant.noise import Noise
+from leactl.emulation.plant.parameters import BenchParameters
+from leactl.emulation.plant.stepped.rig import SteppedActuator, SteppedRig
+from leactl.emulation.plant.supply_loads import DcLink, HeatedLeads
+from leactl.emulation.plant.terminals import MotorTerminals
+from leactl.emulation.wires.buses import CanWire, EmulatedCanBus, EmulatedI2cBus
+from leactl.emulation.wires.serial import EmulatedSerialLine, SerialWire
+from leactl.errors import InputError
+
+TEMPERATURES = ("winding_temperature", "housing_temperature", "ambient_temperature")
+
+
+_observers: "list[Callable[[EmulatedBench], None]]" = []
+
+
+@contextmanager
+def observed(see: "Callable[[EmulatedBench], None]") -> Iterator[None]:
+    """Have this function see every emulated bench that the process makes until the block is left.
+
+    A rehearsal judges by the plant, and not by what devices say, whether a drive that was confirmed safe is.
+    """
+    _observers.append(see)
+    try:
+        yield
+    finally:
+        _observers.remove(see)
+
+
+class EmulatedMachine:
+    """An actuator of the rig as its drive's sensors report it, noise included."""
+
+    def __init__(
+        self,
+        actuator: Actuator | SteppedActuator,
+        rig: Rig | SteppedRig,
+        noise: Noise,
+        current_noise: float,
+        velocity_noise: float,
+    ) -> None:
+        self._actuator, self._rig, self._noise = actuator, rig, noise
+        self._current_noise, self._velocity_noise = current_noise, velocity_noise
+        self.command = actuator.command
+
+    def read(self) -> tuple[float, float, float]:
+        """Current [A], velocity [rad/s] and angle [rad] now."""
+        actuator, noise = self._actuator, self._noise
+        current = actuator.current + self._current_noise * noise()
+        return current, actuator.velocity + self._velocity_noise * noise(), actuator.angle
+
+    @property
+    def voltage(self) -> float:
+        """q-axis voltage [V]."""
+        return self._actuator.voltage
+
+    @property
+    def bus_voltage(self) -> float:
+        """DC link voltage [V]."""
+        return self._rig.bus_voltage
+
+
+class EmulatedBench:
+    """Physics of a bench file in one set-up and condition, and the wiring that reaches it in lock-step."""
+
+    def __init__(
+        self,
+        file: BenchFile,
+        devices: Sequence[CheckedDevice],
+        setup: str,
+        condition: str,
+        seed: int | None = None,
+        realtime: bool = False,
+    ) -> None:
+        emulated = file.emulated
+        if emulated is None:
+            raise InputError(f"bench '{file.name}' is a real bench; it has no `emulated:` block")
+        emulated.expect(condition)
+        made = [make_fault(entry) for entry in emulated.faults]
+        placed = [device.name for device in devices]  # what this run leaves alone cannot fail
+        faults = [fault for fault in made if getattr(fault, "device", None) in (None, *placed)]
+        self.time = EmulatedClock(realtime)
+        self.host_clock = HostClock(self.time)
+        self.clock = self.host_clock if faults else self.time
+        self.disk_delay_s = 0.0
+        self.not_served = [f"fault {f.fault}: nothing happens, {f.where_served}" for f in faults if f.where_served]
+        under = emulated.conditions.get(condition, {})
+        number = emulated.seed if seed is None else seed
+        test = actuator_of(file, "test", under | emulated.test)
+        load = actuator_of(file, "load", under | emulated.load)
+        effects = [effect_of(entry) for entry in emulated.effects]
+        bench = BenchParameters.from_mapping(emulated.bench)
+        expressible = all(set(own_hooks(effect)) <= set(RIG_HOOKS) for effect in effects)
+        self.rig: Rig | SteppedRig = (
+            Rig(setup, test, load, bench, number, effects)
+            if expressible
+            else SteppedRig(setup, test, load, bench, effects)
+        )
+        self.time.follow(self.rig.advance)
+        self._file, self._settings, self._number = file, emulated, number
+        self._streams_of_noise = 1
+        self.machines = {role: self._machine(role) for role in ("test", "load")}
+        self.wires = {name: CanWire(self.time) for name, bus in file.buses.items() if isinstance(bus, CanBus)}
+        self.i2c_buses = {
+            name: EmulatedI2cBus(self.time) for name, bus in file.buses.items() if isinstance(bus, I2cBus)
+        }
+        self.bus_of = {device.name: device.entry.bus or "" for device in devices}
+        self.serial_wires = {
+            name: SerialWire(self.time, bus.byte_s) for name, bus in file.buses.items() if isinstance(bus, SerialBus)
+        }
+        self.far_ends: dict[str, Any] = {}
+        self.signals: dict[str, Signals] = {}
+        for device in devices:
+            self._place(device, bool(faults))
+        Schedule(self, faults, number)
+        for see in _observers:
+            see(self)
+
+    def can(self, name: str, bus: CanBus) -> Callable[[], can.BusABC]:
+        """How to connect to an emulated CAN bus."""
+        return lambda: EmulatedCanBus(self.wires[name])
+
+    def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
+        """How to connect to an emulated I2C bus."""
+        return lambda: self.i2c_buses[name]
+
+    def library(self, device: str) -> Any:
+        """The far end of a device without a bus, in place of its maker's library."""
+        return self.far_ends[device]
+
+    def wait_for_disk(self) -> None:
+        """Wait for as long as a slow disk takes, by the wall clock."""
+        if self.disk_delay_s:
+            time.sleep(self.disk_delay_s)
+
+    def hang(self, torque: float) -> None:
+        """Let weights act on the torque sensor [N*m]."""
+        self.rig.hung_torque = torque
+
+    def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
+        """How to connect to an emulated serial line."""
+        return lambda: EmulatedSerialLine(self.serial_wires[name])
+
+    def at_supply(self, feeds: str, role: str) -> SupplyLoad:
+        """What a power supply feeds."""
+        if feeds == "bus":
+            return DcLink(self.rig)
+        if role != "test":
+            raise InputError(f"an emulated supply feeds leads of 'test', not of '{role}'")
+        return HeatedLeads(self.rig)
+
+    def terminals(self, role: str) -> MotorTerminals:
+        """The three leads of this role's motor."""
+        if role not in self.rig.actuators:
+            raise InputError(f"the emulated bench has motors 'test' and 'load', not '{role}'")
+        settings, self._streams_of_noise = self._settings, self._streams_of_noise + 1
+        chance = np.random.default_rng([self._number, self._streams_of_noise])
+        harmonics, noise = settings.back_emf_harmonics, settings.terminal_noise_V
+        found = MotorTerminals(self.rig.actuators[role], harmonics, noise, chance)
+        found.look(self.time.now())
+        self.time.follow(found.look)
+        return found
+
+    def machine(self, role: str) -> EmulatedMachine:
+        """What the drive of this role turns."""
+        if role not in self.machines:
+            raise InputError(f"an emulated drive turns 'test' or 'load', not '{role}'")
+        return self.machines[role]
+
+    def reading(self, quantity: str, role: str, location: str = "") -> Callable[[], float]:
+        """A function that gives this quantity as its sensor has it now."""
+        rig, noise = self.rig, self._fresh_noise()
+        if quantity == "torque" and role == "test":
+            spread = self._settings.torque_noise_Nm
+            return lambda: rig.shaft_torque + spread * noise()
+        if quantity.endswith("_temperature"):
+            return self._thermometer(quantity, role, location, noise)
+        plain: Mapping[str, Callable[[], float]] = {
+            "line_current": lambda: rig.line_current,
+            "line_voltage": lambda: rig.line_voltage,
+            "bus_voltage": lambda: rig.bus_voltage,
+        }
+        if quantity not in plain:
+            raise InputError(f"the emulated bench has no {quantity} of '{role}' for an analogue sensor")
+        return plain[quantity]
+
+    def _thermometer(self, quantity: str, role: str, location: str, noise: Noise) -> Callable[[], float]:
+        """What a sensor of temperatures shows, with the bench file's errors of its zero and of the rise."""
+        rig, settings, place = self.rig, self._settings, f"{quantity} of '{role}'"
+        if role not in rig.actuators or quantity not in TEMPERATURES:
+            raise InputError(f"the emulated bench has no {place}; it has {', '.join(TEMPERATURES)} of test and load")
+        actuator, air, part = rig.actuators[role], rig.bench.ambient_temperature, location.partition("_")[0]
+        spread, zero, gain = settings.temperature_noise_K, settings.temperature_offset_K, settings.temperature_gain
+        if quantity == "ambient_temperature":
+            return lambda: air + zero + spread * noise()
+        if quantity == "winding_temperature" and part in PARTS:
+            return lambda: air + zero + gain * (rig.part_of_winding(role, part) - air) + spread * noise()
+        return lambda: air + zero + gain * (getattr(actuator, quantity) - air) + spread * noise()
+
+    def _fresh_noise(self) -> Noise:
+        self._streams_of_noise += 1
+        return Noise(self._number, self._streams_of_noise)
+
+    def _machine(self, role: str) -> EmulatedMachine:
+        settings = self._settings
+        actuator = self.rig.actuators[role]
+        return EmulatedMachine(
+            actuator, self.rig, self._fresh_noise(), settings.current_noise_A, settings.velocity_noise_rad_s
+        )
+
+    def _place(self, device: CheckedDevice, faulty: bool) -> None:
+        entry = device.entry
+        physics: Physics = self
+        if faulty:
+            physics = self.signals[device.name] = Signals(self)
+        far_end: Any = registry.load(entry.driver).far_end(device.settings, entry.role, physics)
+        if entry.bus in self.wires:
+            self.wires[entry.bus].attach(far_end)
+        elif entry.bus in self.i2c_buses:
+            address, far_end = far_end
+            self.i2c_buses[entry.bus].devices[address] = far_end
+        elif entry.bus in self.serial_wires:
+            self.serial_wires[entry.bus].device = far_end
+        else:
+            self._keep_time(far_end)
+        if entry.serial and isinstance(far_end, Numbered):
+            far_end.serial_number = entry.serial
+        self.far_ends[device.name] = far_end
+
+    def _keep_time(self, far_end: BuslessEmulator) -> None:
+        self.time.follow(far_end.tick)
+        self.time.stop_at(lambda: far_end.due)

@@ -1,0 +1,1 @@
+"""The two emulated plants, exact and stepped, and what hangs at them."""

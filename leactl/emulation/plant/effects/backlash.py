@@ -1,0 +1,20 @@
+"""Free play between actuator and shaft."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class Backlash(Effect):
+    """The shaft strains by the twist beyond half the play on either side."""
+
+    width: float = bounded(0.0, 0.0, 1.0)  # rad
+
+    def transmitted_twist(self, twist: Value) -> Value:
+        """Nothing within the play."""
+        half = 0.5 * self.width
+        return twist - np.minimum(np.maximum(twist, -half), half)

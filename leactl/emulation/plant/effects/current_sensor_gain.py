@@ -1,0 +1,17 @@
+"""A current sensor that reads too much or too little: the drive then regulates the wrong current."""
+
+from dataclasses import dataclass
+
+from leactl.emulation.plant.effects.contract import Effect
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class CurrentSensorGain(Effect):
+    """Reading = gain x current."""
+
+    gain: float = bounded(1.0, 0.1, 10.0)
+
+    def sense_current(self, current: float) -> float:
+        """Scale."""
+        return self.gain * current

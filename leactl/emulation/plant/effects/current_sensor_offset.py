@@ -1,0 +1,17 @@
+"""A current sensor whose zero is off: the drive regulates a current away from the command."""
+
+from dataclasses import dataclass
+
+from leactl.emulation.plant.effects.contract import Effect
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class CurrentSensorOffset(Effect):
+    """Reading = current + offset."""
+
+    offset: float = bounded(0.0, -10.0, 10.0)  # A, q axis
+
+    def sense_current(self, current: float) -> float:
+        """Shift."""
+        return current + self.offset

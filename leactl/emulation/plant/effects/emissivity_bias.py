@@ -1,0 +1,17 @@
+"""A camera set to the wrong emissivity."""
+
+from dataclasses import dataclass
+
+from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class EmissivityBias(Effect):
+    """Reading = ambient + fraction x rise."""
+
+    fraction: float = bounded(1.0, 0.01, 10.0)
+
+    def camera(self, temperature: Value, ambient: Value) -> Value:
+        """A fixed fraction of the rise."""
+        return ambient + self.fraction * (temperature - ambient)

@@ -1,0 +1,20 @@
+"""Grease that is stiff after rest and settles with use."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.emulation.plant.effects.contract import Effect, Now, Value
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class FrictionRunIn(Effect):
+    """Excess x exp(-(t / time constant)^0.85): many places settle, not all alike fast."""
+
+    excess: float = bounded(0.0, 0.0, 10.0)
+    time_constant: float = bounded(10.0, 0.01, 10000.0)  # s
+
+    def friction_share(self, now: Now) -> Value:
+        """Both frictions by one factor."""
+        return 1.0 + self.excess * np.exp(-((now.time / self.time_constant) ** 0.85))

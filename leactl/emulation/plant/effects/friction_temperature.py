@@ -1,0 +1,19 @@
+"""Grease that thins, or seals that tighten, as the machine warms."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.emulation.plant.effects.contract import Effect, Now, Value
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class FrictionTemperature(Effect):
+    """Viscous damping and Coulomb friction x exp(coefficient (housing - 25 degC)), after Arrhenius."""
+
+    coefficient: float = bounded(0.0, -0.1, 0.1)  # 1/K
+
+    def friction_share(self, now: Now) -> Value:
+        """Both frictions by one factor."""
+        return np.exp(np.clip(self.coefficient * (now.housing - 25.0), -2.0, 2.0))

@@ -1,0 +1,19 @@
+"""Magnets that weaken as they warm; they sit at the housing's temperature."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.emulation.plant.effects.contract import Effect, Now, Value
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class MagnetTemperature(Effect):
+    """Torque and back-EMF constant x exp(-coefficient (housing - 25 degC))."""
+
+    coefficient: float = bounded(0.0, 0.0, 0.05)  # 1/K
+
+    def magnet_share(self, now: Now) -> Value:
+        """Both constants by one factor."""
+        return np.exp(-self.coefficient * (now.housing - 25.0))

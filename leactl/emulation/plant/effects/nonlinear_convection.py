@@ -1,0 +1,19 @@
+"""Air that carries more heat the hotter the housing."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class NonlinearConvection(Effect):
+    """Conductance x sqrt(1 + 2 coefficient rise): relative growth `coefficient` per kelvin at first, less later."""
+
+    coefficient: float = bounded(0.0, 0.0, 1.0)  # 1/K
+
+    def housing_conductance(self, rise: Value, speed: Value) -> Value:
+        """Grow with the size of the rise."""
+        return np.sqrt(1.0 + 2.0 * self.coefficient * np.abs(rise))

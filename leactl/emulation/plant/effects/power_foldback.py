@@ -1,0 +1,22 @@
+"""A drive that takes its current back at speed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.parameters import bounded
+
+STANDSTILL = 1e-6  # rad/s, below which no power flows
+
+
+@dataclass(frozen=True)
+class PowerFoldback(Effect):
+    """The current loop follows its reference as far as power allows."""
+
+    power: float = bounded(1e6, 1e-3, 1e9)  # W
+
+    def bounded_reference(self, reference: Value, torque_constant: Value, velocity: Value) -> Value:
+        """Divide the power by the back-EMF's part of it."""
+        most = self.power / (torque_constant * np.maximum(np.abs(velocity), STANDSTILL))
+        return np.minimum(np.maximum(reference, -most), most)

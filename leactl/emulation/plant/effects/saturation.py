@@ -1,0 +1,20 @@
+"""Iron that saturates: torque falls behind the current."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.emulation.plant.effects.contract import Effect, Now, Value
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class Saturation(Effect):
+    """Torque constant / sqrt(1 + (i / knee)^2), the knee where `loss` is met at 25 A."""
+
+    loss: float = bounded(0.0, 0.0, 0.9)
+
+    def torque_share(self, now: Now) -> Value:
+        """Even in the current."""
+        steepness = ((1.0 - self.loss) ** -2 - 1.0) / 625.0
+        return 1.0 / np.sqrt(1.0 + steepness * now.current * now.current)

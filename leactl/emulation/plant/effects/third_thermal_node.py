@@ -1,0 +1,18 @@
+"""A fixture that takes up heat from the housing."""
+
+from dataclasses import dataclass
+
+from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class ThirdThermalNode(Effect):
+    """A capacity behind a resistance."""
+
+    capacitance: float = bounded(500.0, 1e-3, 1e6)  # J/K
+    resistance: float = bounded(2.0, 1e-3, 1e6)  # K/W
+
+    def fixture(self) -> tuple[Value, Value]:
+        """Capacity [J/K] and resistance [K/W]."""
+        return self.capacitance, self.resistance

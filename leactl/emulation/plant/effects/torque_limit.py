@@ -1,0 +1,19 @@
+"""A drive that gives no more than a certain current."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class TorqueLimit(Effect):
+    """The current loop follows its reference up to a current."""
+
+    current: float = bounded(1e4, 1e-3, 1e6)  # A
+
+    def bounded_reference(self, reference: Value, torque_constant: Value, velocity: Value) -> Value:
+        """Cut it off on either side."""
+        return np.minimum(np.maximum(reference, -self.current), self.current)

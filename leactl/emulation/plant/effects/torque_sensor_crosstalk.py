@@ -1,0 +1,20 @@
+"""Misalignment that bends the sensor once a turn."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class TorqueSensorCrosstalk(Effect):
+    """Reading = torque + amplitude sin(angle + phase)."""
+
+    amplitude: float = bounded(0.0, 0.0, 100.0)  # N*m
+    phase: float = bounded(0.0, -7.0, 7.0)  # rad
+
+    def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
+        """Add a reading with no torque behind it."""
+        return torque + self.amplitude * np.sin(angle + self.phase)

@@ -1,0 +1,17 @@
+"""A torque sensor whose calibration is off by a factor."""
+
+from dataclasses import dataclass
+
+from leactl.emulation.plant.effects.contract import Effect
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class TorqueSensorGain(Effect):
+    """Reading = gain x torque."""
+
+    gain: float = bounded(1.0, 0.1, 10.0)
+
+    def sense_torque(self, torque: float) -> float:
+        """Scale."""
+        return self.gain * torque

@@ -1,0 +1,18 @@
+"""A torque channel that follows late beyond its filter."""
+
+from dataclasses import dataclass
+
+from leactl.emulation.plant.effects.contract import Effect, Path
+from leactl.emulation.plant.effects.memory import Lag
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class TorqueSensorLag(Effect):
+    """A further first-order lag."""
+
+    time_constant: float = bounded(0.001, 1e-6, 10.0)  # s
+
+    def torque_path(self, lanes: int, step_s: float) -> Path:
+        """Start without torque."""
+        return Lag(self.time_constant, lanes, step_s)

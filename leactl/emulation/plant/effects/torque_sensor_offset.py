@@ -1,0 +1,17 @@
+"""A torque sensor whose zero is off."""
+
+from dataclasses import dataclass
+
+from leactl.emulation.plant.effects.contract import Effect
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class TorqueSensorOffset(Effect):
+    """Reading = torque + offset."""
+
+    offset: float = bounded(0.0, -100.0, 100.0)  # N*m
+
+    def sense_torque(self, torque: float) -> float:
+        """Shift."""
+        return torque + self.offset

@@ -1,0 +1,18 @@
+"""A drive whose current follows its reference late: a fieldbus, a slow cycle."""
+
+from dataclasses import dataclass
+
+from leactl.emulation.plant.effects.contract import Effect, Path
+from leactl.emulation.plant.effects.memory import Delay
+from leactl.emulation.plant.parameters import bounded
+
+
+@dataclass(frozen=True)
+class TransportDelay(Effect):
+    """The reference as it was `delay` ago."""
+
+    delay: float = bounded(0.0, 0.0, 0.5)  # s
+
+    def reference_path(self, lanes: int, step_s: float) -> Path:
+        """Keep the reference of the last steps."""
+        return Delay(self.delay, lanes, step_s)

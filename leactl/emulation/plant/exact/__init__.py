@@ -1,0 +1,1 @@
+"""The plant that is stepped exactly between events: piecewise linear."""

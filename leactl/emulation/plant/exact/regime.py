@@ -1,0 +1,195 @@
+"""Where the plant is linear: which limits bind, which rotor sticks, and the equations that then hold.
+
+Within one regime the state obeys dx/dt = A x + B u exactly. `equations` writes those rows, and beside each regime the
+margins that stay positive as long as it lasts, each with the change of regime its loss stands for.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
+
+Array = NDArray[np.float64]
+
+# State: per actuator current, velocity, angle, servo integral, filtered velocity; then the shaft's twist and the
+# filtered torque. In current mode the integral holds the setpoint that the lead has caught up with. Inputs: per
+# actuator setpoint, torque of effects, voltage correction; then 1.
+CURRENT, VELOCITY, ANGLE, INTEGRAL, FILTERED = range(5)
+SETPOINT, TORQUE, CORRECTION = range(3)
+PER_ACTUATOR = 5
+TWIST, SHAFT_TORQUE, STATES = 10, 11, 12
+INPUTS = 3
+ONE, SIZE = 18, 19
+
+
+class ActuatorRegime(NamedTuple):
+    """What holds in one actuator; limits are -1, 0 or 1, where 0 is not at the limit; slip 0 is stuck."""
+
+    mode: str = "off"
+    speed: int = 0
+    current: int = 0
+    voltage: int = 0
+    slip: int = 0
+
+
+class Regime(NamedTuple):
+    """What holds in the plant; resistances are rounded, the rest of their value enters as a voltage correction."""
+
+    setup: str
+    actuators: tuple[ActuatorRegime, ActuatorRegime]
+    resistances: tuple[float, float]
+
+
+class Switch(NamedTuple):
+    """The change of regime at the loss of a margin: this field of this actuator takes this value."""
+
+    actuator: int
+    field: str
+    value: int
+
+
+class Electric(NamedTuple):
+    """Rows over state and inputs of what a drive computes, before each limit."""
+
+    speed_setpoint: Array
+    current_setpoint: Array
+    voltage: Array
+
+
+class Plant(NamedTuple):
+    """The parameters of both actuators and the bench, with what the current sensors make of their currents."""
+
+    actuators: tuple[ActuatorParameters, ActuatorParameters]
+    bench: BenchParameters
+    current_gains: tuple[float, float] = (1.0, 1.0)
+    current_offsets: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def voltage_ceiling(self) -> float:
+        """Highest q-axis voltage [V]."""
+        return self.bench.bus_voltage / math.sqrt(2.0)
+
+
+def _unit(index: int, value: float = 1.0) -> Array:
+    row = np.zeros(SIZE)
+    row[index] = value
+    return row
+
+
+def equations(plant: Plant, regime: Regime) -> tuple[Array, Array, list[Switch]]:
+    """Generator of the augmented state, margin rows, and the switch that each margin guards."""
+    generator = np.zeros((SIZE, SIZE))
+    margins: list[tuple[Array, Switch]] = []
+    bench = plant.bench
+    coupled = regime.setup in ("coupled", "locked")
+    for k in (0, 1):
+        held = k == 1 and regime.setup == "locked"  # the lock is at the far end of the shaft
+        x, parameters, own = k * PER_ACTUATOR, plant.actuators[k], regime.actuators[k]
+        margins += _drive(plant, regime, k, generator)
+        net = _unit(x + CURRENT, parameters.torque_constant) + _unit(STATES + k * INPUTS + TORQUE)
+        if coupled:
+            side = 1.0 if k == 0 else -1.0
+            damping = shaft_damping(plant)
+            net[TWIST] -= side * bench.shaft_stiffness
+            net[VELOCITY] -= side * damping
+            net[PER_ACTUATOR + VELOCITY] += side * damping
+        friction = _unit(ONE, parameters.coulomb_friction)
+        if not held:
+            if own.slip:
+                moving = net - own.slip * friction
+                moving[x + VELOCITY] -= parameters.viscous_damping
+                generator[x + VELOCITY] = moving / parameters.rotor_inertia
+                margins.append((_unit(x + VELOCITY, own.slip), Switch(k, "slip", 0)))
+            else:
+                margins.append((friction - net, Switch(k, "slip", 1)))
+                margins.append((friction + net, Switch(k, "slip", -1)))
+            generator[x + ANGLE] = _unit(x + VELOCITY)
+        rate = 2.0 * math.pi * bench.velocity_filter_bandwidth
+        generator[x + FILTERED] = _unit(x + VELOCITY, rate) - _unit(x + FILTERED, rate)
+    if coupled:
+        generator[TWIST] = _unit(VELOCITY) - _unit(PER_ACTUATOR + VELOCITY)
+    rate = 2.0 * math.pi * bench.torque_filter_bandwidth
+    generator[SHAFT_TORQUE] = _unit(TWIST, rate * bench.shaft_stiffness) - _unit(SHAFT_TORQUE, rate)
+    rows = np.array([row for row, _ in margins]).reshape(len(margins), SIZE)
+    return generator, rows, [switch for _, switch in margins]
+
+
+def shaft_damping(plant: Plant) -> float:
+    """Damping of the shaft [N*m*s/rad] from its share of critical."""
+    first, second = (actuator.rotor_inertia for actuator in plant.actuators)
+    reduced = first * second / (first + second)
+    return 2.0 * plant.bench.shaft_damping_ratio * math.sqrt(plant.bench.shaft_stiffness * reduced)
+
+
+def net_torque_row(plant: Plant, regime: Regime, k: int) -> Array:
+    """Row of the torque on a rotor at standstill, friction apart."""
+    own = list(regime.actuators)
+    own[k] = own[k]._replace(slip=0)
+    _, rows, switches = equations(plant, regime._replace(actuators=(own[0], own[1])))
+    upper = rows[switches.index(Switch(k, "slip", 1))]
+    return np.asarray(_unit(ONE, plant.actuators[k].coulomb_friction) - upper)
+
+
+def electric(plant: Plant, regime: Regime, k: int) -> Electric:
+    """What the drive of one actuator computes in this regime: each row takes the limits above it as they bind."""
+    x, parameters, own, bench = k * PER_ACTUATOR, plant.actuators[k], regime.actuators[k], plant.bench
+    setpoint = _unit(STATES + k * INPUTS + SETPOINT)
+    emf = _unit(x + VELOCITY, parameters.back_emf_constant)
+    if own.mode == "off":
+        return Electric(setpoint, setpoint, emf)
+    speed = setpoint
+    if own.mode == "angle":
+        speed = bench.position_gain * (setpoint - _unit(x + ANGLE))
+    limited_speed = _unit(ONE, own.speed * bench.speed_limit) if own.speed else speed
+    current = setpoint + bench.setpoint_lead * (setpoint - _unit(x + INTEGRAL))
+    if own.mode != "current":
+        gain = parameters.rotor_inertia * bench.velocity_gain / parameters.torque_constant
+        current = gain * (limited_speed - _unit(x + VELOCITY)) + _unit(x + INTEGRAL)
+    limited_current = _unit(ONE, own.current * bench.peak_current) if own.current else current
+    sensed = _unit(x + CURRENT, plant.current_gains[k]) + _unit(ONE, plant.current_offsets[k])
+    inductance_rate = parameters.phase_inductance * 2.0 * math.pi * bench.current_loop_bandwidth
+    drop = _unit(x + CURRENT, regime.resistances[k]) + _unit(STATES + k * INPUTS + CORRECTION)
+    return Electric(speed, current, drop + emf + inductance_rate * (limited_current - sensed))
+
+
+def _drive(plant: Plant, regime: Regime, k: int, generator: Array) -> list[tuple[Array, Switch]]:
+    """Write the rows of current and servo integral, and give the margins of the drive's limits."""
+    x, parameters, own, bench = k * PER_ACTUATOR, plant.actuators[k], regime.actuators[k], plant.bench
+    if own.mode == "off":
+        return []
+    computed = electric(plant, regime, k)
+    margins: list[tuple[Array, Switch]] = []
+    if own.mode == "angle":
+        margins += _limit(computed.speed_setpoint, bench.speed_limit, own.speed, k, "speed")
+    if own.mode != "current" or bench.setpoint_lead:
+        margins += _limit(computed.current_setpoint, bench.peak_current, own.current, k, "current")
+    margins += _limit(computed.voltage, plant.voltage_ceiling, own.voltage, k, "voltage")
+
+    voltage = _unit(ONE, own.voltage * plant.voltage_ceiling) if own.voltage else computed.voltage
+    drop = _unit(x + CURRENT, regime.resistances[k]) + _unit(STATES + k * INPUTS + CORRECTION)
+    emf = _unit(x + VELOCITY, parameters.back_emf_constant)
+    generator[x + CURRENT] = (voltage - drop - emf) / parameters.phase_inductance
+    if own.mode == "current":
+        if bench.setpoint_lead:
+            caught_up = _unit(STATES + k * INPUTS + SETPOINT) - _unit(x + INTEGRAL)
+            generator[x + INTEGRAL] = caught_up / bench.setpoint_lead_time
+    else:
+        speed = _unit(ONE, own.speed * bench.speed_limit) if own.speed else computed.speed_setpoint
+        current = _unit(ONE, own.current * bench.peak_current) if own.current else computed.current_setpoint
+        # Back-calculation keeps the right-hand side continuous across a limit, so a limit cannot chatter.
+        inductance_rate = parameters.phase_inductance * 2.0 * math.pi * bench.current_loop_bandwidth
+        excess = (computed.current_setpoint - current) + (computed.voltage - voltage) / inductance_rate
+        scale = parameters.rotor_inertia / parameters.torque_constant
+        integral = scale * bench.velocity_integral * (speed - _unit(x + VELOCITY))
+        generator[x + INTEGRAL] = integral - bench.velocity_integral / bench.velocity_gain * excess
+    return margins
+
+
+def _limit(row: Array, limit: float, side: int, k: int, field: str) -> list[tuple[Array, Switch]]:
+    ceiling = _unit(ONE, limit)
+    if side:
+        return [(side * row - ceiling, Switch(k, field, 0))]
+    return [(ceiling - row, Switch(k, field, 1)), (ceiling + row, Switch(k, field, -1))]

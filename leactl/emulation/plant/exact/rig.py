@@ -1,0 +1,495 @@
+"""The emulated bench's plant: two actuators on a torque-sensor shaft, stepped exactly between events.
+
+The host asks for a time; the rig goes there in steps that are exact within a regime (see regime.py), finds where a
+margin of the regime is lost, changes the regime there and goes on. The same calls give the same result.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from leactl.emulation.plant.effects.contract import RIG_HOOKS, Effect, own_hooks
+from leactl.emulation.plant.exact.propagator import TICK, TOP_LEVEL, Propagator
+from leactl.emulation.plant.exact.regime import (
+    ANGLE,
+    CORRECTION,
+    CURRENT,
+    FILTERED,
+    INPUTS,
+    INTEGRAL,
+    ONE,
+    PER_ACTUATOR,
+    SETPOINT,
+    SHAFT_TORQUE,
+    SIZE,
+    STATES,
+    TORQUE,
+    VELOCITY,
+    ActuatorRegime,
+    Array,
+    Plant,
+    Regime,
+    Switch,
+    electric,
+)
+from leactl.emulation.plant.exact.rig_phases import HottestPhase, RigPhases, refuse_idle_settings
+from leactl.emulation.plant.noise import Noise
+from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
+from leactl.emulation.plant.thermal import ThermalNetwork
+from leactl.errors import InputError
+
+MODES = ("off", "current", "velocity", "angle")
+SETUPS = ("free", "locked", "coupled", "heated")
+ROLES = ("test", "load")
+TOLERANCE = 1e-9  # of a margin, in its own unit
+LEAST_S = 1e-9  # rounding of the moments that a bench asks for; a shorter time changes nothing
+RESTART_LEVEL = 3  # 0.25 ms after every change
+MOST_IDLE = 8  # changes of regime at one moment
+UNPOWERED = 10.0  # V, below which a drive drives nothing
+LEAST_CHANGE = 0.01  # V, of the bus, for which the matrices are made anew
+FRESH_RESISTANCE = 0.002  # relative change after which the matrices are made anew
+
+
+class Actuator:
+    """A role of the rig; the state itself is the rig's."""
+
+    def __init__(self, rig: "Rig", place: int, parameters: ActuatorParameters, ambient: float) -> None:
+        self.parameters = parameters
+        self.thermal = ThermalNetwork(parameters.thermal, ambient)
+        self.mode = "off"
+        self.setpoint = 0.0
+        self._rig, self._place, self._first = rig, place, place * PER_ACTUATOR
+
+    def command(self, mode: str, value: float = 0.0) -> None:
+        """Hold a q-axis current [A], a velocity [rad/s] or an angle [rad], or let no current flow ("off")."""
+        if mode not in MODES:
+            raise InputError(f"mode {mode!r} is unknown; known are {', '.join(MODES)}")
+        if not abs(value) < 1e9:
+            raise InputError(f"setpoint {value} of mode {mode} is not a number a drive can hold")
+        if mode != self.mode or value != self.setpoint:
+            self._rig.take_command(self._place, mode, float(value))
+
+    @property
+    def current(self) -> float:
+        """Q-axis current as the drive's sensor has it [A]."""
+        return self._rig.sensed_current(self._place)
+
+    @property
+    def current_true(self) -> float:
+        """Q-axis current that flows [A]."""
+        return self._rig.state(self._first + CURRENT)
+
+    @property
+    def voltage(self) -> float:
+        """Q-axis voltage at the terminals [V]; the back-EMF while off."""
+        return self._rig.voltage(self._place)
+
+    @property
+    def velocity_true(self) -> float:
+        """Velocity of the rotor [rad/s]."""
+        return self._rig.state(self._first + VELOCITY)
+
+    @property
+    def velocity(self) -> float:
+        """Velocity behind the drive's filter [rad/s]."""
+        return self._rig.state(self._first + FILTERED)
+
+    @property
+    def angle(self) -> float:
+        """Angle of the rotor [rad]."""
+        return self._rig.state(self._first + ANGLE)
+
+    @property
+    def winding_temperature(self) -> float:
+        """Temperature of the winding [degC]."""
+        return self.thermal.winding
+
+    @property
+    def housing_temperature(self) -> float:
+        """Temperature of the housing [degC]."""
+        return self.thermal.housing
+
+    @property
+    def resistance(self) -> float:
+        """Phase resistance at the winding's temperature [ohm]."""
+        return self.parameters.resistance(self.thermal.winding)
+
+
+class Rig:
+    """Two actuators, `actuators["test"]` and `actuators["load"]`, in one setup."""
+
+    def __init__(
+        self,
+        setup: str,
+        test: ActuatorParameters | None = None,
+        load: ActuatorParameters | None = None,
+        bench: BenchParameters | None = None,
+        seed: int = 0,
+        effects: Sequence[Effect] = (),
+    ) -> None:
+        if setup not in SETUPS:
+            raise InputError(f"setup {setup!r} is unknown; known are {', '.join(SETUPS)}")
+        self.setup, self.time, self.bench = setup, 0.0, bench or BenchParameters()
+        self._bus_voltage = self.bench.bus_voltage
+        self.effects = tuple(effects)
+        beyond = [effect for effect in self.effects if not set(own_hooks(effect)) <= set(RIG_HOOKS)]
+        if beyond:
+            names = ", ".join(type(effect).__module__.rsplit(".", 1)[-1] for effect in beyond)
+            raise InputError(f"effect {names}: only the stepped plant has a form for it, the emulated bench has none")
+        self.noise = Noise(seed)
+        self.heater_current = 0.0  # A, DC through two leads of the test actuator, heated setup only
+        self.hung_torque = 0.0  # N*m, of weights on an arm of the torque sensor
+        first, second = test or ActuatorParameters(), load or ActuatorParameters()
+        pair = [Actuator(self, k, p, self.bench.ambient_temperature) for k, p in enumerate((first, second))]
+        self._pair = pair
+        self.actuators = dict(zip(ROLES, pair, strict=True))
+        refuse_idle_settings(self.bench, first, second)
+        offsets = tuple(self._sense_current(k, 0.0) for k in (0, 1))
+        gains = tuple(self._sense_current(k, 1.0) - offsets[k] for k in (0, 1))
+        self._plant = Plant((first, second), self.bench, (gains[0], gains[1]), (offsets[0], offsets[1]))
+        self._torques = [
+            [effect for effect in self.effects if effect.adds_torque and effect.role == role] for role in ROLES
+        ]
+        self._held = any(self._torques)
+        self._top_level = RESTART_LEVEL if self._held else TOP_LEVEL
+        self._point = np.zeros(SIZE)
+        self._point[ONE] = 1.0
+        self._idle = 0
+        self._heat = [0.0, 0.0]
+        self._friction_heat = [0.0, 0.0]
+        self._phases = RigPhases(pair, self.bench.ambient_temperature) if self.bench.phase_resolved else None
+        self._propagators: dict[Regime, Propagator] = {}
+        self._resistances = [a.resistance for a in pair]
+        self._regime = Regime(setup, (ActuatorRegime(), ActuatorRegime()), (first.phase_resistance,) * 2)
+        self._enter(self._regime)
+
+    # ---------------------------------------------------------------- readings
+
+    @property
+    def shaft_torque(self) -> float:
+        """Torque of the test actuator onto the shaft as the sensor has it [N*m]; positive when it drives."""
+        torque = float(self._point[SHAFT_TORQUE]) + self.hung_torque
+        for effect in self.effects:
+            torque = effect.sense_torque(torque)
+        return torque
+
+    @property
+    def bus_voltage(self) -> float:
+        """Supply of both drives [V]."""
+        return self._bus_voltage
+
+    @property
+    def bus_power(self) -> float:
+        """What both drives take from their supply [W]; their own losses apart."""
+        return sum(self.voltage(k) * self.state(k * PER_ACTUATOR + CURRENT) for k in (0, 1))
+
+    @property
+    def lead_resistance(self) -> float:
+        """Between two leads of the test actuator [ohm]: two phases in series."""
+        return 2.0 * self._pair[0].resistance if self._phases is None else self._phases.lead_resistance
+
+    @property
+    def line_current(self) -> float:
+        """DC through two leads of the test actuator [A]; zero unless heated."""
+        return self.heater_current if self.setup == "heated" else 0.0
+
+    @property
+    def line_voltage(self) -> float:
+        """Voltage between those two leads [V]: two phases in series."""
+        return self.lead_resistance * self.line_current
+
+    def hottest_phase(self, role: str) -> HottestPhase:
+        """Hottest phase of an actuator [degC], now and at its highest.
+
+        Raises
+        ------
+        InputError : the bench has no phases of its own.
+        """
+        if self._phases is None:
+            raise InputError("the bench's phases are not resolved; set emulated.bench.phase_resolved: true")
+        self._phases.hold(self._friction_heat)
+        return self._phases.hottest(ROLES.index(role))
+
+    def part_of_winding(self, role: str, part: str) -> float:
+        """Temperature of the `active` phases, which two leads feed, or the `inactive` one [degC].
+
+        That of the whole winding where phases are not resolved.
+        """
+        if self._phases is None:
+            return self.actuators[role].winding_temperature
+        self._phases.hold(self._friction_heat)
+        return self._phases.part(ROLES.index(role), part)
+
+    def state(self, index: int) -> float:
+        """One number of the state, by its place in regime.py."""
+        return float(self._point[index])
+
+    def sensed_current(self, k: int) -> float:
+        """Q-axis current as the sensor of one drive has it [A]."""
+        current = float(self._point[k * PER_ACTUATOR + CURRENT])
+        return self._plant.current_gains[k] * current + self._plant.current_offsets[k]
+
+    def voltage(self, k: int) -> float:
+        """Q-axis voltage at the terminals of one actuator [V]."""
+        self._correct()
+        ceiling = self._plant.voltage_ceiling
+        own = self._regime.actuators[k]
+        if own.voltage:
+            return own.voltage * ceiling
+        voltage = float(self._propagator.voltage_rows[k].dot(self._point))
+        return voltage if own.mode == "off" else min(max(voltage, -ceiling), ceiling)
+
+    def _sense_current(self, k: int, current: float) -> float:
+        for effect in self.effects:
+            if effect.role == ROLES[k]:
+                current = effect.sense_current(current)
+        return current
+
+    # ---------------------------------------------------------------- commands
+
+    def supply(self, voltage: float) -> None:
+        """Have the supply give another DC link voltage [V] from now on; below `UNPOWERED` no drive drives."""
+        self._bus_voltage = voltage
+        if voltage < UNPOWERED:
+            for actuator in self._pair:
+                actuator.command("off")
+            return
+        if abs(voltage - self.bench.bus_voltage) < LEAST_CHANGE:
+            return
+        self.bench = replace(self.bench, bus_voltage=voltage)
+        self._plant = self._plant._replace(bench=self.bench)
+        self._propagators.clear()  # they hold the voltage ceiling
+        for k in (0, 1):
+            self._classify(k)
+
+    def take_command(self, k: int, mode: str, value: float) -> None:
+        """Give one drive a mode and a setpoint, from now on."""
+        if self.setup == "heated" and mode != "off":
+            raise InputError("the heated setup has no drive: set heater_current, or choose another setup")
+        if self._bus_voltage < UNPOWERED:
+            mode = "off"
+        actuator, x = self._pair[k], k * PER_ACTUATOR
+        before, actuator.mode, actuator.setpoint = actuator.mode, mode, value
+        if mode == "off":
+            self._point[x + CURRENT] = self._point[x + INTEGRAL] = 0.0
+        elif (before in ("off", "current")) != (mode == "current"):
+            self._point[x + INTEGRAL] = self._point[x + CURRENT]
+        peak = self.bench.peak_current
+        self._point[STATES + k * INPUTS + SETPOINT] = min(max(value, -peak), peak) if mode == "current" else value
+        self._classify(k)
+
+    def _classify(self, k: int) -> None:
+        """Find which limits of one drive bind after a jump of its command."""
+        slip = self._regime.actuators[k].slip
+        own = ActuatorRegime(self._pair[k].mode, slip=slip)
+        regime = self._with(k, own)
+        if own.mode == "angle":
+            row = electric(self._plant, regime, k).speed_setpoint
+            own = own._replace(speed=self._side(row, self.bench.speed_limit))
+            regime = self._with(k, own)
+        if own.mode != "off":
+            row = electric(self._plant, regime, k).current_setpoint
+            own = own._replace(current=self._side(row, self.bench.peak_current))
+            regime = self._with(k, own)
+            row = electric(self._plant, regime, k).voltage
+            own = own._replace(voltage=self._side(row, self._plant.voltage_ceiling))
+            regime = self._with(k, own)
+        self._enter(regime)
+
+    def _side(self, row: Array, limit: float) -> int:
+        value = float(row @ self._point)
+        return int(math.copysign(1, value)) if abs(value) > limit else 0
+
+    def _with(self, k: int, own: ActuatorRegime) -> Regime:
+        first, second = self._regime.actuators
+        return self._regime._replace(actuators=(own, second) if k == 0 else (first, own))
+
+    def _enter(self, regime: Regime) -> None:
+        propagator = self._propagators.get(regime)
+        if propagator is None:
+            if len(self._propagators) > 200:
+                self._propagators.clear()
+            propagator = self._propagators[regime] = Propagator(self._plant, regime)
+        self._regime, self._propagator, self._level = regime, propagator, RESTART_LEVEL
+
+    # ---------------------------------------------------------------- time
+
+    def advance(self, to_time: float) -> None:
+        """Go on to a time [s]; a time already past changes nothing."""
+        duration = to_time - self.time
+        if duration <= 0.0:
+            return
+        self.time = to_time
+        if self.setup == "heated" and self._phases is not None:
+            self._phases.heat_leads(duration, self.heater_current)
+            return
+        if self.setup == "heated":
+            heat = 2.0 * self._pair[0].resistance * self.heater_current**2
+            self._pair[0].thermal.step(round(duration, 9), heat)
+            self._pair[1].thermal.step(round(duration, 9), 0.0)
+            return
+        self._refresh_resistances()
+        self._march(duration)
+        if self._phases is not None:
+            return
+        for k, actuator in enumerate(self._pair):
+            heat = self._resistances[k] * self._heat[k] / duration
+            actuator.thermal.step(round(duration, 9), heat, self._friction_heat[k] / duration)
+        self._heat = [0.0, 0.0]
+        self._friction_heat = [0.0, 0.0]
+
+    def _refresh_resistances(self) -> None:
+        stale = False
+        for k in (0, 1):
+            self._resistances[k] = exact = self._pair[k].resistance
+            rounded = self._regime.resistances[k]
+            stale = stale or abs(exact - rounded) > FRESH_RESISTANCE * rounded
+        if stale:
+            level = self._level
+            self._enter(self._regime._replace(resistances=(self._resistances[0], self._resistances[1])))
+            self._level = level
+
+    def _correct(self) -> None:
+        """Give the rest of each rounded resistance its voltage, and the effects their torque at half a step ahead."""
+        point, rounded = self._point, self._regime.resistances
+        for k in (0, 1):
+            rest = self._pair[k].resistance - rounded[k]
+            point[STATES + k * INPUTS + CORRECTION] = rest * point[k * PER_ACTUATOR + CURRENT]
+
+    def _force(self) -> None:
+        for k, effects in enumerate(self._torques):
+            if effects:
+                velocity = self.state(k * PER_ACTUATOR + VELOCITY)
+                angle = self.state(k * PER_ACTUATOR + ANGLE) + velocity * 4 * TICK
+                self._point[STATES + k * INPUTS + TORQUE] = sum(effect.torque(angle, velocity) for effect in effects)
+
+    def _march(self, duration: float) -> None:
+        left = duration
+        while left > LEAST_S:
+            rest = self._resistances
+            point, rounded = self._point, self._regime.resistances
+            point[14] = (rest[0] - rounded[0]) * point[0]
+            point[17] = (rest[1] - rounded[1]) * point[5]
+            if self._held:
+                self._force()
+            ticks = int(left / TICK + 1e-6)
+            if ticks == 0:
+                left -= self._step_to_event(left)
+                continue
+            level = min(self._level, ticks.bit_length() - 1)
+            propagator = self._propagator
+            ahead = propagator.step(level).dot(point)
+            looks = ahead[STATES:]
+            if propagator.count and looks.min() < -TOLERANCE:
+                left -= self._retreat(level, looks, min(left, TICK))
+                continue
+            step = TICK * (1 << level)
+            self._accept(ahead[:STATES], step)
+            left -= step
+            if level == self._level and level < self._top_level:
+                self._level = level + 1
+
+    def _accept(self, state: Array, step: float) -> None:
+        point, half = self._point, 0.5 * step
+        self._heat[0] += half * (point.item(0) ** 2 + state.item(0) ** 2)
+        self._heat[1] += half * (point.item(5) ** 2 + state.item(5) ** 2)
+        if self.bench.friction_heat:
+            for k, actuator in enumerate(self._pair):
+                for speed in (abs(point.item(5 * k + VELOCITY)), abs(state.item(5 * k + VELOCITY))):
+                    p = actuator.parameters
+                    self._friction_heat[k] += half * (p.viscous_damping * speed + p.coulomb_friction) * speed
+        if self._phases is not None:
+            self._phases.take(step, point, state, self._friction_heat)
+        point[:STATES] = state
+
+    def _retreat(self, level: int, looks: Array, left: float) -> float:
+        """Go to the last point before a margin is lost, and look closer from there; give the time gone by."""
+        propagator = self._propagator
+        lost = int(np.argmax((looks < -TOLERANCE).reshape(-1, propagator.count).any(axis=1)))
+        if level == 0:
+            return self._step_to_event(left)
+        spacing = 0 if level <= RESTART_LEVEL else RESTART_LEVEL
+        gone, units = 0.0, lost
+        size = spacing
+        while units:
+            if units & 1:
+                step = TICK * (1 << size)
+                self._accept(propagator.step(size).dot(self._point)[:STATES], step)
+                gone += step
+            units >>= 1
+            size += 1
+        self._level = spacing if spacing else 0
+        return gone
+
+    def _step_to_event(self, duration: float) -> float:
+        """Go on by at most a tick, to the first loss of a margin in it, and change the regime there."""
+        propagator, point = self._propagator, self._point
+        ahead = propagator.ahead(point, duration)
+        if not propagator.count:
+            self._accept(ahead[:STATES], duration)
+            return duration
+        before, after = propagator.margins @ point, propagator.margins @ ahead
+        if after.min() >= -TOLERANCE:
+            self._accept(ahead[:STATES], duration)
+            return duration
+        share, which = 2.0, 0
+        for index in np.flatnonzero(after < -TOLERANCE):
+            start = max(float(before[index]), 0.0)
+            own = start / (start - float(after[index]))
+            if own < share:
+                share, which = own, int(index)
+        share = self._refine(which, duration, share)
+        if share > 0.0:
+            self._idle = 0
+            self._accept(propagator.ahead(point, share * duration)[:STATES], share * duration)
+        else:
+            self._idle += 1
+            if self._idle > MOST_IDLE:  # regimes that hand over to each other at one point: let one tick pass
+                self._idle = 0
+                self._accept(ahead[:STATES], duration)
+                self._settle_signs()
+                return duration
+        self._switch(propagator.switches[which])
+        return share * duration
+
+    def _settle_signs(self) -> None:
+        """Take back a velocity that a forced tick turned against its own slip."""
+        for k, own in enumerate(self._regime.actuators):
+            if own.slip * self.state(k * PER_ACTUATOR + VELOCITY) < 0.0:
+                self._point[k * PER_ACTUATOR + VELOCITY] = 0.0
+
+    def _refine(self, which: int, duration: float, share: float) -> float:
+        """Root of one margin within a step of less than a tick, by two secant steps."""
+        row, low = self._propagator.margins[which], 0.0
+        margin: Callable[[float], float] = lambda at: float(row @ self._propagator.ahead(self._point, at * duration))  # noqa: E731
+        low_value, high, high_value = margin(0.0), 1.0, margin(1.0)
+        if low_value <= 0.0:
+            return 0.0
+        for _ in range(4):
+            value = margin(share)
+            if abs(value) < 0.1 * TOLERANCE:
+                break
+            if value > 0.0:
+                low, low_value = share, value
+            else:
+                high, high_value = share, value
+            share = low + (high - low) * low_value / (low_value - high_value)
+        return share
+
+    def _switch(self, switch: Switch) -> None:
+        k = switch.actuator
+        own = self._regime.actuators[k]
+        value = switch.value
+        if switch.field == "slip" and value == 0:
+            self._point[k * PER_ACTUATOR + VELOCITY] = 0.0
+            net = self._propagator.net_torque(k, self._point)
+            if abs(net) > self._plant.actuators[k].coulomb_friction + TOLERANCE:
+                value = 1 if net > 0.0 else -1
+        changes: dict[str, Any] = {switch.field: value}
+        self._enter(self._with(k, own._replace(**changes)))
+
+
+__all__ = ["FILTERED", "ROLES", "SETUPS", "UNPOWERED", "Rig"]

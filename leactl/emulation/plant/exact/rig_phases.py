@@ -1,0 +1,119 @@
+"""The phases of the rig's two actuators: collects what the rig's steps leave in them, and steps their network.
+
+Voltages see the mean of the three resistances, as the actuators show it, at most 10 ms late; the ripple at twice the
+electrical frequency that unequal phases make is left out.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from leactl.emulation.plant.exact.regime import ANGLE, CURRENT, PER_ACTUATOR, Array
+from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters, PhaseParameters
+from leactl.emulation.plant.phases import PhaseNetwork, lead_squares, turning_squares
+from leactl.emulation.plant.thermal import ThermalNetwork
+from leactl.errors import InputError
+
+HELD_S = 0.01  # heat is gathered this long while nobody asks: 45 A at rest warm a phase by 0.5 K
+LEAST_S = 1e-9  # rounding of the moments that a host asks for; less than this is no step
+PARTS = {"active": slice(0, 2), "inactive": slice(2, 3)}  # of the phases, by whether two leads feed them
+LONGEST_S = 0.05  # of a step under direct current, 1/130 of a phase's time constant
+
+
+def refuse_idle_settings(bench: BenchParameters, *pair: ActuatorParameters) -> None:
+    """Raise InputError where an actuator has settings of its phases and the bench does not resolve them."""
+    if not bench.phase_resolved and any(actuator.phases != PhaseParameters() for actuator in pair):
+        raise InputError("phases: these act only where the bench has phase_resolved: true; set it or leave them out")
+
+
+class HottestPhase(NamedTuple):
+    """Hottest of an actuator's three phases."""
+
+    now: float  # degC
+    highest: float  # degC, since the rig was made
+
+
+class Heated(Protocol):
+    """An actuator, by what its phases act on."""
+
+    parameters: ActuatorParameters
+    thermal: ThermalNetwork
+
+
+class RigPhases:
+    """Test and load actuator as two lanes of one network, which their two nodes show the means of."""
+
+    def __init__(self, pair: Sequence[Heated], ambient: float) -> None:
+        actuators = [actuator.parameters for actuator in pair]
+        self.network = PhaseNetwork(actuators, [ambient] * len(pair))
+        self._shown = [actuator.thermal for actuator in pair]
+        self._highest = np.full(len(pair), ambient)
+        self._phases: list[list[float]] = self.network.temperatures.T.tolist()  # degC, of each actuator
+        self._turns = np.array([float(p.pole_pairs) for p in actuators])
+        self._offsets = np.array([p.phases.commutation_offset for p in actuators])
+        self._steps: list[float] = []
+        self._ends: list[list[tuple[float, ...]]] = []  # currents and angles of both at either end of each step
+        self._gathered = 0.0
+
+    @property
+    def lead_resistance(self) -> float:
+        """Two phases of the test actuator in series [ohm]."""
+        return float(self.network.resistances[:2, 0].sum())
+
+    def hottest(self, place: int) -> HottestPhase:
+        """Hottest phase of one actuator, now and at its highest."""
+        return HottestPhase(float(self.network.hottest[place]), float(self._highest[place]))
+
+    def part(self, place: int, part: str) -> float:
+        """Mean of the phases that two leads feed, or of the one that they do not, of one actuator [degC]."""
+        phases = self._phases[place][PARTS[part]]
+        return sum(phases) / len(phases)
+
+    def take(self, step: float, before: Array, after: Array, friction: list[float]) -> None:
+        """Take one step of the rig [s] between two states, and the friction heat [J] of all steps since it was zero."""
+        self._steps.append(step)
+        self._ends.append([_ends(before), _ends(after)])
+        self._gathered += step
+        if self._gathered > HELD_S - LEAST_S:
+            self.hold(friction)
+
+    def hold(self, friction: list[float]) -> None:
+        """Let what was gathered act, and set the friction heat back to zero."""
+        if self._gathered < LEAST_S:
+            return
+        lengths, ends = np.array(self._steps), np.array(self._ends)  # step, end, current and angle of each
+        total = float(lengths.sum())
+        squares = (ends[:, :, :2] ** 2).mean(axis=1)
+        angles = ends[:, :, 2:] * self._turns + self._offsets
+        each = turning_squares(squares, angles[:, 0], angles[:, 1])
+        means = np.einsum("s,psl->pl", lengths, each) / total
+        self._step(round(total, 9), means, np.array(friction) / total)
+        self._show()
+        friction[:] = [0.0] * len(friction)
+        self._steps, self._ends, self._gathered = [], [], 0.0
+
+    def heat_leads(self, duration: float, current: float) -> None:
+        """Go on by a duration [s] with direct current through two leads of the test actuator [A]."""
+        if duration < LEAST_S:
+            return
+        squares = lead_squares(np.array([current**2, 0.0]))
+        steps = int(np.ceil(duration / LONGEST_S))
+        for _ in range(steps):
+            self._step(round(duration / steps, 9), squares, None)
+        self._show()
+
+    def _step(self, duration: float, squares: Array, housing_heat: Array | None) -> None:
+        self.network.step(duration, squares, housing_heat)
+        np.maximum(self._highest, self.network.hottest, out=self._highest)
+
+    def _show(self) -> None:
+        self._phases = self.network.temperatures.T.tolist()
+        means = zip(self._shown, self.network.winding.tolist(), self.network.housing.tolist(), strict=True)
+        for nodes, winding, housing in means:
+            nodes.winding, nodes.housing = winding, housing
+
+
+def _ends(state: Array) -> tuple[float, ...]:
+    item = state.item
+    return item(CURRENT), item(PER_ACTUATOR + CURRENT), item(ANGLE), item(PER_ACTUATOR + ANGLE)

@@ -1,0 +1,177 @@
+"""Three phase nodes on one housing, over many lanes at once, and what of a current each phase carries.
+
+Phases of capacitance Cw/3 reach the housing over 3 Rwh and the ambient over 3 Rwa each: their mean is the winding of
+the two-node network. A step is exact for heat held over it; resistances are those of the step's middle, foreseen.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leactl.emulation.plant.parameters import ActuatorParameters
+
+Array = NDArray[np.float64]
+
+PHASES = 3
+NODES = 3  # winding as a whole, housing, fixture
+MOST_TRANSITIONS = 256
+ROUNDING_S = 1e-6  # of a sum of many steps
+
+
+def turning_squares(square: Array, start: Array, end: Array) -> Array:
+    """Mean square of each phase's current [A^2], first axis the phases, of a power-invariant q-axis current's square.
+
+    The phases carry 2/3 i^2 cos^2(theta - k 2 pi/3), averaged while the electrical angle theta goes evenly from start
+    to end [rad]: samples of it would show a rotor that turns half an electrical turn a step as one at rest.
+    """
+    third = square / 3.0
+    swing = third * np.sinc((end - start) / math.pi)
+    along, across = swing * np.cos(start + end), swing * np.sin(start + end)
+    across *= 0.5 * math.sqrt(3.0)
+    squares = np.empty((PHASES, *np.shape(third)))
+    np.add(third, along, out=squares[0])
+    third -= 0.5 * along
+    np.subtract(third, across, out=squares[1])
+    np.add(third, across, out=squares[2])
+    return squares
+
+
+def lead_squares(square: Array) -> Array:
+    """Square of each phase's current [A^2], first axis the phases, where direct current feeds two leads."""
+    return np.stack([square, square, np.zeros_like(square)])
+
+
+class PhaseNetwork:
+    """Temperatures of three phases and a housing [degC] in every lane, a lane an actuator.
+
+    Beside the phases' own decay, the sum of their heat excites three modes of winding, housing and fixture; a lane
+    without a fixture has it apart and at ambient. Where air is blocked the modes change with the step that begins then.
+    """
+
+    def __init__(self, actuators: Sequence[ActuatorParameters], ambient: Sequence[float]) -> None:
+        thermal, settings = [a.thermal for a in actuators], [a.phases for a in actuators]
+        self.time = 0.0
+        self.ambient = np.array(ambient, np.float64)
+        self._cold = np.array([a.resistance(t) for a, t in zip(actuators, ambient, strict=True)])  # ohm, at ambient
+        self._slope = np.array([a.phase_resistance * a.resistance_coefficient for a in actuators])  # ohm/K
+        self._winding_ambient = np.array([1.0 / p.winding_ambient_resistance for p in thermal])  # W/K
+        self._winding_housing = np.array([1.0 / p.winding_housing_resistance for p in thermal])
+        self._housing_ambient = np.array([1.0 / p.housing_ambient_resistance for p in thermal])
+        there = np.array([own.fixture_capacitance > 0.0 for own in settings])
+        self._fixture = np.where(there, [1.0 / own.fixture_resistance for own in settings], 0.0)
+        self._capacitances = np.array(
+            [[p.winding_capacitance for p in thermal], [p.housing_capacitance for p in thermal], np.ones(len(thermal))]
+        )  # J/K
+        self._capacitances[2, there] = [own.fixture_capacitance for own in settings if own.fixture_capacitance > 0.0]
+        self._air_factors = np.array([own.blocked_air_factor for own in settings])
+        self._air_until = np.where(self._air_factors != 1.0, [own.blocked_air_from for own in settings], math.inf)
+        self.rises = np.zeros((PHASES, len(thermal)))  # K, of the phases above ambient
+        self._last_change, self._last_duration = np.zeros_like(self.rises), 1.0
+        # rows: each phase as if its housing were at ambient; their mean, negative; the modes, in K of the winding
+        self._state = np.zeros((PHASES + 1 + NODES, len(thermal)))
+        self._drive = np.empty_like(self._state)
+        self._in_nodes = np.zeros((NODES, NODES, len(thermal)))
+        self._find_modes()
+
+    # ---------------------------------------------------------------- readings
+
+    @property
+    def temperatures(self) -> Array:
+        """The phases [degC], shape (3, lanes)."""
+        return self.ambient + self.rises
+
+    @property
+    def hottest(self) -> Array:
+        """Hottest phase of every lane [degC]."""
+        return np.asarray(self.ambient + self.rises.max(axis=0))
+
+    @property
+    def winding(self) -> Array:
+        """Mean of the phases [degC]."""
+        return np.asarray(self.ambient + self.rises.mean(axis=0))
+
+    @property
+    def housing(self) -> Array:
+        """Housing [degC]."""
+        return np.asarray(self.ambient + self._node_rises()[1])
+
+    @property
+    def fixture(self) -> Array:
+        """What hangs on the housing [degC]; ambient where nothing does."""
+        return np.asarray(self.ambient + self._node_rises()[2])
+
+    @property
+    def resistances(self) -> Array:
+        """Phase resistances now [ohm], shape (3, lanes)."""
+        return self._cold + self._slope * self.rises
+
+    # ---------------------------------------------------------------- time
+
+    def step(self, duration: float, squares: Array, housing_heat: Array | None = None) -> None:
+        """Go on by a duration [s] under held mean squares of the phase currents [A^2] and heat into the housing [W].
+
+        With current, keep steps short against the phases' time constant (Cw (Rwa || Rwh), the LEA's 6.5 s): the
+        error of the resistance goes with the square of the step.
+        """
+        if self.time >= self._next_block - ROUNDING_S:
+            self._find_modes()
+        decay, gain, housing_gain = self._transitions.get(duration) or self._transition(duration)
+        state, drive = self._state, self._drive
+        middle = self._last_change * (0.5 * duration / self._last_duration)
+        middle += self.rises
+        middle *= self._slope
+        middle += self._cold
+        np.multiply(middle, squares, out=drive[:PHASES])
+        np.add.reduce(drive[:PHASES], axis=0, out=drive[PHASES])
+        drive[PHASES + 1 :] = drive[PHASES]
+        drive *= gain
+        state *= decay
+        state += drive
+        if housing_heat is not None:
+            state[PHASES + 1 :] += housing_gain * housing_heat
+        before = self.rises
+        self.rises = state[:PHASES] + np.add.reduce(state[PHASES:], axis=0)
+        np.subtract(self.rises, before, out=self._last_change)
+        self._last_duration = duration
+        self.time += duration
+
+    def _node_rises(self) -> Array:
+        return np.asarray((self._in_nodes * self._state[PHASES + 1 :]).sum(axis=1))
+
+    def _find_modes(self) -> None:
+        """Take the modes of the conductances that hold from now on, and the state over into them."""
+        nodes = self._node_rises()
+        blocked = self.time >= self._air_until - ROUNDING_S
+        self._next_block = float(np.min(self._air_until, where=~blocked, initial=math.inf))
+        air = self._housing_ambient / np.where(blocked, self._air_factors, 1.0)
+        conductances = np.zeros((len(air), NODES, NODES))
+        conductances[:, 0, 0] = self._winding_ambient + self._winding_housing
+        conductances[:, 1, 1] = self._winding_housing + air + self._fixture
+        conductances[:, 2, 2] = self._fixture
+        conductances[:, 0, 1] = conductances[:, 1, 0] = -self._winding_housing
+        conductances[:, 1, 2] = conductances[:, 2, 1] = -self._fixture
+        roots = np.sqrt(self._capacitances).T
+        # C^-1/2 K C^-1/2 is symmetric: real rates, orthogonal modes
+        rates, vectors = np.linalg.eigh(conductances / (roots[:, :, None] * roots[:, None, :]))
+        shapes = (vectors / roots[:, :, None]).transpose(1, 2, 0)  # node, mode, lane
+        own_rate = (self._winding_ambient + self._winding_housing) / self._capacitances[0]
+        self._rates = np.vstack([np.tile(own_rate, (PHASES + 1, 1)), np.maximum(rates.T, 0.0)])
+        own_gain = PHASES / self._capacitances[0]
+        self._gains = np.vstack([np.tile(own_gain, (PHASES, 1)), -own_gain / PHASES, shapes[0] ** 2])
+        self._housing_gains = shapes[0] * shapes[1]
+        # a fixture's mode where there is none has no winding in it
+        self._in_nodes = np.divide(shapes, shapes[0], out=np.zeros_like(shapes), where=shapes[0] != 0.0)
+        amounts = np.einsum("nml,nl->ml", shapes, self._capacitances * nodes)
+        self._state[PHASES + 1 :] = shapes[0] * amounts
+        self._transitions: dict[float, tuple[Array, Array, Array]] = {}
+
+    def _transition(self, duration: float) -> tuple[Array, Array, Array]:
+        lost = -np.expm1(-self._rates * duration)
+        held = np.divide(lost, self._rates, out=np.full_like(lost, duration), where=self._rates > 0.0)
+        found = (1.0 - lost, held * self._gains, held[PHASES + 1 :] * self._housing_gains)
+        if len(self._transitions) > MOST_TRANSITIONS:
+            self._transitions.clear()
+        self._transitions[duration] = found
+        return found

@@ -1,0 +1,1 @@
+"""The plant of many benches at once in fixed sub-steps, with every effect of the vocabulary."""

@@ -1,0 +1,218 @@
+"""The stepped plant with one lane in the rig's place, for benches whose effects the rig has no form for.
+
+Time goes in whole milliseconds, commands are taken at the next one, and the servos close over what the drives read.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from leactl.emulation.plant.effects.contract import Effect
+from leactl.emulation.plant.exact.rig import MODES, ROLES, SETUPS, UNPOWERED
+from leactl.emulation.plant.exact.rig_phases import refuse_idle_settings
+from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
+from leactl.emulation.plant.stepped.lanes import Lane
+from leactl.emulation.plant.stepped.plant import TICK, SteppedPlant
+from leactl.errors import InputError
+
+HEATED_STEP = 0.2  # s
+
+
+class SteppedRig:
+    """Two actuators, `actuators["test"]` and `actuators["load"]`, in one setup; the same face as `Rig`."""
+
+    def __init__(
+        self,
+        setup: str,
+        test: ActuatorParameters | None = None,
+        load: ActuatorParameters | None = None,
+        bench: BenchParameters | None = None,
+        effects: Sequence[Effect] = (),
+    ) -> None:
+        if setup not in SETUPS:
+            raise InputError(f"setup {setup!r} is unknown; known are {', '.join(SETUPS)}")
+        if beyond := [effect for effect in effects if effect.needs_whole_record]:
+            names = ", ".join(type(effect).__module__.rsplit(".", 1)[-1] for effect in beyond)
+            raise InputError(f"effect {names}: its form needs a whole record, which a live bench has not; leave it out")
+        self.setup, self.bench, self.heater_current = setup, bench or BenchParameters(), 0.0
+        if self.bench.phase_resolved:
+            raise InputError("phase_resolved: the stepped plant of these effects has no phases; leave it or them out")
+        self.time = 0.0
+        self.hung_torque = 0.0  # N*m, of weights on an arm of the torque sensor
+        self._dead_bus: float | None = None  # V, where that is too little for a drive
+        lane = Lane(setup, test or ActuatorParameters(), load or ActuatorParameters(), self.bench, tuple(effects))
+        refuse_idle_settings(self.bench, lane.test, lane.load)
+        self.plant, self._effects, self._parameters = SteppedPlant([lane]), tuple(effects), lane.test
+        pair = [SteppedActuator(self, k, p) for k, p in enumerate((lane.test, lane.load))]
+        self.actuators = dict(zip(ROLES, pair, strict=True))
+
+    # ---------------------------------------------------------------- readings
+
+    @property
+    def shaft_torque(self) -> float:
+        """Torque of the test actuator onto the shaft as the sensor has it [N*m]."""
+        torque, angle = self.plant.torque_read.reshape(1, 1) + self.hung_torque, self.plant.angle[:1, :1]
+        for effect in self._effects:
+            torque = effect.torque_record(torque, angle, np.array([[self.time]]))
+        return float(torque[0, 0])
+
+    @property
+    def bus_voltage(self) -> float:
+        """Supply of both drives [V]."""
+        return float(self.plant.bus_voltage[0]) if self._dead_bus is None else self._dead_bus
+
+    @property
+    def powered(self) -> bool:
+        """Whether the bus carries what a drive needs to drive anything."""
+        return self._dead_bus is None
+
+    @property
+    def bus_power(self) -> float:
+        """What both drives take from their supply [W]; their own losses apart."""
+        return sum(actuator.voltage * actuator.current_true for actuator in self.actuators.values())
+
+    def supply(self, voltage: float) -> None:
+        """Have the supply give another DC link voltage [V] from now on; below `UNPOWERED` no drive drives."""
+        self._dead_bus = voltage if voltage < UNPOWERED else None
+        if self._dead_bus is not None:
+            for actuator in self.actuators.values():
+                actuator.command("off")
+        elif voltage != self.bench.bus_voltage:
+            self.bench = replace(self.bench, bus_voltage=voltage)
+            self.plant.supply(voltage)
+
+    @property
+    def lead_resistance(self) -> float:
+        """Between two leads of the test actuator [ohm]: two phases in series."""
+        return 2.0 * self.resistance
+
+    @property
+    def line_current(self) -> float:
+        """DC through two leads of the test actuator [A]; zero unless heated."""
+        return self.heater_current if self.setup == "heated" else 0.0
+
+    @property
+    def line_voltage(self) -> float:
+        """Voltage between those two leads [V]: two phases in series."""
+        return self.lead_resistance * self.line_current
+
+    @property
+    def resistance(self) -> float:
+        """Phase resistance of the test actuator at its winding's temperature [ohm]."""
+        resistance = self._parameters.resistance(float(self.plant.thermal.winding[0]))
+        for effect in self._effects:
+            resistance *= float(effect.resistance_share(self.plant.thermal.winding[0], self.time))
+        return resistance
+
+    def part_of_winding(self, role: str, part: str) -> float:
+        """Temperature of the `active` or `inactive` phases [degC]: that of the winding, which has one node here."""
+        return self.actuators[role].winding_temperature
+
+    # ---------------------------------------------------------------- time
+
+    def advance(self, to_time: float) -> None:
+        """Go on to the last whole step before a time [s]; a time already past changes nothing."""
+        if self.setup == "heated":
+            still = np.zeros(1)
+            while (step := min(HEATED_STEP, to_time - self.time)) > 1e-9:
+                heat = 2.0 * self.resistance * self.heater_current**2
+                self.plant.thermal.step(self.time, step, heat, still, still)
+                self.time += step
+            return
+        while self.plant.time + TICK <= to_time + 1e-9:
+            references = [actuator.reference() for actuator in self.actuators.values()]
+            self.plant.advance(np.array(references).reshape(2, 1))
+        self.time = max(self.time, to_time)
+
+
+class SteppedActuator:
+    """A role of the stepped rig as its drive shows it; the same face as `Actuator`."""
+
+    def __init__(self, rig: SteppedRig, place: int, parameters: ActuatorParameters) -> None:
+        self.parameters, self.mode, self.setpoint = parameters, "off", 0.0
+        self._rig, self._place, self._integral = rig, place, 0.0
+
+    def command(self, mode: str, value: float = 0.0) -> None:
+        """Hold a q-axis current [A], a velocity [rad/s] or an angle [rad], or let no current flow ("off")."""
+        if mode not in MODES:
+            raise InputError(f"mode {mode!r} is unknown; known are {', '.join(MODES)}")
+        if not abs(value) < 1e9:
+            raise InputError(f"setpoint {value} of mode {mode} is not a number a drive can hold")
+        if self._rig.setup == "heated" and mode != "off":
+            raise InputError("the heated setup has no drive: set heater_current, or choose another setup")
+        mode = mode if self._rig.powered else "off"
+        if self.mode == "off":
+            self._integral = 0.0
+        elif (mode == "current") != (self.mode == "current"):
+            self._integral = self.current
+        self.mode, self.setpoint = mode, float(value)
+
+    def reference(self) -> float:
+        """Current that the drive asks of its current loop for the next millisecond [A]."""
+        bench, wanted = self._rig.bench, self.setpoint
+        if self.mode == "off":  # what the sensor reads where no current flows
+            return float(self._rig.plant.current_offset[self._place, 0])
+        if self.mode == "current":
+            wanted = min(max(wanted, -bench.peak_current), bench.peak_current)
+            ahead = (wanted - self._integral) * -math.expm1(-TICK / bench.setpoint_lead_time)
+            self._integral += ahead
+            wanted += bench.setpoint_lead * ahead * bench.setpoint_lead_time / TICK  # mean over the millisecond
+            return min(max(wanted, -bench.peak_current), bench.peak_current)
+        if self.mode == "angle":
+            wanted = bench.position_gain * (wanted - self.angle)
+            wanted = min(max(wanted, -bench.speed_limit), bench.speed_limit)
+        error = wanted - self.velocity
+        per_acceleration = self.parameters.rotor_inertia / self.parameters.torque_constant
+        self._integral += per_acceleration * bench.velocity_integral * TICK * error
+        asked = per_acceleration * bench.velocity_gain * error + self._integral
+        given = min(max(asked, -bench.peak_current), bench.peak_current)
+        self._integral += (given - asked) * bench.velocity_integral / bench.velocity_gain * TICK
+        return given
+
+    @property
+    def current(self) -> float:
+        """Q-axis current as the drive's sensor has it [A]."""
+        return float(self._rig.plant.current_sensed[self._place, 0])
+
+    @property
+    def current_true(self) -> float:
+        """Q-axis current that flows [A]."""
+        return float(self._rig.plant.current[self._place, 0])
+
+    @property
+    def voltage(self) -> float:
+        """Q-axis voltage over the last millisecond [V]."""
+        return float(self._rig.plant.voltage_mean[self._place, 0])
+
+    @property
+    def velocity_true(self) -> float:
+        """Velocity of the rotor [rad/s]."""
+        return float(self._rig.plant.velocity[self._place, 0])
+
+    @property
+    def velocity(self) -> float:
+        """Velocity behind the drive's filter [rad/s]."""
+        return float(self._rig.plant.velocity_read[self._place, 0])
+
+    @property
+    def angle(self) -> float:
+        """Angle as the encoder has it, counts apart [rad]."""
+        plant = self._rig.plant
+        return float(plant.angle_read[0] if self._place == 0 else plant.angle[1, 0])
+
+    @property
+    def winding_temperature(self) -> float:
+        """Winding as the camera has it [degC]; the load's is not followed and stays at ambient."""
+        return self._camera(0)
+
+    @property
+    def housing_temperature(self) -> float:
+        """Housing as the camera has it [degC]."""
+        return self._camera(1)
+
+    def _camera(self, row: int) -> float:
+        if self._place == 1:
+            return self._rig.bench.ambient_temperature
+        return float(self._rig.plant.thermal.camera()[row, 0])

@@ -1,0 +1,103 @@
+"""From what drives and sensors have to what a record holds: noise, counts, resolution, and faults over a whole run."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leactl.emulation.plant.stepped.heating import Heated
+from leactl.emulation.plant.stepped.lanes import Array, Lane
+from leactl.emulation.plant.stepped.run import CAMERA_TICKS, Signals
+
+ENCODER_COUNTS = 40000  # a turn
+RESOLUTION = {
+    "q_axis_current": 0.002,
+    "q_axis_voltage": 0.005,
+    "velocity": 0.001,
+    "torque": 0.000375,
+    "bus_voltage": 0.005,
+    "temperature": 0.01,
+    "line_current": 0.002,
+    "line_voltage": 0.005,
+}
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Standard deviations of the sensors' noise; the velocity's is in the run already, since the servo hears it."""
+
+    q_axis_current: float = 0.02  # A
+    q_axis_voltage: float = 0.03  # V
+    velocity: float = 0.01  # rad/s
+    torque: float = 0.008  # N*m
+    bus_voltage: float = 0.02  # V
+    temperature: float = 0.15  # K
+    line_current: float = 0.01  # A
+    line_voltage: float = 0.012  # V
+
+
+class Sensors:
+    """The sensors of one run."""
+
+    def __init__(self, lane: Lane, spread: Spread, seed: int) -> None:
+        self._lane, self._spread = lane, spread
+        self._generator = np.random.default_rng([seed, 2])
+
+    def loop(self, signals: Signals) -> dict[str, Array]:
+        """Channels of the drives' stream at 1 kHz, by name."""
+        setup = self._lane.setup
+        time = np.arange(1, len(signals.angle) + 1, dtype=np.float64) * 1e-3
+        angle = signals.angle
+        for effect in self._lane.effects:
+            angle = effect.angle_record(angle[:, None], time[:, None])[:, 0]
+        count = 2.0 * np.pi / ENCODER_COUNTS
+        channels = {
+            "time": time,
+            "current_reference": np.asarray(signals.reference, np.float64),
+            "current": self._noisy("q_axis_current", signals.current),
+            "voltage": self._noisy("q_axis_voltage", signals.voltage),
+            "velocity": self._exact("velocity", signals.velocity),
+            "angle": np.floor(angle / count + 0.5) * count,
+            "bus_voltage": self._noisy("bus_voltage", signals.bus_voltage),
+        }
+        if setup in ("locked", "coupled"):
+            torque = np.asarray(signals.torque, np.float64)
+            for effect in self._lane.effects:
+                torque = effect.torque_record(torque[:, None], signals.angle[:, None], time[:, None])[:, 0]
+            channels["torque"] = self._noisy("torque", torque)
+        if setup == "coupled":
+            channels["load_current"] = self._noisy("q_axis_current", signals.load_current)
+            channels["load_velocity"] = self._exact("velocity", signals.load_velocity)
+        return channels
+
+    def camera(self, signals: Signals) -> dict[str, Array]:
+        """Channels of the camera at 10 Hz beside the drives."""
+        time = np.arange(len(signals.winding), dtype=np.float64) * 1e-3 * CAMERA_TICKS + 1e-3
+        return {"time": time, **self._temperatures(signals.winding, signals.housing)}
+
+    def heated(self, run: Heated) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Channels of camera and supply in a heated run, a row a second."""
+        time = np.arange(len(run.current), dtype=np.float64)
+        supply = {
+            "time": time,
+            "line_current": self._noisy("line_current", run.current),
+            "line_voltage": self._noisy("line_voltage", run.voltage),
+        }
+        return {"time": time, **self._temperatures(run.winding, run.housing)}, supply
+
+    def _temperatures(self, winding: NDArray[np.floating], housing: NDArray[np.floating]) -> dict[str, Array]:
+        ambient = np.full(len(winding), self._lane.bench.ambient_temperature)
+        return {
+            "winding": self._noisy("temperature", winding),
+            "housing": self._noisy("temperature", housing),
+            "ambient": self._noisy("temperature", ambient),
+        }
+
+    def _noisy(self, kind: str, values: NDArray[np.floating]) -> Array:
+        noise = getattr(self._spread, kind) * self._generator.standard_normal(len(values))
+        return self._exact(kind, values + noise)
+
+    def _exact(self, kind: str, values: NDArray[np.floating]) -> Array:
+        step = RESOLUTION[kind]
+        rounded: Array = np.rint(np.asarray(values, np.float64) / step) * step
+        return rounded

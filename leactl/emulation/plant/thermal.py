@@ -1,0 +1,61 @@
+"""Two thermal nodes, winding and housing, stepped exactly for a heat held constant over the step."""
+
+import math
+
+from leactl.emulation.plant.parameters import ThermalParameters
+
+
+class ThermalNetwork:
+    """Temperatures of winding and housing [degC] under heat into either."""
+
+    def __init__(self, parameters: ThermalParameters, ambient: float) -> None:
+        p = parameters
+        gwa, gwh, gha = (
+            1.0 / p.winding_ambient_resistance,
+            1.0 / p.winding_housing_resistance,
+            1.0 / p.housing_ambient_resistance,
+        )
+        self.winding = self.housing = self._ambient = ambient
+        self._gww, self._gwh, self._ghh = gwa + gwh, gwh, gwh + gha
+        self._determinant = self._gww * self._ghh - gwh * gwh
+        # d(rise)/dt = A (rise - rise_steady); eigenvalues of A are real, distinct and negative for a passive network
+        self._a11, self._a12 = -self._gww / p.winding_capacitance, gwh / p.winding_capacitance
+        self._a21, self._a22 = gwh / p.housing_capacitance, -self._ghh / p.housing_capacitance
+        mean = 0.5 * (self._a11 + self._a22)
+        spread = math.sqrt((0.5 * (self._a11 - self._a22)) ** 2 + self._a12 * self._a21)
+        self._fast, self._slow = mean - spread, mean + spread
+        self._transitions: dict[float, tuple[float, float, float, float]] = {}
+
+    def steady_rise(self, winding_heat: float, housing_heat: float = 0.0) -> tuple[float, float]:
+        """Rises of winding and housing above ambient [K] under a heat held for ever."""
+        winding = (self._ghh * winding_heat + self._gwh * housing_heat) / self._determinant
+        housing = (self._gwh * winding_heat + self._gww * housing_heat) / self._determinant
+        return winding, housing
+
+    def step(self, duration: float, winding_heat: float, housing_heat: float = 0.0) -> None:
+        """Go on by a duration [s] under constant heat [W]."""
+        transition = self._transitions.get(duration)
+        if transition is None:
+            transition = self._transition(duration)
+        f11, f12, f21, f22 = transition
+        steady_winding, steady_housing = self.steady_rise(winding_heat, housing_heat)
+        steady_winding += self._ambient
+        steady_housing += self._ambient
+        dw, dh = self.winding - steady_winding, self.housing - steady_housing
+        self.winding = steady_winding + f11 * dw + f12 * dh
+        self.housing = steady_housing + f21 * dw + f22 * dh
+
+    def _transition(self, duration: float) -> tuple[float, float, float, float]:
+        # Sylvester: exp(A t) = e_slow I + (e_fast - e_slow) / (fast - slow) (A - slow I)
+        fast, slow = math.exp(self._fast * duration), math.exp(self._slow * duration)
+        ratio = (fast - slow) / (self._fast - self._slow)
+        matrix = (
+            slow + ratio * (self._a11 - self._slow),
+            ratio * self._a12,
+            ratio * self._a21,
+            slow + ratio * (self._a22 - self._slow),
+        )
+        if len(self._transitions) > 256:
+            self._transitions.clear()
+        self._transitions[duration] = matrix
+        return matrix

@@ -1,0 +1,237 @@
+"""An emulated bench for drivers in other processes: its far ends answer on real buses, by the wall clock.
+
+CAN goes over any of python-can's interfaces (`udp_multicast`, SocketCAN) or an slcan adapter on a pseudo terminal; I2C
+goes through the kernel's i2c-stub, a plain register store that this process fills; a serial line is a pseudo terminal.
+"""
+
+import select
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Protocol
+
+import can
+
+from leactl.bench.benchfile import BenchFile, CanBus, I2cBus, SerialBus
+from leactl.bench.wiring import MachineWiring
+from leactl.driver.far_end import StoreKeeper
+from leactl.driver.i2c_port import SmBus, swapped
+from leactl.emulation.bench.emulated_bench import EmulatedBench
+from leactl.emulation.clock import EmulatedClock
+from leactl.emulation.wires.buses import CanWire, EmulatedCanBus
+from leactl.emulation.wires.pseudo_terminal import PseudoTerminal
+from leactl.emulation.wires.serial import EmulatedSerialLine, SerialWire
+from leactl.emulation.wires.slcan import SlcanAdapter
+from leactl.errors import DeviceError, InputError
+
+PACE_S = 0.002  # the plant is never further behind the wall clock than this
+STUB_NAME = "SMBus stub driver"
+STUB_PACE_S = 1e-4
+MOST_AT_ONCE = 64  # frames; a cycle of two drives has seven
+
+
+class HostSide(Protocol):
+    """What the far ends need of a real bus."""
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Take one frame, or None where none is there."""
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send one frame."""
+
+    def fileno(self) -> int:
+        """What `select` waits for."""
+
+    def shutdown(self) -> None:
+        """Let go."""
+
+
+class Bridge(Protocol):
+    """A real bus, and what is emulated behind it."""
+
+    place: str  # where the bus is, for whoever is to open it
+
+    def fileno(self) -> int:
+        """What `select` waits for."""
+
+    def carry(self) -> None:
+        """Pass on what has arrived on either side."""
+
+    def close(self) -> None:
+        """Let both sides go."""
+
+
+class CanBridge:
+    """One real bus, where it is, and the emulated segment behind it."""
+
+    def __init__(self, place: str, real: HostSide, wire: CanWire) -> None:
+        self.place, self.real = place, real
+        self._inner = EmulatedCanBus(wire)
+
+    def fileno(self) -> int:
+        """What `select` waits for."""
+        return self.real.fileno()
+
+    def carry(self) -> None:
+        """Pass on what has arrived on either side; a host that never pauses must not hold up the bench's time."""
+        for _ in range(MOST_AT_ONCE):
+            message = self.real.recv(0.0)
+            if message is None:
+                break
+            if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
+                with suppress(can.CanOperationError):  # the emulated bus is off: what the host has sent is lost
+                    self._inner.send(message)
+                self._answer()
+        self._answer()
+
+    def _answer(self) -> None:
+        while self._inner.arrived:
+            identifier, data = self._inner.arrived.popleft()
+            self.real.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+
+    def close(self) -> None:
+        """Let both sides go."""
+        self._inner.shutdown()
+        self.real.shutdown()
+
+
+class SerialBridge:
+    """A pseudo terminal, where it is, and the emulated serial line behind it."""
+
+    def __init__(self, wire: SerialWire) -> None:
+        self._terminal = PseudoTerminal()
+        self.place = f"serial on {self._terminal.path}"
+        self._inner = EmulatedSerialLine(wire)
+
+    def fileno(self) -> int:
+        """What `select` waits for."""
+        return self._terminal.fileno()
+
+    def carry(self) -> None:
+        """Pass on what has arrived on either side."""
+        self._inner.write(self._terminal.read())
+        if answer := self._inner.read(0.0):
+            self._terminal.write(answer)
+
+    def close(self) -> None:
+        """Let both sides go."""
+        self._inner.close()
+        self._terminal.close()
+
+
+class StubChip:
+    """One chip of i2c-stub, whose registers a device's far end keeps."""
+
+    def __init__(self, bus: SmBus, address: int, keeper: StoreKeeper, silent: Sequence[object] = ()) -> None:
+        self._bus, self._address, self._keeper, self._silent = bus, address, keeper, silent
+
+    def read(self, register: int) -> int:
+        """Read a register of the chip."""
+        return swapped(self._bus.read_word_data(self._address, register))
+
+    def write(self, register: int, value: int) -> None:
+        """Write a register of the chip."""
+        self._bus.write_word_data(self._address, register, swapped(value))
+
+    def carry(self, now: float) -> None:
+        """Let the far end look at the chip once, unless it is unplugged: the chip is there, and converts no more."""
+        if self._keeper not in self._silent:
+            self._keeper.keep(self, now)
+
+
+@contextmanager
+def bridged(
+    file: BenchFile, wires: Mapping[str, CanWire], serial_wires: Mapping[str, SerialWire]
+) -> Iterator[dict[str, Bridge]]:
+    """Bridge every CAN bus and serial line of the file to its wire until the block is left.
+
+    Raises
+    ------
+    InputError : the bus of the file exists in one process only.
+    DeviceError : the bus is absent or refuses.
+    """
+    with ExitStack() as opened:
+        bridges: dict[str, Bridge] = {}
+        for name, bus in file.buses.items():
+            if isinstance(bus, CanBus):
+                place, real = _real_side(name, bus)
+                bridges[name] = CanBridge(place, real, wires[name])
+            elif isinstance(bus, SerialBus):
+                bridges[name] = SerialBridge(serial_wires[name])
+            else:
+                continue
+            opened.callback(bridges[name].close)
+        yield bridges
+
+
+def _real_side(name: str, bus: CanBus) -> tuple[str, HostSide]:
+    if bus.interface == "pty":
+        adapter = SlcanAdapter()
+        return f"slcan on {adapter.path}", adapter
+    if bus.interface in ("emulated", "virtual"):
+        raise InputError(
+            f"bus '{name}': interface '{bus.interface}' ends with this process; put it elsewhere, as with"
+            f" --bus {name}=udp_multicast:239.74.163.2, --bus {name}=socketcan:vcan0 or --bus {name}=pty"
+        )
+    try:
+        return f"{bus.interface} {bus.channel}", MachineWiring().can(name, bus)()
+    except (OSError, ValueError, ImportError, can.CanError) as error:
+        raise DeviceError(f"bus '{name}': {error}") from None
+
+
+def stub_bus(number: int, root: Path = Path("/")) -> SmBus | None:
+    """The i2c-stub of this number; None where there is none, so that no real chip is ever written to."""
+    name = root / f"sys/class/i2c-dev/i2c-{number}/name"
+    if not name.is_file() or not name.read_text(encoding="ascii").startswith(STUB_NAME):
+        return None
+    return MachineWiring().i2c("stub", I2cBus(kind="i2c", number=number))()
+
+
+def stub_chips(file: BenchFile, bench: EmulatedBench) -> dict[str, list[StubChip]]:
+    """The chips of i2c-stub behind every I2C bus of the file; none where its number is no stub.
+
+    Raises
+    ------
+    InputError : a device's far end cannot keep the registers of a stub.
+    DeviceError : the stub refuses.
+    """
+    found: dict[str, list[StubChip]] = {}
+    for name, bus in file.buses.items():
+        if not isinstance(bus, I2cBus):
+            continue
+        try:
+            stub = stub_bus(bus.number)
+        except OSError as error:
+            raise DeviceError(f"bus '{name}': {error}") from None
+        found[name] = []
+        emulated = bench.i2c_buses[name]
+        for address, far_end in emulated.devices.items():
+            if stub is None:
+                continue
+            if not isinstance(far_end, StoreKeeper):
+                raise InputError(f"bus '{name}': the emulator at address 0x{address:02X} cannot stand behind i2c-stub")
+            found[name].append(StubChip(stub, address, far_end, emulated.silent))
+    return found
+
+
+def serve(clock: EmulatedClock, bridges: Sequence[Bridge], chips: Sequence[StubChip], stop: Callable[[], bool]) -> None:
+    """Serve until `stop` says so, the clock in step with the wall's.
+
+    Raises
+    ------
+    DeviceError : a real bus failed.
+    """
+    began = time.monotonic() - clock.now()
+    handles = [bridge.fileno() for bridge in bridges]
+    pace = STUB_PACE_S if chips else PACE_S
+    try:
+        while not stop():
+            select.select(handles, [], [], pace)
+            clock.sleep_until(time.monotonic() - began)
+            for bridge in bridges:
+                bridge.carry()
+            for chip in chips:
+                chip.carry(clock.now())
+    except (OSError, can.CanError) as error:
+        raise DeviceError(f"a served bus failed: {error}") from None

@@ -1,0 +1,75 @@
+"""The far end of a serial CAN adapter on a pseudo terminal: Lawicel's ASCII protocol, which python-can calls `slcan`.
+
+Commands end with CR; the adapter answers CR, or BEL where it refuses (Lawicel CANUSB manual, version 1.0D).
+"""
+
+import can
+
+from leactl.emulation.wires.pseudo_terminal import PseudoTerminal
+
+CR, BEL = b"\r", b"\a"
+VERSION, SERIAL = b"V1013\r", b"NA123\r"
+
+
+class SlcanAdapter:
+    """An adapter whose serial side is a pseudo terminal, `path`, and whose CAN side is `recv` and `send`."""
+
+    def __init__(self) -> None:
+        self._terminal = PseudoTerminal()
+        self.path = self._terminal.path
+        self._line = b""
+        self._open = False
+        self._frames: list[can.Message] = []
+
+    def fileno(self) -> int:
+        """What `select` waits for."""
+        return self._terminal.fileno()
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame that the client sent, or None; never waits."""
+        if not self._frames:
+            self._read()
+        return self._frames.pop(0) if self._frames else None
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Give a frame to the client; a closed channel and a full line lose it, as a real adapter does."""
+        if self._open:
+            self._terminal.write(b"t%03X%d%s\r" % (msg.arbitration_id, msg.dlc, bytes(msg.data).hex().upper().encode()))
+
+    def shutdown(self) -> None:
+        """Close the terminal."""
+        self._terminal.close()
+
+    def _read(self) -> None:
+        self._line += self._terminal.read()
+        *commands, self._line = self._line.split(CR)
+        self._line = self._line[-64:]  # no command is longer: noise does not pile up
+        for command in commands:
+            self._terminal.write(self._answer(command))
+
+    def _answer(self, command: bytes) -> bytes:
+        kind = command[:1]
+        if kind == b"O":
+            self._open = True
+        elif kind == b"C":
+            self._open = False
+        elif kind == b"V":
+            return VERSION
+        elif kind == b"N":
+            return SERIAL
+        elif kind == b"t":
+            return self._transmit(command)
+        elif kind not in (b"S", b"s", b"M", b"m", b"Z", b""):
+            return BEL
+        return CR
+
+    def _transmit(self, command: bytes) -> bytes:
+        try:
+            identifier, count = int(command[1:4], 16), int(command[4:5])
+            data = bytes.fromhex(command[5:].decode("ascii"))
+        except ValueError:
+            return BEL
+        if not self._open or identifier > 0x7FF or count > 8 or len(data) != count:
+            return BEL
+        self._frames.append(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+        return CR
