@@ -104,6 +104,17 @@ def test_what_fits_to_sound_machines_are_off_by_alike_is_taken_away(case, null, 
     assert found[-0.2].std / found[-0.2].nominal == pytest.approx(MISSED * 0.2 * factor, rel=0.15)
 
 
+@pytest.mark.parametrize("bias", [-0.977, -0.5, 0.5])
+def test_what_runs_hardly_show_is_not_corrected_and_stands_in_its_standard_error(case, null, bias):
+    parameters = {}
+    for moved in (0.0, bias):
+        evidence = Evidence(case.fitted, case.model, only=[])
+        evidence.compare_with(replace(null, moved={"rotor_inertia": (moved, 0.003)}))
+        (parameters[moved],) = (p for p in calibrated(evidence, evidence.settle([])) if p.parameter == "rotor_inertia")
+    assert parameters[bias].fitted == parameters[0.0].fitted
+    assert parameters[bias].std / parameters[bias].nominal == pytest.approx(abs(bias), rel=0.15)
+
+
 def test_a_simulated_run_has_the_channels_the_noise_and_the_rounding_of_the_measured_one(case):
     [again] = sound_runs(case.fitted, [case.model], np.random.default_rng(1))
     assert [one.name for one in again] == [one.name for one in case.fitted]

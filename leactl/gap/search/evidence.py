@@ -67,6 +67,7 @@ GAINS = (
 READINGS = {"coupled_torque", "locked_torque", "swung_torque"}  # a torque sensor taken at its word tells it then
 UNTOLD = 1.0  # of its prior, by which sound machines may move a parameter that their runs tell
 MISSED = 0.2  # of what fits to sound machines are off by alike, that may be another's: the rest is taken away
+CORRECTED = 0.3  # of a parameter, the largest such error that is taken away: beyond it, the runs hardly show it
 PINNED = 1e-4  # prior of a torque constant that nothing tells
 NEGLIGIBLE = 0.05  # of the smallest size worth knowing, below which an effect is none
 NO_CORRELATION = 0.02
@@ -88,17 +89,18 @@ class Null:
     kept: tuple[str, ...]  # and those of them that no fit may move
 
     def bias(self, parameter: str) -> float:
-        """Relative change of a parameter that fits to sound machines show alike."""
-        return self.moved.get(parameter, (0.0, 0.0))[0]
+        """Relative change of a parameter that fits to sound machines show alike, as far as it can be taken away."""
+        bias = self.moved.get(parameter, (0.0, 0.0))[0]
+        return bias if abs(bias) <= CORRECTED else 0.0
 
     def doubt(self, parameter: str) -> float:
-        """Standard deviation of a parameter's relative change where the bias is taken away."""
+        """Standard deviation of a parameter's relative change once its bias is taken away."""
         return error_of(*self.moved.get(parameter, (0.0, 0.0)))
 
 
 def error_of(bias: float, scatter: float) -> float:
-    """What is left in doubt of a relative change by a known bias and a scatter."""
-    return math.hypot(MISSED * bias, scatter)
+    """What is left in doubt of a relative change by a known bias, taken away where it can be, and a scatter."""
+    return math.hypot(MISSED * bias if abs(bias) <= CORRECTED else bias, scatter)
 
 
 class Evidence:

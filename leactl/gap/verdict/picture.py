@@ -76,6 +76,8 @@ OF_SIGNALS: dict[Variable, Callable[[Signals], Array | None]] = {
 """Every variable from the signals of one run; None where the run does not show it."""
 SIGNS: tuple[Variable, ...] = ("velocity", "q_axis_current", "torque_rate")
 """Variables along whose sign a residual may be counted: what turns round with them would cancel in a bin."""
+EPSILON = float(np.finfo(np.float64).eps)
+SQUARED = 1e-150  # whose square is a number still
 
 
 class Channel(NamedTuple):
@@ -187,7 +189,9 @@ def replayed_part(group: Sequence[tuple[Record, Compared]]) -> Part:
             # a sign that is taken in between samples is neither
             whole = np.concatenate(known)
             values[name] = np.asarray(np.round(whole) if name == "direction" else whole, np.float64)
-    noise = max(float(np.sqrt(np.mean([one.noise**2 for _, one in group]))), 1e-300)
+    # a channel without noise, as of a log that was computed, is known to as many digits as its numbers have
+    digits = EPSILON * float(np.max(np.abs(np.concatenate([one.measured for _, one in group]))))
+    noise = max(float(np.sqrt(np.mean([one.noise**2 for _, one in group]))), digits, SQUARED)
     gain = float(np.sum(before**2 - after**2)) / noise**2
     channel = Channel(first.quantity, first.role, first.mechanical, "replay", UNITS[first.quantity])
     return Part(channel, before, after, before - after, groups, values, float(len(np.unique(groups))), gain)
