@@ -4,6 +4,7 @@ import json
 import re
 from functools import cache
 from html import escape
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from urllib.parse import unquote
 from xml.etree import ElementTree
@@ -14,10 +15,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from leactl.analysis import registry
 from leactl.analysis.analyze import analyze_runs
 from leactl.analysis.analyze import names as experiments
 from leactl.analysis.estimate import Band, Estimate, Grid, Plot, Result, Series
-from leactl.analysis.registry import shipped
 from leactl.errors import InputError
 from leactl.report.datasheet.figures import heading, pretty
 from leactl.report.datasheet.make import Wanted, make, refuse_shared
@@ -191,7 +192,7 @@ def test_an_experiment_is_taken_by_what_its_result_says(tmp_path, monkeypatch):
     (tmp_path / "plugged").mkdir()
     (tmp_path / "plugged" / "shakes.py").write_text(NOVEL)
     monkeypatch.syspath_prepend(tmp_path / "plugged")
-    monkeypatch.setitem(shipped(), "shakes", "shakes")
+    monkeypatch.setattr(registry, "foreign", lambda: {"shakes": EntryPoint("shakes", "shakes", registry.GROUP)})
     path = Bench(tmp_path).torque(protocol="name: x\nanalysis: shakes\n")
     refuse_untaken({"gain": 2.0})
     root = tree(of(path, options={"gain": 2.0}), tmp_path / "out.html")
