@@ -1,4 +1,4 @@
-"""The site of the manual: `sphinx-build -W --keep-going docs site`, with the extra `docs`."""
+"""The site of the manual: `sphinx-build -aEW --keep-going docs site`, with the extra `docs`."""
 
 project = "leactl"
 author = "the leactl contributors"
@@ -7,3 +7,4 @@ myst_heading_anchors = 3  # links to headings, as the pages write them, are chec
 html_theme = "furo"
 html_title = "leactl"
 html_show_sourcelink = False
+html_show_copyright = False
