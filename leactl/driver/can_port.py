@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from leactl.driver.clock import Clock
+from leactl.driver.retries import Retries
 from leactl.errors import DeviceError, NoBus
 
 if TYPE_CHECKING:
@@ -15,6 +16,8 @@ Listener = Callable[[bytearray, float], None]
 SYNC_ID = 0x080
 NMT_ID = 0x000
 LATE_S = 0.01
+FULL_S = 0.002  # that a frame may wait for room: some 15 frames at 1 Mbit/s, and less than any cycle can spare twice
+BUS_OFF = 0x40  # class of an error frame (linux/can/error.h)
 
 
 class CanPort:
@@ -35,6 +38,7 @@ class CanPort:
         self._listeners: dict[int, Listener] = {}
         self._sent: dict[int, can.Message] = {}
         self._users = 0
+        self.full = Retries()
 
     def open(self) -> None:
         """Connect, once for all users of the port.
@@ -101,7 +105,35 @@ class CanPort:
         try:
             bus.send(message)
         except (OSError, ValueError, _can_error()) as error:
-            raise DeviceError(f"bus '{self.name}': cannot send 0x{identifier:03X}: {error}") from None
+            self._send_again(message, error)
+
+    def _send_again(self, message: "can.Message", error: Exception) -> None:
+        """Send a frame once more that found the queue of the interface full, as long as `FULL_S`.
+
+        Raises
+        ------
+        DeviceError : the queue stays full, or sending failed for another reason.
+        """
+        self.full.count += 1
+        until = self._now() + FULL_S
+        while _is_full(error) and self.bus is not None and self._now() < until:
+            self.clock.sleep_until(self._now() + FULL_S / 10)
+            try:
+                self.bus.send(message)
+            except (OSError, ValueError, _can_error()) as again:
+                error = again
+            else:
+                return
+        raise DeviceError(f"bus '{self.name}': cannot send 0x{message.arbitration_id:03X}: {error}") from None
+
+    def notices(self) -> list[str]:
+        """What the bus has done since the last call and a reader of the run should know, a line each."""
+        if not (count := self.full.take_note()):
+            return []
+        return [
+            f"bus '{self.name}': a frame had to wait for room in the interface's queue, {count};"
+            " a longer one helps: ip link set CHANNEL txqueuelen 1000"
+        ]
 
     def pump_until(self, came: Sequence[bool], deadline: float) -> bool:
         """Dispatch frames until their listeners have made all of `came` true, or the deadline; says which.
@@ -110,7 +142,7 @@ class CanPort:
 
         Raises
         ------
-        DeviceError : the bus is closed or gone.
+        DeviceError : the bus is closed or gone, or the controller has left it.
         """
         bus, now, listeners = self.bus, self._now, self._listeners
         if bus is None:
@@ -128,7 +160,13 @@ class CanPort:
             if message is None:
                 if left == 0.0:
                     return False
-            elif not (message.is_error_frame or message.is_extended_id or message.is_remote_frame):
+            elif message.is_error_frame:
+                if message.arbitration_id & BUS_OFF:
+                    raise DeviceError(
+                        f"bus '{self.name}': the controller has left the bus (bus-off): too many of its frames failed;"
+                        " look at cable, termination and bit rate, then: leactl doctor"
+                    )
+            elif not (message.is_extended_id or message.is_remote_frame):
                 listener = listeners.get(message.arbitration_id)
                 if listener is not None:
                     listener(message.data, message.timestamp)
@@ -146,6 +184,11 @@ class CanPort:
     def sync(self) -> None:
         """Send the CANopen SYNC frame."""
         self.send(SYNC_ID, b"")
+
+
+def _is_full(error: Exception) -> bool:
+    """Whether an interface had no room for a frame."""
+    return errno.ENOBUFS in (getattr(error, "error_code", None), getattr(error, "errno", None))
 
 
 def _can_error() -> type[Exception]:

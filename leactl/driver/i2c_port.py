@@ -7,10 +7,12 @@ two would reach into the next register as well.
 import errno
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Protocol
+from typing import Any, Protocol
 
+from leactl.driver.retries import Retries
 from leactl.errors import DeviceError, NoAnswer
 
+ATTEMPTS = 3  # of a transfer of half a millisecond (three bytes and an address at 100 kHz)
 _NAK = {errno.EREMOTEIO, errno.ENXIO, errno.ENODEV}
 _MEANING = {
     errno.EBUSY: "a kernel driver holds this address; unbind it",
@@ -40,6 +42,7 @@ class I2cPort:
         self.name = name
         self._bus: SmBus | None = None
         self._users = 0
+        self.unacknowledged = Retries()
 
     def open(self) -> None:
         """Connect, once for all users of the port.
@@ -72,12 +75,10 @@ class I2cPort:
         NoAnswer : nothing acknowledged, or the transfer timed out.
         DeviceError : the bus is closed or failed.
         """
-        if self._bus is None:
+        bus = self._bus
+        if bus is None:
             raise DeviceError(f"bus '{self.name}': not open")
-        try:
-            return swapped(self._bus.read_word_data(address, register))
-        except OSError as error:
-            raise self._explain(error, address) from None
+        return swapped(self._acknowledged(address, lambda: bus.read_word_data(address, register)))
 
     def write(self, address: int, register: int, value: int) -> None:
         """Write a 16-bit register.
@@ -87,12 +88,26 @@ class I2cPort:
         NoAnswer : nothing acknowledged, or the transfer timed out.
         DeviceError : the bus is closed or failed.
         """
-        if self._bus is None:
+        bus = self._bus
+        if bus is None:
             raise DeviceError(f"bus '{self.name}': not open")
-        try:
-            self._bus.write_word_data(address, register, swapped(value))
-        except OSError as error:
-            raise self._explain(error, address) from None
+        self._acknowledged(address, lambda: bus.write_word_data(address, register, swapped(value)))
+
+    def notices(self) -> list[str]:
+        """What the bus has done since the last call and a reader of the run should know, a line each."""
+        count = self.unacknowledged.take_note()
+        return [f"bus '{self.name}': a transfer went through only when it was repeated, {count}"] if count else []
+
+    def _acknowledged(self, address: int, transfer: Callable[[], Any]) -> Any:
+        """Make a transfer, once more where it was not acknowledged: beside a motor drive a bit is lost now and then."""
+        for left in reversed(range(ATTEMPTS)):
+            try:
+                return transfer()
+            except OSError as error:
+                if error.errno not in _NAK or not left:
+                    raise self._explain(error, address) from None
+                self.unacknowledged.count += 1
+        raise AssertionError("the last attempt returns or raises")
 
     def _explain(self, error: OSError, address: int) -> DeviceError:
         place = f"bus '{self.name}', address 0x{address:02X}"

@@ -244,6 +244,42 @@ def test_errors_of_the_bus_are_named(code, kind, words):
         bench.adc.take()
 
 
+def test_a_transfer_that_is_not_acknowledged_once_or_twice_is_made_again_and_told(monkeypatch):
+    bench = AdcBench()
+    bench.adc.open()
+    read, refusals = bench.bus.read_word_data, [errno.EREMOTEIO, errno.EREMOTEIO]
+
+    def noisy(address, register):
+        if refusals:
+            raise OSError(refusals.pop(), "Remote I/O error")
+        return read(address, register)
+
+    monkeypatch.setattr(bench.bus, "read_word_data", noisy)
+    rows = []
+    while not rows:
+        rows += bench.adc.take()
+        bench.clock.sleep_until(bench.clock.now() + 0.001)
+    assert refusals == []
+    [told] = bench.adc.notices()
+    assert "a transfer went through only when it was repeated, 2 so far" in told
+    assert bench.adc.notices() == []
+
+
+def test_a_transfer_that_is_never_acknowledged_is_made_three_times(monkeypatch):
+    bench = AdcBench()
+    bench.adc.open()
+    attempts = []
+
+    def deaf(address, register, value):
+        attempts.append(register)
+        raise OSError(errno.EREMOTEIO, "Remote I/O error")
+
+    monkeypatch.setattr(bench.bus, "write_word_data", deaf)
+    with pytest.raises(NoAnswer, match="0x48: not acknowledged"):
+        bench.adc.take()
+    assert len(attempts) == 3
+
+
 @given(
     volts=st.floats(-0.25, 0.25),
     pins=st.sampled_from(["A0-A1", "A0-A3", "A1-A3", "A2-A3", "A0", "A1", "A2", "A3"]),

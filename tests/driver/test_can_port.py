@@ -1,10 +1,13 @@
 """The shared CAN bus: what reaches the bus for repeated and changed frames, and how long a wait may last."""
 
+import errno
+
 import can
 import pytest
 
 from leactl.driver.can_port import CanPort
 from leactl.emulation.clock import EmulatedClock
+from leactl.errors import DeviceError
 
 
 class Keeping(can.BusABC):
@@ -49,3 +52,65 @@ def test_a_bus_that_never_falls_silent_does_not_hold_a_wait(port):
     port.bus.babbles = True
     assert not port.pump_until([False], 0.5)
     assert 0.5 <= port.clock.now() <= 0.512
+
+
+class Full(Keeping):
+    """An interface whose queue has no room for so many attempts."""
+
+    def __init__(self, clock, refusals):
+        super().__init__(clock)
+        self.refusals = refusals
+
+    def send(self, msg, timeout=None):
+        if self.refusals:
+            self.refusals -= 1
+            raise can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS)
+        super().send(msg)
+
+
+def full_port(refusals):
+    clock = EmulatedClock()
+    port = CanPort(lambda: Full(clock, refusals), clock)
+    port.open()
+    return port
+
+
+def test_a_frame_waits_for_room_in_the_queue_and_is_told():
+    port = full_port(refusals=5)
+    port.send(0x201, b"\x01")
+    assert [message.arbitration_id for message in port.bus.given] == [0x201]
+    assert port.clock.now() < 0.002
+    [told] = port.notices()
+    assert "had to wait for room in the interface's queue, 1 so far" in told
+    assert port.notices() == []
+
+
+def test_a_queue_that_stays_full_is_an_error_within_two_milliseconds():
+    port = full_port(refusals=10_000)
+    with pytest.raises(DeviceError, match="cannot send 0x201: Failed to transmit: No buffer space available"):
+        port.send(0x201, b"\x01")
+    assert port.clock.now() <= 0.0022
+
+
+def test_what_fails_for_another_reason_is_not_repeated(port, monkeypatch):
+    attempts = []
+
+    def gone(message, timeout=None):
+        attempts.append(message)
+        raise OSError(errno.ENETDOWN, "Network is down")
+
+    monkeypatch.setattr(port.bus, "send", gone)
+    with pytest.raises(DeviceError, match="Network is down"):
+        port.send(0x201, b"")
+    assert len(attempts) == 1
+
+
+@pytest.mark.parametrize(("identifier", "ends"), [(0x40, True), (0x04, False), (0x100, False)])
+def test_a_controller_that_has_left_the_bus_is_told(port, monkeypatch, identifier, ends):
+    frames = [can.Message(arbitration_id=identifier, is_error_frame=True, is_extended_id=False, data=bytes(8))]
+    monkeypatch.setattr(port.bus, "recv", lambda timeout=None: frames.pop() if frames else None)
+    if ends:
+        with pytest.raises(DeviceError, match=r"has left the bus \(bus-off\)"):
+            port.pump_until([False], 0.0)
+    else:
+        assert not port.pump_until([False], 0.0)

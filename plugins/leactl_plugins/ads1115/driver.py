@@ -157,6 +157,10 @@ class Ads1115(Driver):
         self._start()
         return (row,)
 
+    def notices(self) -> list[str]:
+        """One line where transfers went through only when they were repeated, at the 1st, 10th, 100th of them."""
+        return self._port.notices()
+
     def tare(self, means: Mapping[str, float]) -> dict[str, float]:
         """Take these mean readings, by stream, as zero from now on; the new offsets by channel name.
 

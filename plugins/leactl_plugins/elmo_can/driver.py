@@ -444,7 +444,7 @@ class ElmoCan(Driver):
         life.due = min(life.fed + period, life.asked + settings.bus_voltage_period_s)
 
     def notices(self) -> list[str]:
-        """Return a line each time the drive began to limit its demand by itself, and one for irregular answers.
+        """Return a line each time the drive began to limit its demand by itself, for irregular answers and a full bus.
 
         A drive tells by statusword bit 11 that it limits its demand.
         """
@@ -454,7 +454,7 @@ class ElmoCan(Driver):
             standing.quiet_of_answers_until = now + QUIET_S
             standing.shown = replace(irregular)
             standing.notices.append(str(irregular))
-        notices, standing.notices = standing.notices, []
+        notices, standing.notices = standing.notices + self._port.notices(), []
         return notices
 
     def take(self) -> list[Row]:
