@@ -1,12 +1,14 @@
 """Replay against what can be worked out by hand."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from leactl.gap.replay import replay
+from leactl.gap.replay.cutting import Cut
 from leactl.gap.signals.record import LONG, Record
 from tests.gap.synthetic import (
     BENCH,
@@ -223,3 +225,14 @@ def test_where_a_run_has_no_reference_its_measured_current_drives_the_replay(gap
         assert not told.any()
     assert np.isfinite(job.fast["q_axis_current", "test"][150 + gap :]).all()
     assert job.fast["q_axis_current", "test"][-1] == pytest.approx(8.0)
+
+
+@pytest.mark.parametrize("length", [1, 2, 3, 7, 545, 546, 2000])
+def test_stretches_of_any_length_begin_within_the_run_and_reach_its_end(length):
+    """Runs that are stepped side by side share the longest stretch of all, whatever each was cut into at first."""
+    samples, parts = 546, 80
+    job = SimpleNamespace(clock=SimpleNamespace(time=np.arange(samples)), parts=parts)
+    cut = Cut(job, 0, 1, samples, np.zeros((samples - 1) * parts + 1), None, None)
+    cut.take_length(length)
+    assert cut.length * (cut.count - 1) <= samples - 1 < cut.length * cut.count + 1
+    assert cut.cut(cut.drive, np.arange(cut.count)).shape == (length * parts, cut.count)

@@ -43,6 +43,10 @@ class Cut:
         """Sub-steps in a stretch."""
         return self.length * self.job.parts
 
+    def take_length(self, length: int) -> None:
+        """Cut the job into stretches of so many samples, as many as reach its end."""
+        self.length, self.count = length, stretches(self.job, self.first, length)
+
     def cut(self, values: Array, lanes: Index) -> Array:
         """Instants of some stretches, (steps, lanes); the last value goes on beyond the run's end."""
         begin = self.first * self.job.parts
@@ -87,11 +91,16 @@ def cut_of(job: Job, kind: str) -> Cut:
     seconds = {"locked": LOCKED_STRETCH_S, "turning": RESTART_S, "tracked": tracked}.get(kind)
     length = samples if seconds is None else max(1, round(seconds / clock.interval))
     job.first = first
-    count = -(-((samples - 1 - first) * parts + 1) // (length * parts))
-    cut = Cut(job, first, length, count, drive, load_drive, share)
+    cut = Cut(job, first, length, stretches(job, first, length), drive, load_drive, share)
     if kind == "tracked":
         cut.target, cut.target_speed = target_of(job)
     return cut
+
+
+def stretches(job: Job, first: int, length: int) -> int:
+    """How many stretches of so many samples a job has, the last of them to its end or beyond."""
+    instants = (len(job.clock.time) - 1 - first) * job.parts + 1
+    return -(-instants // (length * job.parts))
 
 
 def target_of(job: Job) -> tuple[Array, Array]:

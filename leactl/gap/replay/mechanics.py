@@ -44,7 +44,7 @@ def move(jobs: Sequence[Job]) -> None:
         cuts.sort(key=lambda cut: id(cut.job.plant))
         longest = max(cut.length for cut in cuts)
         for cut in cuts:
-            cut.length = longest  # a servo that ends earlier goes on at its last reference
+            cut.take_length(longest)  # a servo that ends earlier goes on at its last reference
         if kind in ("locked", "tracked"):
             settle(cuts, kind)
         else:
