@@ -17,9 +17,9 @@ from leactl.bench import benchfile
 HOLD = """
 import sys, time
 from leactl.bench import benchfile
-from leactl.runner import exclusive
+from leactl.runner import locks
 file, devices, _ = benchfile.load(sys.argv[1])
-with exclusive.held(file, devices):
+with locks.held(file, devices):
     print("held", flush=True)
     time.sleep(60)
 """

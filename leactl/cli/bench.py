@@ -87,7 +87,7 @@ def reset(
     """State why a bench is tripped and, once confirmed, release it."""
     from leactl.bench.benchfile import load
     from leactl.errors import Stopped
-    from leactl.runner import latch, underway
+    from leactl.runner import latch, runs_underway
 
     tripped = latch.tripped(bench)
     name = next(iter(tripped)).bench if tripped else load(bench)[0].name
@@ -100,7 +100,7 @@ def reset(
         raise Stopped(f"not confirmed; '{name}' stays tripped (--yes confirms without a question)")
     for held in tripped:
         held.release()
-    list(underway.lost(name))  # what the run that the trip tells of left behind would latch the bench again
+    list(runs_underway.lost(name))  # what the run that the trip tells of left behind would latch the bench again
     causes = [{"cause": trip.cause, "time": trip.time, "run": trip.run} for trip in tripped.values()]
     answer = {"bench": name, "tripped": False, "released": causes[0], "all_released": causes}
     typer.echo(json.dumps(answer) if as_json else f"{name}: released")

@@ -13,8 +13,8 @@ from leactl.cli.completion import benches
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from leactl.runner.runs_underway import Underway
     from leactl.runner.session import Outcome
-    from leactl.runner.underway import Underway
 
 LONGEST_REMARK = 1000  # characters
 END_S = 20.0  # three devices confirm within a second each; the rest is for the file
@@ -40,9 +40,9 @@ def stop(
 ) -> None:
     """Stop the run on a bench and say how it ended."""
     from leactl.errors import DeviceError
-    from leactl.runner import underway
+    from leactl.runner import runs_underway
 
-    found, faults = underway.running()
+    found, faults = runs_underway.running()
     found = _runs_on(bench, found, faults)
     asked = []
     for run in found:  # every one is asked before any is waited for
@@ -95,9 +95,9 @@ def _ask_each(bench: str, as_json: bool, ask: "Callable[[Underway], None]", answ
     DeviceError : nothing runs there, or a run cannot be asked.
     """
     from leactl.errors import DeviceError
-    from leactl.runner import underway
+    from leactl.runner import runs_underway
 
-    found, faults = underway.running()
+    found, faults = runs_underway.running()
     found = _runs_on(bench, found, faults)
     asked = []
     for run in found:
@@ -121,7 +121,7 @@ def _runs_on(bench: str, found: "list[Underway]", faults: list[str]) -> "list[Un
 
     A run that holds the bench, and whose file cannot be found, is added to the faults.
     """
-    from leactl.runner.underway import unseen
+    from leactl.runner.runs_underway import unseen
 
     if not bench:
         return found

@@ -9,7 +9,7 @@ def doctor(as_json: bool = typer.Option(False, "--json", help="Print JSON on std
     """Check Python, packages, plug-ins, buses, browser and disk."""
     from dataclasses import asdict
 
-    from leactl.bench.machine import examine
+    from leactl.bench.host_checks import examine
     from leactl.report import pdf
     from leactl.report.listing import row
     from leactl.runner import state

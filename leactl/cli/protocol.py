@@ -101,10 +101,10 @@ def plan(
         from leactl.bench.bench import Bench
         from leactl.bench.benchfile import host_silences
         from leactl.bench.wiring import MachineWiring
+        from leactl.runner.bench_fit import check_fit, unwitnessed
         from leactl.runner.checked_bench import load_checked
-        from leactl.runner.fitting import check_fit, unwitnessed
         from leactl.runner.left_on import left_on
-        from leactl.runner.windings import Windings, standing
+        from leactl.runner.thermal_admission import Windings, standing
         from leactl.safety.refusals import check_rate
 
         file, devices, _document = load_checked(bench)

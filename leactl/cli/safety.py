@@ -109,7 +109,7 @@ def challenge(
     from leactl.runner.challenge.hunt import hunt, hunts
     from leactl.runner.challenge.optimisers import OPTIMISERS
     from leactl.runner.checked_bench import load_checked
-    from leactl.runner.windings import guard_settings, motors_of
+    from leactl.runner.thermal_admission import guard_settings, motors_of
 
     rates = rate or [20.0, 100.0, 500.0, 1000.0]
     for given in rates:

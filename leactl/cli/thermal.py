@@ -66,7 +66,7 @@ def state(
     """Show how warm the windings of a bench may be by now, and how that is known."""
     from leactl.report.thermal import state_text
     from leactl.runner.checked_bench import load_checked
-    from leactl.runner.windings import Windings
+    from leactl.runner.thermal_admission import Windings
 
     file, devices, _document = load_checked(bench)
     windings = Windings(file, devices, actuator)
@@ -123,7 +123,7 @@ def plan(
     from leactl.protocol.protocolfile import load, read_overrides
     from leactl.report.thermal import forecast_text
     from leactl.runner.checked_bench import load_checked
-    from leactl.runner.windings import Windings
+    from leactl.runner.thermal_admission import Windings
 
     file, devices, _document = load_checked(bench)
     expanded = load(protocol, read_overrides(overrides), condition)
@@ -132,7 +132,7 @@ def plan(
     longer = expanded
     if found.passing is not None:
         try:
-            longer = windings.approved(expanded, insert_cooldown=True)
+            longer = windings.admit(expanded, insert_cooldown=True)
         except InputError:
             longer = expanded
     waits = [row for row in longer.timeline() if row.name == "cooldown"]

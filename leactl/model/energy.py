@@ -14,7 +14,7 @@ import numpy as np
 
 from leactl.errors import InputError
 from leactl.model.cycle import Array, Cycle
-from leactl.model.sheet import MotorSheet
+from leactl.model.motor_schema import MotorSheet
 from leactl.model.winding import FRAMES, voltage_ceiling
 
 NEEDED = (

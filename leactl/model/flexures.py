@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from leactl.errors import InputError
-from leactl.model.sheet import Bearings, MotorSheet
+from leactl.model.motor_schema import Bearings, MotorSheet
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from pydantic import Field
 
 from leactl import yamlfile
 from leactl.errors import InputError
-from leactl.model.figures import continuous_torques
-from leactl.model.sheet import MotorLimits, MotorSheet, NotNegative, Positive, Thermal
+from leactl.model.derived_quantities import continuous_torques
+from leactl.model.motor_schema import MotorLimits, MotorSheet, NotNegative, Positive, Thermal
 
 Sheet = TypeVar("Sheet", bound=MotorSheet)
 RESISTANCES = 1e-5, 1e3  # ohm

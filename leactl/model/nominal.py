@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from leactl import yamlfile
-from leactl.model.sheet import MotorSheet, NotNegative, Positive, Thermal
+from leactl.model.motor_schema import MotorSheet, NotNegative, Positive, Thermal
 from leactl.vocabulary.effect import effect_definition, effect_names
 from leactl.yamlblock import Block
 

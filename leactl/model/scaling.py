@@ -9,8 +9,8 @@ lever too.
 from dataclasses import dataclass
 
 from leactl.errors import InputError
-from leactl.model.figures import electrical, motor_constant
-from leactl.model.sheet import MotorSheet
+from leactl.model.derived_quantities import electrical, motor_constant
+from leactl.model.motor_schema import MotorSheet
 
 POWERS = {
     "torque_constant": 2.0,

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from leactl.model.sheet import Thermal
+from leactl.model.motor_schema import Thermal
 
 Array = npt.NDArray[np.float64]
 ACTIVE_SHARE = 2.0 / 3.0  # of a wye winding: the phases that two leads feed; the third carries no direct current

@@ -6,7 +6,7 @@ from typing import Any
 
 from leactl.driver.contract import Mode
 from leactl.errors import InputError
-from leactl.protocol import sweeps, trajectory, weights
+from leactl.protocol import dead_weights, sweeps, trajectory
 from leactl.protocol.bisection import bisect
 from leactl.protocol.criteria import bounds, criterion
 from leactl.protocol.plan import (
@@ -278,5 +278,5 @@ _WRITERS: dict[str, Callable[[Timeline, Step, int], None]] = {
     "tare": _tare,
     "supply": _supply,
     "prompt": _prompt,
-    "weigh": weights.weigh,
+    "weigh": dead_weights.weigh,
 }

@@ -7,8 +7,8 @@ from typing import Any
 from leactl.model.cycle import Cycle
 from leactl.model.energy import Stride
 from leactl.model.flexures import Preload, Reading
+from leactl.model.motor_schema import Bearings, MotorSheet
 from leactl.model.scaling import Scaled
-from leactl.model.sheet import Bearings, MotorSheet
 from leactl.report.motors import WIDTH, cell
 from leactl.report.terminal import aligned, wrapped
 

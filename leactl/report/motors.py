@@ -7,7 +7,7 @@ from typing import Any
 
 from leactl import yamlfile
 from leactl.errors import InputError
-from leactl.model.figures import (
+from leactl.model.derived_quantities import (
     continuous_torques,
     electrical,
     motor_constant,
@@ -16,7 +16,7 @@ from leactl.model.figures import (
     without_friction,
 )
 from leactl.model.motor import Motor, load_sheet
-from leactl.model.sheet import LoopFigures, MotorSheet
+from leactl.model.motor_schema import LoopFigures, MotorSheet
 from leactl.report.terminal import aligned, wrapped
 from leactl.safety.thermal.capability import Nominal, nominal
 

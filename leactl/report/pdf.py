@@ -6,7 +6,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from leactl.bench.machine import Finding
+from leactl.bench.host_checks import Finding
 from leactl.errors import DeviceError, InputError
 from leactl.runfile.publish import replacement
 

@@ -97,7 +97,7 @@ def _bench() -> JsonSchema:
 
 
 def _motor() -> JsonSchema:
-    from leactl.model.sheet import MotorSheet
+    from leactl.model.motor_schema import MotorSheet
 
     return MotorSheet.model_json_schema()
 

@@ -15,7 +15,7 @@ from leactl.driver.contract import SAFE_STATE_S
 from leactl.emulation.bench.block import check_emulated
 from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
-from leactl.runner.windings import STOPS_WITHIN_S
+from leactl.runner.thermal_admission import STOPS_WITHIN_S
 from leactl.safety.thermal.box import Box
 from leactl.yamlfile import Document
 

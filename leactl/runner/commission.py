@@ -21,10 +21,10 @@ from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
 from leactl.runfile.publish import replacement
 from leactl.runfile.reader import Run
-from leactl.runner import exclusive
+from leactl.runner import locks
 from leactl.runner.session import Outcome, Request, rehearse
+from leactl.runner.thermal_admission import Windings
 from leactl.runner.thermal_memory import Recalled
-from leactl.runner.windings import Windings
 from leactl.safety.thermal.foresight import Forecast
 
 HEATING, COOLING = "heating_s", "cooling_s"  # parameters of the protocol
@@ -221,7 +221,7 @@ def _written(asked: Request, motor: Motor, told: Sequence[Path], file: Path) -> 
     To the memory of the windings a narrowed file is another motor file, of which it would know nothing. What is known
     of the actuator by the file before holds by this one as well, so it is kept again.
     """
-    with nullcontext() if asked.in_process else exclusive.held(asked.bench, asked.devices):
+    with nullcontext() if asked.in_process else locks.held(asked.bench, asked.devices):
         known = _known(asked, file)
         _write(file, motor, asked.actuator, told)
         request = _by(asked, file)

@@ -13,7 +13,7 @@ from leactl.bench.bench import Bench
 from leactl.driver.contract import PowerSupply, ProtectedSupply
 from leactl.errors import InputError
 from leactl.protocol.plan import Plan, Supply
-from leactl.runner.windings import Windings
+from leactl.runner.thermal_admission import Windings
 from leactl.safety.supplies import Ending, Levels, at_leads
 from leactl.safety.thermal.bound import BURNT, HOTTEST
 from leactl.safety.thermal.box import Box

@@ -12,7 +12,7 @@ from leactl.protocol.plan import Plan
 from leactl.runner.acceptance import check_analysis
 from leactl.runner.checked_bench import load_checked
 from leactl.runner.session import Request
-from leactl.runner.windings import check_label
+from leactl.runner.thermal_admission import check_label
 from leactl.safety.refusals import check_rate
 from leactl.yamlfile import Document
 

@@ -24,17 +24,17 @@ from leactl.errors import AcceptanceFailed, DeviceError, InputError, LeactlError
 from leactl.model.motor import load_motor
 from leactl.protocol.plan import Plan, Record, SearchLimit, Supply
 from leactl.runfile.writer import RecordingFailed, RunInfo, RunWriter, new_run_id
-from leactl.runner import exclusive, latch, state, underway
+from leactl.runner import latch, locks, runs_underway, state
+from leactl.runner.bench_fit import check_fit, check_setup, limits_of, unwitnessed
 from leactl.runner.channel_limits import ACCEPTANCE, Verdict
-from leactl.runner.fitting import check_fit, check_setup, limits_of, unwitnessed
 from leactl.runner.latch import Latch, Ready
 from leactl.runner.loop import Loop, Operator
 from leactl.runner.progress import Progress
 from leactl.runner.recorder import InlineFlush, ThreadedFlush
+from leactl.runner.runs_underway import Announcement
 from leactl.runner.signals import StopRequest, StopSource, Wishes, listening
-from leactl.runner.underway import Announcement
+from leactl.runner.thermal_admission import Windings
 from leactl.runner.watchdog import Unwatched, beside
-from leactl.runner.windings import Windings
 from leactl.safety.current_tracking import VoltageNeed
 from leactl.safety.disk import check_room, free_bytes, planned_bytes
 from leactl.safety.supervisor import Axis, Supervisor
@@ -122,7 +122,7 @@ def execute(
         about = request.bench.name, request.bench_document.name, request.plan.name
         with (
             _watched(request, locks) as watchdog,
-            underway.announced(*about, needed=not request.in_process, place=place) as announcement,
+            runs_underway.announced(*about, needed=not request.in_process, place=place) as announcement,
         ):
             windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
             request, bench, supervisor = _ready(request, windings)
@@ -210,7 +210,7 @@ def rehearse(request: Request) -> Rehearsal:
 
 def _alone(request: Request) -> AbstractContextManager[list[int]]:
     """The locks of the bench and its buses; a bench of this process needs none."""
-    return nullcontext([]) if request.in_process else exclusive.held(request.bench, request.devices)
+    return nullcontext([]) if request.in_process else locks.held(request.bench, request.devices)
 
 
 def _ready(request: Request, windings: Windings) -> tuple[Request, Bench, Supervisor]:
@@ -220,7 +220,7 @@ def _ready(request: Request, windings: Windings) -> tuple[Request, Bench, Superv
     refuse_blind(bench, request.bench_document)
     planned = _planned_bytes(request.plan, bench)
     check_room(request.bench.interlocks.disk_space, free_bytes(request.directory), planned)
-    request = replace(request, plan=windings.approved(request.plan, request.insert_cooldown))
+    request = replace(request, plan=windings.admit(request.plan, request.insert_cooldown))
     supervisor = _supervisor(request, bench, windings)
     _check_supplies(request, supervisor)
     if _switches_on(request.plan):
@@ -404,7 +404,7 @@ def _refuse_latched(request: Request) -> None:
     SafetyTrip : it is latched.
     LeactlError : the latch could not be written.
     """
-    for cause, run in underway.lost(request.bench.name) if not request.in_process else ():
+    for cause, run in runs_underway.lost(request.bench.name) if not request.in_process else ():
         if request.latch.trip() is None:
             request.latch.set(cause, Path(run))
     request.latch.refuse()

@@ -15,7 +15,7 @@ from leactl.errors import InputError
 
 if TYPE_CHECKING:  # an emergency stop imports this: nothing heavy comes with it
     from leactl.bench.benchfile import BenchFile
-    from leactl.bench.machine import Finding
+    from leactl.bench.host_checks import Finding
 
 MACHINE = "/var/lib/leactl"
 OF_EVERYBODY, OF_ITS_OWNER = 0o666, 0o644
@@ -109,7 +109,7 @@ def reachable() -> tuple[list[Place], list[str]]:
 
 def examine() -> "Finding":
     """Where locks, trip latches and winding memory of benches on real buses are, and whether all users share them."""
-    from leactl.bench.machine import Finding
+    from leactl.bench.host_checks import Finding
 
     directory = _machine_directory()
     locks = "locks in the kernel, shared by all users; trip latches and winding memory in"

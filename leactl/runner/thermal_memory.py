@@ -1,7 +1,7 @@
 """What a winding may still hold from before: bounds in a file for each actuator, with the time that they are of.
 
-They cool while nothing runs, for as long as is certain by the clock since boot (`leactl.runner.moment`). A process that
-died left its actuator no hotter than the limit that its guard kept; its housing may have gone on warming until the next
+They cool while nothing runs, for as long as is certain by the clock since boot (`leactl.runner.boot_time`). A process
+that died left its actuator no hotter than the limit that its guard kept; its housing may have warmed on until the next
 writing was overdue. What is not known counts as hot.
 """
 
@@ -22,7 +22,7 @@ import numpy as np
 from leactl.errors import InputError
 from leactl.model.motor import Motor
 from leactl.runner import state
-from leactl.runner.moment import Moment
+from leactl.runner.boot_time import Moment
 from leactl.runner.state import Place
 from leactl.safety.limits import COLDEST_DEGC, HOTTEST_DEGC
 from leactl.safety.thermal.bound import HOUSING, ThermalBound

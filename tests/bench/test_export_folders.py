@@ -10,7 +10,7 @@ import yaml
 from leactl.bench import benchfile
 from leactl.bench.records import placed
 from leactl.errors import DeviceError, InputError
-from leactl.runner import exclusive
+from leactl.runner import locks
 from tests.cli.terminal import leactl
 
 REST = """
@@ -66,11 +66,11 @@ def test_a_folder_is_held_by_one_run(tmp_path, monkeypatch):
     file, devices, _document = benchfile.load("emulated-heated")
     cameras = [device for device in placed(devices, tmp_path) if device.name == "camera"]
     words = rf"the folder {tmp_path}/camera of 'camera' is driven by another run, process {os.getpid()}"
-    with exclusive.held(file.model_copy(update={"name": "one"}), cameras):
+    with locks.held(file.model_copy(update={"name": "one"}), cameras):
         other = file.model_copy(update={"name": "other"})
-        with pytest.raises(DeviceError, match=words), exclusive.held(other, cameras):
+        with pytest.raises(DeviceError, match=words), locks.held(other, cameras):
             raise AssertionError
-        with exclusive.held(other, placed(benchfile.asked_for(devices, ["winding_temperature"]), tmp_path / "b")[1:]):
+        with locks.held(other, placed(benchfile.asked_for(devices, ["winding_temperature"]), tmp_path / "b")[1:]):
             pass
 
 

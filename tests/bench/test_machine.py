@@ -1,6 +1,6 @@
 """What the doctor makes of a machine's files, and what the commands it names would change."""
 
-from leactl.bench.machine import examine
+from leactl.bench.host_checks import examine
 
 
 def finding(root, subject):

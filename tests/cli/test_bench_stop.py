@@ -23,8 +23,8 @@ SPINNING = ("run", "spin.yaml", "--set", "hold_s=600", "--realtime", "--json")
 HOLD = """
 import sys, time
 from leactl.driver.contract import Confirmation
-from leactl.runner import underway
-with underway.announced(sys.argv[1], "rig.yaml", "hold", needed=True) as announcement:
+from leactl.runner import runs_underway
+with runs_underway.announced(sys.argv[1], "rig.yaml", "hold", needed=True) as announcement:
     print("held", flush=True)
     while not announcement.asked():
         time.sleep(0.01)
@@ -38,7 +38,7 @@ with underway.announced(sys.argv[1], "rig.yaml", "hold", needed=True) as announc
 ANOTHER_USER = """
 import os
 from leactl.cli import main
-from leactl.runner import underway
+from leactl.runner import runs_underway
 os.seteuid(65534)
 main.main()
 """

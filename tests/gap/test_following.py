@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.signals.derived import following
-from leactl.model.sheet import Thermal
+from leactl.model.motor_schema import Thermal
 from leactl.model.thermal_network import ThermalNetwork
 
 from .synthetic import THERMAL

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from leactl.model.figures import continuous_torques, electrical, motor_constant, network_current
+from leactl.model.derived_quantities import continuous_torques, electrical, motor_constant, network_current
 from leactl.model.flexures import bearings_of, disagreement, readings
 from leactl.model.motor import load_motor, load_sheet
 from leactl.report.motors import Setting, comparison, known

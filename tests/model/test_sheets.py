@@ -5,11 +5,11 @@ import pytest
 from leactl import yamlfile
 from leactl.bench import benchfile
 from leactl.errors import InputError
-from leactl.model.figures import continuous_torques, motor_constant, network_current, no_load_speed
+from leactl.model.derived_quantities import continuous_torques, motor_constant, network_current, no_load_speed
 from leactl.model.motor import load_motor, load_sheet, motor_names
+from leactl.model.motor_schema import MotorSheet
 from leactl.model.nominal import Model
-from leactl.model.sheet import MotorSheet
-from leactl.runner.windings import Windings
+from leactl.runner.thermal_admission import Windings
 
 SPARSE = "name: mine\nwinding: delta\ntorque_constant: 0.1\n"
 

@@ -14,8 +14,8 @@ from leactl.runner.loop import Loop
 from leactl.runner.operators import granted
 from leactl.runner.progress import Progress
 from leactl.runner.signals import StopRequest, Wishes
+from leactl.runner.thermal_admission import guard_settings, motors_of
 from leactl.runner.watchdog import Unwatched
-from leactl.runner.windings import guard_settings, motors_of
 from leactl.safety.current_tracking import VoltageNeed
 from leactl.safety.supervisor import Axis, Supervisor
 from leactl.safety.thermal.box import Array

@@ -10,9 +10,9 @@ import numpy as np
 
 from leactl.protocol.plan import Plan
 from leactl.runner import state
-from leactl.runner.moment import Moment
+from leactl.runner.boot_time import Moment
+from leactl.runner.thermal_admission import motors_of
 from leactl.runner.thermal_memory import Memory
-from leactl.runner.windings import motors_of
 from leactl.safety.thermal.box import Array, Box
 from leactl.safety.thermal.foresight import Foresight
 from leactl.safety.thermal.guard import ThermalGuard

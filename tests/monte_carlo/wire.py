@@ -17,12 +17,12 @@ from leactl.bench import benchfile
 from leactl.emulation.bench.emulated_bench import observed
 from leactl.runfile.integrity import verify
 from leactl.runfile.reader import Run
-from leactl.runner import windings
+from leactl.runner import thermal_admission
 from leactl.runner.drill.plant import Plant
 from leactl.runner.operators import granted
 from leactl.runner.request import prepare
 from leactl.runner.session import execute
-from leactl.runner.windings import motors_of
+from leactl.runner.thermal_admission import motors_of
 from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.foresight import Foresight
 from tests.monte_carlo.plants import LEA, ROLES, Truth, drawn
@@ -57,7 +57,7 @@ def trial(draw: np.random.Generator, number: int, guard_of: MakeGuard) -> dict[s
     text, times = _accepted(protocol)
     truth = drawn(draw, "", protocol.duration)
     fault = _fault(draw, protocol.duration) if draw.random() < 0.5 else None
-    with _own_place() as place, patch.object(windings, "ThermalGuard", guard_of):
+    with _own_place() as place, patch.object(thermal_admission, "ThermalGuard", guard_of):
         (place / "trial.yaml").write_text(text)
         (place / "bench.yaml").write_text(yaml.safe_dump(_bench(truth, fault)))
         request = prepare(

@@ -17,8 +17,8 @@ import pytest
 from leactl.bench import benchfile
 from leactl.errors import DeviceError, InputError, SafetyTrip
 from leactl.model.motor import load_motor
-from leactl.runner import exclusive, holding, state, underway
-from leactl.runner.moment import Moment
+from leactl.runner import lock_holders, locks, runs_underway, state
+from leactl.runner.boot_time import Moment
 from leactl.runner.thermal_memory import Memory
 from tests.cli.terminal import leactl
 from tests.latches import latch_of
@@ -156,7 +156,7 @@ def test_a_bent_file_beside_that_of_a_run_keeps_nobody_from_stopping_it(bend):
     runs = state.of_user().runs
     kind = bend(runs / "other.1.abcd.run")
     regular = (runs / "other.1.abcd.run").is_file() and not (runs / "other.1.abcd.run").is_symlink()
-    with underway.announced("rig", "rig.yaml", "hold", needed=True) as run:
+    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True) as run:
         answers = []
         asking = threading.Thread(target=lambda: answers.append(leactl("bench", "stop", "--wait", "0", "--json")))
         asking.start()
@@ -174,13 +174,13 @@ def test_a_bent_lock_of_a_folder_is_refused_or_held(bend, tmp_path):
     kind = bend(path)
     if path.is_file() and not path.is_symlink():
         with (
-            exclusive.locked(path, "taken"),
+            locks.locked(path, "taken"),
             pytest.raises(DeviceError, match="taken"),
-            exclusive.locked(path, "taken"),
+            locks.locked(path, "taken"),
         ):
             raise AssertionError
         return
-    with pytest.raises(InputError, match="no lock can be kept here"), exclusive.locked(path, "taken"):
+    with pytest.raises(InputError, match="no lock can be kept here"), locks.locked(path, "taken"):
         raise AssertionError(kind)
 
 
@@ -195,7 +195,7 @@ def test_where_the_user_s_runs_are_bent_those_of_the_machine_are_stopped(tmp_pat
     bent = state.of_user().runs
     bent.parent.mkdir(parents=True, exist_ok=True)
     BENT[kind](bent)
-    with underway.announced("rig", "rig.yaml", "hold", needed=True, place=state.of_machine()) as run:
+    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, place=state.of_machine()) as run:
         done = leactl("bench", "stop", "--wait", "0")
         assert run.asked()
     assert done.returncode == 5
@@ -255,8 +255,8 @@ def test_without_a_home_the_machine_s_runs_are_stopped_all_the_same(tmp_path, mo
         raise RuntimeError("Could not determine home directory.")
 
     monkeypatch.setattr(Path, "home", homeless)
-    with underway.announced("rig", "rig.yaml", "hold", needed=True, place=state.of_machine()):
-        runs, faults = underway.running()
+    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, place=state.of_machine()):
+        runs, faults = runs_underway.running()
     assert [run.bench for run in runs] == ["rig"]
     assert faults == ["there is no home directory for leactl's state; set LEACTL_STATE to a directory"]
 
@@ -266,7 +266,7 @@ def test_without_a_home_the_machine_s_runs_are_stopped_all_the_same(tmp_path, mo
 
 @pytest.mark.parametrize("how", ["removed", "moved", "replaced", "bent", "folder removed"])
 def test_a_run_whose_file_goes_is_found_again(how):
-    with underway.announced("rig", "rig.yaml", "hold", needed=True) as run:
+    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True) as run:
         run.renew()
         [path] = state.of_user().runs.glob("*.run")
         run.tell(run="here.h5")
@@ -281,7 +281,7 @@ def test_a_run_whose_file_goes_is_found_again(how):
         elif how == "folder removed":
             path.parent.rmdir()
         run.renew()
-        [found], faults = underway.running()
+        [found], faults = runs_underway.running()
         assert (found.bench, found.told()["run"], faults) == ("rig", "here.h5", [])
         found.ask_to_stop()
         assert run.asked()
@@ -291,7 +291,7 @@ def test_a_run_whose_file_goes_is_found_again(how):
 
 def test_a_bench_that_is_held_without_a_file_is_said_to_be(testbed, holder):
     name = benchfile.load(str(testbed))[0].name
-    assert holding.holder(holding.lock_of(f"bench-{name}"))[0] == holder.pid
+    assert lock_holders.holder(lock_holders.lock_of(f"bench-{name}"))[0] == holder.pid
     for word in (name, str(testbed)):
         done = leactl("bench", "stop", word)
         assert done.returncode == 5
@@ -447,7 +447,7 @@ def test_a_bent_text_in_a_latch_holds_and_moves_no_terminal(held, testbed, key, 
 @pytest.mark.parametrize("key", ["bench", "file", "protocol", "process", "status", "reason", "run"])
 @pytest.mark.parametrize("text", [*TEXTS.values(), ["a list"], None], ids=[*TEXTS, "a list", "null"])
 def test_a_bent_text_in_a_run_s_file_is_stopped_and_moves_no_terminal(key, text):
-    with underway.announced("rig", "rig.yaml", "hold", needed=True) as run:
+    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True) as run:
         run.tell(**{key: text})
         done = leactl("bench", "stop", "--wait", "0")
         assert run.asked()

@@ -18,8 +18,8 @@ from leactl.runfile import writer
 from leactl.runfile.integrity import verify
 from leactl.runfile.reader import Run
 from leactl.runner import latch, recorder, state, watchdog_process
+from leactl.runner.boot_time import Moment
 from leactl.runner.latch import BYTES, Ready
-from leactl.runner.moment import Moment
 from leactl.runner.thermal_memory import Keeper, Memory
 from tests.cli.terminal import COMMAND
 from tests.kills.trial import watchdog_of

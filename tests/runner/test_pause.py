@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from leactl.runfile.reader import Run
-from leactl.runner import loop, operators, underway
+from leactl.runner import loop, operators, runs_underway
 from tests.runner.conftest import SPIN
 from tests.runner.test_operators import keyboard, typing  # noqa: F401 (a fixture)
 
@@ -20,7 +20,7 @@ def asking(ask):
     """Something asked of the run by another process, as an action at a moment."""
 
     def act(_bench):
-        (run,), _faults = underway.running()
+        (run,), _faults = runs_underway.running()
         ask(run)
         run.close()
 
@@ -64,7 +64,7 @@ def test_a_pause_that_is_taken_back_before_a_rest_changes_nothing(spin):
 
 def test_a_run_is_stopped_while_it_pauses(spin):
     outcome, _bench = spin(RESTING, at=[(0.3, PAUSE), (2.0, asking(lambda run: run.ask_to_stop()))])
-    assert (outcome.status, outcome.reason) == ("stopped", underway.CAUSE)
+    assert (outcome.status, outcome.reason) == ("stopped", runs_underway.CAUSE)
     assert paused(outcome)[0].stop == pytest.approx(2.0, abs=0.1)
 
 

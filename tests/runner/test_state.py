@@ -10,8 +10,8 @@ import yaml
 
 from leactl.bench import benchfile
 from leactl.errors import InputError, SafetyTrip
-from leactl.runner import state, underway
-from leactl.runner.windings import Windings
+from leactl.runner import runs_underway, state
+from leactl.runner.thermal_admission import Windings
 from tests.cli.terminal import COMMAND, leactl, live_run, start
 from tests.latches import latch_of, trip_of
 
@@ -207,8 +207,8 @@ def test_files_that_are_no_run_s_stop_no_stop(tmp_path):
     place = state.of_user().runs
     for kind in ("pipe", "dangling", "endless", "folder"):
         bent(place / f"{kind}.run", kind)
-    with underway.announced("rig", "rig.yaml", "hold", needed=True):
-        runs, faults = underway.running()
+    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True):
+        runs, faults = runs_underway.running()
     assert [run.bench for run in runs] == ["rig"]
     assert len(faults) == 4  # one of them may stand where the file of a run was
 
@@ -249,8 +249,8 @@ def test_windings_of_one_user_are_kept_on_by_another(open_machine):
 
 @ROOT
 def test_every_user_may_stop_what_runs_on_real_buses(open_machine):
-    with underway.announced("rig", "rig.yaml", "hold", needed=True, place=state.of_machine()) as run:
-        assert as_another_user(lambda: underway.running()[0][0].ask_to_stop()) == "None"
+    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, place=state.of_machine()) as run:
+        assert as_another_user(lambda: runs_underway.running()[0][0].ask_to_stop()) == "None"
         assert run.asked()
 
 

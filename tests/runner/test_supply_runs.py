@@ -18,8 +18,8 @@ from leactl.errors import DeviceError, DeviceFault, InputError
 from leactl.protocol import protocolfile
 from leactl.runfile.reader import Run
 from leactl.runner.left_on import endings
+from leactl.runner.thermal_admission import Windings
 from leactl.runner.thermal_memory import Recalled
-from leactl.runner.windings import Windings
 from tests.cli.terminal import leactl
 from tests.latches import trip_of
 from tests.runner.test_pause import GO_ON, PAUSE

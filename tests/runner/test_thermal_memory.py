@@ -19,9 +19,9 @@ from leactl.bench import benchfile
 from leactl.errors import InputError
 from leactl.model.motor import load_motor
 from leactl.runner import state, thermal_memory
-from leactl.runner.moment import Moment
+from leactl.runner.boot_time import Moment
+from leactl.runner.thermal_admission import Windings
 from leactl.runner.thermal_memory import OVERDUE_S, Keeper, Memory
-from leactl.runner.windings import Windings
 from leactl.safety.thermal.bound import ThermalBound
 from leactl.safety.thermal.box import Box
 from tests.cli.terminal import COMMAND, leactl, live_run, start

@@ -27,7 +27,7 @@ from leactl.protocol.plan import (
 from leactl.runner.operators import granted
 from leactl.runner.request import prepare
 from leactl.runner.session import execute
-from leactl.runner.windings import Windings
+from leactl.runner.thermal_admission import Windings
 from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.demand import states
 from leactl.safety.thermal.foresight import Foresight
@@ -150,7 +150,7 @@ def test_a_hopeless_plan_is_refused_with_that_word(at_the_bench, insert):
     made = at_the_bench(HOT)
     windings = Windings(made.bench, made.devices, emulated_here=True)
     with pytest.raises(InputError) as refused:
-        windings.approved(made.plan, insert)
+        windings.admit(made.plan, insert)
     words = str(refused.value)
     assert "may take the test winding to its limit of 130 degC after " in words
     assert ("no wait helps" if insert else "no wait between its steps helps: shorten or lower them") in words

@@ -17,7 +17,7 @@ from leactl.analysis.experiments.thermal import analyze
 from leactl.analysis.heating.resistance import REFERENCE
 from leactl.errors import AcceptanceFailed, InputError, NotIdentifiable
 from leactl.model.motor import Motor
-from leactl.model.sheet import Thermal, Tolerances
+from leactl.model.motor_schema import Thermal, Tolerances
 from leactl.runfile.reader import Run
 
 DEVIATIONS = 3.0  # standard errors of a fit that a tolerance spans

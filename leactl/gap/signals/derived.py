@@ -17,8 +17,8 @@ from leactl.effects.shapes import play
 from leactl.gap.signals.noise import noise_of, quantum_of
 from leactl.gap.signals.record import Clocked, Record, smallest_step
 from leactl.gap.signals.smoothing import middle, sharp_senses, slope, smooth, speeds
+from leactl.model.motor_schema import Thermal
 from leactl.model.nominal import BenchModel, Model
-from leactl.model.sheet import Thermal
 from leactl.model.thermal_network import ThermalNetwork
 
 Array = npt.NDArray[np.float64]

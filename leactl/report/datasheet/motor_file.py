@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from leactl import yamlfile
 from leactl.errors import InputError
-from leactl.model.sheet import MotorSheet
+from leactl.model.motor_schema import MotorSheet
 from leactl.report.datasheet.figures import plain, pretty
 from leactl.report.datasheet.runset import RunSet
 from leactl.report.html import Html, joined, table, tag

@@ -15,7 +15,7 @@ from pathlib import Path
 from leactl.errors import LeactlError, Stopped
 from leactl.protocol.plan import Plan
 from leactl.runfile.writer import new_run_id
-from leactl.runner import exclusive
+from leactl.runner import locks
 from leactl.runner.acceptance import judge
 from leactl.runner.campaign import folder as place
 from leactl.runner.campaign.campaignfile import Campaign
@@ -24,7 +24,7 @@ from leactl.runner.campaign.journal import Finished, Journal, save
 from leactl.runner.operators import at_the_terminal
 from leactl.runner.session import Outcome, Preview, Request
 from leactl.runner.signals import between_runs
-from leactl.runner.windings import Windings
+from leactl.runner.thermal_admission import Windings
 
 LOOK_EVERY_S = 0.05  # at the keyboard and at signals, between two runs
 
@@ -73,8 +73,8 @@ def conduct(campaign: Campaign, entries: Sequence[Entry], folder: Path, manner: 
         pending = [entry for entry in entries if entry.cell.key not in now.finished]
         real = {entry.request.bench.name: entry.request.bench for entry in pending if not entry.request.in_process}
         for name, bench in sorted(real.items()):
-            lock = f"campaign-{exclusive.name_of(bench)}"
-            benches.enter_context(exclusive.alone(lock, f"bench '{name}' has a campaign already"))
+            lock = f"campaign-{locks.name_of(bench)}"
+            benches.enter_context(locks.alone(lock, f"bench '{name}' has a campaign already"))
         expected = previews(pending, check)
         for moved in place.put_aside([*now.unfinished, *now.damaged], folder):
             manner.tell(f"put aside: {moved}")

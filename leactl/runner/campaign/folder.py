@@ -8,7 +8,7 @@ from pathlib import Path
 
 from leactl.errors import InputError
 from leactl.runfile.publish import move_without_overwriting
-from leactl.runner import exclusive
+from leactl.runner import locks
 from leactl.runner.campaign.campaignfile import Campaign
 from leactl.runner.campaign.entries import Entry
 from leactl.runner.campaign.journal import NAME, Journal, fresh, read
@@ -31,7 +31,7 @@ def held(folder: Path) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be made: {error.strerror or error}; choose another --out") from None
-    with exclusive.locked(folder / LOCK, f"{folder}: the campaign is conducted already"):
+    with locks.locked(folder / LOCK, f"{folder}: the campaign is conducted already"):
         for left in folder.glob(f".{NAME}.*.tmp"):  # by a kill while the journal was replaced
             left.unlink()
         yield

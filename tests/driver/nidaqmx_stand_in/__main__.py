@@ -10,7 +10,7 @@ import sys
 from leactl_plugins.ni_daq.driver import NiDaq
 from leactl_plugins.ni_daq.settings import NiDaqSettings
 
-from leactl.bench.machine import ni_daqmx
+from leactl.bench.host_checks import ni_daqmx
 from leactl.emulation.clock import EmulatedClock
 from leactl.errors import LeactlError
 

@@ -22,7 +22,7 @@ from typing import Any
 
 from leactl.driver.contract import Confirmation
 from leactl.errors import DeviceError, InputError
-from leactl.runner import holding, state
+from leactl.runner import lock_holders, state
 from leactl.runner.state import Place
 from leactl.yamlfile import printable
 
@@ -310,7 +310,7 @@ def running() -> tuple[list[Underway], list[str]]:
 
 def unseen(bench: str) -> str:
     """What is said of a real bench that a process holds, although no run's file tells of it; empty where none does."""
-    held = holding.holder(holding.lock_of(f"bench-{bench}"))
+    held = lock_holders.holder(lock_holders.lock_of(f"bench-{bench}"))
     if held is None:
         return ""
     return (

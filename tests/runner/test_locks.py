@@ -8,7 +8,7 @@ import pytest
 
 from leactl.bench import benchfile
 from leactl.errors import DeviceError, InputError
-from leactl.runner import exclusive
+from leactl.runner import locks
 from tests.cli.terminal import leactl
 from tests.runner.conftest import SPIN
 
@@ -36,7 +36,7 @@ def test_a_second_run_is_refused_with_the_process_of_the_first(testbed, holder, 
 
 def test_another_bench_file_on_the_same_bus_is_refused(holder, real_bench):
     words = rf"bus 'can0' \(socketcan-can{os.getpid()}\) is driven by .* process {holder.pid};"
-    with pytest.raises(DeviceError, match=words), exclusive.held(*real_bench(name="other")):
+    with pytest.raises(DeviceError, match=words), locks.held(*real_bench(name="other")):
         raise AssertionError
 
 
@@ -46,7 +46,7 @@ def test_another_bench_on_other_buses_is_not_refused(holder, real_bench):
         "i2c1": benchfile.I2cBus(kind="i2c", number=7),
     }
     file, devices = real_bench(name="other")
-    with exclusive.held(file.model_copy(update={"buses": file.buses | buses}), devices):
+    with locks.held(file.model_copy(update={"buses": file.buses | buses}), devices):
         pass
 
 
@@ -60,7 +60,7 @@ def test_two_benches_do_not_take_their_exports_from_one_folder(tmp_path, monkeyp
         port = benchfile.SerialBus(kind="serial", port=f"/dev/ttyUSB{len(loaded)}")
         loaded.append((file.model_copy(update={"buses": {"supply0": port}}), devices))
     words = r"the folder .*camera of 'camera' is driven by another run"
-    with exclusive.held(*loaded[0]), pytest.raises(DeviceError, match=words), exclusive.held(*loaded[1]):
+    with locks.held(*loaded[0]), pytest.raises(DeviceError, match=words), locks.held(*loaded[1]):
         raise AssertionError
 
 
@@ -70,47 +70,47 @@ def test_links_to_one_adapter_are_one_bus(tmp_path):
         benchfile.CanBus(kind="can", interface="slcan", channel=c) for c in ("/dev/null@115200", f"{tmp_path}/by-id")
     ]
     line = benchfile.SerialBus(kind="serial", port=f"{tmp_path}/by-id")
-    assert {exclusive._place(bus) for bus in (*there, line)} == {("device-1-3", "/dev/null")}
+    assert {locks._place(bus) for bus in (*there, line)} == {("device-1-3", "/dev/null")}
 
 
 def test_a_default_that_is_written_out_is_the_same_bus():
     bus = benchfile.CanBus(kind="can", interface="udp_multicast", channel="239.74.163.2")
-    assert exclusive._place(bus) == exclusive._place(bus.model_copy(update={"options": {"port": 43113}}))
+    assert locks._place(bus) == locks._place(bus.model_copy(update={"options": {"port": 43113}}))
     lo = benchfile.CanBus(kind="can", channel="lo")
-    assert exclusive._place(lo)[0] == "socketcan-lo"
+    assert locks._place(lo)[0] == "socketcan-lo"
 
 
 def test_a_killed_run_lets_go(holder, real_bench):
     holder.kill()
     holder.wait()
-    with exclusive.held(*real_bench()):
+    with locks.held(*real_bench()):
         pass
-    with exclusive.held(*real_bench()):  # and an orderly one too
+    with locks.held(*real_bench()):  # and an orderly one too
         pass
 
 
 def test_a_process_that_was_handed_the_locks_holds_the_bench_too(real_bench):
-    with exclusive.held(*real_bench()) as locks:
-        keeper = subprocess.Popen(["cat"], stdin=subprocess.PIPE, pass_fds=locks)
-    with pytest.raises(DeviceError, match="driven by another run"), exclusive.held(*real_bench()):
+    with locks.held(*real_bench()) as descriptors:
+        keeper = subprocess.Popen(["cat"], stdin=subprocess.PIPE, pass_fds=descriptors)
+    with pytest.raises(DeviceError, match="driven by another run"), locks.held(*real_bench()):
         raise AssertionError
     keeper.communicate()
-    with exclusive.held(*real_bench()):
+    with locks.held(*real_bench()):
         pass
 
 
 @pytest.mark.parametrize("name", ["LEACTL_STATE", "LEACTL_MACHINE_STATE", "HOME", "XDG_STATE_HOME", "TMPDIR"])
 def test_no_variable_leads_around_the_lock_of_a_real_bench(holder, real_bench, monkeypatch, tmp_path, name):
     monkeypatch.setenv(name, str(tmp_path / "elsewhere"))
-    with pytest.raises(DeviceError, match=f"process {holder.pid};"), exclusive.held(*real_bench()):
+    with pytest.raises(DeviceError, match=f"process {holder.pid};"), locks.held(*real_bench()):
         raise AssertionError
-    with pytest.raises(DeviceError, match=f"process {holder.pid};"), exclusive.held(*real_bench(name="other")):
+    with pytest.raises(DeviceError, match=f"process {holder.pid};"), locks.held(*real_bench(name="other")):
         raise AssertionError
 
 
 def test_a_lock_that_was_asked_for_too_often_still_holds(holder, real_bench, monkeypatch):
-    monkeypatch.setattr(exclusive, "_holder", lambda _name: "process unknown")
-    with pytest.raises(DeviceError, match="process unknown; wait for its end"), exclusive.held(*real_bench()):
+    monkeypatch.setattr(locks, "_holder", lambda _name: "process unknown")
+    with pytest.raises(DeviceError, match="process unknown; wait for its end"), locks.held(*real_bench()):
         raise AssertionError
 
 
@@ -120,6 +120,6 @@ def test_a_folder_s_lock_empties_no_link_s_target_and_waits_for_no_pipe(tmp_path
     (tmp_path / "link").symlink_to(target)
     os.mkfifo(tmp_path / "pipe")
     for name in ("link", "pipe"):
-        with pytest.raises(InputError, match="no lock can be kept here"), exclusive.locked(tmp_path / name, "taken"):
+        with pytest.raises(InputError, match="no lock can be kept here"), locks.locked(tmp_path / name, "taken"):
             raise AssertionError
     assert target.read_text() == "kept"

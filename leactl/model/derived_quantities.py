@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from leactl.model.sheet import MotorSheet
+from leactl.model.motor_schema import MotorSheet
 from leactl.model.winding import Electrical, voltage_ceiling
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from leactl.bench.benchfile import BenchFile, Bus, CheckedDevice, I2cBus, SerialBus
 from leactl.driver.batch import RecordSettings
 from leactl.errors import DeviceError, InputError
-from leactl.runner import holding, state
+from leactl.runner import lock_holders, state
 
 WAITING = 4096  # who asks for the holder stays in its queue; beyond this, or the kernel's bound, it is unknown
 UDP_MULTICAST_PORT = 43113  # of python-can, where no option names another
@@ -66,7 +66,7 @@ def alone(place: str, taken: str) -> Iterator[int]:
     ------
     DeviceError : another process holds it.
     """
-    name = holding.lock_of(place)
+    name = lock_holders.lock_of(place)
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as lock:
         try:
             lock.bind(name)
@@ -80,7 +80,7 @@ def alone(place: str, taken: str) -> Iterator[int]:
 
 def _holder(name: bytes) -> str:
     """The process that holds a lock, as the kernel tells it, with its user where that is another one."""
-    found = holding.holder(name)
+    found = lock_holders.holder(name)
     if found is None:  # on its way to the lock, or asked too often
         return "process unknown"
     process, user = found

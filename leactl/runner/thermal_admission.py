@@ -12,7 +12,7 @@ from leactl.driver.contract import SAFE_STATE_S
 from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
 from leactl.protocol.plan import Plan
-from leactl.runner.moment import Moment
+from leactl.runner.boot_time import Moment
 from leactl.runner.state import place_of
 from leactl.runner.thermal_memory import Keeper, Memory, Recalled
 from leactl.runner.watchdog import time_to_end_s
@@ -113,7 +113,7 @@ class Windings:
             self.keeper.start()
             self.keeper.stop()
 
-    def approved(self, plan: Plan, insert_cooldown: bool = False) -> Plan:
+    def admit(self, plan: Plan, insert_cooldown: bool = False) -> Plan:
         """The plan, or one with waits where that was asked for.
 
         Raises

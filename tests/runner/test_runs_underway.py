@@ -13,15 +13,15 @@ from leactl_plugins.ads1115.driver import Ads1115
 
 from leactl.errors import InputError
 from leactl.runfile.reader import Run
-from leactl.runner import underway
+from leactl.runner import runs_underway
 from leactl.runner.state import state_directory
 
 PERIOD = 0.01  # of `spin` [s]
 
 HOLD = """
 import sys, time
-from leactl.runner import underway
-with underway.announced("rig", "rig.yaml", "hold", needed=True):
+from leactl.runner import runs_underway
+with runs_underway.announced("rig", "rig.yaml", "hold", needed=True):
     print("held", flush=True)
     time.sleep(60)
 """
@@ -44,7 +44,7 @@ def test_no_cycle_begins_after_a_stop_and_the_drives_lose_torque_within_one(spin
     begun, asked, benches = [], [], []
 
     def ask(bench):
-        (run,), _faults = underway.running()
+        (run,), _faults = runs_underway.running()
         run.ask_to_stop()
         run.close()
         asked.append(bench.clock.now())
@@ -68,7 +68,7 @@ def test_no_cycle_begins_after_a_stop_and_the_drives_lose_torque_within_one(spin
 def test_a_run_tells_how_it_ended_to_whoever_had_its_file_open(spin):
     found = []
     outcome, _bench = spin(
-        at=[(0.3, lambda _bench: found.extend(underway.running()[0]))], sets=("current_A=2.5", "hold_s=2")
+        at=[(0.3, lambda _bench: found.extend(runs_underway.running()[0]))], sets=("current_A=2.5", "hold_s=2")
     )
     (run,) = found
     assert run.wait(time.monotonic())
@@ -84,22 +84,22 @@ def test_a_run_tells_how_it_ended_to_whoever_had_its_file_open(spin):
 
 
 def test_what_a_kill_left_behind_is_no_run_and_is_told_once_to_the_next_one(holder):
-    (run,), _faults = underway.running()
+    (run,), _faults = runs_underway.running()
     assert (run.bench, run.protocol, run.process) == ("rig", "hold", holder.pid)
     assert not run.wait(time.monotonic())
-    assert list(underway.lost("rig")) == []  # it goes on
+    assert list(runs_underway.lost("rig")) == []  # it goes on
     holder.kill()
     holder.wait()
     assert run.wait(time.monotonic())
     assert "status" not in run.told()
     run.close()
     assert len(files()) == 1
-    assert underway.running() == ([], [])
-    assert list(underway.lost("another")) == []
+    assert runs_underway.running() == ([], [])
+    assert list(runs_underway.lost("another")) == []
     said = f"process {holder.pid} of the run hold ended without a word, and its watchdog too"
-    assert next(underway.lost("rig"))[0] == said  # whatever was to be done about it failed
-    assert list(underway.lost("rig")) == [(said, "none")]
-    assert list(underway.lost("rig")) == []
+    assert next(runs_underway.lost("rig"))[0] == said  # whatever was to be done about it failed
+    assert list(runs_underway.lost("rig")) == [(said, "none")]
+    assert list(runs_underway.lost("rig")) == []
     assert files() == []
 
 
@@ -118,9 +118,9 @@ def test_a_run_that_ended_is_lost_unless_it_told_that_its_devices_are_safe(told,
     place.parent.mkdir(parents=True)
     about = {"bench": "rig", "file": "rig.yaml", "protocol": "hold", "process": 1, "real": True, "run": "r.h5"} | told
     place.write_bytes(b"--" + json.dumps(about).encode() + b"\n")
-    underway.running()
+    runs_underway.running()
     assert place.exists() == counts
-    assert [run for _, run in underway.lost("rig")] == (["r.h5"] if counts else [])
+    assert [run for _, run in runs_underway.lost("rig")] == (["r.h5"] if counts else [])
     assert not place.exists()
 
 
@@ -128,7 +128,7 @@ def test_a_file_without_a_lock_that_names_a_living_process_is_no_run():
     place = state_directory() / "runs" / f"rig.{os.getpid()}.0.run"
     place.parent.mkdir(parents=True)
     place.write_bytes(b'-{"bench": "rig", "file": "rig.yaml", "protocol": "hold", "process": %d}\n' % os.getpid())
-    assert underway.running() == ([], [])
+    assert runs_underway.running() == ([], [])
     assert not place.exists()
 
 
@@ -138,14 +138,14 @@ def test_a_run_is_locked_before_it_can_be_found(monkeypatch):
 
     def slow(descriptor, how):
         if how & fcntl.LOCK_EX:
-            seen.extend(underway.running()[0])
+            seen.extend(runs_underway.running()[0])
             assert [path.suffix for path in files()] == [".tmp"]
         lock(descriptor, how)
 
     monkeypatch.setattr(fcntl, "flock", slow)
-    with underway.announced("rig", "rig.yaml", "hold", needed=True):
+    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True):
         assert seen == []
-        (run,), _faults = underway.running()
+        (run,), _faults = runs_underway.running()
         run.close()
 
 
@@ -157,7 +157,7 @@ def test_without_a_place_a_rehearsal_goes_on_and_says_so_and_a_real_run_is_refus
         (event,) = [event for event in run.events if event.level == "warning"]
     assert event.message.startswith("/proc/nowhere/runs: `leactl bench stop` cannot reach this run: ")
     refused = pytest.raises(InputError, match="set LEACTL_STATE to a directory that can be written")
-    with refused, underway.announced("rig", "rig.yaml", "hold", needed=True):
+    with refused, runs_underway.announced("rig", "rig.yaml", "hold", needed=True):
         raise AssertionError
 
 
@@ -165,7 +165,7 @@ def test_a_stop_that_comes_while_the_devices_are_opened_moves_nothing(spin, monk
     opened = Ads1115.open
 
     def ask_and_open(device):
-        (run,), _faults = underway.running()
+        (run,), _faults = runs_underway.running()
         run.ask_to_stop()
         run.close()
         opened(device)
