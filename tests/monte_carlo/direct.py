@@ -271,6 +271,9 @@ class DirectBench:
             self._noises = self._draw.standard_normal(4096).tolist()
         return self._noises.pop()
 
+    def pace(self, period: float) -> None:
+        """Nothing: these drives take a setpoint whenever it comes."""
+
     def heard(self, role: str) -> bool:
         """Whether what the host says now reaches this drive."""
         return not self.dead and not self._lost(True)

@@ -153,7 +153,7 @@ class Unsupervised(RuleBasedStateMachine):
             return
         assert not tripped
         self.mode[role], self.passed[role], self.stood[role] = mode, None, {self.counts(role)}
-        self.stood[role].add(self.bench.drives[role]._counts)
+        self.stood[role].add(self.bench.drives[role]._position.counts)
 
     @rule(role=roles)
     def release(self, role):

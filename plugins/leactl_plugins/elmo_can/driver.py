@@ -529,7 +529,7 @@ class ElmoCan(Driver):
         reference, value = self._reference, self._value
         torque = value if reference == CURRENT else 0
         self._port.send(0x200 + self._node, _torque_demand.pack(word, torque, self._mode_number))
-        if self._mode is OFF or (reference == CURRENT and word == ENABLE_OPERATION):
+        if (reference == CURRENT and word == ENABLE_OPERATION) or self._mode is OFF or not self._position.located:
             return
         # on the way into operation in every mode: what another master has left there must not be followed for a moment
         position = self._position
