@@ -5,7 +5,7 @@ rotor, a factor on the torque constant, something the torque channel reads. An e
 each of its coefficients, and turns fitted coefficients into the parameters of its definition.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from typing import ClassVar
@@ -122,7 +122,8 @@ class Effect:
     relative_to: ClassVar[tuple[str, ...]] = ()  # the model's parameters whose part in a torque it is a share of
     one_sided: ClassVar[bool] = False  # whether its coefficient makes sense above zero only
     least: ClassVar[float] = 0.0  # size below which it is something else
-    continuous: ClassVar[bool] = True  # whether values between those of its forms make sense
+    continuous: ClassVar[bool] = True  # whether values between those of its forms make sense,
+    refined: ClassVar[int] = 1  # and for how many of a form's numbers, the first first
     shaped: ClassVar[bool] = False  # whether its coefficient is the share of a shape that is whole at one
     delays: ClassVar[bool] = False  # whether it is a delay and nothing else, which wrong stamps are too
     explains: ClassVar[float] = 0.82  # share of what it does to the channels it touches that its columns must explain
@@ -139,6 +140,10 @@ class Effect:
     def terms(self, signals: Signals, form: Form) -> Terms:
         """Columns for each place and coefficient; empty where the run cannot show the effect."""
         raise NotImplementedError
+
+    def terms_of_all(self, signals: Signals, forms: Sequence[Form]) -> Iterator[Terms]:
+        """The same of several forms; an effect says it where all at once cost less."""
+        return (self.terms(signals, form) for form in forms)
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Put the effect with these parameters into a simulated bench."""

@@ -52,6 +52,13 @@ class ElasticLoad(NamedTuple):
     damping_ratio: float
 
 
+class GearedLoad(NamedTuple):
+    """A part of a rotor's inertia that teeth with play move, with its part of the friction."""
+
+    share: float  # of the whole inertia
+    friction: float  # of the whole friction
+
+
 @dataclass
 class Plant:
     """One bench to simulate; every list is empty where no effect acts."""
@@ -59,8 +66,9 @@ class Plant:
     model: Model
     stiffness: float | None  # N*m/rad, of the shaft
     resistance_coefficient: float  # 1/K
-    play: float = 0.0  # rad, whole width between actuator and shaft
+    play: float = 0.0  # rad, whole width between actuator and shaft, or of a free rotor's gear
     elastic_load: ElasticLoad | None = None  # on a free rotor
+    geared_load: GearedLoad | None = None  # on a free rotor
     bristle: float = 0.0  # rad, over which friction builds up by an effect
     give: float = GIVE  # rad, over which it builds up in any bearing
     current_gain: float = 1.0  # measured current over current

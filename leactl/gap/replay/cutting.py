@@ -1,13 +1,13 @@
 """Runs cut into stretches, with what drives each of them and the constants of its bench."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
-from leactl.effects.plant import Array, ElasticLoad, Plant
+from leactl.effects.plant import Array, Plant
 from leactl.gap.replay.drive import measured, spread
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.lanes import SHAFT_DAMPING, Lanes, Servo, Tracking
@@ -21,6 +21,8 @@ RESTART_S = 1.0
 TRACKED = 20.0  # samples, time constant by which a tracked rotor is kept near its motion
 FORGOTTEN = 12.0  # of these time constants in a stretch at least: what it began with is gone at its end
 LOCKED_STRETCH_S = 0.25
+TOOTH = 0.3  # rad, by which teeth that press on each other would swing in a step: rigid, as far as steps can tell
+TOOTH_DAMPING = 0.5 / TOOTH  # of critical: one step takes all of the speed with which they meet, and gives none back
 Index = npt.NDArray[np.intp]
 
 
@@ -231,13 +233,14 @@ def lanes_of(cuts: Sequence[Cut], picked: Sequence[Index]) -> Lanes:
 
 
 def two_ended(job: Job) -> bool:
-    """Whether a second rotor turns at the other end of a shaft: a load actuator's, or what hangs there by a spring."""
-    return job.record.mechanical == "coupled" or hangs_by_a_spring(job)
+    """Whether something turns at the other end of a shaft: a load actuator, or a part of a free rotor's inertia."""
+    return job.record.mechanical == "coupled" or hangs_apart(job)
 
 
-def hangs_by_a_spring(job: Job) -> bool:
-    """Whether part of a free rotor's inertia follows by a spring."""
-    return job.record.mechanical == "free" and job.plant.elastic_load is not None
+def hangs_apart(job: Job) -> bool:
+    """Whether part of a free rotor's inertia follows by a spring or by teeth with play."""
+    plant = job.plant
+    return job.record.mechanical == "free" and (plant.elastic_load is not None or plant.geared_load is not None)
 
 
 def constants_of(job: Job) -> dict[str, float]:
@@ -259,8 +262,8 @@ def constants_of(job: Job) -> dict[str, float]:
         "gravity": load.level_torque,
         "hanging": load.hanging_angle,
     }
-    if job.plant.elastic_load is not None and hangs_by_a_spring(job):
-        found |= split_by_a_spring(inertia, job.plant.elastic_load)
+    if hangs_apart(job):
+        found |= parted(found, job)
     rate = 1.0 / (TRACKED * job.clock.interval)
     moved = found["inertia"] + (found["load_inertia"] if two_ended(job) else 0.0)
     # what a back-EMF brakes follows a spring only if that is strong against it
@@ -280,15 +283,27 @@ def constants_of(job: Job) -> dict[str, float]:
     return found
 
 
-def split_by_a_spring(inertia: float, hung: ElasticLoad) -> dict[str, float]:
-    """Constants of a rotor of whose inertia a share swings on a spring."""
-    load = hung.share * inertia
-    return {
-        "inertia": inertia - load,
+def parted(whole: Mapping[str, float], job: Job) -> dict[str, float]:
+    """Constants of a rotor of whose inertia a part hangs apart, from those of the whole.
+
+    A model with both has one load: on a spring, behind teeth.
+    """
+    spring, gear = job.plant.elastic_load, job.plant.geared_load
+    share, rubs = max(spring.share if spring else 0.0, gear.share if gear else 0.0), gear.friction if gear else 0.0
+    load = share * whole["inertia"]
+    found = {
+        "inertia": whole["inertia"] - load,
+        "damping": (1.0 - rubs) * whole["damping"],
+        "friction": (1.0 - rubs) * whole["friction"],
         "load_inertia": load,
-        "load_damping": 0.0,
-        "load_friction": 0.0,
-        "stiffness": load * (2.0 * np.pi * hung.frequency) ** 2,
-        # of the swing of both ends against each other, with the same damper
-        "damping_ratio": hung.damping_ratio / np.sqrt(1.0 - hung.share),
+        "load_damping": rubs * whole["damping"],
+        "load_friction": rubs * whole["friction"],
     }
+    if spring is not None:
+        found["stiffness"] = load * (2.0 * np.pi * spring.frequency) ** 2
+        # of the swing of both ends against each other, with the same damper
+        found["damping_ratio"] = spring.damping_ratio / np.sqrt(1.0 - share)
+    else:
+        found["stiffness"] = found["inertia"] * share * (TOOTH / job.step) ** 2
+        found["damping_ratio"] = TOOTH_DAMPING
+    return found

@@ -276,11 +276,11 @@ class _Group:
             drive[self.place] *= share(flowing[self.place])
 
     def slip(self, stiffness: Array) -> None:
-        """Leave the shaft unstrained within its play."""
+        """Leave the shaft unstrained within its play, whose flanks press and do not pull."""
         if self.plant.play:
             half = 0.5 * self.plant.play
             self.torque -= stiffness[self.place] * np.clip(self.twist, -half, half)
-            self.torque *= np.abs(self.twist) > half
+            self.torque *= (np.abs(self.twist) > half) & (self.torque * self.twist > 0.0)
 
     def drive(self, drive: Array, transmitted: Array) -> None:
         """Add torques on the rotor; a gear below a pendulum transmits what its motor puts in."""

@@ -6,20 +6,23 @@ once, and again wherever one did not begin where the one before it ended. A roto
 stepped likewise, for it forgets where it began. A position servo runs through.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.plant import Array
 from leactl.effects.shapes import play
+from leactl.effects.teeth import followed
 from leactl.gap.replay.cutting import (
     Cut,
     Index,
     constants_of,
     cut_of,
+    hangs_apart,
     lanes_of,
     logged_torque,
+    target_of,
     voltage_torque,
 )
 from leactl.gap.replay.job import Job
@@ -131,7 +134,20 @@ def start_of(cut: Cut, kind: str) -> State:
         twist = strained((c["load_inertia"] * net - c["inertia"] * load_net) / mass, job)
         net = net + load_net
     earlier = velocity - 0.5 * job.step * net / mass * np.abs(rubbing)
-    return State(angle, earlier, earlier.copy(), twist, np.sign(velocity) * np.abs(rubbing))
+    load = earlier.copy()
+    if kind != "servo" and job.plant.geared_load is not None and hangs_apart(job):
+        load, twist = behind_teeth(job, c, at)
+    return State(angle, earlier, load, twist, np.sign(velocity) * np.abs(rubbing))
+
+
+def behind_teeth(job: Job, c: Mapping[str, float], at: Index) -> tuple[Array, Array]:
+    """Speed [rad/s] and twist [rad] at some samples of a load that the measured motion moves by teeth with play."""
+    _, speed = target_of(job)
+    one = np.array(
+        [0.5 * job.plant.play, c["load_damping"] / c["load_inertia"], c["load_friction"] / c["load_inertia"]]
+    )
+    speeds, twists = followed(speed[:: job.parts], job.clock.interval, *one[:, None])
+    return speeds[0, at], twists[0, at]
 
 
 def strained(torque: Array, job: Job) -> Array:

@@ -7,6 +7,7 @@ small solve. Rows are weighted by the equation's noise, and counted by how many 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 
 import numpy as np
 import numpy.typing as npt
@@ -123,18 +124,18 @@ def effect_columns(equations: Sequence[Equation], candidates: Sequence[Candidate
     would take far more memory than the runs.
     """
     masks = [usable(equation) for equation in equations]
+    shown = [k for k, mask in enumerate(masks) if int(mask.sum()) >= FEWEST_ROWS]
+    clocks = {id(equations[k].signals): equations[k].signals for k in shown}
     found: list[dict[Column, Array]] = [{} for _ in equations]
-    for effect, form in candidates:
-        terms: dict[int, Terms] = {}
-        for equation, mask, columns in zip(equations, masks, found, strict=True):
-            if int(mask.sum()) < FEWEST_ROWS:
-                continue
-            own = id(equation.signals)
-            if own not in terms:
-                terms[own] = library()[effect].terms(equation.signals, form)
-            for coefficient, column in effect_in(equation, terms[own]).items():
-                rows = thinned(column[:, None], equation.width, equation.step)[mask, 0]
-                columns["effect", effect, repr(form), coefficient] = rows
+    for effect, several in groupby(candidates, lambda candidate: candidate[0]):
+        forms = [form for _, form in several]
+        for clock, signals in clocks.items():
+            for form, terms in zip(forms, library()[effect].terms_of_all(signals, forms), strict=True):
+                for k in (k for k in shown if id(equations[k].signals) == clock):
+                    equation, mask = equations[k], masks[k]
+                    for coefficient, column in effect_in(equation, terms).items():
+                        rows = thinned(column[:, None], equation.width, equation.step)[mask, 0]
+                        found[k]["effect", effect, repr(form), coefficient] = rows
     return found
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects import library
+from leactl.effects.contract import Form
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.regression import Candidate, Fit, Normal, Stack, gain_of
 from leactl.gap.search.stamp_fit import delay_of_stamps
@@ -335,34 +336,42 @@ def exchange(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]
 
 
 def refine(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
-    """Find the non-linear parameter of each member between the grid's values."""
+    """Find the non-linear parameters of each member between the grid's values."""
     for index, (name, form) in enumerate(hypothesis):
         effect = library()[name]
         if not form or effect.periodic or not effect.continuous:
             continue
-        grid = sorted({other[0] for other in evidence.forms.get(name, []) if other[1:] == form[1:]})
-        if len(grid) < 2:
-            continue
         others = hypothesis[:index] + hypothesis[index + 1 :]
-        hypothesis[index] = (name, refined(evidence, others, name, form, grid))
+        for place in range(effect.refined):
+            grid = tried_at(place, form, evidence.forms.get(name, []))
+            if len(grid) > 1:
+                form = refined(evidence, others, name, form, place, max(b / a for a, b in pairwise(grid)))
+        hypothesis[index] = (name, form)
     return hypothesis
 
 
-def refined(
-    evidence: Evidence, others: list[Candidate], name: str, form: tuple[float, ...], grid: list[float]
-) -> tuple[float, ...]:
-    """The best value between the neighbours on the grid: two rounds of thirds on a logarithmic scale."""
-    at = form[0]
-    ratio = max((b / a for a, b in pairwise(grid)), default=2.0)
+def tried_at(place: int, form: Form, forms: Sequence[Form]) -> list[float]:
+    """Numbers that stand at a place of the forms that are tried, in those that go on as one does if there are such."""
+    alike = {other[place] for other in forms if other[place + 1 :] == form[place + 1 :]}
+    return sorted(alike or {other[place] for other in forms})
+
+
+def refined(evidence: Evidence, others: list[Candidate], name: str, form: Form, place: int, ratio: float) -> Form:
+    """The form with the best number at a place between its neighbours: two rounds of thirds on a logarithmic scale.
+
+    ratio : of neighbours on the grid.
+    """
     for _ in range(2):
         ratio = ratio ** (1.0 / 3.0)
-        tried = [(name, (value, *form[1:])) for value in (at / ratio, at, at * ratio)]
+        tried = [
+            (name, (*form[:place], form[place] * factor, *form[place + 1 :])) for factor in (1.0 / ratio, 1.0, ratio)
+        ]
         evidence.add(tried)
         normal, base = evidence.normal(), evidence.stack.columns_of(others)
         found = [item for c in tried if (item := finding(evidence, normal, base, c)) is not None]
         if found:
-            at = max(found, key=lambda item: item.gain).candidate[1][0]
-    return (at, *form[1:])
+            form = max(found, key=lambda item: item.gain).candidate[1]
+    return form
 
 
 def prune(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:

@@ -1,0 +1,65 @@
+"""Gear backlash: a share of the inertia hangs behind teeth with play, and is free while these cross it.
+
+The load goes on by itself, slowed by its own friction, until a flank of the motor's side reaches it; there it takes the
+motor's speed without rebound (the impact model of Nordin and Gutman, 2002, for stiff gears). What moves the load is
+the measured motion of the motor alone, so that the torque it asks for is known up to its share of the inertia.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.plant import GearedLoad, Plant
+from leactl.effects.teeth import followed
+from leactl.model.nominal import Model
+
+HIGHEST = 0.9  # of the inertia, that a load may have: the motor's rotor is the rest
+RUBBED = 0.5  # friction of a load for its inertia, over the motor's and its, where none is told
+
+
+class GearBacklash(Effect):
+    """A load behind teeth with play, without an encoder behind it."""
+
+    name = "gear_backlash"
+    one_sided = True
+    explains = 0.6  # where the flanks meet is known to a sample, and the torque there is large
+    least = 0.1  # of the inertia: a load is no loose part
+    refined = 2
+    forms = tuple(
+        (float(play), rubbed) for play in np.geomspace(0.001, 0.064, 9) for rubbed in (0.02, 0.06, 0.2, 0.5, 1.2)
+    )
+
+    def applies(self, model: Model) -> bool:
+        """A model with a shaft says what hangs there: its play is `backlash`."""
+        return model.bench.shaft_stiffness is None and model.load.type == "none"
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """Torque that the load takes from the rigid joint's balance, for all of the inertia."""
+        return next(self.terms_of_all(signals, [form]))
+
+    def terms_of_all(self, signals: Signals, forms: Sequence[Form]) -> Iterator[Terms]:
+        """The same of several forms, whose loads are followed side by side."""
+        inertia, speed = signals.model.rotor_inertia, signals.velocity
+        if signals.mechanical != "free" or speed is None or signals.acceleration is None or not inertia:
+            yield from ({} for _ in forms)
+            return
+        damping, friction = signals.model.viscous_damping or 0.0, signals.model.coulomb_friction or 0.0
+        plays, rubbed = (np.array(column) for column in zip(*forms, strict=True))
+        rates = rubbed * damping / inertia, rubbed * friction / inertia
+        loads, _ = followed(speed, signals.interval, 0.5 * plays, *rates)
+        for load, share in zip(loads, rubbed, strict=True):
+            beyond = signals.smoothed(load - speed)
+            rubs = damping * beyond + friction * signals.smoothed(np.sign(load) - np.sign(speed))
+            yield {"drag": {"share": inertia * np.gradient(beyond, signals.interval) + share * rubs}}
+
+    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+        """The play, and the load's share of inertia and of friction."""
+        share = min(found["share"], HIGHEST)
+        return {"share": share, "play": form[0], "friction": min(share * form[1], HIGHEST)}
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A second inertia behind teeth."""
+        share = parameters["share"]
+        plant.geared_load = GearedLoad(share, parameters.get("friction", RUBBED * share))
+        plant.play += parameters["play"]

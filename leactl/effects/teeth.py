@@ -1,0 +1,74 @@
+"""Loads behind teeth with play, moved by a motor whose motion is known."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+CHUNK = 128  # samples that are followed in one piece
+PARTS = 4  # steps from one sample to the next
+PASSES = 6  # at most, until each piece begins as the one before it ends
+LOOSELY, NEARLY = 0.02, 1e-3  # of half the play, and of the highest speed, by which it may begin elsewhere
+
+
+def followed(speed: Array, interval: float, half_plays: Array, damping: Array, friction: Array) -> tuple[Array, Array]:
+    """Speeds [rad/s] of loads that teeth with play move, and how far the motor is beyond them [rad]; (loads, samples).
+
+    A run is followed in pieces side by side, and again those that did not begin where the one before them ended.
+
+    Parameters
+    ----------
+    speed : rad/s, of the motor at its samples.
+    half_plays : rad, of each load.
+    damping : 1/s, by which each slows while it is free.
+    friction : rad/s^2, the same of its Coulomb friction.
+    """
+    loads, pieces = len(half_plays), -(-(len(speed) - 1) // CHUNK)
+    motor = np.concatenate([speed, np.full(pieces * CHUNK + 1 - len(speed), speed[-1])])
+    begins = np.arange(pieces) * CHUNK
+    starts = np.stack([motor[begins] * np.ones((loads, 1)), half_plays[:, None] * np.sign(motor[begins])])
+    found = np.zeros((2, CHUNK, loads, pieces))
+    load, piece = (index.ravel() for index in np.indices((loads, pieces)))
+    least = np.array([NEARLY * float(np.max(np.abs(speed))), 0.0])[:, None]
+    for _ in range(PASSES):
+        teeth = Teeth(half_plays[load], damping[load], friction[load], interval / PARTS)
+        state = starts[:, load, piece]
+        for index in range(CHUNK):
+            before, after = motor[begins[piece] + index], motor[begins[piece] + index + 1]
+            found[:, index, load, piece] = state
+            for part in range(PARTS):
+                shares = part / PARTS, (part + 1) / PARTS
+                state = teeth.step(*state, *(before + (after - before) * share for share in shares))
+        on = piece + 1 < pieces
+        load, piece, state = load[on], piece[on] + 1, state[:, on]
+        off = np.abs(starts[:, load, piece] - state)
+        starts[:, load, piece] = state
+        elsewhere = np.any(off > np.maximum(least, [0.0 * half_plays[load], LOOSELY * half_plays[load]]), axis=0)
+        load, piece = load[elsewhere], piece[elsewhere]
+        if len(load) == 0:
+            break
+    whole = found.transpose(0, 2, 3, 1).reshape(2, loads, -1)
+    both = np.concatenate([whole, whole[:, :, -1:]], axis=2)[:, :, : len(speed)]  # the last sample as the one before
+    return both[0], both[1]
+
+
+@dataclass(frozen=True)
+class Teeth:
+    """Loads behind teeth, one a lane."""
+
+    half_play: Array  # rad
+    damping: Array  # 1/s
+    friction: Array  # rad/s^2
+    interval: float  # s, of a step
+
+    def step(self, load: Array, twist: Array, before: Array, after: Array) -> Array:
+        """Speed of the loads and angle of the motors beyond them after a step in which motors go on evenly."""
+        free = load * (1.0 - self.damping * self.interval)
+        most = self.friction * self.interval
+        free = free - np.minimum(np.maximum(free, -most), most)
+        ahead = twist + 0.5 * (before + after - load - free) * self.interval
+        side = np.sign(ahead)
+        pushed = side * np.maximum(side * free, side * after)
+        moved = np.where(np.abs(ahead) >= self.half_play, pushed, free)
+        return np.stack([moved, np.clip(ahead, -self.half_play, self.half_play)])
