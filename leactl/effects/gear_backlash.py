@@ -1,8 +1,9 @@
 """Gear backlash: a share of the inertia hangs behind teeth with play, and is free while these cross it.
 
 The load goes on by itself, slowed by its own friction, until a flank of the motor's side reaches it; there it takes the
-motor's speed without rebound (the impact model of Nordin and Gutman, 2002, for stiff gears). What moves the load is
-the measured motion of the motor alone, so that the torque it asks for is known up to its share of the inertia.
+motor's speed without rebound, as gears do whose teeth are stiff and damped (models of play: Nordin and Gutman, 2002).
+What moves the load is the measured motion of the motor alone, so that the torque it asks for is known up to its share
+of the inertia.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,7 +16,9 @@ from leactl.effects.teeth import followed
 from leactl.model.nominal import Model
 
 HIGHEST = 0.9  # of the inertia, that a load may have: the motor's rotor is the rest
-RUBBED = 0.5  # friction of a load for its inertia, over the motor's and its, where none is told
+RUBBED = 0.2  # a load's share of the friction where none is told
+SEEN = 4.0  # counts of the encoder, in which a play shows: where it begins and ends is known to one of them
+SIDE_BY_SIDE = 1 << 20  # samples of loads that are followed at once: memory does not grow with the forms
 
 
 class GearBacklash(Effect):
@@ -45,13 +48,18 @@ class GearBacklash(Effect):
             yield from ({} for _ in forms)
             return
         damping, friction = signals.model.viscous_damping or 0.0, signals.model.coulomb_friction or 0.0
-        plays, rubbed = (np.array(column) for column in zip(*forms, strict=True))
-        rates = rubbed * damping / inertia, rubbed * friction / inertia
-        loads, _ = followed(speed, signals.interval, 0.5 * plays, *rates)
-        for load, share in zip(loads, rubbed, strict=True):
-            beyond = signals.smoothed(load - speed)
-            rubs = damping * beyond + friction * signals.smoothed(np.sign(load) - np.sign(speed))
-            yield {"drag": {"share": inertia * np.gradient(beyond, signals.interval) + share * rubs}}
+        together = max(SIDE_BY_SIDE // len(speed), 1)
+        for first in range(0, len(forms), together):
+            plays, rubbed = (np.array(column) for column in zip(*forms[first : first + together], strict=True))
+            rates = rubbed * damping / inertia, rubbed * friction / inertia
+            loads, _ = followed(speed, signals.interval, 0.5 * plays, *rates)
+            for load, play, share in zip(loads, plays, rubbed, strict=True):
+                if play < SEEN * signals.count:
+                    yield {}
+                    continue
+                beyond = signals.smoothed(load - speed)
+                rubs = damping * beyond + friction * signals.smoothed(np.sign(load) - np.sign(speed))
+                yield {"drag": {"share": inertia * np.gradient(beyond, signals.interval) + share * rubs}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """The play, and the load's share of inertia and of friction."""
@@ -61,5 +69,5 @@ class GearBacklash(Effect):
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A second inertia behind teeth."""
         share = parameters["share"]
-        plant.geared_load = GearedLoad(share, parameters.get("friction", RUBBED * share))
+        plant.geared_load = GearedLoad(share, parameters.get("friction", RUBBED))
         plant.play += parameters["play"]

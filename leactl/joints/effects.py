@@ -37,18 +37,22 @@ def unlisted() -> Mapping[str, Mapping[str, Any]]:
 
 
 def shown_by(machine: Machine) -> list[str]:
-    """Effects of the vocabulary that this machine's channels can show."""
-    return [name for name, rule in listed().items() if set(rule["needs"]) <= set(machine.channels)]
-
-
-def met_on(machine: Machine) -> list[str]:
-    """Effects outside the vocabulary that a machine of this kind may have."""
-    return [name for name, rule in unlisted().items() if machine.kind in rule.get("kinds", [machine.kind])]
+    """Effects of the vocabulary that a machine of this kind may have and its channels can show."""
+    return [
+        name
+        for name, rule in listed().items()
+        if set(rule["needs"]) <= set(machine.channels) and machine.kind in rule.get("kinds", [machine.kind])
+    ]
 
 
 def alike(name: str) -> list[str]:
     """Effects that no record of a free joint without a voltage can tell from this one."""
     return list(listed()[name].get("alike", [])) if name in listed() else []
+
+
+def never_beside(name: str) -> list[str]:
+    """Effects of the vocabulary that a machine with this one does not have as well, or has already in another guise."""
+    return [*alike(name), *listed()[name].get("not_beside", [])]
 
 
 def draw_effect(draw: Generator, machine: Machine, name: str, strength: str) -> Drawn:

@@ -13,7 +13,7 @@ from leactl.emulation.blind.key import write_key
 from leactl.emulation.blind.plans import KINDS, counts, faults_of, in_turn
 from leactl.errors import InputError
 from leactl.joints import by_mujoco, stepped
-from leactl.joints.effects import STRENGTHS, Drawn, alike, draw_effect, listed, met_on, shown_by, unlisted
+from leactl.joints.effects import STRENGTHS, Drawn, draw_effect, listed, never_beside, shown_by, unlisted
 from leactl.joints.files import entry, write_run
 from leactl.joints.machine import Generator, Machine, draw_machine, draw_specimen, kinds, nominal_text
 from leactl.joints.programs import draw_program
@@ -100,8 +100,7 @@ def plan(
     for index, kind in enumerate(draw.permutation(drawn).tolist()):
         names: tuple[str, ...] = ()
         if kind == "unknown":
-            met = met_on(machines[index % len(machines)])
-            names = (next(name for name in unlisted_ones if name in met),)
+            names = (next(unlisted_ones),)
         elif kind in ("single", "pair"):
             names = (shown(listed_ones, machines[index % len(machines)], ()),)
         if kind == "pair":
@@ -111,8 +110,8 @@ def plan(
 
 
 def shown(names: Iterator[str], machine: Machine, beside: Sequence[str]) -> str:
-    """The next effect that a machine can show and that is not there in another guise."""
-    taken = {*beside, *(name for other in beside for name in alike(other))}
+    """The next effect that a machine can show beside others."""
+    taken = {*beside, *(name for other in beside for name in never_beside(other))}
     fit = set(shown_by(machine)) - taken
     return next(name for name in names if name in fit)
 

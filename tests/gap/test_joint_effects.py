@@ -18,6 +18,7 @@ ANGLE, VELOCITY = ("angle", "test"), ("velocity", "test")
 LOGGED = ("current", "angle", "current_reference", "velocity")
 NUMBERS = {  # a parameter of each effect, and how near it is to the truth
     "joint_elasticity": ("frequency", 0.15),
+    "gear_backlash": ("play", 0.2),
     "torque_limit": ("current", 0.05),
     "power_foldback": ("power", 0.1),
     "position_spring": ("stiffness", 0.3),
@@ -44,6 +45,8 @@ def named(found):
     ("name", "kind"),
     [
         ("joint_elasticity", "exoskeleton"),
+        ("gear_backlash", "geared_joint"),
+        ("gear_backlash", "heavy_axis"),
         ("torque_limit", "geared_joint"),
         ("power_foldback", "wheel_motor"),
         ("position_spring", "spindle"),

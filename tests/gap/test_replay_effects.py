@@ -37,6 +37,7 @@ CASES = [
     ("forced_convection", {"coefficient": 0.05}, "coupled", {HOUSING, WINDING}),
     ("friction_run_in", {"excess": 0.4, "time_constant": 3.0}, "free", {VELOCITY, VOLTAGE}),
     ("friction_temperature", {"coefficient": -0.01}, "free", {VELOCITY, VOLTAGE}),
+    ("gear_backlash", {"share": 0.5, "play": 0.02}, "free", {VELOCITY, VOLTAGE}),
     ("gravity_load", {"amplitude": 0.1, "phase": 0.2}, "free", {VELOCITY, VOLTAGE}),
     ("joint_elasticity", {"share": 0.4, "frequency": 20.0}, "free", {VELOCITY, VOLTAGE}),
     ("load_dependent_friction", {"coefficient": 0.1}, "coupled", TURNING),

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from leactl.cli.main import app
 from leactl.errors import InputError
 from leactl.joints import by_mujoco, machine, stepped
-from leactl.joints.effects import SIZE_SPREAD, STRENGTHS, Drawn, alike, draw_effect, listed, met_on, shown_by, unlisted
+from leactl.joints.effects import SIZE_SPREAD, STRENGTHS, Drawn, alike, draw_effect, listed, shown_by, unlisted
 from leactl.joints.machine import draw_machine, kinds
 from leactl.joints.make import draw_runs, make
 from leactl.joints.programs import Program
@@ -91,7 +91,7 @@ def test_a_motor_with_play_is_ahead_of_the_rigid_one_by_the_load_s_share_of_it(s
 
 def test_only_machines_with_a_gear_have_play():
     draw = np.random.default_rng(2)
-    loose = {kind for kind in kinds() if "gear_backlash" in met_on(draw_machine(draw, kind))}
+    loose = {kind for kind in kinds() if "gear_backlash" in shown_by(draw_machine(draw, kind))}
     assert loose == {"geared_joint", "heavy_axis", "hobby_servo", "exoskeleton"}
 
 
