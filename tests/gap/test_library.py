@@ -118,3 +118,11 @@ def test_a_definition_says_which_size_is_worth_knowing_on_a_machine_of_any_size(
         EffectDefinition.model_validate(known | {"faint": None})
     with pytest.raises(ValueError, match="greater than 0"):
         EffectDefinition.model_validate(known | {"faint": {"size": 0.0, "units": "N*m"}})
+
+
+def test_a_play_that_an_encoder_hardly_resolves_is_not_told():
+    effect, shown = library()["gear_backlash"], signals("free")
+    form = next(form for form in effect.forms if form[0] > 0.02)
+    assert effect.terms(shown, form)
+    shown.count = 0.3 * form[0]
+    assert effect.terms(shown, form) == {}
