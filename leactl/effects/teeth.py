@@ -30,7 +30,7 @@ def followed(speed: Array, interval: float, half_plays: Array, damping: Array, f
     starts = np.stack([motor[begins] * np.ones((loads, 1)), half_plays[:, None] * np.sign(motor[begins])])
     found = np.zeros((2, CHUNK, loads, pieces))
     load, piece = (index.ravel() for index in np.indices((loads, pieces)))
-    least = np.array([NEARLY * float(np.max(np.abs(speed))), 0.0])[:, None]
+    fastest = float(np.max(np.abs(speed)))
     for _ in range(PASSES):
         teeth = Teeth(half_plays[load], damping[load], friction[load], interval / PARTS)
         state = starts[:, load, piece]
@@ -42,9 +42,9 @@ def followed(speed: Array, interval: float, half_plays: Array, damping: Array, f
                 state = teeth.step(*state, *(before + (after - before) * share for share in shares))
         on = piece + 1 < pieces
         load, piece, state = load[on], piece[on] + 1, state[:, on]
-        off = np.abs(starts[:, load, piece] - state)
+        slower, behind = np.abs(starts[:, load, piece] - state)
         starts[:, load, piece] = state
-        elsewhere = np.any(off > np.maximum(least, [0.0 * half_plays[load], LOOSELY * half_plays[load]]), axis=0)
+        elsewhere = (slower > NEARLY * fastest) | (behind > LOOSELY * half_plays[load])
         load, piece = load[elsewhere], piece[elsewhere]
         if len(load) == 0:
             break
@@ -64,7 +64,7 @@ class Teeth:
 
     def step(self, load: Array, twist: Array, before: Array, after: Array) -> Array:
         """Speed of the loads and angle of the motors beyond them after a step in which motors go on evenly."""
-        free = load * (1.0 - self.damping * self.interval)
+        free = load * np.exp(-self.damping * self.interval)
         most = self.friction * self.interval
         free = free - np.minimum(np.maximum(free, -most), most)
         ahead = twist + 0.5 * (before + after - load - free) * self.interval

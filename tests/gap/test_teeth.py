@@ -65,6 +65,15 @@ def test_pieces_side_by_side_are_what_steps_one_by_one_give(half, damping, frict
     assert np.mean(wrong > 0.2) < 0.05, "but for the moments at which flanks meet"
 
 
+def test_where_the_teeth_stood_before_a_long_rest_is_not_forgotten():
+    speed = np.zeros(SAMPLES)
+    speed[1:100], speed[100:120], speed[-100:] = 1.0, -0.5, 1.0
+    loads, twists = followed(speed, INTERVAL_S, np.array([0.02]), np.zeros(1), np.array([200.0]))
+    expected = one_by_one(speed, 0.02, 0.0, 200.0)
+    assert 0.0 < twists[0, -101] < 0.015
+    assert np.sum(np.abs(loads[0] - expected) > 0.1) <= 2
+
+
 def test_several_loads_do_not_touch_each_other():
     speed, plays, rubs = motor(5), np.array([0.001, 0.01, 0.03]), np.array([0.0, 20.0, 5.0])
     together, _ = followed(speed, INTERVAL_S, plays, np.zeros(3), rubs)
