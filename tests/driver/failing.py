@@ -40,6 +40,7 @@ class FailingDrive(ElmoEmulator):
         super().__init__(node, self.shaft, rated_current_ma=RATED_MA, counts_per_turn=COUNTS, voltage_object=voltage)
         self._wire = wire
         self._deaf: set[int] = set()
+        self._mute: set[int] = set()
         self._held_mode: int | None = None
         self._resets_in: float | None = None
         self._reset_begun = math.nan
@@ -122,6 +123,14 @@ class FailingDrive(ElmoEmulator):
     def ignore_writes(self, index: int) -> None:
         """Confirm writes to this object and forget them."""
         self._deaf.add(index)
+
+    def say_nothing_of(self, index: int) -> None:
+        """Leave what is asked of this object unanswered, as a lost frame does."""
+        self._mute.add(index)
+
+    def _answer(self, frame: Frame, now: float) -> list[Frame]:
+        asked = int.from_bytes(frame.data[1:3], "little") if frame.identifier == 0x600 + self.node else None
+        return [] if asked in self._mute else super()._answer(frame, now)
 
     def cut_cable(self) -> None:
         """Let nothing through, either way."""

@@ -75,6 +75,15 @@ def test_a_firmware_without_any_of_these_objects_is_met_all_the_same(make_bench)
     bench.engage(Mode.CURRENT)
 
 
+@pytest.mark.parametrize("index", [0x607E, 0x608F, 0x3034, 0x607B, 0x6502, 0x60B2])
+def test_an_answer_that_is_lost_is_not_taken_for_an_object_that_the_drive_lacks(make_bench, index):
+    bench = make_bench()
+    bench.far.say_nothing_of(index)
+    with pytest.raises(NoAnswer, match=f"0x{index:04X}"):
+        bench.drive.open()
+    assert bench.far.follows()[0] == "off"
+
+
 # -- positions ---------------------------------------------------------------------------------------------------------
 def test_the_angle_goes_on_where_the_drives_range_of_positions_ends(bench):
     turned = (999_999_990, 1_000_000_020, 1_000_000_050, 999_999_980)

@@ -69,9 +69,11 @@ class Commissioning:
             return ""
 
     def _number(self, index: int, sub: int, kind: str = "u32") -> int:
-        """An object that a drive may lack; 0 where it does."""
+        """An object that a drive may lack; 0 where it says that it does. Raises NoAnswer where it says nothing."""
         try:
             return self._sdo.read(index, sub, kind)
+        except NoAnswer:
+            raise
         except DeviceError:
             return 0
 
