@@ -1,10 +1,13 @@
 """Every effect of the library keeps its definition's words and fills known places with finite columns."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from leactl.effects import library
 from leactl.effects.contract import PLACES, Signals
+from leactl.effects.gear_backlash import SEEN
 from leactl.gap.verdict.picture import OF_SIGNALS
 from leactl.model.nominal import DriveModel, Model
 from leactl.vocabulary.effect import EffectDefinition, effect_definition, effect_names, effects_on
@@ -126,3 +129,12 @@ def test_a_play_that_an_encoder_hardly_resolves_is_not_told():
     assert effect.terms(shown, form)
     shown.count = 0.3 * form[0]
     assert effect.terms(shown, form) == {}
+
+
+def test_the_page_says_which_plays_are_tried():
+    words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+    plays, ratios = (sorted({form[place] for form in library()["gear_backlash"].forms}) for place in (0, 1))
+    page = (Path(__file__).parents[2] / "docs" / "explanation" / "gap.md").read_text(encoding="utf-8")
+    told = f"at {words[len(plays)]} plays from {plays[0]:g} to {plays[-1]:g} rad and {words[len(ratios)]} ratios"
+    assert told in page
+    assert f"a play below {words[int(SEEN)]} counts of the encoder" in page
