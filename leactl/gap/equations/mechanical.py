@@ -16,7 +16,9 @@ Array = npt.NDArray[np.float64]
 SLOW_SHARE = 0.005  # of a run's highest speed, below which it may stand as well
 SWING_REACH = 8.0  # samples
 SHARPER, EVENED = ((1.0, 2), (2.0, 4)), (4.0, 8)  # samples, smoothing of rows and their distance
+WIDER = ((8.0, 16), (16.0, 32))
 QUIET = 0.01  # of an acceleration, that its noise may have
+LOUD = 0.1  # of it, from which rows are smoothed further: a fit takes the square of that share from an inertia
 STICKING_PRIOR = 0.5  # of nominal Coulomb friction
 
 
@@ -69,18 +71,23 @@ def free(record: Record, s: Signals) -> Equation | None:
 
 
 def sharpest(clock: Clocked, s: Signals, mask: Mask) -> tuple[float, int]:
-    """Least smoothing of rows, and their distance, at which an angle's noise hardly counts in its acceleration.
+    """Least smoothing of rows, and their distance, at which an angle's noise counts little in its acceleration.
 
     That noise is in the column of the inertia too, and pulls what a fit makes of it towards zero by its share of the
     column's power. Less smoothing shows waves over the angle of higher orders.
     """
     assert s.acceleration is not None
     angle = clock.get("angle")
-    if angle is not None and mask.any():
-        noise, quiet = noise_of(angle), QUIET * float(np.sqrt(np.mean(s.acceleration[mask] ** 2)))
-        for width, step in SHARPER:
-            if noise_of_acceleration(noise, s.interval, width) <= quiet:
-                return width, step
+    if angle is None or not mask.any():
+        return EVENED
+    noise, quiet = noise_of(angle), QUIET * float(np.sqrt(np.mean(s.acceleration[mask] ** 2)))
+    for width, step in SHARPER:
+        if noise_of_acceleration(noise, s.interval, width) <= quiet:
+            return width, step
+    for width, step in (EVENED, *WIDER):
+        noisy = noise_of_acceleration(noise, s.interval, width)
+        if (1.0 + LOUD**2) * noisy**2 <= LOUD**2 * float(np.mean(smooth(s.acceleration, width)[mask] ** 2)):
+            return width, step
     return EVENED
 
 
