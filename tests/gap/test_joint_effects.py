@@ -7,6 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 from leactl.gap.diagnose import Case, diagnose, split
+from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.parameters import calibrated
 from leactl.gap.signals.record import read_record
 from leactl.joints.files import write_run
 from leactl.joints.machine import draw_machine, nominal_text
@@ -25,10 +27,10 @@ NUMBERS = {  # a parameter of each effect, and how near it is to the truth
 }
 
 
-def drawn_case(folder, kind, effects, seed, strength="plain"):
+def drawn_case(folder, kind, effects, seed, strength="plain", **changes):
     """Runs of a drawn machine with the channels that show an effect of its drive, and what is true of it."""
     machine = draw_machine(np.random.default_rng([seed, 0]), kind)
-    machine = replace(machine, channels=LOGGED, sampling=True, rate=500.0, seconds=12.0)
+    machine = replace(machine, **{"channels": LOGGED, "sampling": True, "rate": 500.0, "seconds": 12.0, **changes})
     runs = draw_runs(np.random.default_rng([seed, 1]), machine, effects, strength)
     (folder / "nominal.yaml").write_text(nominal_text(machine), encoding="utf-8")
     for run, signals in zip(runs, simulate(runs), strict=True):
@@ -116,3 +118,19 @@ def test_a_share_of_friction_is_told_of_the_friction_that_was_fitted(tmp_path, n
     cause = next(cause for cause in diagnose(case).causes if cause.effect == name)
     told = {item.name: item.value for item in cause.parameters}
     assert told[parameter] == pytest.approx(run.parameter(name, parameter), rel=near)
+
+
+COARSE = {"rate": 1000.0, "count": 2.0 * np.pi / 16384}  # which hides a slow acceleration in its steps at that rate
+
+
+def test_an_inertia_is_told_by_an_encoder_whose_steps_hide_the_acceleration(tmp_path):
+    case, run = drawn_case(tmp_path, "heavy_axis", [], 6, **COARSE)
+    evidence = Evidence(case.fitted, case.model)
+    told = {item.parameter: item.fitted for item in calibrated(evidence, evidence.settle([]))}
+    ratio = run.specimen.rotor_inertia / run.specimen.torque_constant
+    assert told["rotor_inertia"] / told["torque_constant"] == pytest.approx(ratio, rel=0.01)
+
+
+def test_an_effect_is_named_beside_such_an_encoder(tmp_path):
+    case, _ = drawn_case(tmp_path, "heavy_axis", ["presliding"], 6, "strong", **COARSE)
+    assert named(diagnose(case)) == ["presliding"]
