@@ -51,7 +51,7 @@ def free(record: Record, s: Signals) -> Equation | None:
     mask = moving(s, s.velocity, 4.0) & s.resolved & record.fast.all_valid(*keys)
     shared = stamp_columns("free_torque", record.fast, keys, -drive)
     stamp = {"torque_stamp_s": (slope(drive, s.interval), STAMPED * s.interval)}
-    width, step = sharpest(record.fast, s, mask)
+    width, step = row_smoothing(record.fast, s, mask)
     return Equation(
         "free_torque",
         "velocity",
@@ -70,7 +70,7 @@ def free(record: Record, s: Signals) -> Equation | None:
     )
 
 
-def sharpest(clock: Clocked, s: Signals, mask: Mask) -> tuple[float, int]:
+def row_smoothing(clock: Clocked, s: Signals, mask: Mask) -> tuple[float, int]:
     """Least smoothing of rows, and their distance, at which an angle's noise counts little in its acceleration.
 
     That noise is in the column of the inertia too, and pulls what a fit makes of it towards zero by its share of the
