@@ -118,6 +118,14 @@ def test_every_effect_of_the_library_has_a_case():
     assert [case[0] for case in CASES] == [name for name in library() if name not in servos]
 
 
+def test_teeth_begin_on_the_flank_that_presses_where_no_motion_was_measured():
+    run = run_of("free")
+    for key in (VELOCITY, ("angle", "test")):
+        del run.fast.values[key]
+    job = replay(run, model(("gear_backlash", {"share": 0.5, "play": 0.02})))
+    assert np.all(np.isfinite(job.velocity))
+
+
 def test_faults_of_one_sensor_follow_each_other():
     plain = replayed("locked")[TORQUE]
     both = replayed("locked", ("torque_sensor_gain", {"gain": 1.1}), ("torque_sensor_offset", {"offset": 0.3}))[TORQUE]

@@ -135,7 +135,8 @@ def start_of(cut: Cut, kind: str) -> State:
         net = net + load_net
     earlier = velocity - 0.5 * job.step * net / mass * np.abs(rubbing)
     load = earlier.copy()
-    if kind != "servo" and job.plant.geared_load is not None and hangs_apart(job):
+    measured = job.clock.get("angle") is not None or job.clock.get("velocity") is not None
+    if measured and kind != "servo" and job.plant.geared_load is not None and hangs_apart(job):
         load, twist = behind_teeth(job, c, at)
     return State(angle, earlier, load, twist, np.sign(velocity) * np.abs(rubbing))
 
