@@ -70,12 +70,16 @@ class Commissioning:
 
     def _number(self, index: int, sub: int, kind: str = "u32") -> int:
         """An object that a drive may lack; 0 where it says that it does. Raises NoAnswer where it says nothing."""
+        return self._held(index, sub, kind) or 0
+
+    def _held(self, index: int, sub: int, kind: str) -> int | None:
+        """What the drive holds; None where it says that it has no such object."""
         try:
             return self._sdo.read(index, sub, kind)
         except NoAnswer:
             raise
         except DeviceError:
-            return 0
+            return None
 
     def disable_voltage(self) -> None:
         """Take the drive out of operation: whoever had it last may have left it in it."""
@@ -173,13 +177,7 @@ class Commissioning:
         DeviceError : an offset stays.
         """
         for index, kind in ((0x60B0, "i32"), (0x60B1, "i32"), (0x60B2, "i16")):
-            try:
-                held = self._sdo.read(index, 0, kind)
-            except NoAnswer:
-                raise
-            except DeviceError:
-                continue  # a firmware without it adds nothing
-            if held:
+            if self._held(index, 0, kind):  # a firmware without it adds nothing
                 self._sdo.write_verified(index, 0, kind, 0)
 
     def position_range(self) -> tuple[int, int]:
@@ -197,14 +195,11 @@ class Commissioning:
         ------
         DeviceError : the drive holds another time afterwards.
         """
-        try:
-            before = self._sdo.read(0x60C2, 1, "u8"), self._sdo.read(0x60C2, 2, "i8")
-        except NoAnswer:
-            raise
-        except DeviceError:
+        units, exponent = self._held(0x60C2, 1, "u8"), self._held(0x60C2, 2, "i8")
+        if units is None or exponent is None:
             return None
         self.set_interpolation(*interpolation_time(period))
-        return before
+        return units, exponent
 
     def set_interpolation(self, units: int, exponent: int) -> None:
         """Set the interpolation time to so many times ten to the exponent [s]."""
