@@ -11,11 +11,11 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.joint_elasticity import HIGHEST
 from leactl.effects.plant import GearedLoad, Plant
 from leactl.effects.teeth import followed
 from leactl.model.nominal import Model
 
-HIGHEST = 0.9  # of the inertia, that a load may have: the motor's rotor is the rest
 RUBBED = 0.2  # a load's share of the friction where none is told
 SEEN = 4.0  # counts of the encoder, in which a play shows: where it begins and ends is known to one of them
 SIDE_BY_SIDE = 1 << 20  # samples of loads that are followed at once: memory does not grow with the forms
@@ -53,13 +53,13 @@ class GearBacklash(Effect):
             plays, rubbed = (np.array(column) for column in zip(*forms[first : first + together], strict=True))
             rates = rubbed * damping / inertia, rubbed * friction / inertia
             loads, _ = followed(speed, signals.interval, 0.5 * plays, *rates)
-            for load, play, share in zip(loads, plays, rubbed, strict=True):
+            for load, play, ratio in zip(loads, plays, rubbed, strict=True):
                 if play < SEEN * signals.count:
                     yield {}
                     continue
                 beyond = signals.smoothed(load - speed)
                 rubs = damping * beyond + friction * signals.smoothed(np.sign(load) - np.sign(speed))
-                yield {"drag": {"share": inertia * np.gradient(beyond, signals.interval) + share * rubs}}
+                yield {"drag": {"share": inertia * np.gradient(beyond, signals.interval) + ratio * rubs}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """The play, and the load's share of inertia and of friction."""
