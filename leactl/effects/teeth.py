@@ -27,28 +27,29 @@ def followed(speed: Array, interval: float, half_plays: Array, damping: Array, f
     loads, pieces = len(half_plays), -(-(len(speed) - 1) // CHUNK)
     motor = np.concatenate([speed, np.full(pieces * CHUNK + 1 - len(speed), speed[-1])])
     begins = np.arange(pieces) * CHUNK
+    # states are speed of the load and angle of the motor beyond it; first guess: pressed the way the motor turns
     starts = np.stack([motor[begins] * np.ones((loads, 1)), half_plays[:, None] * np.sign(motor[begins])])
-    found = np.zeros((2, CHUNK, loads, pieces))
-    load, piece = (index.ravel() for index in np.indices((loads, pieces)))
+    states = np.zeros((2, CHUNK, loads, pieces))
     fastest = float(np.max(np.abs(speed)))
+    load, piece = (index.ravel() for index in np.indices((loads, pieces)))  # of each lane; at first every piece of all
     for _ in range(PASSES):
         teeth = Teeth(half_plays[load], damping[load], friction[load], interval / PARTS)
         state = starts[:, load, piece]
         for index in range(CHUNK):
             before, after = motor[begins[piece] + index], motor[begins[piece] + index + 1]
-            found[:, index, load, piece] = state
+            states[:, index, load, piece] = state
             for part in range(PARTS):
                 shares = part / PARTS, (part + 1) / PARTS
                 state = teeth.step(*state, *(before + (after - before) * share for share in shares))
-        on = piece + 1 < pieces
-        load, piece, state = load[on], piece[on] + 1, state[:, on]
-        slower, behind = np.abs(starts[:, load, piece] - state)
-        starts[:, load, piece] = state
-        elsewhere = (slower > NEARLY * fastest) | (behind > LOOSELY * half_plays[load])
-        load, piece = load[elsewhere], piece[elsewhere]
+        followed_by = piece + 1 < pieces
+        load, piece, ends = load[followed_by], piece[followed_by] + 1, state[:, followed_by]
+        slower, behind = np.abs(starts[:, load, piece] - ends)
+        starts[:, load, piece] = ends
+        began_elsewhere = (slower > NEARLY * fastest) | (behind > LOOSELY * half_plays[load])
+        load, piece = load[began_elsewhere], piece[began_elsewhere]  # which are stepped again, from where they begin
         if len(load) == 0:
             break
-    whole = found.transpose(0, 2, 3, 1).reshape(2, loads, -1)
+    whole = states.transpose(0, 2, 3, 1).reshape(2, loads, -1)
     both = np.concatenate([whole, whole[:, :, -1:]], axis=2)[:, :, : len(speed)]  # the last sample as the one before
     return both[0], both[1]
 
