@@ -39,8 +39,8 @@ class Bench:
                     raise InputError(f"bench '{file.name}': two drives in the role '{entry.role}'")
                 self.drives[entry.role] = driver
                 self._motion.append(driver)
-                if isinstance(port, CanPort) and entry.bus:
-                    synchronised[entry.bus] = port
+            if driver.synchronised and isinstance(port, CanPort) and entry.bus:
+                synchronised[entry.bus] = port
         self._sync = [port.sync for port in synchronised.values()]
         self._noticing = [
             (name, driver) for name, driver in self.drivers.items() if type(driver).notices is not Driver.notices

@@ -166,6 +166,7 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
     checked = [_check(document, bench, name, entry, faults) for name, entry in bench.devices.items()]
     usable = [device for device in checked if device is not None]
     faults += _shared_addresses(document, bench.buses, usable)
+    faults += _shared_identifiers(document, usable)
     faults += _false_signs_of_life(document, usable)
     faults += _shared_folders(document, usable)
     faults += [document.fault(("interlocks", *place), text) for place, text in bench.interlocks.beyond(bench.limits)]
@@ -259,6 +260,23 @@ def _shared_addresses(
             where = f"bus '{bus}'" if address is None else f"address {address} on bus '{bus}'"
             message = f"{where} is that of {holder}; another one was expected"
             faults.append(document.fault(("devices", device.name, "settings"), message))
+    return faults
+
+
+def _shared_identifiers(document: yamlfile.Document, devices: Sequence[CheckedDevice]) -> list[str]:
+    """Devices of two protocols on one CAN bus, one of which would take the other's frames for its own."""
+    faults = []
+    for place, device in enumerate(devices):
+        for other in devices[:place]:
+            if other.entry.bus != device.entry.bus or other.entry.driver == device.entry.driver:
+                continue
+            shared = sorted(device.settings.bus_identifiers & other.settings.bus_identifiers)
+            if shared:
+                named = ", ".join(f"0x{identifier:03X}" for identifier in shared[:4])
+                message = (
+                    f"uses the identifiers {named} of {other.name} on bus '{device.entry.bus}'; another node or bus"
+                )
+                faults.append(document.fault(("devices", device.name, "settings"), f"{message} was expected"))
     return faults
 
 

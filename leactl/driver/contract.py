@@ -35,6 +35,11 @@ class DriverSettings(yamlblock.Block):
         return None
 
     @property
+    def bus_identifiers(self) -> frozenset[int]:
+        """Identifiers of a CAN bus that the device and its host use; two protocols on one bus must share none."""
+        return frozenset()
+
+    @property
     def host_bus_address(self) -> int | None:
         """The address that the host's sign of life carries, which no device may have; None where there is none."""
         return None
@@ -139,6 +144,7 @@ class Driver(ABC):
     transport: ClassVar[str]  # the kind of bus it needs: "can", "i2c", "serial", or "none": the maker's own library
     summary: ClassVar[str]  # one line for `leactl driver list`
     example: ClassVar[Mapping[str, Any]] = {}  # settings with which `leactl driver check` makes one and its far end
+    synchronised: ClassVar[bool] = False  # its CAN bus carries CANopen's SYNC once a cycle, after the outputs
 
     @abstractmethod
     def __init__(self, name: str, role: str, settings: Any, port: Any, clock: Clock) -> None: ...

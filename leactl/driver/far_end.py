@@ -66,6 +66,14 @@ class Breakable(Protocol):
 
 
 @runtime_checkable
+class Living(Protocol):
+    """What the emulator of a CAN device has besides that shows by itself that it lives."""
+
+    def is_sign_of_life(self, frame: Frame) -> bool:
+        """Whether a frame of the device says no more than that."""
+
+
+@runtime_checkable
 class Numbered(Protocol):
     """What an emulator has besides whose device tells its serial number: the bench file may say which."""
 

@@ -175,4 +175,4 @@ def test_an_answer_that_comes_twice_is_noticed_at_the_next_heartbeat_and_puts_no
     stale = [age for age in ages if age not in (FRESH, EMPTY)]
     assert len(stale) <= 34  # cycles between two heartbeats of the host, a third of 100 ms apart
     assert ages[-100:] == [FRESH] * 100
-    assert any("1 came without a SYNC" in text for text in link.bench.drive.notices())
+    assert any("1 came unasked" in text for text in link.bench.drive.notices())

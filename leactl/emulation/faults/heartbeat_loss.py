@@ -6,10 +6,8 @@ from typing import Any
 from pydantic import Field
 
 from leactl.bench.benchfile import BenchFile, CanBus
-from leactl.driver.far_end import CanEmulator, Frame
+from leactl.driver.far_end import CanEmulator, Frame, Living
 from leactl.emulation.faults.contract import Draw, Drill, FaultTarget, LastingFault, OfDevice, Standing, Undo
-
-ERROR_CONTROL, FUNCTION = 0x700, 0x780  # CiA 301: the function code of the heartbeat is 1110b
 
 
 class HeartbeatLoss(OfDevice, LastingFault):
@@ -25,16 +23,20 @@ class HeartbeatLoss(OfDevice, LastingFault):
         return Drill({}, 0.5, "the drive's heartbeat"), Drill({"answers": True}, 0.1, "cyclic_age_s")
 
     def misfits_of(self, standing: Standing, far_end: Any, quantities: set[str]) -> dict[str, str]:
-        """A device that hangs on no CAN bus sends no heartbeat."""
+        """A device that hangs on no CAN bus sends no heartbeat, and not every one that does."""
         bus = standing.file.buses.get(standing.devices[self.device].entry.bus or "")
-        return {} if isinstance(bus, CanBus) else {"device": f"'{self.device}' is not on a CAN bus"}
+        if not isinstance(bus, CanBus):
+            return {"device": f"'{self.device}' is not on a CAN bus"}
+        return {} if isinstance(far_end, Living) else {"device": f"'{self.device}' sends no heartbeat"}
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
         """Take its frames off the wire."""
         own = bench.far_ends[self.device]
 
         def passes(frame: Frame, source: CanEmulator | None) -> float | None:
-            concerned = source is own and (self.answers or frame.identifier & FUNCTION == ERROR_CONTROL)
+            concerned = source is own and (
+                self.answers or (isinstance(source, Living) and source.is_sign_of_life(frame))
+            )
             return None if concerned else 0.0
 
         return bench.wires[bench.bus_of[self.device]].disturb(passes)

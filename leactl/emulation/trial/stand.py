@@ -78,7 +78,7 @@ class Stand:
         """One cycle as the control loop makes it."""
         began, drive = self.clock.now(), self.motion
         drive.begin_cycle()
-        if isinstance(self._port, CanPort):
+        if self.driver.synchronised:
             self._port.sync()
         drive.end_cycle(began + ANSWER_S)
         values = list(drive.values)

@@ -10,6 +10,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, ClassVar
 
+from leactl.driver.answers import Answers, Irregular
 from leactl.driver.can_port import NMT_ID, CanPort
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver, Identity, Mode, Row, StreamSpec
@@ -17,7 +18,6 @@ from leactl.driver.far_end import CanEmulator, Physics
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.elmo_can import cia402, emergency
-from leactl_plugins.elmo_can.answers import Answers, Irregular
 from leactl_plugins.elmo_can.cia402 import FAULTS, State
 from leactl_plugins.elmo_can.commissioning import ALL_MODES, OF_32_BITS, Commissioning, event_tpdo
 from leactl_plugins.elmo_can.sdo import Sdo
@@ -133,6 +133,7 @@ class ElmoCan(Driver):
     transport = "can"
     summary = "Elmo Gold servo drive over CANopen (CiA 402)"
     example: ClassVar[Mapping[str, Any]] = {"node": 1, "counts_per_turn": 40000}
+    synchronised = True
 
     def __init__(self, name: str, role: str, settings: ElmoSettings, port: CanPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings

@@ -133,6 +133,10 @@ class ElmoEmulator:
             self._next_heartbeat = max(self._next_heartbeat + period, now)
         return frames + self._flush() + self._tell_changes()
 
+    def is_sign_of_life(self, frame: Frame) -> bool:
+        """Whether a frame is a heartbeat (CiA 301: function code 1110b)."""
+        return frame.identifier == 0x700 + self.node
+
     def freeze(self, frozen: bool) -> None:
         """Hear nothing, answer nothing and go on with the last demand, or come back to life."""
         self.frozen = frozen

@@ -69,6 +69,12 @@ class ElmoSettings(DriverSettings):
         return self.node
 
     @property
+    def bus_identifiers(self) -> frozenset[int]:
+        """Network management, SYNC, both heartbeats, and all that CiA 301 gives a node."""
+        of_node = (base + self.node for base in range(0x080, 0x780, 0x80))
+        return frozenset((0x000, 0x080, 0x700 + self.host_node, *of_node))
+
+    @property
     def host_bus_address(self) -> int:
         """The node that the host's heartbeat carries."""
         return self.host_node

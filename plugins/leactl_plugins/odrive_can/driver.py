@@ -1,0 +1,504 @@
+"""ODrive motor controllers over CAN: CAN Simple of firmware 0.6, one question a cycle for each reading.
+
+The README of this plug-in lists the sources, and what only a real drive can show.
+"""
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any, ClassVar
+
+from leactl.driver.answers import Answers, Irregular
+from leactl.driver.can_port import CanPort
+from leactl.driver.clock import Clock
+from leactl.driver.contract import Confirmation, Driver, Identity, Mode, Row, StreamSpec
+from leactl.driver.far_end import CanEmulator, Physics
+from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
+from leactl.quantities import ChannelSpec
+from leactl_plugins.odrive_can import endpoints
+from leactl_plugins.odrive_can.can_simple import (
+    HEARTBEAT,
+    MODES,
+    NODE_SHIFT,
+    ONE_FLOAT,
+    POSITION,
+    PROTOCOL,
+    STATE,
+    TWO_FLOATS,
+    VERSION,
+    WATCHDOG_TIMER_EXPIRED,
+    AxisState,
+    Command,
+    ControlMode,
+    InputMode,
+    described,
+)
+from leactl_plugins.odrive_can.parameters import Parameters
+from leactl_plugins.odrive_can.settings import OdriveSettings
+
+CURRENT, VELOCITY, ANGLE = range(3)  # where the reference of what a mode sets stands among `values`
+FOLLOWED = {
+    Mode.CURRENT: (CURRENT, ControlMode.TORQUE, InputMode.PASSTHROUGH),
+    Mode.TORQUE_PROFILE: (CURRENT, ControlMode.TORQUE, InputMode.TORQUE_RAMP),
+    Mode.VELOCITY: (VELOCITY, ControlMode.VELOCITY, InputMode.PASSTHROUGH),
+    Mode.ANGLE: (ANGLE, ControlMode.POSITION, InputMode.PASSTHROUGH),
+}
+ENCODER, IQ = range(2)  # the readings that are asked for every cycle
+AMPLITUDE = math.sqrt(2.0 / 3.0)  # of a phase current, per ampere of the power-invariant q axis
+TURN = 2.0 * math.pi
+FARTHEST_TURNS = 1024.0  # single precision tells positions 0.4 mrad apart there
+ENABLE_TIME_S, RETRY_S = 2.0, 0.1
+QUIET_S = 1.0  # at most one notice of irregular answers in this time
+NAN = math.nan
+
+
+class OdriveCan(Driver):
+    """One axis, asked for its readings every cycle; its input is renewed as often, which feeds its watchdog."""
+
+    Settings = OdriveSettings
+    transport = "can"
+    summary = "ODrive S1, Pro or Micro over CAN (CAN Simple, firmware 0.6)"
+    example: ClassVar[Mapping[str, Any]] = {"node": 3, "endpoints": endpoints.EMULATED}
+
+    def __init__(self, name: str, role: str, settings: OdriveSettings, port: CanPort, clock: Clock) -> None:
+        self.name, self.role, self.settings = name, role, settings
+        self._port, self._clock = port, clock
+        self._base = settings.node << NODE_SHIFT
+        self._parameters = Parameters(port, settings.node, settings.table, settings.answer_timeout_s)
+        self._connected = False
+        self._turn = settings.sign * TURN  # rad per turn of the drive
+        self._torque_per_ampere = self._most_current = self._most_turns_s = NAN
+        self._identity = Identity()
+        self._version: tuple[int, ...] = ()
+        self._beat = [False]  # a heartbeat has come
+        self._heard_until = -math.inf
+        self.axis_state, self.errors = 0, 0
+        self._as_met: dict[str, float] = {}  # parameters that are given back at the end
+        self._safe = False  # it has confirmed so, and nothing was asked of it since
+        self._turns = NAN  # where the shaft is
+        self._bus_voltage_due = -math.inf
+        self._rows: list[Row] = []
+        self._answers = Answers(2)
+        self._told, self._quiet_until = Irregular(), -math.inf
+        self._supervised = False  # since the last input, so that the next one may be sent
+        self._mode, self._reference, self._value = Mode.OFF, ANGLE, 0.0
+        self._control_mode = self._input_mode = 0
+        self._enable_by, self._ask_at = math.inf, -math.inf
+        self._asked_closed_loop = False
+        self._followed = [NAN, NAN, NAN]  # current, velocity and angle in force since the readings were asked for last
+        self.values = [NAN] * len(self.loop_channels)
+
+    def safe_state(self, deadline_s: float) -> Confirmation:
+        """Make the axis idle, from any state, over a fresh connection if need be; never raises."""
+        self._follow(Mode.OFF)
+        until = self._clock.now() + deadline_s
+        trouble = "no time was left"
+        while self._clock.now() < until:
+            try:
+                self._connect()
+                self._port.take_waiting()  # what was sent before it was told
+                self._set_state(AxisState.IDLE)
+                heard = self._hears(min(until, self._clock.now() + 0.25))
+            except DeviceError as error:
+                heard, trouble = False, str(error)
+                self._clock.sleep_until(min(until, self._clock.now() + 0.01))
+            else:
+                trouble = f"state {self.axis_state}" if heard else "no heartbeat"
+            if heard and self.axis_state == AxisState.IDLE:
+                self._safe = True
+                return Confirmation(True, "axis idle")
+            if not heard:
+                with suppress(DeviceError):
+                    self._port.reopen()
+        return Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble}")
+
+    def stop_now(self) -> None:
+        """Send what makes the axis idle, and wait for nothing; over a fresh connection if need be."""
+        self._follow(Mode.OFF)
+        for _ in range(2):
+            try:
+                self._connect()
+                self._set_state(AxisState.IDLE)
+            except DeviceError:
+                if not self._connected:
+                    return  # no bus to reach it by, which `safe_state` will tell
+                with suppress(DeviceError):
+                    self._port.reopen()
+            else:
+                return
+
+    def open(self) -> None:
+        """Meet the drive, make it idle, check its firmware, read its scales, and arm its watchdog's time.
+
+        Raises
+        ------
+        DeviceError : the drive is absent, has another firmware than the table, or refuses a setting;
+            `DeviceFault` where it has an error.
+        """
+        self._connect()
+        self._answers, self._safe, self._as_met = Answers(2), False, {}
+        self._set_state(AxisState.IDLE)
+        self._meet()
+        self._leave_errors()
+        if self.axis_state != AxisState.IDLE:
+            raise DeviceError(f"{self.name}: the axis does not become idle, state {self.axis_state}")
+        try:
+            self._read_scales()
+            for path, value in (
+                (endpoints.WATCHDOG_TIMEOUT, 1e-3 * self.settings.watchdog_ms),
+                (endpoints.HEARTBEAT_PERIOD, self.settings.heartbeat_ms),
+                (endpoints.ENCODER_PERIOD, 0),
+                (endpoints.CURRENT_PERIOD, 0),
+            ):
+                before = self._parameters.read(path)
+                self._parameters.write(path, value)
+                self._as_met[path] = before
+            self._as_met[endpoints.ENABLE_WATCHDOG] = self._parameters.read(endpoints.ENABLE_WATCHDOG)
+        except DeviceError as error:
+            raise type(error)(f"{self.name}: {error}") from None
+
+    def close(self) -> None:
+        """Stop listening and let the bus go; a drive that is safe gets its own parameters back."""
+        if self._connected:
+            if self._safe:
+                with suppress(DeviceError):  # it is safe, which is what counts
+                    for path, value in reversed(self._as_met.items()):
+                        self._parameters.write(path, value)
+            self._connected = False
+            for identifier in self._listeners():
+                self._port.listen(identifier, None)
+            self._port.close()
+
+    @classmethod
+    def far_end(cls, settings: OdriveSettings, role: str, physics: Physics) -> CanEmulator:
+        """A drive at this node that turns the bench's machine."""
+        from leactl_plugins.odrive_can.emulator import OdriveEmulator
+
+        return OdriveEmulator(
+            settings.node,
+            physics.machine(role),
+            settings.table,
+            torque_constant=settings.emulated_torque_constant_Nm_per_A,
+            current_soft_max=settings.emulated_current_soft_max_A,
+        )
+
+    def identity(self) -> Identity:
+        """Hardware and firmware as told when it was opened; a serial number has no message of this protocol."""
+        return self._identity
+
+    # -- one cycle ---------------------------------------------------------------------------------------------------
+
+    @property
+    def loop_channels(self) -> tuple[ChannelSpec, ...]:
+        """Channels of `values`: the references in force until the readings were asked for, and the readings."""
+        label = f"{self.role} "
+        return (
+            ChannelSpec("iq_ref", "q_axis_current_reference", self.role, self.name, label + "q axis current reference"),
+            ChannelSpec("omega_ref", "velocity_reference", self.role, self.name, label + "velocity reference"),
+            ChannelSpec("theta_ref", "angle_reference", self.role, self.name, label + "angle reference", dtype="f8"),
+            ChannelSpec("iq", "q_axis_current", self.role, self.name, label + "q axis current"),
+            ChannelSpec("omega", "velocity", self.role, self.name, label + "velocity"),
+            ChannelSpec("theta", "angle", self.role, self.name, label + "angle", dtype="f8"),
+            ChannelSpec("enabled", "drive_enabled", self.role, self.name, label + "drive follows its setpoint"),
+        )
+
+    @property
+    def streams(self) -> tuple[StreamSpec, ...]:
+        """The bus voltage and current, asked for at their own pace."""
+        channels = (
+            ChannelSpec("vbus", "bus_voltage", self.role, self.name, "DC link voltage"),
+            ChannelSpec("ibus", "bus_current", self.role, self.name, "DC link current"),
+        )
+        return (StreamSpec(f"{self.name}_supply", channels),)
+
+    @property
+    def engaged(self) -> bool:
+        """True where the axis has told that it is in closed loop, in the mode asked for and with its watchdog armed."""
+        return self._asked_closed_loop and self.axis_state == AxisState.CLOSED_LOOP_CONTROL and self._is_ready()
+
+    def engage(self, mode: Mode) -> None:
+        """Begin to enter operation in this mode with zero demand; angle holds where the shaft is.
+
+        Raises
+        ------
+        InputError : the drive has no such mode.
+        """
+        if mode not in FOLLOWED:
+            raise InputError(f"{self.name}: mode '{mode}' is not one a drive can follow")
+        self._follow(mode)
+        self._safe = False
+        self._enable_by = self._clock.now() + ENABLE_TIME_S
+
+    def release(self) -> None:
+        """Begin to leave operation; no current flows once the drive has left it."""
+        self._follow(Mode.OFF)
+
+    def command(self, value: float) -> None:
+        """Set the demand of the engaged mode (A, rad/s or rad) for the next cycle.
+
+        Raises
+        ------
+        InputError : not finite, or above what the drive lets through: it would cut it without a word.
+        """
+        if self._reference == CURRENT:
+            most, units, where = self._most_current, "A", endpoints.CURRENT_SOFT_MAX
+        elif self._reference == VELOCITY:
+            most, units, where = TURN * self._most_turns_s, "rad/s", endpoints.VELOCITY_LIMIT
+        else:
+            most, units, where = TURN * FARTHEST_TURNS, "rad", "single precision"
+        if not abs(value) <= most:
+            raise InputError(f"{self.name}: a demand of {value:g} {units} is above {most:g} {units} ({where})")
+        self._value = value
+
+    def begin_cycle(self) -> None:
+        """Send this cycle's demand, and ask for the readings.
+
+        The drive's watchdog is fed by demands alone: none is sent that no supervised cycle came before.
+        """
+        answers = self._answers
+        if answers.watched:
+            self._port.take_waiting()
+            answers.begin(self._clock.now())
+        answers.came[ENCODER] = answers.came[IQ] = False
+        if self._mode is Mode.OFF:
+            if self.axis_state != AxisState.IDLE:
+                self._set_state(AxisState.IDLE)  # until it says so
+        elif self._enable_by > -math.inf and not self.engaged:
+            self._go_towards_operation(self._clock.now())
+        if self._supervised:
+            self._supervised = False
+            self._send_input()
+        self._send(Command.GET_ENCODER_ESTIMATES)
+        self._send(Command.GET_IQ)
+
+    def end_cycle(self, deadline: float) -> None:
+        """Collect the readings; NaN where one did not come.
+
+        Raises
+        ------
+        DeviceFault : the drive has an error, or left operation by itself.
+        NoAnswer : its heartbeat stayed away, or it did not enter operation in time.
+        """
+        answers, values = self._answers, self.values
+        came = self._port.pump_until(answers.came, deadline)
+        values[0], values[1], values[2] = self._followed
+        self._followed = [NAN, NAN, NAN]
+        if self._mode is not Mode.OFF:
+            self._followed[self._reference] = self._value
+        engaged, now = self.engaged, self._clock.now()
+        values[6] = 1.0 if engaged else 0.0
+        if not came or answers.watched:
+            encoder, iq, _ = answers.end(now)
+            if not iq:
+                values[3] = values[6] = NAN
+            if not encoder:
+                values[4] = values[5] = NAN
+        if engaged:
+            self._enable_by = -math.inf  # from here on, leaving operation is the drive's own doing
+        self._judge(now, engaged)
+
+    def feed(self) -> None:
+        """Let the next demand be sent, which feeds the drive's watchdog; ask for the bus voltage at its pace."""
+        self._supervised = True
+        now = self._clock.now()
+        if now >= self._bus_voltage_due:
+            self._bus_voltage_due = now + self.settings.bus_voltage_period_s
+            self._send(Command.GET_BUS_VOLTAGE_CURRENT)
+            self._answers.watched = (
+                True  # before the next request: an answer that came twice would put the later ones off
+            )
+
+    def take(self) -> list[Row]:
+        """Bus voltages that have come in since the last call."""
+        rows, self._rows = self._rows, []
+        return rows
+
+    def notices(self) -> list[str]:
+        """A line for irregular answers and a full bus."""
+        told, now = [], self._clock.now()
+        irregular = self._answers.irregular
+        if irregular != self._told and (now >= self._quiet_until or self._mode is Mode.OFF):
+            self._quiet_until, self._told = now + QUIET_S, replace(irregular)
+            told.append(str(irregular))
+        return told + self._port.notices()
+
+    # -- on the way into operation -----------------------------------------------------------------------------------
+
+    def _follow(self, mode: Mode) -> None:
+        """Turn to a mode, with no demand; what the drive has shown so far is of the mode before."""
+        self._mode, self._value = mode, 0.0
+        self._reference, self._control_mode, self._input_mode = FOLLOWED.get(mode, (ANGLE, 0, 0))
+        self._enable_by, self._ask_at = math.inf, -math.inf
+        self._asked_closed_loop, self.axis_state = False, AxisState.UNDEFINED
+        for path in (endpoints.CONTROL_MODE, endpoints.INPUT_MODE, endpoints.ENABLE_WATCHDOG):
+            self._parameters.shown.pop(path, None)
+
+    def _is_ready(self) -> bool:
+        """Whether the drive has told that it has the mode asked for and an armed watchdog."""
+        shown = self._parameters.is_shown
+        return (
+            shown(endpoints.CONTROL_MODE, self._control_mode)
+            and shown(endpoints.INPUT_MODE, self._input_mode)
+            and shown(endpoints.ENABLE_WATCHDOG, 1.0)
+        )
+
+    def _go_towards_operation(self, now: float) -> None:
+        """Have the axis idle, in the mode asked for and with its watchdog armed, then in closed loop, one by one.
+
+        An angle holds where the shaft is until then.
+        """
+        if self._reference == ANGLE:
+            self._value = self._turns * self._turn
+        if math.isnan(self._turns) or now < self._ask_at or self.axis_state == AxisState.UNDEFINED:
+            return  # until it is known where the shaft is, and what the axis does
+        if not self._asked_closed_loop and self.axis_state != AxisState.IDLE:
+            self._set_state(AxisState.IDLE)
+        elif not self._is_ready():
+            self._send(Command.SET_CONTROLLER_MODE, MODES.pack(self._control_mode, self._input_mode))
+            self._parameters.tell(endpoints.ENABLE_WATCHDOG, 1)
+            for path in (endpoints.CONTROL_MODE, endpoints.INPUT_MODE, endpoints.ENABLE_WATCHDOG):
+                self._parameters.ask(path)
+        elif self.axis_state != AxisState.CLOSED_LOOP_CONTROL:
+            if not self._supervised:
+                return
+            self._send_input()  # before it counts: what another host has left there must not be followed for a moment
+            self._set_state(AxisState.CLOSED_LOOP_CONTROL)
+            self._asked_closed_loop = True
+        self._ask_at = now + RETRY_S
+
+    def _send_input(self) -> None:
+        if self._reference == VELOCITY:
+            self._send(Command.SET_INPUT_VEL, TWO_FLOATS.pack(self._value / self._turn, 0.0))
+        elif self._mode is Mode.ANGLE:
+            self._send(Command.SET_INPUT_POS, POSITION.pack(self._value / self._turn, 0, 0))
+        elif self._reference == CURRENT:
+            self._send(Command.SET_INPUT_TORQUE, ONE_FLOAT.pack(self._value * self._torque_per_ampere))
+        else:
+            self._send(Command.SET_INPUT_TORQUE, ONE_FLOAT.pack(0.0))
+
+    def _judge(self, now: float, engaged: bool) -> None:
+        """Say what keeps the drive out of operation, where it should be in it."""
+        if self.errors:
+            raise DeviceFault(f"{self.name}: {described(self.errors)}")
+        if now > self._heard_until:
+            raise NoAnswer(f"{self.name}: no heartbeat of node {self.settings.node} for {self._silence:.3f} s")
+        if self._mode is Mode.OFF or engaged:
+            return
+        if self._enable_by == -math.inf:
+            raise DeviceFault(f"{self.name}: left operation by itself, state {self.axis_state}")
+        if now > self._enable_by:
+            missing = "" if self._is_ready() else "; it has not shown the mode asked for and an armed watchdog"
+            raise NoAnswer(f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: state {self.axis_state}{missing}")
+
+    # -- set-up ------------------------------------------------------------------------------------------------------
+
+    def _connect(self) -> None:
+        if not self._connected:
+            self._port.open()
+            self._connected = True
+            for identifier, listener in self._listeners().items():
+                self._port.listen(identifier, listener)
+        elif self._port.bus is None:
+            self._port.reopen()
+
+    def _listeners(self) -> dict[int, Any]:
+        return {
+            self._base | Command.GET_VERSION: self._on_version,
+            self._base | Command.HEARTBEAT: self._on_heartbeat,
+            self._base | Command.TX_SDO: self._parameters.on_frame,
+            self._base | Command.GET_ENCODER_ESTIMATES: self._on_encoder,
+            self._base | Command.GET_IQ: self._on_iq,
+            self._base | Command.GET_BUS_VOLTAGE_CURRENT: self._on_bus,
+        }
+
+    def _meet(self) -> None:
+        """See that the drive is there and has the firmware of the table."""
+        self._version = ()
+        for _ in range(3):
+            self._send(Command.GET_VERSION)
+            if self._hears(self._clock.now() + 0.25) and self._version:
+                break
+        if not self._version:
+            raise NoAnswer(f"{self.name}: node {self.settings.node} does not tell its version; node, bit rate, power?")
+        protocol, *hardware, major, minor, revision, _unreleased = self._version
+        firmware, board = f"{major}.{minor}.{revision}", ".".join(str(number) for number in hardware)
+        self._identity = Identity(f"ODrive {board}", "", firmware)
+        table = self.settings.table
+        if protocol != PROTOCOL:
+            raise DeviceError(f"{self.name}: speaks protocol {protocol}; {PROTOCOL} of firmware 0.6 was expected")
+        if (firmware, board) != (table.firmware, table.hardware):
+            raise DeviceError(
+                f"{self.name}: firmware {firmware} on hardware {board}; '{self.settings.endpoints}' is of"
+                f" {table.firmware} on {table.hardware}"
+            )
+
+    def _leave_errors(self) -> None:
+        """Clear what a host's end has left, and other errors where that is asked for."""
+        if self.errors and (self.settings.reset_fault_at_start or self.errors == WATCHDOG_TIMER_EXPIRED):
+            self._send(Command.CLEAR_ERRORS, b"\x00")
+            self._hears(self._clock.now() + 0.25)  # one may have been on its way
+            self._hears(self._clock.now() + 0.25)
+        if self.errors:
+            raise DeviceFault(
+                f"{self.name}: {described(self.errors)}; reset_fault_at_start: true clears it when its cause is gone"
+            )
+
+    def _read_scales(self) -> None:
+        read = self._parameters.read
+        constant, most, turns = (
+            read(path) for path in (endpoints.TORQUE_CONSTANT, endpoints.CURRENT_SOFT_MAX, endpoints.VELOCITY_LIMIT)
+        )
+        if not (math.isfinite(constant) and constant > 0.0):
+            raise DeviceError(f"{endpoints.TORQUE_CONSTANT} is {constant:g}; more than 0 was expected")
+        self._torque_per_ampere = self.settings.sign * constant * AMPLITUDE
+        self._most_current, self._most_turns_s = most / AMPLITUDE, turns
+
+    def _hears(self, until: float) -> bool:
+        """Wait for the next heartbeat; whether one has come."""
+        self._beat[0] = False
+        return self._port.pump_until(self._beat, until)
+
+    # -- frames ------------------------------------------------------------------------------------------------------
+
+    def _send(self, command: Command, data: bytes = b"") -> None:
+        self._port.send(self._base | command, data)
+
+    def _set_state(self, state: AxisState) -> None:
+        self._send(Command.SET_AXIS_STATE, STATE.pack(state))
+
+    @property
+    def _silence(self) -> float:
+        """How long a drive may be silent [s]: three of its heartbeats, and what the host allows itself."""
+        return 1e-3 * (3 * self.settings.heartbeat_ms + self.settings.watchdog_ms)
+
+    def _on_version(self, data: bytearray, _timestamp: float) -> None:
+        if len(data) == VERSION.size:
+            self._version = VERSION.unpack(data)
+
+    def _on_heartbeat(self, data: bytearray, _timestamp: float) -> None:
+        if len(data) == HEARTBEAT.size:
+            self.errors, self.axis_state, *_ = HEARTBEAT.unpack(data)
+            self._beat[0] = True
+            self._heard_until = self._clock.now() + self._silence
+
+    def _on_encoder(self, data: bytearray, _timestamp: float) -> None:
+        if len(data) == TWO_FLOATS.size:
+            answers = self._answers
+            if answers.watched and not answers.take(ENCODER, self._clock.now()):
+                return
+            self._turns, turns_s = TWO_FLOATS.unpack(data)
+            self.values[4], self.values[5] = turns_s * self._turn, self._turns * self._turn
+            answers.came[ENCODER] = True
+
+    def _on_iq(self, data: bytearray, _timestamp: float) -> None:
+        if len(data) == TWO_FLOATS.size:
+            answers = self._answers
+            if answers.watched and not answers.take(IQ, self._clock.now()):
+                return
+            self.values[3] = self.settings.sign * TWO_FLOATS.unpack(data)[1] / AMPLITUDE
+            answers.came[IQ] = True
+
+    def _on_bus(self, data: bytearray, _timestamp: float) -> None:
+        if len(data) == TWO_FLOATS.size:
+            self._rows.append(Row(f"{self.name}_supply", self._clock.now(), TWO_FLOATS.unpack(data)))

@@ -1,0 +1,203 @@
+"""The far end of an ODrive's wire: questions, inputs, parameters, heartbeats and the watchdog.
+
+Frames in, frames out; it shares with the driver only the protocol's numbers. Where firmware versions differ it does
+what is harder on a host: its watchdog runs whenever it is enabled, and only inputs and states feed it.
+"""
+
+import math
+
+from leactl.driver.far_end import Frame, Machine
+from leactl_plugins.odrive_can import endpoints
+from leactl_plugins.odrive_can.can_simple import (
+    HEARTBEAT,
+    MODES,
+    NODE_SHIFT,
+    ONE_FLOAT,
+    PARAMETER,
+    POSITION,
+    PROTOCOL,
+    STATE,
+    TWO_FLOATS,
+    VERSION,
+    WATCHDOG_TIMER_EXPIRED,
+    WRITE,
+    AxisState,
+    Command,
+    ControlMode,
+)
+
+DRV_FAULT = 0x20
+TO_AMPLITUDE, TURN = math.sqrt(2.0 / 3.0), 2.0 * math.pi
+FED_BY = (Command.SET_AXIS_STATE, Command.SET_INPUT_POS, Command.SET_INPUT_VEL, Command.SET_INPUT_TORQUE)
+
+
+class OdriveEmulator:
+    """One axis at a node, turning a machine."""
+
+    def __init__(
+        self, node: int, machine: Machine, table: endpoints.Table, *, torque_constant: float, current_soft_max: float
+    ) -> None:
+        self._base, self._machine, self._table = node << NODE_SHIFT, machine, table
+        self.parameters: dict[str, float] = {
+            endpoints.ENABLE_WATCHDOG: 0,
+            endpoints.WATCHDOG_TIMEOUT: 0.0,
+            endpoints.TORQUE_CONSTANT: torque_constant,
+            endpoints.CURRENT_SOFT_MAX: current_soft_max,
+            endpoints.VELOCITY_LIMIT: 20.0,
+            endpoints.CONTROL_MODE: ControlMode.POSITION,
+            endpoints.INPUT_MODE: 1,
+            endpoints.HEARTBEAT_PERIOD: 100,
+            endpoints.ENCODER_PERIOD: 10,
+            endpoints.CURRENT_PERIOD: 0,
+        }
+        self._paths = {endpoint.number: path for path, endpoint in table.endpoints.items()}
+        self.state, self.errors = AxisState.IDLE, 0
+        self.frozen = False
+        self._inputs = {ControlMode.POSITION: 0.0, ControlMode.VELOCITY: 0.0, ControlMode.TORQUE: 0.0}
+        self._fed = 0.0
+        self._next_heartbeat = self._next_encoder = -math.inf
+
+    @property
+    def due(self) -> float:
+        """Time of the next message that nobody asked for, or of the watchdog's end."""
+        if self.frozen:
+            return math.inf
+        encoder = self._next_encoder if self.parameters[endpoints.ENCODER_PERIOD] else math.inf
+        return min(self._next_heartbeat, encoder, self._watchdog_ends)
+
+    @property
+    def _watchdog_ends(self) -> float:
+        if not self.parameters[endpoints.ENABLE_WATCHDOG] or self.errors & WATCHDOG_TIMER_EXPIRED:
+            return math.inf
+        return self._fed + self.parameters[endpoints.WATCHDOG_TIMEOUT]
+
+    def tick(self, now: float) -> list[Frame]:
+        """Heartbeats, readings that come by themselves, and what the watchdog does."""
+        if self.frozen:
+            return []
+        if now >= self._watchdog_ends:
+            self._disarm(WATCHDOG_TIMER_EXPIRED)
+        frames = []
+        if now >= self._next_heartbeat:
+            self._next_heartbeat = now + 1e-3 * self.parameters[endpoints.HEARTBEAT_PERIOD]
+            frames.append(self._frame(Command.HEARTBEAT, HEARTBEAT.pack(self.errors, self.state, 0, 0, 0)))
+        if self.parameters[endpoints.ENCODER_PERIOD] and now >= self._next_encoder:
+            self._next_encoder = now + 1e-3 * self.parameters[endpoints.ENCODER_PERIOD]
+            frames.append(self._encoder())
+        return frames
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        """Take one frame from the bus and answer it."""
+        identifier, data = frame
+        if self.frozen or identifier >> NODE_SHIFT != self._base >> NODE_SHIFT:
+            return []
+        command = identifier & (1 << NODE_SHIFT) - 1
+        if command in FED_BY:
+            self._fed = now
+        if not data:
+            return self._answer(command)
+        if command == Command.RX_SDO and len(data) >= PARAMETER.size:
+            return self._parameter(data, now)
+        self._take(command, data)
+        return []
+
+    def _answer(self, command: int) -> list[Frame]:
+        if command == Command.GET_VERSION:
+            firmware, hardware = (
+                [int(number) for number in text.split(".")] for text in (self._table.firmware, self._table.hardware)
+            )
+            return [self._frame(Command.GET_VERSION, VERSION.pack(PROTOCOL, *hardware, *firmware, 0))]
+        if command == Command.GET_ENCODER_ESTIMATES:
+            return [self._encoder()]
+        if command == Command.GET_IQ:
+            asked = self._inputs[ControlMode.TORQUE] / self.parameters[endpoints.TORQUE_CONSTANT]
+            return [self._frame(Command.GET_IQ, TWO_FLOATS.pack(asked, self._machine.read()[0] * TO_AMPLITUDE))]
+        if command == Command.GET_BUS_VOLTAGE_CURRENT:
+            return [self._frame(command, TWO_FLOATS.pack(self._machine.bus_voltage, 0.0))]
+        return []
+
+    def _take(self, command: int, data: bytes) -> None:
+        if command == Command.SET_AXIS_STATE and len(data) >= STATE.size:
+            self._set_state(STATE.unpack_from(data)[0])
+        elif command == Command.SET_CONTROLLER_MODE and len(data) == MODES.size:
+            control, filtering = MODES.unpack(data)
+            self.parameters.update({endpoints.CONTROL_MODE: control, endpoints.INPUT_MODE: filtering})
+        elif command == Command.SET_INPUT_POS and len(data) == POSITION.size:
+            self._input(ControlMode.POSITION, POSITION.unpack(data)[0])
+        elif command == Command.SET_INPUT_VEL and len(data) == TWO_FLOATS.size:
+            self._input(ControlMode.VELOCITY, TWO_FLOATS.unpack(data)[0])
+        elif command == Command.SET_INPUT_TORQUE and len(data) >= ONE_FLOAT.size:
+            self._input(ControlMode.TORQUE, ONE_FLOAT.unpack_from(data)[0])
+        elif command == Command.CLEAR_ERRORS:
+            self.errors = 0
+
+    def _set_state(self, state: int) -> None:
+        if state == AxisState.IDLE:
+            self.state = AxisState.IDLE
+            self._machine.command("off", 0.0)
+        elif state == AxisState.CLOSED_LOOP_CONTROL and not self.errors:
+            self.state = AxisState.CLOSED_LOOP_CONTROL
+            self._drive()
+
+    def _input(self, mode: ControlMode, value: float) -> None:
+        self._inputs[mode] = value
+        if self.state == AxisState.CLOSED_LOOP_CONTROL:
+            self._drive()
+
+    def _drive(self) -> None:
+        """Have the machine follow the input of the mode, cut to the drive's limits without a word."""
+        mode = ControlMode(int(self.parameters[endpoints.CONTROL_MODE]))
+        value = self._inputs[mode]
+        if mode is ControlMode.POSITION:
+            self._machine.command("angle", value * TURN)
+        elif mode is ControlMode.VELOCITY:
+            most = self.parameters[endpoints.VELOCITY_LIMIT]
+            self._machine.command("velocity", max(-most, min(most, value)) * TURN)
+        else:
+            most = self.parameters[endpoints.CURRENT_SOFT_MAX]
+            current = value / self.parameters[endpoints.TORQUE_CONSTANT]
+            self._machine.command("current", max(-most, min(most, current)) / TO_AMPLITUDE)
+
+    def _parameter(self, data: bytes, now: float) -> list[Frame]:
+        opcode, number, _ = PARAMETER.unpack_from(data)
+        path = self._paths.get(number)
+        if path is None:
+            return []
+        layout = self._table.endpoints[path].layout
+        if opcode == WRITE:
+            if len(data) >= PARAMETER.size + layout.size:
+                (self.parameters[path],) = layout.unpack_from(data, PARAMETER.size)
+                self._fed = now if path == endpoints.ENABLE_WATCHDOG else self._fed
+                self._next_heartbeat = min(
+                    self._next_heartbeat, now + 1e-3 * self.parameters[endpoints.HEARTBEAT_PERIOD]
+                )
+            return [self._frame(Command.TX_SDO, PARAMETER.pack(0, number, 0))]
+        value = self.parameters[path]
+        packed = layout.pack(value if layout.format == "<f" else int(value))
+        return [self._frame(Command.TX_SDO, PARAMETER.pack(0, number, 0) + packed)]
+
+    def _encoder(self) -> Frame:
+        _, velocity, angle = self._machine.read()
+        return self._frame(Command.GET_ENCODER_ESTIMATES, TWO_FLOATS.pack(angle / TURN, velocity / TURN))
+
+    def _frame(self, command: int, data: bytes) -> Frame:
+        return Frame(self._base | command, data)
+
+    def _disarm(self, error: int) -> None:
+        self.errors |= error
+        self.state = AxisState.IDLE
+        self._machine.command("off", 0.0)
+
+    def is_sign_of_life(self, frame: Frame) -> bool:
+        """Whether a frame is a heartbeat."""
+        return frame.identifier == self._base | Command.HEARTBEAT
+
+    # -- faults inside the drive -------------------------------------------------------------------------------------
+
+    def freeze(self, frozen: bool) -> None:
+        """Hear nothing, answer nothing and go on with the last demand, or come back to life."""
+        self.frozen = frozen
+
+    def fault(self, code: int) -> None:
+        """Go idle with an error of the power stage; this protocol has no code of CiA 301 for it."""
+        self._disarm(DRV_FAULT)

@@ -1,0 +1,82 @@
+"""A drive's parameters by their paths: asked for and told without waiting, or until the drive has answered."""
+
+from leactl.driver.can_port import CanPort
+from leactl.errors import DeviceError, NoAnswer
+from leactl_plugins.odrive_can.can_simple import NODE_SHIFT, PARAMETER, READ, WRITE, Command
+from leactl_plugins.odrive_can.endpoints import Table
+
+TRIES = 3  # of one question or one write: a frame may get lost
+NEAR = 1e-6  # of a value, for the drive's single precision
+
+
+class Parameters:
+    """What one axis has told of its parameters."""
+
+    def __init__(self, port: CanPort, node: int, table: Table, timeout_s: float) -> None:
+        self._port, self._timeout_s = port, timeout_s
+        self._identifier = node << NODE_SHIFT | Command.RX_SDO
+        self._endpoints = table.endpoints
+        self._paths = {endpoint.number: path for path, endpoint in table.endpoints.items()}
+        self._awaited, self._came = "", [False]
+        self.shown: dict[str, float] = {}  # the newest value that was told of each
+
+    def ask(self, path: str) -> None:
+        """Ask for a parameter; its answer arrives in `shown`."""
+        self._port.send(self._identifier, PARAMETER.pack(READ, self._endpoints[path].number, 0))
+
+    def tell(self, path: str, value: float) -> None:
+        """Send a value, and forget what was shown before."""
+        endpoint = self._endpoints[path]
+        self.shown.pop(path, None)
+        written = value if endpoint.layout.format == "<f" else int(value)
+        self._port.send(self._identifier, PARAMETER.pack(WRITE, endpoint.number, 0) + endpoint.layout.pack(written))
+
+    def read(self, path: str) -> float:
+        """Ask for a parameter and wait for its value.
+
+        Raises
+        ------
+        NoAnswer : the drive has not answered in time, as often as it was asked.
+        """
+        for _ in range(TRIES):
+            self._awaited, self._came[0] = path, False
+            self.ask(path)
+            if self._port.pump_until(self._came, self._port.clock.now() + self._timeout_s):
+                return self.shown[path]
+        raise NoAnswer(f"{path} was not answered in {TRIES} times {self._timeout_s:g} s")
+
+    def write(self, path: str, value: float) -> None:
+        """Set a parameter and see that the drive keeps it.
+
+        Raises
+        ------
+        DeviceError : it does not; `NoAnswer` where it does not answer.
+        """
+        for _ in range(TRIES):
+            self.tell(path, value)
+            kept = self.read(path)
+            if self.is_near(kept, value):
+                return
+        raise DeviceError(f"{path} is {kept:g} although {value:g} was written")
+
+    def is_shown(self, path: str, value: float) -> bool:
+        """Whether the drive has told that it has this value."""
+        return self.is_near(self.shown.get(path), value)
+
+    @staticmethod
+    def is_near(shown: float | None, value: float) -> bool:
+        """Whether a value that was told is this one."""
+        return shown is not None and abs(shown - value) <= NEAR * abs(value)
+
+    def on_frame(self, data: bytearray, _timestamp: float) -> None:
+        """Take an answer; one without a value confirms a write (firmware 0.6.11)."""
+        if len(data) < PARAMETER.size:
+            return
+        path = self._paths.get(PARAMETER.unpack_from(data)[1])
+        if path is None:
+            return
+        layout = self._endpoints[path].layout
+        if len(data) >= PARAMETER.size + layout.size:
+            (self.shown[path],) = layout.unpack_from(data, PARAMETER.size)
+            if path == self._awaited:
+                self._came[0] = True
