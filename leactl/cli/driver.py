@@ -1,6 +1,7 @@
 """`leactl driver`: which drivers are there, what they take, and whether they keep the contract."""
 
 import json
+from pathlib import Path
 
 import typer
 
@@ -77,3 +78,27 @@ def check(name: str = NAME, as_json: bool = AS_JSON) -> None:
         typer.echo(f"{name}: keeps the driver contract, in {len(tried)} trials on its far end")
         for trial in tried:
             typer.echo(f"  {trial.name}")
+
+
+@app.command(
+    epilog=examples("driver new scale --quantity torque", "driver new tmp117 --bus i2c --quantity ambient_temperature")
+)
+def new(
+    name: str = typer.Argument(help="Name of the driver, as bench files will have it."),
+    bus: str = typer.Option("serial", "--bus", help="What the device hangs on: serial or i2c."),
+    quantity: str = typer.Option(..., "--quantity", help="What it measures, such as torque or bus_voltage."),
+    into: Path = typer.Option(Path(), "--into", help="Where the folder of the package is made."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Write a package with a driver, its emulator and tests; two functions are left to fill in."""
+    from leactl.driver.scaffold import write_package
+
+    folder = write_package(name, bus, quantity, into)
+    files = sorted(str(path) for path in folder.rglob("*") if path.is_file())
+    if as_json:
+        typer.echo(json.dumps({"name": name, "folder": str(folder), "files": files}))
+        return
+    typer.echo("\n".join(files))
+    second = "answer_of" if bus == "serial" else "register_of"
+    typer.echo(f"\nFill in value_of in driver.py and {second} in emulator.py, then:")
+    typer.echo(f"  pip install -e {folder} && leactl driver check {name} && pytest {folder}")
