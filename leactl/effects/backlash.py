@@ -20,14 +20,19 @@ class Backlash(Effect):
     form_scales = ("friction",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """A twist that changes side with the torque."""
-        if signals.torque is None or signals.mechanical != "coupled":
+        """A twist that changes side with the torque.
+
+        When two turning rotors cross the play, their torques do not tell to the sample: what such runs make of the
+        width falls short, and has a coefficient of its own beside that of locked runs.
+        """
+        if signals.torque is None or signals.mechanical not in ("coupled", "locked"):
             return {}
-        return {"twist": {"width": 0.5 * np.tanh(signals.torque / form[0])}}
+        flank = 0.5 * np.tanh(signals.torque / form[0])
+        return {"twist": {"width" if signals.mechanical == "locked" else "crossed": flank}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Whole width."""
-        return {"width": found["width"]}
+        """Whole width, of locked runs where there are any."""
+        return {"width": found.get("width", found.get("crossed", 0.0))}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Play in series with the shaft."""

@@ -96,7 +96,10 @@ def restored(values: Array, time_constant: float, interval: float) -> Array:
 
 
 def lock(record: Record, s: Signals) -> Equation | None:
-    """Angle of a locked rotor = where it was locked + torque / k."""
+    """Angle of a locked rotor = where it was locked + torque / k.
+
+    Where the shaft carries less than the friction, that may be nothing, and the rotor anywhere within a play.
+    """
     clock, stiffness = record.fast, s.model.bench.shaft_stiffness
     if clock is None or s.mechanical != "locked" or stiffness is None or s.torque is None:
         return None
@@ -112,7 +115,7 @@ def lock(record: Record, s: Signals) -> Equation | None:
         "rad",
         angle - np.mean(angle) - twist,
         s,
-        clock.all_valid(("angle", "test")) & s.unleapt,
+        clock.all_valid(("angle", "test")) & s.unleapt & (np.abs(s.torque) > (s.model.coulomb_friction or 0.0)),
         {"twist": lambda c: c},
         {"bench.shaft_stiffness": -twist},
         nuisance={"lock_angle": (np.ones_like(twist), 0.1)},

@@ -204,12 +204,12 @@ def resting(cut: Cut) -> State:
     drive = cut.drive[::parts]
     torque = play(drive, c["friction"])
     angle = cut.job.clock.get("angle")
-    still = (torque - float(np.mean(torque)))[at] / c["stiffness"]
-    still = still + (float(np.mean(angle)) if angle is not None else 0.0)
+    twist = strained(torque, cut.job)
+    still = (twist - float(np.mean(twist)))[at] + (float(np.mean(angle)) if angle is not None else 0.0)
     torque = torque[at]
     none = np.zeros(cut.count)
     bristle = np.clip((drive[at] - torque) / max(c["friction"], 1e-12), -1.0, 1.0)
-    return State(still, none, none.copy(), strained(torque, cut.job), bristle)
+    return State(still, none, none.copy(), twist[at], bristle)
 
 
 def keep(cuts: Sequence[Cut], picked: Sequence[Index], motion: Motion) -> None:
