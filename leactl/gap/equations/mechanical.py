@@ -24,10 +24,13 @@ STICKING_PRIOR = 0.5  # of nominal Coulomb friction
 
 def moving(s: Signals, velocity: Array, reach: float) -> Mask:
     """Samples around which the shaft turns one way, by half a count of the encoder a sample or more."""
-    speed = np.abs(velocity)
-    fastest = max(s.fastest, float(np.quantile(speed, 0.999)))
-    slowest = max(0.5 * s.count / s.interval, SLOW_SHARE * fastest)
-    return np.asarray(smooth((speed <= slowest).astype(float), reach) < 1e-3)
+    slowest = max(0.5 * s.count / s.interval, SLOW_SHARE * highest_speed(s, velocity))
+    return np.asarray(smooth((np.abs(velocity) <= slowest).astype(float), reach) < 1e-3)
+
+
+def highest_speed(s: Signals, velocity: Array) -> float:
+    """Speed that the shaft reaches [rad/s], of a long run in any of its stretches."""
+    return max(s.fastest, float(np.quantile(np.abs(velocity), 0.999)))
 
 
 def swings(s: Signals, change: Array) -> Mask:
@@ -51,6 +54,7 @@ def free(record: Record, s: Signals) -> Equation | None:
     mask = moving(s, s.velocity, 4.0) & s.resolved & record.fast.all_valid(*keys)
     shared = stamp_columns("free_torque", record.fast, keys, -drive)
     stamp = {"torque_stamp_s": (slope(drive, s.interval), STAMPED * s.interval)}
+    stamp |= between_instants(record.fast, s)
     width, step = row_smoothing(record.fast, s, mask)
     return Equation(
         "free_torque",
@@ -68,6 +72,24 @@ def free(record: Record, s: Signals) -> Equation | None:
         step=step,
         memory=MEMORY * EVENED[1] // step,  # as long in closer rows
     )
+
+
+def between_instants(clock: Clocked, s: Signals) -> dict[str, tuple[Array, float]]:
+    """What a current sampled in instants leaves out while an angle's reference moves.
+
+    A drive answers each step of its reference, and a host samples it in step with them: always at the same point of the
+    answer. What the samples are off by goes by the reference's rate; it is taken for no more than their noise.
+    """
+    reference, current = clock.get("angle_reference"), clock.get("q_axis_current")
+    instants = ("q_axis_current", "test") not in clock.means
+    if reference is None or current is None or s.velocity is None or not instants:
+        return {}
+    rate = np.nan_to_num(np.diff(reference, prepend=reference[:1])) / s.interval
+    rate[np.abs(rate) > highest_speed(s, s.velocity)] = 0.0  # a leap, which no shaft follows
+    usual = float(np.sqrt(np.mean(rate[rate != 0.0] ** 2))) if rate.any() else 0.0
+    if usual == 0.0:
+        return {}
+    return {"between_instants_A": ((s.model.torque_constant or 0.0) / usual * smooth(rate), noise_of(current))}
 
 
 def row_smoothing(clock: Clocked, s: Signals, mask: Mask) -> tuple[float, int]:
