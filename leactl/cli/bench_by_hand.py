@@ -178,7 +178,7 @@ def read(
     """Read every channel with all drives off: mean, standard deviation and age."""
     from dataclasses import asdict
 
-    from leactl.cli.run import finish, told
+    from leactl.cli.run import finish
     from leactl.protocol.by_hand import reading
     from leactl.report.readings import readings, table
     from leactl.runfile.reader import Run
@@ -189,7 +189,7 @@ def read(
         with Run.open(outcome.path) as run:
             found = readings(run)
     if as_json:
-        typer.echo(json.dumps(told(outcome) | {"channels": [asdict(item) for item in found]}))
+        typer.echo(json.dumps(outcome.as_json() | {"channels": [asdict(item) for item in found]}))
     elif found:
         typer.echo(table(found))
     finish(outcome, [])
@@ -205,13 +205,13 @@ def zero(
     as_json: bool = AS_JSON,
 ) -> None:
     """Take the zero of the torque sensor as a protocol does, and say how far it is from the bench file's."""
-    from leactl.cli.run import finish, told
+    from leactl.cli.run import finish
     from leactl.protocol.by_hand import zeroing
 
     outcome = _perform("zero", zeroing(), bench, setup, out, realtime, served, bus)
     zeros = {name: {"before_Nm": before, "after_Nm": after} for name, (before, after) in outcome.zeros.items()}
     if as_json:
-        typer.echo(json.dumps(told(outcome) | {"zeros": zeros}))
+        typer.echo(json.dumps(outcome.as_json() | {"zeros": zeros}))
     else:
         for name, (before, after) in outcome.zeros.items():
             typer.echo(f"{name}: offset {after:.6g} N*m, before {before:.6g} N*m, moved by {after - before:+.3g} N*m")
@@ -238,7 +238,7 @@ def jog(
     as_json: bool = AS_JSON,
 ) -> None:
     """Move one drive for a moment, under every check and limit of a run."""
-    from leactl.cli.run import finish, print_end, told
+    from leactl.cli.run import finish, print_end
     from leactl.driver.contract import Mode
     from leactl.errors import InputError
     from leactl.protocol.by_hand import Jog, reading
@@ -258,7 +258,7 @@ def jog(
             stands_at = float(run.channel("angle", role).values[-1])
     outcome = _perform("jog", motion.steps(stands_at), bench, setup, out, realtime, served, bus)
     if as_json:
-        typer.echo(json.dumps(told(outcome)))
+        typer.echo(json.dumps(outcome.as_json()))
     else:
         print_end(outcome)
     finish(outcome, [])

@@ -4,7 +4,7 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -63,15 +63,11 @@ def run(
         return
     with to_the_end():
         outcome = perform(request)
-    answer = told(outcome) | {"acceptance": [dict(verdict.row) for verdict in outcome.verdicts]}
-    unmet: list[str] = []
-    if outcome.error is None and request.plan.acceptance:
-        from leactl.runner.acceptance import judge
+    from leactl.runner.acceptance import judge_all
 
-        judged, unmet = judge(request.plan, outcome.path)
-        answer["acceptance"] += judged
+    acceptance, unmet = judge_all(request.plan, outcome)
     if as_json:
-        typer.echo(json.dumps(answer))
+        typer.echo(json.dumps(outcome.as_json() | {"acceptance": acceptance}))
     else:
         print_end(outcome)
     finish(outcome, unmet)
@@ -117,17 +113,6 @@ def check_operator(request: "Request") -> None:
     prompts = any(isinstance(action, Prompt) for action in request.plan.actions)
     if prompts and request.bench.emulated is None and not sys.stdin.isatty():
         raise InputError(f"protocol '{request.plan.name}' asks the operator, and stdin is no terminal")
-
-
-def told(outcome: "Outcome") -> dict[str, Any]:
-    """How a run ended, as `--json` tells it."""
-    return {
-        "run": str(outcome.path),
-        "status": outcome.status,
-        "reason": outcome.reason,
-        "duration_s": round(outcome.duration_s, 6),
-        "safe": {name: {"confirmed": c.safe, "detail": c.detail} for name, c in outcome.safe.items()},
-    }
 
 
 def print_end(outcome: "Outcome") -> None:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +21,15 @@ from leactl.runfile.checks import faults_of_streams, faults_of_table, whole_rows
 from leactl.runfile.opening import open_run_file, reading
 from leactl.yamlfile import shown
 
+if TYPE_CHECKING:
+    import xarray
+
 Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Channel:
-    """One measured quantity over time."""
+    """One measured quantity over time; numpy takes it as the array of its values."""
 
     time: Array  # s since the run's start, of this channel's own samples: the stream's stamps and its skew
     values: Array
@@ -39,6 +42,17 @@ class Channel:
     sampling: str  # "instant", or "mean" over the interval that ends at the stamp; empty where the file does not say
     stream: str
     scale_std: float = 0.0  # relative standard uncertainty of the calibration, shared by the device's channels
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        return np.array(self.values, dtype) if copy else np.asarray(self.values, dtype)
+
+    def __repr__(self) -> str:
+        place = f" at {self.location}" if self.location else ""
+        span = f", {self.time[0]:.6g} to {self.time[-1]:.6g} s" if len(self.time) else ""
+        return f"<Channel {self.quantity} of {self.role}{place} [{self.units}]: {len(self)} values{span}>"
 
 
 @dataclass(frozen=True)
@@ -177,6 +191,27 @@ class Run:
             places = ", ".join(spec.location or f"{stream}/{spec.name}" for stream, spec in found)
             raise InputError(f"{self.path}: several channels of {quantity} of {role}: {places}; ask for one location")
         return self._read(*found[0])
+
+    def __getitem__(self, wanted: str | tuple[str, ...]) -> Channel:
+        """The channel of `run["torque"]`, `run["torque", "load"]` or with a location behind, as `channel` gives it."""
+        return self.channel(*((wanted,) if isinstance(wanted, str) else wanted))
+
+    def __repr__(self) -> str:
+        return f"<Run {self.path.name}, {self.status}: {self._contents()}>"
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Every channel as a variable over its stream's time, all in memory (the extra `xarray`).
+
+        Dimensions are the streams, coordinates their stamps in s; variables are named by role, quantity and location,
+        and carry units and what else the file says of them.
+
+        Raises
+        ------
+        InputError : xarray is not installed.
+        """
+        from leactl.runfile.labelled import dataset
+
+        return dataset(self)
 
     def channel_at(self, place: str) -> Channel:
         """The channel that stands at `stream/name`.

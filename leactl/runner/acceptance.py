@@ -15,6 +15,7 @@ from leactl.units import CONVERSIONS, SECONDS
 
 if TYPE_CHECKING:
     from leactl.analysis.estimate import Result
+    from leactl.runner.session import Outcome
 
 
 def check_analysis(plan: Plan, name: str) -> None:
@@ -58,6 +59,15 @@ def _misfit(limit: Acceptance, experiment: str, results: Mapping[str, str]) -> t
     if _factor(units, limit.unit) is None:
         return "unit", f"{limit.unit!r}: {limit.result} is in {units}"
     return None
+
+
+def judge_all(plan: Plan, outcome: "Outcome") -> tuple[list[dict[str, Any]], list[str]]:
+    """Every limit of a run that has ended, and one line for each that is not met; of one that failed, those judged."""
+    rows: list[dict[str, Any]] = [dict(verdict.row) for verdict in outcome.verdicts]
+    if outcome.error is not None or not plan.acceptance:
+        return rows, []
+    judged, unmet = judge(plan, outcome.path)
+    return rows + judged, unmet
 
 
 def judge(plan: Plan, run: Path) -> tuple[list[dict[str, Any]], list[str]]:

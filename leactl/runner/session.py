@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from leactl import __version__, yamlfile
 from leactl.bench.bench import Bench, refuse_blind
@@ -88,6 +89,16 @@ class Outcome:
     notes: Sequence[str] = ()  # what went wrong beside the run and changes nothing of it
     zeros: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # of each tared channel, before and after
     verdicts: Sequence[Verdict] = ()  # on the limits of channels and searches
+
+    def as_json(self) -> dict[str, Any]:
+        """How the run ended, as `--json` tells it."""
+        return {
+            "run": str(self.path),
+            "status": self.status,
+            "reason": self.reason,
+            "duration_s": round(self.duration_s, 6),
+            "safe": {name: {"confirmed": said.safe, "detail": said.detail} for name, said in self.safe.items()},
+        }
 
 
 def execute(

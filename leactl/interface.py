@@ -1,0 +1,233 @@
+"""leactl from Python: the functions that the commands call, with answers that show themselves in a notebook.
+
+`import leactl` offers all of it; nothing here is loaded before it is used.
+"""
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from leactl.analysis.analyze import analyze_runs
+from leactl.analysis.estimate import Result
+from leactl.driver.contract import Confirmation
+from leactl.errors import AcceptanceFailed, InputError
+from leactl.gap.diagnosis import Diagnosis as DiagnosisAnswer
+from leactl.gap.replay.written import Simulated
+from leactl.runfile.reader import Channel, Run
+
+__all__ = [
+    "Analysis",
+    "Channel",
+    "Diagnosis",
+    "Performed",
+    "Run",
+    "Simulated",
+    "analyze",
+    "diagnose",
+    "open_run",
+    "run_protocol",
+    "simulate",
+]
+
+Place = str | Path
+
+
+class Analysis(Result):
+    """Results of one experiment with their 95 % intervals: what `leactl analyze --json` prints."""
+
+    def __str__(self) -> str:
+        from leactl.report.terminal import render
+
+        return render(self)
+
+    def _repr_html_(self) -> str:
+        from leactl.report.notebook import analysis_page, framed
+
+        return framed(analysis_page(self))
+
+
+class Diagnosis(DiagnosisAnswer):
+    """Where a model and runs disagree, and why: what `leactl gap diagnose --json` prints."""
+
+    def __str__(self) -> str:
+        from leactl.report.gap import render
+
+        return render(self)
+
+    def _repr_html_(self) -> str:
+        from leactl.report.gap_page import page
+        from leactl.report.notebook import framed
+
+        return framed(page(self))
+
+    def write(self, *, html: Place | None = None, model: Place | None = None) -> None:
+        """Write the page, and the calibrated, augmented model; an earlier file of the name is replaced.
+
+        Raises
+        ------
+        InputError : a folder that does not exist, or a name that is no plain file's.
+        """
+        from leactl.report.gap_files import Outputs
+
+        outputs = Outputs(None, *(None if place is None else Path(place) for place in (html, model)))
+        outputs.check()
+        outputs.write(self)
+
+
+@dataclass(frozen=True)
+class Performed:
+    """How a run ended: what `leactl run --json` prints."""
+
+    run: Path
+    status: str  # complete, stopped, tripped or failed
+    reason: str
+    duration_s: float  # bench time
+    safe: Mapping[str, Confirmation]  # by device
+    acceptance: tuple[Mapping[str, Any], ...]  # each limit of the protocol, and whether it was met
+    notes: tuple[str, ...] = ()
+
+    def open(self) -> Run:
+        """The run's file, open for reading."""
+        return Run.open(self.run)
+
+
+def open_run(path: Place) -> Run:
+    """Open a run file: `with leactl.open_run("run.h5") as run: run["torque", "test"]`.
+
+    Raises
+    ------
+    InputError : no run file, cut short, or breaking the format; one line for each fault.
+    """
+    return Run.open(path)
+
+
+def analyze(runs: Place | Iterable[Place], experiment: str = "", **options: float) -> Analysis:
+    """Fit the parameters that runs of one experiment were made for; repeats are combined.
+
+    Parameters
+    ----------
+    runs : one run file or several.
+    experiment : what to analyse them as; by default what the runs ask for.
+    options : what the analysis may be told, such as `torque_constant=0.48`.
+
+    Raises
+    ------
+    InputError : files that are no runs or of different experiments, or an option that the analysis does not take.
+    """
+    return Analysis(**vars(analyze_runs(_paths(runs), experiment, **options)))
+
+
+def diagnose(
+    fit: Place | Iterable[Place],
+    held_out: Place | Iterable[Place],
+    model: Place,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Diagnosis:
+    """Say where a model and runs disagree, which unmodelled effect causes it, and how far the gap shrinks.
+
+    Parameters
+    ----------
+    fit : run files to learn from.
+    held_out : those to judge on; where there are none, runs of `fit` are held out by leactl.
+    model : the nominal model's file.
+    progress : is told each step as it begins.
+
+    Raises
+    ------
+    InputError : files that cannot be used, or runs with nothing that the model could be checked with.
+    """
+    from leactl.gap.diagnose import diagnose as answer
+    from leactl.gap.diagnose import read_case
+
+    return Diagnosis(**vars(answer(read_case(_paths(fit), _paths(held_out), Path(model)), progress)))
+
+
+def simulate(model: Place, run: Place, out: Place | None = None) -> Simulated:
+    """Replay a run's inputs through a model and write what comes out as a run file with the same channels and clocks.
+
+    Parameters
+    ----------
+    out : the new file; by default one beside the run.
+
+    Raises
+    ------
+    InputError : files that cannot be used, a model that says nothing of this run, or an existing file at `out`.
+    """
+    from leactl.gap.replay.written import simulate as write
+
+    return write(Path(model), Path(run), None if out is None else Path(out))
+
+
+def run_protocol(
+    protocol: Place,
+    bench: Place = "emulated",
+    settings: Mapping[str, object] | None = None,
+    *,
+    actuator: str = "",
+    condition: str = "",
+    operator: str = "",
+    out: Place = "runs",
+    realtime: bool = False,
+    cold: bool = False,
+    insert_cooldown: bool = False,
+    check: bool = True,
+) -> Performed:
+    """Run a protocol on an emulated or a real bench; a cell or script that is interrupted leaves the bench safe.
+
+    It must be called in the main thread, which is where an interrupt arrives. `leactl bench stop` ends it too.
+
+    Parameters
+    ----------
+    protocol, bench : names of shipped ones, or paths.
+    settings : parameters of the protocol by name; `seed` of an emulated bench among them.
+    out : directory of the run file.
+    check : raise the error that ended the run; else it is told in the answer.
+
+    Raises
+    ------
+    InputError : a name, a file or a setting that cannot be used, or a protocol that asks a person on a real bench.
+    SafetyTrip, Stopped, DeviceError, AcceptanceFailed : what ended the run, with `check`; its notes name the file.
+    """
+    from contextlib import nullcontext
+    from dataclasses import replace
+
+    from leactl.protocol.plan import Prompt
+    from leactl.runner.acceptance import judge_all
+    from leactl.runner.operators import granted
+    from leactl.runner.request import prepare
+    from leactl.runner.session import execute
+    from leactl.runner.signals import to_the_end
+
+    words = [f"{name}={_word(value)}" for name, value in (settings or {}).items()]
+    request = prepare(str(protocol), str(bench), words, actuator, condition, operator, Path(out), realtime)
+    request = replace(request, cold=cold, insert_cooldown=insert_cooldown)
+    asks = any(isinstance(action, Prompt) for action in request.plan.actions)
+    if asks and request.bench.emulated is None:
+        raise InputError(f"protocol '{request.plan.name}' asks the operator; run it by: leactl run {protocol}")
+    with to_the_end():
+        outcome = execute(request, granted, lambda _progress: nullcontext())
+    acceptance, unmet = judge_all(request.plan, outcome)
+    if check and (outcome.error is not None or unmet):
+        error = outcome.error or AcceptanceFailed("; ".join(unmet))
+        error.add_note(f"run file: {outcome.path}")
+        raise error
+    return Performed(
+        outcome.path,
+        outcome.status,
+        outcome.reason,
+        outcome.duration_s,
+        outcome.safe,
+        tuple(acceptance),
+        (*outcome.notes, *unmet),
+    )
+
+
+def _paths(given: Place | Iterable[Place]) -> list[Path]:
+    return [Path(given)] if isinstance(given, str | Path) else [Path(path) for path in given]
+
+
+def _word(value: object) -> str:
+    """A setting as a command line has it."""
+    return value if isinstance(value, str) else json.dumps(value)
