@@ -2,6 +2,7 @@
 
 import json
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -38,16 +39,28 @@ def run(
     cold: bool = typer.Option(False, "--cold", help="Nothing has heated the actuators since they were at ambient."),
     insert_cooldown: bool = typer.Option(False, "--insert-cooldown", help="Wait where a winding would grow too hot."),
     attended: bool = ATTENDED,
+    events: Path | None = typer.Option(
+        None, "--events", metavar="FILE", help="Tell the run as it goes, one JSON line at a time; - is stdout."
+    ),
+    at_end: str = typer.Option(
+        "", "--at-end", metavar="COMMAND", help="Run this when the run is over: COMMAND STATUS RUN.h5."
+    ),
     dry_run: bool = typer.Option(False, "--dry-run", help="Check everything, print the plan, and move nothing."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
     """Run a protocol on a bench: every setpoint supervised, every sample in one run file."""
+    from leactl.errors import InputError
+    from leactl.runner.acceptance import judge_all
+    from leactl.runner.event_lines import STDOUT, EventLines
     from leactl.runner.request import prepare
     from leactl.runner.signals import to_the_end
 
     request = prepare(protocol, bench, settings, actuator, condition, operator, out, realtime, served, bus)
     plan = replace(request.plan, attended=attended or request.plan.attended)
     request = replace(request, plan=plan, cold=cold, insert_cooldown=insert_cooldown)
+    words = _words_of(at_end)
+    if as_json and events == STDOUT:
+        raise InputError("--events -: stdout is for --json alone; name a file")
     if dry_run:
         from leactl.report.outputs import check_folder
         from leactl.report.plan import rehearsal_body, rehearsal_text
@@ -61,16 +74,55 @@ def run(
             print(f"leactl: warning: {text}", file=sys.stderr)
         typer.echo(json.dumps(body) if as_json else rehearsal_text(request, rehearsal, body))
         return
-    with to_the_end():
-        outcome = perform(request)
-    from leactl.runner.acceptance import judge_all
-
-    acceptance, unmet = judge_all(request.plan, outcome)
+    with to_the_end(), EventLines(events) if events else nullcontext() as lines:
+        outcome = perform(replace(request, lines=lines))
+        acceptance, unmet = judge_all(request.plan, outcome)
+        answer = outcome.as_json() | {"acceptance": acceptance}
+        if lines is not None:
+            lines.end(**answer)
     if as_json:
-        typer.echo(json.dumps(outcome.as_json() | {"acceptance": acceptance}))
-    else:
+        typer.echo(json.dumps(answer))
+    elif events != STDOUT:
         print_end(outcome)
+    for note in (_ended(words, outcome), lines.fault if lines is not None else ""):
+        if note:
+            print(f"leactl: warning: {note}", file=sys.stderr)
     finish(outcome, unmet)
+
+
+def _words_of(command: str) -> list[str]:
+    """Words of a command that is to be run at the end.
+
+    Raises
+    ------
+    InputError : quotes that do not close, or a program that is not there.
+    """
+    import shlex
+    import shutil
+
+    from leactl.errors import InputError
+
+    try:
+        words = shlex.split(command)
+    except ValueError as error:
+        raise InputError(f"--at-end {command}: {error}") from None
+    if words and shutil.which(words[0]) is None:
+        raise InputError(f"--at-end {command}: there is no program '{words[0]}'")
+    return words
+
+
+def _ended(words: list[str], outcome: "Outcome") -> str:
+    """Run a command with the run's status and file; what went wrong with it, which is nothing of the run's."""
+    import subprocess
+
+    if not words:
+        return ""
+    try:
+        # its words go to stderr: stdout is for --json and --events
+        done = subprocess.run([*words, outcome.status, str(outcome.path)], stdout=sys.stderr.fileno(), check=False)
+    except OSError as error:
+        return f"--at-end {words[0]}: {error.strerror}"
+    return f"--at-end {words[0]}: ended with status {done.returncode}" if done.returncode else ""
 
 
 def perform(request: "Request", heading: str = "") -> "Outcome":

@@ -64,6 +64,7 @@ class RunWriter:
         self._buffers = {name: RowBuffer(len(specs)) for name, specs in streams.items()}
         self._written = dict.fromkeys(streams, 0)
         self._tables: dict[str, list[dict[str, Any]]] = {name: [] for name in layout.TABLES}
+        self.heard: dict[str, Callable[[Mapping[str, Any]], None]] = {}  # who is told each row of a table, by its name
         self._tables_written = dict.fromkeys(layout.TABLES, 0)
         partial = directory / f"{info.run_id}.h5.partial"
         refuse_existing(self.path)
@@ -97,12 +98,17 @@ class RunWriter:
     def step(self, name: str, start: float, stop: float, settle: float, parameters: Mapping[str, Any]) -> None:
         """Note which part of the run did what."""
         times = {"start": float(start), "stop": float(stop), "settle": float(settle)}
-        self._tables["steps"].append({"name": str(name), **times, "parameters": dict(parameters)})
+        self._note("steps", {"name": str(name), **times, "parameters": dict(parameters)})
 
     def event(self, time: float, level: str, source: str, message: str) -> None:
         """Note something that happened."""
         row = {"time": float(time), "level": str(level), "source": str(source), "message": str(message)}
-        self._tables["events"].append(row)
+        self._note("events", row)
+
+    def _note(self, table: str, row: dict[str, Any]) -> None:
+        self._tables[table].append(row)
+        if table in self.heard:
+            self.heard[table](row)
 
     def flush(self) -> None:
         """Bring everything so far into the file, where a reader or a recovery finds it."""

@@ -28,6 +28,7 @@ from leactl.runfile.writer import RecordingFailed, RunInfo, RunWriter, new_run_i
 from leactl.runner import latch, locks, runs_underway, state
 from leactl.runner.bench_fit import check_fit, check_setup, limits_of, unwitnessed
 from leactl.runner.channel_limits import ACCEPTANCE, Verdict
+from leactl.runner.event_lines import EventLines
 from leactl.runner.latch import Latch, Ready
 from leactl.runner.loop import Loop, Operator
 from leactl.runner.progress import Progress
@@ -63,6 +64,7 @@ class Request:
     insert_cooldown: bool = False  # wait where a winding would otherwise pass its limit
     run_id: str = ""  # where it has to be known before the run; else one is made
     part_of: Mapping[str, str] = field(default_factory=dict)  # its campaign, and its place there
+    lines: EventLines | None = None  # where the run is told as it goes
 
     @property
     def in_process(self) -> bool:
@@ -301,6 +303,9 @@ def _run(
         paced = request.realtime or not request.in_process
         flush = ThreadedFlush(writer) if paced else InlineFlush(writer)
         progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
+        if request.lines is not None:
+            request.lines.begin(progress, run=str(writer.path), protocol=plan.name, bench=request.bench.name)
+            writer.heard = {"steps": request.lines.step, "events": request.lines.event}
         limits = limits_of(plan, bench)
         loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator, watchdog, limits, wishes)
     except BaseException:

@@ -1,0 +1,119 @@
+"""A run told line by line: whole, in order, and of no consequence for the run whoever reads it."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from leactl.errors import InputError
+from leactl.runner.event_lines import MOST_WAITING, EventLines
+from tests.cli.terminal import leactl
+
+SHORT = ("run", "current-step", "--bench", "emulated", "--set", "trials=1")
+
+
+def read(path):
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+
+
+def test_every_step_event_and_the_end_is_a_line_and_the_end_is_the_last(tmp_path):
+    done = leactl(*SHORT, "--out", tmp_path, "--events", tmp_path / "lines", "--json", LEACTL_STATE=str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    answer, lines = json.loads(done.stdout), read(tmp_path / "lines")
+    assert lines[0] == {"event": "begin", "run": answer["run"], "protocol": "current-step", "bench": "emulated"}
+    assert lines[-1] == {"event": "end", **answer}
+    steps = [line for line in lines if line["event"] == "step"]
+    assert [line["stop_s"] for line in steps] == sorted(line["stop_s"] for line in steps)
+    assert len(steps) >= 3
+    assert any("safe state" in line["message"] for line in lines if line["event"] == "event")
+
+
+def test_a_trip_is_a_line_with_its_cause(tmp_path):
+    bench = leactl("bench", "show", "emulated").stdout
+    bench += "  faults: [{fault: scaled_sensor, at_s: 2, device: drive_test, quantity: q_axis_current, gain: 1000}]\n"
+    bench = bench.replace("name: emulated", "name: mine", 1)
+    (tmp_path / "mine.yaml").write_text(bench)
+    words = (
+        "run",
+        "current-step",
+        "--bench",
+        tmp_path / "mine.yaml",
+        "--out",
+        tmp_path,
+        "--events",
+        tmp_path / "lines",
+    )
+    done = leactl(*words, LEACTL_STATE=str(tmp_path))
+    assert done.returncode == 3, done.stderr
+    end = read(tmp_path / "lines")[-1]
+    assert (end["event"], end["status"]) == ("end", "tripped")
+    assert "q_axis_current" in end["reason"]
+
+
+def test_lines_on_stdout_are_alone_there(tmp_path):
+    done = leactl(*SHORT, "--out", tmp_path, "--events", "-", LEACTL_STATE=str(tmp_path))
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert (lines[0]["event"], lines[-1]["event"]) == ("begin", "end")
+    refused = leactl(*SHORT, "--out", tmp_path, "--events", "-", "--json", LEACTL_STATE=str(tmp_path))
+    assert refused.returncode == 2
+    assert "stdout is for --json alone" in refused.stderr
+
+
+def test_a_reader_that_hangs_or_leaves_costs_the_run_nothing(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with subprocess.Popen(
+        [sys.executable, "-c", f"open({str(pipe)!r}).readline(); input()"], stdin=subprocess.PIPE
+    ) as r:
+        deadline = time.monotonic() + 20.0
+        while True:  # until the reader has opened it
+            try:
+                held = os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
+                break
+            except OSError:
+                assert time.monotonic() < deadline
+        done = leactl(*SHORT, "--out", tmp_path, "--events", pipe, LEACTL_STATE=str(tmp_path))
+        assert done.returncode == 0, done.stderr
+        assert "complete" in done.stdout
+        os.close(held)
+        r.communicate(b"\n", timeout=20)
+
+
+def test_what_has_no_room_is_counted_and_told(tmp_path):
+    lines = EventLines(tmp_path / "lines")
+    for number in range(MOST_WAITING + 7):
+        lines.put("event", number=number)
+    with lines:
+        pass
+    told = read(tmp_path / "lines")
+    assert [line["number"] for line in told if line["event"] == "event"] == list(range(MOST_WAITING))
+    assert {"event": "left_out", "lines": 7} in told
+
+
+def test_what_cannot_be_written_to_is_refused_before_anything_moves(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for place, fault in (
+        (tmp_path / "pipe", "nobody reads this pipe"),
+        (tmp_path / "no" / "x", "No such file"),
+        (tmp_path, "Is a directory"),
+    ):
+        with pytest.raises(InputError, match=fault), EventLines(place):
+            pass
+
+
+def test_a_command_at_the_end_gets_status_and_file(tmp_path):
+    script = tmp_path / "after"
+    script.write_text('#!/bin/sh\necho "$@" > "$(dirname "$0")/told"\n')
+    script.chmod(0o755)
+    done = leactl(*SHORT, "--out", tmp_path, "--at-end", f"{script} said", "--json", LEACTL_STATE=str(tmp_path))
+    assert (tmp_path / "told").read_text().split() == ["said", "complete", json.loads(done.stdout)["run"]]
+    failed = leactl(*SHORT, "--out", tmp_path, "--at-end", "false", LEACTL_STATE=str(tmp_path))
+    assert failed.returncode == 0
+    assert "warning: --at-end false: ended with status 1" in failed.stderr
+    for command, fault in (("nothing-of-the-kind", "there is no program"), ("'", "No closing quotation")):
+        refused = leactl(*SHORT, "--out", tmp_path, "--at-end", command, LEACTL_STATE=str(tmp_path))
+        assert refused.returncode == 2
+        assert fault in refused.stderr
