@@ -6,7 +6,7 @@ and the heartbeat that keeps the drives alive is sent after a supervised cycle a
 
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from leactl.bench.bench import Bench
@@ -29,14 +29,11 @@ from leactl.protocol.plan import (
     WaitUntil,
     When,
 )
-from leactl.runfile.writer import RunWriter
-from leactl.runner.channel_limits import ChannelLimits
 from leactl.runner.commanded import Commanded
 from leactl.runner.criterion import Judge
 from leactl.runner.outcomes import Outcomes
-from leactl.runner.progress import Progress
-from leactl.runner.recorder import Flush
-from leactl.runner.signals import StopRequest, Wishes
+from leactl.runner.recorder import Recording
+from leactl.runner.signals import People
 from leactl.runner.watchdog import CYCLES, Unwatched, hung
 from leactl.safety.supervisor import Supervisor
 
@@ -47,9 +44,6 @@ LONGEST_PAUSE_S = 3600.0  # after it nobody is beside the bench any more, and th
 CUT_SHORT, NOT_JUDGED = "cut short", "not judged"  # how a criterion may end, beside that it is met or not
 NOTICES_EVERY = 16  # cycles: nothing is done about them, so they need not cost every cycle
 
-Operator = Callable[[str], Callable[[], bool]]
-"""Asks for something to be done; what it returns says whether the operator has confirmed it."""
-
 
 class Loop:
     """Executes the actions of a plan, one cycle after the other."""
@@ -59,19 +53,15 @@ class Loop:
         plan: Plan,
         bench: Bench,
         supervisor: Supervisor,
-        writer: RunWriter,
-        flush: Flush,
-        stop: StopRequest,
-        progress: Progress,
-        operator: Operator,
         watchdog: Unwatched,
-        limits: ChannelLimits,
-        wishes: Wishes,
+        people: People,
+        recording: Recording,
     ) -> None:
-        self._plan, self._bench, self._supervisor, self._writer = plan, bench, supervisor, writer
-        self._flush, self._stop, self._progress, self._operator = flush, stop, progress, operator
+        self._plan, self._bench, self._supervisor = plan, bench, supervisor
         self._watchdog, self._sign = watchdog, watchdog.sign
-        self._limits, self._wishes = limits, wishes
+        self._stop, self._wishes, self._operator = people.stop, people.wishes, people.operator
+        self._writer, self._flush = recording.writer, recording.flush
+        self._progress, self._limits = recording.progress, recording.limits
         self._commanded, self._pausing = Commanded(), False
         self.outcomes = Outcomes()
         self._clock = bench.clock
@@ -79,7 +69,7 @@ class Loop:
         self._answer_s = max(ANSWER_SHARE * self._period, LEAST_ANSWER_S)
         self._start = self._next = self._clock.now()
         self._newest: dict[str, Sequence[float]] = {}
-        progress.own = self._newest
+        self._progress.own = self._newest
         self._row: list[float] = []
         self._judged: Sequence[float] = ()  # the row that a criterion was given last
         self._record_at(plan.record_Hz)

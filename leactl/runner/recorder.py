@@ -4,13 +4,26 @@ import math
 import threading
 import time
 from collections import deque
+from dataclasses import dataclass
 
 from leactl.runfile.writer import RecordingFailed, RunWriter
+from leactl.runner.channel_limits import ChannelLimits
+from leactl.runner.progress import Progress
 from leactl.safety.disk import free_bytes
 
 FLUSH_S = 0.8  # a kill may cost a second (run-format), of which the writing itself takes some
 PROMISED_S = 1.0  # from one flush to the next, by which the run format says that rows are on the disk
 QUIET_S = 60.0  # at most one warning of a slow disk in this time
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Where a run's samples and words go: its file, what brings that to the disk, the view, limits of its channels."""
+
+    writer: RunWriter
+    flush: "Flush"
+    progress: Progress
+    limits: ChannelLimits
 
 
 class InlineFlush:

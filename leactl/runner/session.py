@@ -30,11 +30,11 @@ from leactl.runner.bench_fit import check_fit, check_setup, limits_of, unwitness
 from leactl.runner.channel_limits import ACCEPTANCE, Verdict
 from leactl.runner.event_lines import EventLines
 from leactl.runner.latch import Latch, Ready
-from leactl.runner.loop import Loop, Operator
+from leactl.runner.loop import Loop
 from leactl.runner.progress import Progress
-from leactl.runner.recorder import InlineFlush, ThreadedFlush
+from leactl.runner.recorder import InlineFlush, Recording, ThreadedFlush
 from leactl.runner.runs_underway import Announcement
-from leactl.runner.signals import StopRequest, StopSource, Wishes, listening
+from leactl.runner.signals import Operator, People, StopSource, Wishes, listening
 from leactl.runner.thermal_admission import Windings
 from leactl.runner.watchdog import Unwatched, beside
 from leactl.safety.current_tracking import VoltageNeed
@@ -103,6 +103,21 @@ class Outcome:
         }
 
 
+@dataclass(frozen=True)
+class RunContext:
+    """A run on its open bench, and all that stands beside it: who guards it, who may end it, who is told of it."""
+
+    request: Request
+    bench: Bench
+    windings: Windings
+    supervisor: Supervisor
+    watchdog: Unwatched
+    latch: Latch | Ready  # which a trip sets
+    people: People
+    watch: Watch
+    announcement: Announcement
+
+
 def execute(
     request: Request,
     operator: Operator,
@@ -145,18 +160,11 @@ def execute(
                 bench.open()
                 try:
                     wishes = Wishes(partial(_paused, announcement, pauses), announcement.remarks)
+                    people = People(stop, wishes, operator)
                     outcome = _run(
-                        request,
-                        bench,
-                        windings,
-                        supervisor,
-                        stop,
-                        wishes,
-                        operator,
-                        watch,
-                        announcement,
-                        watchdog,
-                        bench_latch,
+                        RunContext(
+                            request, bench, windings, supervisor, watchdog, bench_latch, people, watch, announcement
+                        )
                     )
                 finally:
                     left = bench.close()
@@ -281,20 +289,10 @@ def _watched(request: Request, locks: Sequence[int]) -> AbstractContextManager[U
     return beside(request.bench, [] if request.in_process else request.devices, locks, request.latch)
 
 
-def _run(
-    request: Request,
-    bench: Bench,
-    windings: Windings,
-    supervisor: Supervisor,
-    stop: StopRequest,
-    wishes: Wishes,
-    operator: Operator,
-    watch: Watch,
-    announcement: Announcement,
-    watchdog: Unwatched,
-    bench_latch: Latch | Ready,
-) -> Outcome:
+def _run(context: RunContext) -> Outcome:
     """Run on an open bench, and leave it safe."""
+    request, bench, supervisor = context.request, context.bench, context.supervisor
+    windings, watchdog, announcement = context.windings, context.watchdog, context.announcement
     plan = request.plan
     try:
         writer = RunWriter(request.directory, _info(request, bench), bench.streams(), bench.wait_for_disk)
@@ -307,14 +305,15 @@ def _run(
             request.lines.begin(progress, run=str(writer.path), protocol=plan.name, bench=request.bench.name)
             writer.heard = {"steps": request.lines.step, "events": request.lines.event}
         limits = limits_of(plan, bench)
-        loop = Loop(plan, bench, supervisor, writer, flush, stop, progress, operator, watchdog, limits, wishes)
+        recording = Recording(writer, flush, progress, limits)
+        loop = Loop(plan, bench, supervisor, watchdog, context.people, recording)
     except BaseException:
         safe = supervisor.make_safe()
         if unsafe := doubt(safe):
             watchdog.take_over(unsafe)
         announcement.tell_safe(safe)
         raise
-    with _shown(watch, progress):
+    with _shown(context.watch, progress):
         error: BaseException | None = None
         try:
             _introduce(request, windings, writer, bench)
@@ -353,7 +352,7 @@ def _run(
         error = _unconfirmed(error, safe)
         out_of_order = error is not None and (bool(unsafe) or _is_out_of_order(error))
         if error is not None and out_of_order:
-            _latch(bench_latch, error, writer.path)
+            _latch(context.latch, error, writer.path)
         announcement.tell_safe(safe)
     notes = [progress.view_fault] if progress.view_fault else []
     try:
@@ -380,7 +379,7 @@ def _run(
         notes += collect(bench.drivers, request.bench_document, writer.path)
     except Exception as failure:  # noqa: BLE001 (as above)
         if _is_out_of_order(failure) and not out_of_order:
-            _latch(bench_latch, failure, writer.path)
+            _latch(context.latch, failure, writer.path)
         error = _joined(error, failure)
     status, reason = _status(error)
     told = [*notes, *(f"warning: {text}" for text in progress.warnings)]

@@ -4,6 +4,7 @@ import signal
 import socket
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 from leactl.errors import Stopped
@@ -52,6 +53,19 @@ class StopRequest:
                 self.cause = self.cause or cause
         if self.cause:
             raise Stopped(self.cause)
+
+
+Operator = Callable[[str], Callable[[], bool]]
+"""Asks for something to be done; what it returns says whether the operator has confirmed it."""
+
+
+@dataclass(frozen=True)
+class People:
+    """Who may end or hold up a run, and who is asked during it."""
+
+    stop: StopRequest
+    wishes: Wishes
+    operator: Operator
 
 
 @contextmanager

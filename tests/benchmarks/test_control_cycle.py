@@ -15,9 +15,9 @@ from leactl.runner.channel_limits import ChannelLimits
 from leactl.runner.loop import Loop
 from leactl.runner.operators import granted
 from leactl.runner.progress import Progress
-from leactl.runner.recorder import FLUSH_S
+from leactl.runner.recorder import FLUSH_S, Recording
 from leactl.runner.request import prepare
-from leactl.runner.signals import StopRequest, Wishes
+from leactl.runner.signals import People, StopRequest, Wishes
 from leactl.runner.watchdog import Unwatched
 from leactl.safety.supervisor import Axis, Supervisor
 from tests.benchmarks.replay import SYNC, RehearsedBus, ReplayBus
@@ -119,14 +119,9 @@ def prepared(request, machine, number):
         request.plan,
         bench,
         supervisor,
-        writer,
-        FlushByCycles(writer),
-        StopRequest(),
-        progress,
-        granted,
         Unwatched(),
-        ChannelLimits((), bench.streams(), request.bench.name),
-        Wishes(),
+        People(StopRequest(), Wishes(), granted),
+        Recording(writer, FlushByCycles(writer), progress, ChannelLimits((), bench.streams(), request.bench.name)),
     )
     return loop, bench, writer, wiring
 

@@ -13,7 +13,8 @@ from leactl.runner.channel_limits import ChannelLimits
 from leactl.runner.loop import Loop
 from leactl.runner.operators import granted
 from leactl.runner.progress import Progress
-from leactl.runner.signals import StopRequest, Wishes
+from leactl.runner.recorder import Recording
+from leactl.runner.signals import People, StopRequest, Wishes
 from leactl.runner.thermal_admission import guard_settings, motors_of
 from leactl.runner.watchdog import Unwatched
 from leactl.safety.current_tracking import VoltageNeed
@@ -164,8 +165,9 @@ def _loop(plan: Plan, bench: DirectBench, supervisor: Supervisor | Unsupervised)
     nothing = NoFile()
     progress = Progress(plan.name, plan.duration_s, bench.streams())
     limits = ChannelLimits((), bench.streams(), bench.file.name)
-    asked = StopRequest(), progress, granted, Unwatched(), limits, Wishes()
-    loop = Loop(plan, bench, supervisor, nothing, nothing, *asked)  # type: ignore[arg-type]
+    people = People(StopRequest(), Wishes(), granted)
+    recording = Recording(nothing, nothing, progress, limits)  # type: ignore[arg-type]
+    loop = Loop(plan, bench, supervisor, Unwatched(), people, recording)  # type: ignore[arg-type]
     status, reason = "complete", ""
     try:
         loop.run()

@@ -35,7 +35,13 @@ class OdriveEmulator:
     """One axis at a node, turning a machine."""
 
     def __init__(
-        self, node: int, machine: Machine, table: endpoints.Table, *, torque_constant: float, current_soft_max: float
+        self,
+        node: int,
+        machine: Machine,
+        table: endpoints.EndpointTable,
+        *,
+        torque_constant: float,
+        current_soft_max: float,
     ) -> None:
         self._base, self._machine, self._table = node << NODE_SHIFT, machine, table
         self.parameters: dict[str, float] = {

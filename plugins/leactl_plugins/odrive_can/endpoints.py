@@ -49,7 +49,7 @@ class Endpoint(NamedTuple):
     layout: struct.Struct
 
 
-class Table(NamedTuple):
+class EndpointTable(NamedTuple):
     """The parameters that are needed of one firmware on one hardware."""
 
     firmware: str  # "0.6.10"
@@ -58,7 +58,7 @@ class Table(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def read_table(path: str) -> Table:
+def read_table(path: str) -> EndpointTable:
     """Read the maker's file, or the emulated drive's.
 
     Raises
@@ -79,7 +79,7 @@ def read_table(path: str) -> Table:
         raise ValueError(f"'{path}' has no {error}; the flat_endpoints.json of firmware 0.6 was expected") from None
     except (ValueError, TypeError) as error:
         raise ValueError(f"'{path}' is no flat_endpoints.json: {error}") from None
-    return Table(str(firmware).partition("-")[0], str(hardware), found)
+    return EndpointTable(str(firmware).partition("-")[0], str(hardware), found)
 
 
 def _layout(kind: str) -> struct.Struct:

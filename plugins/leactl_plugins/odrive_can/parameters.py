@@ -3,7 +3,7 @@
 from leactl.driver.can_port import CanPort
 from leactl.errors import DeviceError, NoAnswer
 from leactl_plugins.odrive_can.can_simple import NODE_SHIFT, PARAMETER, READ, WRITE, Command
-from leactl_plugins.odrive_can.endpoints import Table
+from leactl_plugins.odrive_can.endpoints import EndpointTable
 
 TRIES = 3  # of one question or one write: a frame may get lost
 NEAR = 1e-6  # of a value, for the drive's single precision
@@ -12,7 +12,7 @@ NEAR = 1e-6  # of a value, for the drive's single precision
 class Parameters:
     """What one axis has told of its parameters."""
 
-    def __init__(self, port: CanPort, node: int, table: Table, timeout_s: float) -> None:
+    def __init__(self, port: CanPort, node: int, table: EndpointTable, timeout_s: float) -> None:
         self._port, self._timeout_s = port, timeout_s
         self._identifier = node << NODE_SHIFT | Command.RX_SDO
         self._endpoints = table.endpoints

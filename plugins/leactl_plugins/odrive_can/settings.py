@@ -6,7 +6,7 @@ from pydantic import Field, field_validator
 
 from leactl.driver.contract import SAFE_STATE_S, DriverSettings
 from leactl_plugins.odrive_can.can_simple import NODE_SHIFT
-from leactl_plugins.odrive_can.endpoints import Table, read_table
+from leactl_plugins.odrive_can.endpoints import EndpointTable, read_table
 
 
 class OdriveSettings(DriverSettings):
@@ -31,7 +31,7 @@ class OdriveSettings(DriverSettings):
         return path
 
     @property
-    def table(self) -> Table:
+    def table(self) -> EndpointTable:
         """The parameters of the drive's firmware."""
         return read_table(self.endpoints)
 
