@@ -59,6 +59,36 @@ def list_runs(
         typer.echo(f"leactl: none of {len(every)} runs in {directory} is what was asked for", err=True)
 
 
+@app.command(
+    epilog=examples("runs trend torque_constant runs", "runs trend coulomb_friction --actuator LEA-1 --baseline 12")
+)
+def trend(
+    result: str = typer.Argument(help="Name of a result, such as coulomb_friction."),
+    runs: list[Path] = typer.Argument(None, metavar="[RUN]...", help="Run files or folders; by default runs."),
+    actuator: str = typer.Option("", help="Only runs of this actuator."),
+    condition: str = typer.Option("", help="Only under this condition."),
+    baseline: int | None = typer.Option(
+        None, "--baseline", min=8, metavar="N", help="Let limits rest on the first N values; by default on all."
+    ),
+    settings: list[str] = typer.Option(
+        [], "--set", metavar="NAME=NUMBER", help="What the analysis may be told, such as torque_constant=0.49."
+    ),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Follow a result from run to run, with control limits: has this actuator changed?"""
+    from leactl.analysis.analyze import numbers
+    from leactl.analysis.trend import trend as follow
+    from leactl.report.steps import Steps
+    from leactl.report.terminal import encoding_of_stdout
+    from leactl.report.trend import trend_text
+    from leactl.runfile.catalog import run_files
+
+    told = numbers(settings)
+    with Steps() as step:
+        found = follow(run_files(runs or [Path("runs")]), result, actuator, condition, baseline, step, **told)
+    typer.echo(json.dumps(found.as_json(), allow_nan=False) if as_json else trend_text(found, encoding_of_stdout()))
+
+
 @app.command(epilog=examples("runs show RUN.h5"))
 def show(run: Path, as_json: bool = AS_JSON) -> None:
     """Show what a run holds: attributes, streams with units, steps, events and notes."""

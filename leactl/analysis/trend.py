@@ -1,0 +1,119 @@
+"""One result over many runs, each analysed by itself, in the order in which they were made."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leactl.analysis.analyze import analyze_runs, experiment_of, options_of, results_of
+from leactl.analysis.estimate import Estimate, listed
+from leactl.analysis.registry import load
+from leactl.analysis.statistics.control_chart import ControlChart, control_chart
+from leactl.errors import InputError
+from leactl.runfile.reader import Run
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Point:
+    """A run's value."""
+
+    run: Path
+    created: str  # UTC
+    value: Estimate
+
+
+@dataclass(frozen=True)
+class Trend:
+    """Values of one result of one actuator under one condition."""
+
+    result: str
+    units: str
+    actuator: str
+    condition: str
+    points: tuple[Point, ...]
+    chart: ControlChart | None  # None where there are too few
+    left_out: tuple[str, ...]  # a line for each run that has the result and does not tell it
+
+    def as_json(self) -> dict[str, Any]:
+        """The trend for other programs."""
+        return {
+            "result": self.result,
+            "units": self.units,
+            "actuator": self.actuator,
+            "condition": self.condition,
+            "points": [
+                {"run": str(point.run), "created": point.created, **point.value.as_json()} for point in self.points
+            ],
+            "chart": self.chart.as_json() if self.chart else None,
+            "left_out": list(self.left_out),
+        }
+
+
+def trend(
+    paths: Sequence[Path],
+    result: str,
+    actuator: str = "",
+    condition: str = "",
+    baseline: int | None = None,
+    tell: Tell = lambda _: None,
+    **options: Any,
+) -> Trend:
+    """Follow a result from run to run.
+
+    Parameters
+    ----------
+    actuator, condition : only runs with this label; there has to be one of each.
+    baseline : how many of the first values the limits rest on; by default all.
+    tell : is told each run as it is analysed.
+    options : for the analyses, as of `analyze_runs`.
+
+    Raises
+    ------
+    InputError : no run has the result, or runs of several actuators or conditions have it.
+    """
+    found: list[tuple[str, tuple[str, str], Path]] = []
+    others: dict[str, None] = {}
+    for path in paths:
+        with Run.open(path) as run:
+            experiment = experiment_of(run)
+            about = {name: str(run.attributes.get(name, "")) for name in ("created", "actuator", "condition")}
+        known = results_of(experiment)
+        if result not in known:
+            others |= dict.fromkeys(known)
+        elif actuator in ("", about["actuator"]) and condition in ("", about["condition"]):
+            found.append((about["created"], (about["actuator"], about["condition"]), path))
+    if not found:
+        raise InputError(f"no run has a result '{result}'; they have {listed(others, 12) or 'none that is asked for'}")
+    groups = dict.fromkeys(group for _, group, _ in found)
+    if len(groups) > 1:
+        named = listed(f"'{one}' under '{other}'" for one, other in groups)
+        raise InputError(f"'{result}' is of several: {named}; choose one by --actuator and --condition")
+    points, left_out = [], []
+    for created, _, path in sorted(found):
+        tell(path.name)
+        try:
+            value = analyze_runs([path], **taken(path, options)).find(result)
+        except InputError as fault:
+            left_out += fault.faults
+            continue
+        if math.isfinite(value.value):
+            points.append(Point(path, created, value))
+        else:
+            left_out.append(f"{path}: does not tell {result}")
+    if not points:
+        raise InputError(left_out)
+    (group,) = groups
+    chart = control_chart(np.array([point.value.value for point in points]), baseline)
+    return Trend(result, points[0].value.units, *group, tuple(points), chart, tuple(left_out))
+
+
+def taken(path: Path, options: dict[str, Any]) -> dict[str, Any]:
+    """Options that the analysis of a run takes."""
+    with Run.open(path) as run:
+        known = options_of(load(experiment_of(run)))
+    return {name: value for name, value in options.items() if name in known}
