@@ -114,11 +114,11 @@ def test_a_drawn_machine_of_another_size_gets_the_same_answer(cases, before, cha
     assert compared(cases, before, change, size=SIZES[change]) >= SAME
 
 
+QUARTER = "38 of 45 stay: faint effects end in the noise, reversals in few samples; one machine is given a delay"
+
+
 @pytest.mark.long
-@pytest.mark.xfail(
-    reason="of 60 cases, 41 of 43 and 39 of 43 stay: faint effects end in the noise, reversals in few samples"
-)
-@pytest.mark.parametrize("divide", [2, 4])
+@pytest.mark.parametrize("divide", [2, pytest.param(4, marks=pytest.mark.xfail(reason=QUARTER))])
 def test_a_drawn_machine_at_a_lower_rate_gets_the_same_answer(cases, before, divide):
     slow = [not {*told["effects"], *told["unlisted"]} & BEYOND_HALF_THE_RATE for _, told in cases]
     kept, answers = ([one for one, keep in zip(row, slow, strict=True) if keep] for row in (cases, before))
