@@ -14,22 +14,9 @@ from leactl.analysis.estimate import Result
 from leactl.driver.contract import Confirmation
 from leactl.errors import AcceptanceFailed, InputError
 from leactl.gap.diagnosis import Diagnosis as DiagnosisAnswer
-from leactl.gap.replay.written import Simulated
-from leactl.runfile.reader import Channel, Run
-
-__all__ = [
-    "Analysis",
-    "Channel",
-    "Diagnosis",
-    "Performed",
-    "Run",
-    "Simulated",
-    "analyze",
-    "diagnose",
-    "open_run",
-    "run_protocol",
-    "simulate",
-]
+from leactl.gap.replay.written import Simulated as Simulated
+from leactl.runfile.reader import Channel as Channel
+from leactl.runfile.reader import Run as Run
 
 Place = str | Path
 

@@ -315,3 +315,20 @@ class ProtectedSupply(Protocol):
         ------
         InputError : a value that is not finite, not above zero, or above the highest voltage; nothing is passed on.
         """
+
+
+def drive_channels(role: str, device: str) -> tuple[ChannelSpec, ...]:
+    """Channels that the `values` of a drive begin with: references, readings, and whether it follows its setpoint."""
+
+    def channel(name: str, quantity: str, words: str, dtype: str = "f4") -> ChannelSpec:
+        return ChannelSpec(name, quantity, role, device, f"{role} {words}", dtype=dtype)
+
+    return (
+        channel("iq_ref", "q_axis_current_reference", "q axis current reference"),
+        channel("omega_ref", "velocity_reference", "velocity reference"),
+        channel("theta_ref", "angle_reference", "angle reference", "f8"),
+        channel("iq", "q_axis_current", "q axis current"),
+        channel("omega", "velocity", "velocity"),
+        channel("theta", "angle", "angle", "f8"),
+        channel("enabled", "drive_enabled", "drive follows its setpoint"),
+    )

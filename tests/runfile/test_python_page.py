@@ -13,7 +13,6 @@ import nbformat
 import pytest
 
 import leactl
-from leactl import interface
 from leactl.runfile.reader import Run
 from tests.cli.terminal import leactl as command
 
@@ -88,7 +87,6 @@ def test_importing_leactl_loads_nothing_that_is_not_used():
 def test_what_is_offered_is_what_the_stub_and_the_interface_have():
     stub = (Path(leactl.__file__).with_suffix(".pyi")).read_text(encoding="utf-8")
     assert tuple(re.findall(r"import (\w+) as \1", stub)) == leactl.INTERFACE
-    assert tuple(interface.__all__) == leactl.INTERFACE
     assert set(leactl.INTERFACE) <= set(dir(leactl))
     assert all(getattr(leactl, name).__module__.startswith("leactl.") for name in leactl.INTERFACE)
 

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 from leactl.driver.answers import Answers, Irregular
 from leactl.driver.can_port import CanPort
 from leactl.driver.clock import Clock
-from leactl.driver.contract import Confirmation, Driver, Identity, Mode, Row, StreamSpec
+from leactl.driver.contract import Confirmation, Driver, Identity, Mode, Row, StreamSpec, drive_channels
 from leactl.driver.far_end import CanEmulator, Physics
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
@@ -192,16 +192,7 @@ class OdriveCan(Driver):
     @property
     def loop_channels(self) -> tuple[ChannelSpec, ...]:
         """Channels of `values`: the references in force until the readings were asked for, and the readings."""
-        label = f"{self.role} "
-        return (
-            ChannelSpec("iq_ref", "q_axis_current_reference", self.role, self.name, label + "q axis current reference"),
-            ChannelSpec("omega_ref", "velocity_reference", self.role, self.name, label + "velocity reference"),
-            ChannelSpec("theta_ref", "angle_reference", self.role, self.name, label + "angle reference", dtype="f8"),
-            ChannelSpec("iq", "q_axis_current", self.role, self.name, label + "q axis current"),
-            ChannelSpec("omega", "velocity", self.role, self.name, label + "velocity"),
-            ChannelSpec("theta", "angle", self.role, self.name, label + "angle", dtype="f8"),
-            ChannelSpec("enabled", "drive_enabled", self.role, self.name, label + "drive follows its setpoint"),
-        )
+        return drive_channels(self.role, self.name)
 
     @property
     def streams(self) -> tuple[StreamSpec, ...]:
