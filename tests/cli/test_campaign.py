@@ -136,9 +136,9 @@ def struck(path):
 folder.held = struck
 """
 AS_IT_IS_TOLD = """
-from leactl.cli import run
-told = run.told
-run.told = lambda outcome: [told(outcome), strike()][0]
+from leactl.runner.session import Outcome
+told = Outcome.as_json
+Outcome.as_json = lambda outcome: [told(outcome), strike()][0]
 """
 BEFORE_THE_FIRST_RUN = """
 from leactl.runner.campaign import entries
