@@ -163,6 +163,16 @@ def test_similar_servos_and_other_rates_get_the_same_answer(seed, kind, change):
         assert answers[1][effect][leading][0] * scale == pytest.approx(parameters[leading][0], rel=0.05)
 
 
+@pytest.mark.parametrize("share", [1.0, 0.1, 1e-3, 1e-6])
+def test_a_replayed_servo_stays_below_the_speed_that_its_voltage_holds_however_light_a_fit_makes_it(share):
+    servo, random = drawn(0, "sound")
+    case = servos.case(servo, random)
+    light = case.model.model_copy(update={"rotor_inertia": share * case.model.rotor_inertia})
+    job = replay(case.fitted[0], light)
+    highest = light.drive.voltage_limit / (light.back_emf_constant or light.torque_constant)
+    assert np.max(np.abs(job.velocity)) <= 1.05 * highest
+
+
 @pytest.mark.long
 def test_of_many_servos_limits_and_bands_are_named_and_nothing_else():
     right, told, shrunk = 0, 0, []
