@@ -265,6 +265,26 @@ def test_an_axis_found_in_operation_is_made_idle_at_once(make_bench):
     assert bench.shaft.following[0] == "off"
 
 
+def test_a_heartbeat_that_was_on_its_way_keeps_no_idle_axis_from_being_met(make_bench):
+    bench = make_bench()
+    bench.far.state = 8
+    held_up = bench.clock.now() + 0.3
+    bench.wire.disturb(
+        lambda frame, source: max(0.0, held_up - bench.clock.now()) if source and frame.identifier == BASE | 1 else 0.0
+    )
+    bench.clock.sleep_until(bench.clock.now() + 0.001)
+    bench.drive.open()
+    assert bench.drive.axis_state == 1
+
+
+def test_an_axis_that_stays_in_operation_is_refused(make_bench):
+    bench = make_bench()
+    bench.far.state = 8
+    bench.wire.disturb(lambda frame, source: None if source is None and frame.identifier == BASE | 7 else 0.0)
+    with pytest.raises(DeviceError, match="drive: the axis does not become idle, state 8"):
+        bench.drive.open()
+
+
 def test_a_mode_is_left_by_way_of_idle(bench):
     bench.engage(Mode.VELOCITY)
     bench.drive.command(4.0)

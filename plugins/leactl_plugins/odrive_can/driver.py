@@ -141,6 +141,9 @@ class OdriveCan(Driver):
         self._set_state(AxisState.IDLE)
         self._meet()
         self._leave_errors()
+        until = self._clock.now() + 0.5
+        while self.axis_state != AxisState.IDLE and self._hears(until):
+            pass  # a heartbeat may have been on its way when the axis was told
         if self.axis_state != AxisState.IDLE:
             raise DeviceError(f"{self.name}: the axis does not become idle, state {self.axis_state}")
         try:
