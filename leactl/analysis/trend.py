@@ -76,7 +76,7 @@ def trend(
     ------
     InputError : no run has the result, or runs of several actuators or conditions have it.
     """
-    found: list[tuple[str, tuple[str, str], Path]] = []
+    every: list[tuple[str, tuple[str, str], Path]] = []
     others: dict[str, None] = {}
     for path in paths:
         with Run.open(path) as run:
@@ -85,14 +85,16 @@ def trend(
         known = results_of(experiment)
         if result not in known:
             others |= dict.fromkeys(known)
-        elif actuator in ("", about["actuator"]) and condition in ("", about["condition"]):
-            found.append((about["created"], (about["actuator"], about["condition"]), path))
-    if not found:
-        raise InputError(f"no run has a result '{result}'; they have {listed(others, 12) or 'none that is asked for'}")
+        else:
+            every.append((about["created"], (about["actuator"], about["condition"]), path))
+    if not every:
+        raise InputError(f"no run has a result '{result}'; they have {listed(others, 12)}")
+    asked = actuator, condition
+    found = [item for item in every if all(want in ("", own) for want, own in zip(asked, item[1], strict=True))]
     groups = dict.fromkeys(group for _, group, _ in found)
-    if len(groups) > 1:
-        named = listed(f"'{one}' under '{other}'" for one, other in groups)
-        raise InputError(f"'{result}' is of several: {named}; choose one by --actuator and --condition")
+    if len(groups) != 1:
+        named = listed(f"'{one}' under '{other}'" for one, other in groups or dict.fromkeys(item[1] for item in every))
+        raise InputError(f"runs with '{result}' are of {named}; choose one by --actuator and --condition")
     points, left_out = [], []
     for created, _, path in sorted(found):
         tell(path.name)

@@ -69,7 +69,11 @@ def followed(runs, *words):
 def test_an_actuator_and_a_condition_have_to_be_chosen(runs):
     done = followed(runs)
     assert done.returncode == 2
-    assert "'LEA-1' under 'design', 'LEA-1' under 'loaded', 'LEA-2' under 'design'; choose one by" in done.stderr
+    groups = "'LEA-1' under 'design', 'LEA-1' under 'loaded', 'LEA-2' under 'design'; choose one by"
+    assert groups in done.stderr
+    done = followed(runs, "--actuator", "LEA-3")
+    assert done.returncode == 2
+    assert groups in done.stderr
 
 
 def test_values_come_in_the_order_of_time_with_their_uncertainty(runs):
