@@ -1,0 +1,72 @@
+"""A protocol run from Python: interrupted, tripped and refused, the bench is safe and the script is told."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import leactl
+from leactl.errors import InputError, SafetyTrip
+from tests.cli.terminal import leactl as command
+
+SCRIPT = """
+import leactl
+from leactl.errors import Stopped
+try:
+    leactl.run_protocol("friction", settings={"seed": 1}, condition="design")
+except Stopped as error:
+    print(error, *error.__notes__, sep="; ")
+"""
+
+
+def test_an_interrupt_ends_a_run_in_order_and_is_raised(tmp_path):
+    with subprocess.Popen([sys.executable, "-c", SCRIPT], cwd=tmp_path, stdout=subprocess.PIPE, text=True) as script:
+        deadline = time.monotonic() + 60.0
+        while not list(tmp_path.glob("runs/*.h5")):
+            assert time.monotonic() < deadline
+            assert script.poll() is None
+        script.send_signal(signal.SIGINT)
+        said, _ = script.communicate(timeout=60)
+    [run] = tmp_path.glob("runs/*.h5")
+    assert said == f"stopped by SIGINT; run file: runs/{run.name}\n"
+    with leactl.open_run(run) as opened:
+        assert opened.status == "stopped"
+        safe = [event.level for event in opened.events if event.message.startswith("safe state: ")]
+    assert safe == ["info", "info", "info"]  # both drives and the torque sensor
+
+
+def tripping_bench(folder):
+    bench = command("bench", "show", "emulated").stdout.replace("name: emulated", "name: mine", 1)
+    bench += "  faults: [{fault: scaled_sensor, at_s: 2, device: drive_test, quantity: q_axis_current, gain: 1000}]\n"
+    (folder / "mine.yaml").write_text(bench)
+    return folder / "mine.yaml"
+
+
+def test_a_trip_is_raised_with_the_file_or_told_where_that_is_asked_for(tmp_path, monkeypatch):
+    bench = tripping_bench(tmp_path)
+    with pytest.raises(SafetyTrip, match="q_axis_current") as caught:
+        leactl.run_protocol("current-step", bench, out=tmp_path / "runs")
+    [run] = (tmp_path / "runs").glob("*.h5")
+    assert caught.value.__notes__[-1] == f"run file: {run}"
+    monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "another state"))  # where nothing is latched
+    done = leactl.run_protocol("current-step", bench, out=tmp_path / "again", check=False)
+    assert done.status == "tripped"
+    assert "q_axis_current" in done.reason
+    assert all(confirmation.safe for confirmation in done.safe.values())
+
+
+@pytest.mark.parametrize(
+    ("words", "fault"),
+    [
+        ({"protocol": "frictoin"}, "protocol 'frictoin' is not known"),
+        ({"protocol": "friction", "bench": "emulatde"}, "bench 'emulatde' is not known"),
+        ({"protocol": "friction", "settings": {"holds": 3}}, "holds"),
+        ({"protocol": "torque-sensor-calibration", "bench": "testbed"}, "asks the operator; run it by: leactl run"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_with_the_sentence_of_the_command(tmp_path, words, fault):
+    with pytest.raises(InputError, match=fault):
+        leactl.run_protocol(**words, out=tmp_path)
+    assert list(tmp_path.glob("*.h5")) == []
