@@ -185,7 +185,6 @@ def run_protocol(
     from leactl.runner.operators import granted
     from leactl.runner.request import prepare
     from leactl.runner.session import execute
-    from leactl.runner.signals import to_the_end
 
     words = [f"{name}={_word(value)}" for name, value in (settings or {}).items()]
     request = prepare(str(protocol), str(bench), words, actuator, condition, operator, Path(out), realtime)
@@ -193,8 +192,7 @@ def run_protocol(
     asks = any(isinstance(action, Prompt) for action in request.plan.actions)
     if asks and request.bench.emulated is None:
         raise InputError(f"protocol '{request.plan.name}' asks the operator; run it by: leactl run {protocol}")
-    with to_the_end():
-        outcome = execute(request, granted, lambda _progress: nullcontext())
+    outcome = execute(request, granted, lambda _progress: nullcontext())
     acceptance, unmet = judge_all(request.plan, outcome)
     if check and (outcome.error is not None or unmet):
         error = outcome.error or AcceptanceFailed("; ".join(unmet))

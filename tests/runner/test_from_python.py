@@ -57,6 +57,13 @@ def test_a_trip_is_raised_with_the_file_or_told_where_that_is_asked_for(tmp_path
     assert all(confirmation.safe for confirmation in done.safe.values())
 
 
+def test_a_run_leaves_every_signal_to_whoever_had_it_before(tmp_path):
+    numbers = signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP
+    before = [signal.getsignal(number) for number in numbers]
+    leactl.run_protocol("current-step", settings={"trials": 1}, out=tmp_path)
+    assert [signal.getsignal(number) for number in numbers] == before
+
+
 @pytest.mark.parametrize(
     ("words", "fault"),
     [
