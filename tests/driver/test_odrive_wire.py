@@ -265,16 +265,35 @@ def test_an_axis_found_in_operation_is_made_idle_at_once(make_bench):
     assert bench.shaft.following[0] == "off"
 
 
-def test_a_heartbeat_that_was_on_its_way_keeps_no_idle_axis_from_being_met(make_bench):
-    bench = make_bench()
-    bench.far.state = 8
-    held_up = bench.clock.now() + 0.3
-    bench.wire.disturb(
-        lambda frame, source: max(0.0, held_up - bench.clock.now()) if source and frame.identifier == BASE | 1 else 0.0
-    )
-    bench.clock.sleep_until(bench.clock.now() + 0.001)
+def test_a_heartbeat_that_was_on_its_way_confirms_nothing(make_bench):
+    bench = make_bench(watchdog_ms=1000)
     bench.drive.open()
-    assert bench.drive.axis_state == 1
+    bench.cycle()
+    bench.engage(Mode.CURRENT)
+    idle = Frame(BASE | 0x01, struct.pack("<IBBBB", 0, 1, 0, 0, 0))
+    bench.wire.disturb(lambda frame, source: None if source is None and frame.identifier == BASE | 0x07 else 0.0)
+    port = bench.drive._port
+    ask = port.send
+
+    def send(identifier, data):
+        ask(identifier, data)
+        if identifier == BASE | 0x07:  # told to be idle, which is lost, while a heartbeat of before arrives
+            port.bus.arrived.appendleft(idle)
+
+    port.send = send
+    confirmation = bench.drive.safe_state(0.5)  # before the watchdog makes the axis idle
+    assert not confirmation.safe
+    assert confirmation.detail.startswith("not confirmed within 0.5 s: ")
+
+
+def test_a_drive_that_is_met_without_heartbeats_gets_them_for_the_run_and_none_after_it(make_bench):
+    bench = make_bench()
+    bench.far.parameters[endpoints.HEARTBEAT_PERIOD] = 0
+    bench.drive.open()
+    bench.cycles(0.5)
+    assert bench.drive.safe_state(1.0).safe
+    bench.drive.close()
+    assert bench.far.parameters[endpoints.HEARTBEAT_PERIOD] == 0
 
 
 def test_an_axis_that_stays_in_operation_is_refused(make_bench):

@@ -65,13 +65,13 @@ class OdriveCan(Driver):
         self.name, self.role, self.settings = name, role, settings
         self._port, self._clock = port, clock
         self._base = settings.node << NODE_SHIFT
-        self._parameters = Parameters(port, settings.node, settings.table, settings.answer_timeout_s)
+        self._parameters = Parameters(name, port, settings.node, settings.table, settings.answer_timeout_s)
         self._connected = False
         self._turn = settings.sign * TURN  # rad per turn of the drive
         self._torque_per_ampere = self._most_current = self._most_turns_s = NAN
         self._identity = Identity()
         self._version: tuple[int, ...] = ()
-        self._beat = [False]  # a heartbeat has come
+        self._beat, self._version_came = [False], [False]  # since it was last waited for
         self._heard_until = -math.inf
         self.axis_state, self.errors = 0, 0
         self._as_met: dict[str, float] = {}  # parameters that are given back at the end
@@ -99,7 +99,8 @@ class OdriveCan(Driver):
                 self._connect()
                 self._port.take_waiting()  # what was sent before it was told
                 self._set_state(AxisState.IDLE)
-                heard = self._hears(min(until, self._clock.now() + 0.25))
+                soon = min(until, self._clock.now() + 0.25)
+                heard = self._has_taken_all(soon) and self._hears(soon)  # no heartbeat that was on its way
             except DeviceError as error:
                 heard, trouble = False, str(error)
                 self._clock.sleep_until(min(until, self._clock.now() + 0.01))
@@ -140,26 +141,17 @@ class OdriveCan(Driver):
         self._answers, self._safe, self._as_met = Answers(2), False, {}
         self._set_state(AxisState.IDLE)
         self._meet()
+        self._take_over(endpoints.HEARTBEAT_PERIOD, self.settings.heartbeat_ms)  # it may be met without any
+        if not self._hears(self._clock.now() + 0.5):
+            raise NoAnswer(f"{self.name}: node {self.settings.node} answers, and sends no heartbeat")
         self._leave_errors()
-        until = self._clock.now() + 0.5
-        while self.axis_state != AxisState.IDLE and self._hears(until):
-            pass  # a heartbeat may have been on its way when the axis was told
         if self.axis_state != AxisState.IDLE:
             raise DeviceError(f"{self.name}: the axis does not become idle, state {self.axis_state}")
-        try:
-            self._read_scales()
-            for path, value in (
-                (endpoints.WATCHDOG_TIMEOUT, 1e-3 * self.settings.watchdog_ms),
-                (endpoints.HEARTBEAT_PERIOD, self.settings.heartbeat_ms),
-                (endpoints.ENCODER_PERIOD, 0),
-                (endpoints.CURRENT_PERIOD, 0),
-            ):
-                before = self._parameters.read(path)
-                self._parameters.write(path, value)
-                self._as_met[path] = before
-            self._as_met[endpoints.ENABLE_WATCHDOG] = self._parameters.read(endpoints.ENABLE_WATCHDOG)
-        except DeviceError as error:
-            raise type(error)(f"{self.name}: {error}") from None
+        self._read_scales()
+        self._take_over(endpoints.WATCHDOG_TIMEOUT, 1e-3 * self.settings.watchdog_ms)
+        self._take_over(endpoints.ENCODER_PERIOD, 0)
+        self._take_over(endpoints.CURRENT_PERIOD, 0)
+        self._as_met[endpoints.ENABLE_WATCHDOG] = self._parameters.read(endpoints.ENABLE_WATCHDOG)
 
     def close(self) -> None:
         """Stop listening and let the bus go; a drive that is safe gets its own parameters back."""
@@ -299,9 +291,7 @@ class OdriveCan(Driver):
         if now >= self._bus_voltage_due:
             self._bus_voltage_due = now + self.settings.bus_voltage_period_s
             self._send(Command.GET_BUS_VOLTAGE_CURRENT)
-            self._answers.watched = (
-                True  # before the next request: an answer that came twice would put the later ones off
-            )
+            self._answers.watched = True  # an answer that came twice would put the later ones off
 
     def take(self) -> list[Row]:
         """Bus voltages that have come in since the last call."""
@@ -408,12 +398,7 @@ class OdriveCan(Driver):
 
     def _meet(self) -> None:
         """See that the drive is there and has the firmware of the table."""
-        self._version = ()
-        for _ in range(3):
-            self._send(Command.GET_VERSION)
-            if self._hears(self._clock.now() + 0.25) and self._version:
-                break
-        if not self._version:
+        if not any(self._has_taken_all(self._clock.now() + 0.25) for _ in range(3)):
             raise NoAnswer(f"{self.name}: node {self.settings.node} does not tell its version; node, bit rate, power?")
         protocol, *hardware, major, minor, revision, _unreleased = self._version
         firmware, board = f"{major}.{minor}.{revision}", ".".join(str(number) for number in hardware)
@@ -427,12 +412,19 @@ class OdriveCan(Driver):
                 f" {table.firmware} on {table.hardware}"
             )
 
+    def _take_over(self, path: str, value: float) -> None:
+        """Set a parameter that the drive gets back when it is closed."""
+        before = self._parameters.read(path)
+        self._parameters.write(path, value)
+        self._as_met[path] = before
+
     def _leave_errors(self) -> None:
         """Clear what a host's end has left, and other errors where that is asked for."""
         if self.errors and (self.settings.reset_fault_at_start or self.errors == WATCHDOG_TIMER_EXPIRED):
             self._send(Command.CLEAR_ERRORS, b"\x00")
-            self._hears(self._clock.now() + 0.25)  # one may have been on its way
-            self._hears(self._clock.now() + 0.25)
+            soon = self._clock.now() + 0.25
+            if not (self._has_taken_all(soon) and self._hears(soon)):
+                raise NoAnswer(f"{self.name}: does not answer after its errors were cleared")
         if self.errors:
             raise DeviceFault(
                 f"{self.name}: {described(self.errors)}; reset_fault_at_start: true clears it when its cause is gone"
@@ -444,9 +436,15 @@ class OdriveCan(Driver):
             read(path) for path in (endpoints.TORQUE_CONSTANT, endpoints.CURRENT_SOFT_MAX, endpoints.VELOCITY_LIMIT)
         )
         if not (math.isfinite(constant) and constant > 0.0):
-            raise DeviceError(f"{endpoints.TORQUE_CONSTANT} is {constant:g}; more than 0 was expected")
+            raise DeviceError(f"{self.name}: {endpoints.TORQUE_CONSTANT} is {constant:g}; more than 0 was expected")
         self._torque_per_ampere = self.settings.sign * constant * AMPLITUDE
         self._most_current, self._most_turns_s = most / AMPLITUDE, turns
+
+    def _has_taken_all(self, until: float) -> bool:
+        """Ask for the version: frames keep their order, so the answer shows that what was sent before was taken."""
+        self._version_came[0] = False
+        self._send(Command.GET_VERSION)
+        return self._port.pump_until(self._version_came, until)
 
     def _hears(self, until: float) -> bool:
         """Wait for the next heartbeat; whether one has come."""
@@ -468,7 +466,7 @@ class OdriveCan(Driver):
 
     def _on_version(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == VERSION.size:
-            self._version = VERSION.unpack(data)
+            self._version, self._version_came[0] = VERSION.unpack(data), True
 
     def _on_heartbeat(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == HEARTBEAT.size:

@@ -69,7 +69,13 @@ class OdriveEmulator:
         if self.frozen:
             return math.inf
         encoder = self._next_encoder if self.parameters[endpoints.ENCODER_PERIOD] else math.inf
-        return min(self._next_heartbeat, encoder, self._watchdog_ends)
+        heartbeat = self._next_heartbeat if self._heartbeat_s < math.inf else math.inf
+        return min(heartbeat, encoder, self._watchdog_ends)
+
+    @property
+    def _heartbeat_s(self) -> float:
+        """Time between two heartbeats; a period of 0 sends none."""
+        return 1e-3 * self.parameters[endpoints.HEARTBEAT_PERIOD] or math.inf
 
     @property
     def _watchdog_ends(self) -> float:
@@ -84,8 +90,8 @@ class OdriveEmulator:
         if now >= self._watchdog_ends:
             self._disarm(WATCHDOG_TIMER_EXPIRED)
         frames = []
-        if now >= self._next_heartbeat:
-            self._next_heartbeat = now + 1e-3 * self.parameters[endpoints.HEARTBEAT_PERIOD]
+        if now >= self._next_heartbeat and self._heartbeat_s < math.inf:
+            self._next_heartbeat = now + self._heartbeat_s
             frames.append(self._frame(Command.HEARTBEAT, HEARTBEAT.pack(self.errors, self.state, 0, 0, 0)))
         if self.parameters[endpoints.ENCODER_PERIOD] and now >= self._next_encoder:
             self._next_encoder = now + 1e-3 * self.parameters[endpoints.ENCODER_PERIOD]
@@ -174,9 +180,7 @@ class OdriveEmulator:
             if len(data) >= PARAMETER.size + layout.size:
                 (self.parameters[path],) = layout.unpack_from(data, PARAMETER.size)
                 self._fed = now if path == endpoints.ENABLE_WATCHDOG else self._fed
-                self._next_heartbeat = min(
-                    self._next_heartbeat, now + 1e-3 * self.parameters[endpoints.HEARTBEAT_PERIOD]
-                )
+                self._next_heartbeat = min(self._next_heartbeat, now + self._heartbeat_s)
             return [self._frame(Command.TX_SDO, PARAMETER.pack(0, number, 0))]
         value = self.parameters[path]
         packed = layout.pack(value if layout.format == "<f" else int(value))

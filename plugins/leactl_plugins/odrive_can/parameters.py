@@ -12,8 +12,8 @@ NEAR = 1e-6  # of a value, for the drive's single precision
 class Parameters:
     """What one axis has told of its parameters."""
 
-    def __init__(self, port: CanPort, node: int, table: EndpointTable, timeout_s: float) -> None:
-        self._port, self._timeout_s = port, timeout_s
+    def __init__(self, name: str, port: CanPort, node: int, table: EndpointTable, timeout_s: float) -> None:
+        self._name, self._port, self._timeout_s = name, port, timeout_s
         self._identifier = node << NODE_SHIFT | Command.RX_SDO
         self._endpoints = table.endpoints
         self._paths = {endpoint.number: path for path, endpoint in table.endpoints.items()}
@@ -43,7 +43,7 @@ class Parameters:
             self.ask(path)
             if self._port.pump_until(self._came, self._port.clock.now() + self._timeout_s):
                 return self.shown[path]
-        raise NoAnswer(f"{path} was not answered in {TRIES} times {self._timeout_s:g} s")
+        raise NoAnswer(f"{self._name}: {path} was not answered in {TRIES} times {self._timeout_s:g} s")
 
     def write(self, path: str, value: float) -> None:
         """Set a parameter and see that the drive keeps it.
@@ -57,7 +57,7 @@ class Parameters:
             kept = self.read(path)
             if self.is_near(kept, value):
                 return
-        raise DeviceError(f"{path} is {kept:g} although {value:g} was written")
+        raise DeviceError(f"{self._name}: {path} is {kept:g} although {value:g} was written")
 
     def is_shown(self, path: str, value: float) -> bool:
         """Whether the drive has told that it has this value."""
