@@ -74,9 +74,9 @@ def trend(
 
     Raises
     ------
-    InputError : no run has the result, or runs of several actuators or conditions have it.
+    InputError : no run has the result, runs of several actuators or conditions have it, or no analysis takes an option.
     """
-    every: list[tuple[str, tuple[str, str], Path]] = []
+    every: list[tuple[str, tuple[str, str], Path, str]] = []
     others: dict[str, None] = {}
     for path in paths:
         with Run.open(path) as run:
@@ -86,20 +86,25 @@ def trend(
         if result not in known:
             others |= dict.fromkeys(known)
         else:
-            every.append((about["created"], (about["actuator"], about["condition"]), path))
+            every.append((about["created"], (about["actuator"], about["condition"]), path, experiment))
     if not every:
         raise InputError(f"no run has a result '{result}'; they have {listed(others, 12)}")
     asked = actuator, condition
     found = [item for item in every if all(want in ("", own) for want, own in zip(asked, item[1], strict=True))]
-    groups = dict.fromkeys(group for _, group, _ in found)
+    groups = dict.fromkeys(group for _, group, _, _ in found)
     if len(groups) != 1:
-        named = listed(f"'{one}' under '{other}'" for one, other in groups or dict.fromkeys(item[1] for item in every))
+        there = sorted(groups or dict.fromkeys(item[1] for item in every))
+        named = listed(f"'{one}' under '{other}'" for one, other in there)
         raise InputError(f"runs with '{result}' are of {named}; choose one by --actuator and --condition")
+    takes = {experiment: options_of(load(experiment)) for *_, experiment in found}
+    if untaken := [name for name in options if not any(name in known for known in takes.values())]:
+        raise InputError([f"--set {name}: none of {', '.join(takes)} takes it" for name in untaken])
     points, left_out = [], []
-    for created, _, path in sorted(found):
+    for created, _, path, experiment in sorted(found):
         tell(path.name)
+        own = {name: value for name, value in options.items() if name in takes[experiment]}
         try:
-            value = analyze_runs([path], **taken(path, options)).find(result)
+            value = analyze_runs([path], **own).find(result)
         except InputError as fault:
             left_out += fault.faults
             continue
@@ -112,10 +117,3 @@ def trend(
     (group,) = groups
     chart = control_chart(np.array([point.value.value for point in points]), baseline)
     return Trend(result, points[0].value.units, *group, tuple(points), chart, tuple(left_out))
-
-
-def taken(path: Path, options: dict[str, Any]) -> dict[str, Any]:
-    """Options that the analysis of a run takes."""
-    with Run.open(path) as run:
-        known = options_of(load(experiment_of(run)))
-    return {name: value for name, value in options.items() if name in known}

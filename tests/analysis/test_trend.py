@@ -90,6 +90,12 @@ def test_values_come_in_the_order_of_time_with_their_uncertainty(runs):
     assert max(map(len, shown.splitlines())) <= 80
 
 
+def test_an_option_that_no_analysis_takes_is_refused(runs):
+    done = followed(runs, "--actuator", "LEA-2", "--set", "torque_constnat=0.5")
+    assert done.returncode == 2
+    assert "--set torque_constnat: none of friction takes it" in done.stderr
+
+
 def test_few_runs_are_shown_without_limits(runs):
     done = followed(runs, "--actuator", "LEA-2")
     assert "1 run; limits need 8" in done.stdout
