@@ -80,13 +80,14 @@ def run(
         answer = outcome.as_json() | {"acceptance": acceptance}
         if lines is not None:
             lines.end(**answer)
-    if as_json:
-        typer.echo(json.dumps(answer))
-    elif events != STDOUT:
-        print_end(outcome)
-    for note in (_ended(words, outcome), lines.fault if lines is not None else ""):
-        if note:
-            print(f"leactl: warning: {note}", file=sys.stderr)
+        if as_json:
+            typer.echo(json.dumps(answer))
+        elif events != STDOUT:
+            print_end(outcome)
+        sys.stdout.flush()
+        warning = _ended(words, outcome)  # here, for behind the block signals are ignored, by what is started too
+    for note in filter(None, (warning, lines.fault if lines is not None else "")):
+        print(f"leactl: warning: {note}", file=sys.stderr)
     finish(outcome, unmet)
 
 

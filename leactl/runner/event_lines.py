@@ -69,7 +69,7 @@ class EventLines:
         if len(self._lines) >= MOST_WAITING:
             self._left_out += 1
             return
-        self._lines.append(json.dumps({"event": event, **told}, allow_nan=False, default=str).encode() + b"\n")
+        self._lines.append(json.dumps({"event": event, **told}, default=str).encode() + b"\n")
 
     def begin(self, progress: Progress, **told: Any) -> None:
         """Say that a run begins, and tell its channels' means once a second from now on."""

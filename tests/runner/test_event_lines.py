@@ -104,6 +104,14 @@ def test_what_cannot_be_written_to_is_refused_before_anything_moves(tmp_path):
             pass
 
 
+def test_a_command_at_the_end_may_be_interrupted(tmp_path):
+    told = "import signal, sys; sys.exit(signal.getsignal(signal.SIGINT) is signal.SIG_IGN)"
+    (tmp_path / "after.py").write_text(told)
+    command = f"{sys.executable} {tmp_path / 'after.py'}"
+    done = leactl(*SHORT, "--out", tmp_path, "--at-end", command, LEACTL_STATE=str(tmp_path))
+    assert (done.returncode, "warning" in done.stderr) == (0, False), done.stderr
+
+
 def test_a_command_at_the_end_gets_status_and_file(tmp_path):
     script = tmp_path / "after"
     script.write_text('#!/bin/sh\necho "$@" > "$(dirname "$0")/told"\n')
