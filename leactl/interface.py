@@ -5,7 +5,7 @@
 
 import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +74,11 @@ class Performed:
     safe: Mapping[str, Confirmation]  # by device
     acceptance: tuple[Mapping[str, Any], ...]  # each limit of the protocol, and whether it was met
     notes: tuple[str, ...] = ()
+    answer: Mapping[str, Any] = field(default_factory=dict, repr=False)  # as `leactl run --json` prints it
+
+    def as_json(self) -> dict[str, Any]:
+        """The answer for other programs."""
+        return dict(self.answer)
 
     def open(self) -> Run:
         """The run's file, open for reading."""
@@ -206,6 +211,7 @@ def run_protocol(
         outcome.safe,
         tuple(acceptance),
         (*outcome.notes, *unmet),
+        outcome.as_json() | {"acceptance": acceptance},
     )
 
 

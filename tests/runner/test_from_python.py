@@ -1,5 +1,6 @@
 """A protocol run from Python: interrupted, tripped and refused, the bench is safe and the script is told."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -60,7 +61,10 @@ def test_a_trip_is_raised_with_the_file_or_told_where_that_is_asked_for(tmp_path
 def test_a_run_leaves_every_signal_to_whoever_had_it_before(tmp_path):
     numbers = signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP
     before = [signal.getsignal(number) for number in numbers]
-    leactl.run_protocol("current-step", settings={"trials": 1}, out=tmp_path)
+    done = leactl.run_protocol("current-step", settings={"trials": 1}, out=tmp_path)
+    assert json.loads(json.dumps(done.as_json())).keys() == {
+        "run", "status", "reason", "duration_s", "safe", "acceptance"
+    }  # fmt: skip
     assert [signal.getsignal(number) for number in numbers] == before
 
 
