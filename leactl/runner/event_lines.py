@@ -1,13 +1,14 @@
-"""A run told as it goes, one JSON line at a time, to a file, a pipe or stdout, for scripts and dashboards.
+"""Writes what happens in a run as JSON lines while it runs, to a file, a pipe or stdout, for scripts and dashboards.
 
-The loop only puts a line into a queue; a thread writes. Whoever reads slowly, hangs or goes away costs the run nothing:
-what has no room is left out and counted.
+The loop only puts a line into a queue; a thread writes. A reader that is slow, hangs or goes away never delays the run:
+lines that have no room in the queue are dropped and counted.
 """
 
 import errno
 import json
 import math
 import os
+import select
 import threading
 import time
 from collections import deque
@@ -20,94 +21,111 @@ from leactl.errors import InputError
 from leactl.runner.progress import Progress
 
 STDOUT = Path("-")
-MOST_WAITING = 10_000  # lines; a reader that is further behind misses some
-LOOKS_A_SECOND = 20  # at the newest values, of which each second's mean is told
-LAST_S = 1.0  # that the end of a run waits for a slow reader
+MOST_QUEUED = 10_000  # lines
+SAMPLES_PER_S = 20  # of every channel's newest value; their mean is written each second
+END_WAIT_S = 1.0  # how long the end of a run waits for a slow reader
 
 
 class EventLines:
-    """Lines for one reader: `with EventLines(path) as lines: ...` around the run."""
+    """Lines for one reader of one run: `with EventLines(path) as lines: ...` around it."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._lines: deque[bytes] = deque()
-        self._left_out = 0
-        self._ended = threading.Event()
-        self._progress: Progress | None = None
-        self._began = time.monotonic()
-        self.fault = ""  # why nothing more could be written
+        self._queued: deque[bytes] = deque()
+        self._dropped = 0
+        self._lock = threading.Lock()  # held for an append, and no longer
+        self._ending = threading.Event()
+        self._progress: Progress | None = None  # of a run that has begun and not ended
+        self._run_began = time.monotonic()
+        self.fault = ""  # why lines are missing at the end
         self._file = -1
-        self._writer = threading.Thread(target=self._write, name="event lines", daemon=True)
+        self._thread = threading.Thread(target=self._write_until_end, name="event lines", daemon=True)
 
     def __enter__(self) -> Self:
-        """Open what is written to.
+        """Open the output.
 
         Raises
         ------
         InputError : it cannot be opened, or is a pipe that nobody reads.
         """
-        if self._path == STDOUT:
-            self._file = os.dup(1)
-        else:
-            flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NONBLOCK | os.O_CLOEXEC
-            try:
-                self._file = os.open(self._path, flags, 0o644)
-            except OSError as error:
-                reason = "nobody reads this pipe" if error.errno == errno.ENXIO else error.strerror
-                raise InputError(f"--events {self._path}: {reason}") from None
-        self._writer.start()
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NONBLOCK | os.O_CLOEXEC
+        try:
+            self._file = os.dup(1) if self._path == STDOUT else os.open(self._path, flags, 0o644)
+        except OSError as error:
+            reason = "nobody reads this pipe" if error.errno == errno.ENXIO else error.strerror
+            raise InputError(f"--events {self._path}: {reason}") from None
+        self._thread.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
-        self._ended.set()
-        self._writer.join(LAST_S)
-        if not self._writer.is_alive():
+        self._ending.set()
+        self._thread.join(2.0 * END_WAIT_S)
+        if self._thread.is_alive():  # in a write that does not come back: stdout may block, a disk may hang
+            self.fault = self.fault or f"--events {self._path}: the reader takes nothing; the last lines are missing"
+        else:
             os.close(self._file)
 
-    def put(self, event: str, **told: Any) -> None:
-        """Say that something happened; never waits and never fails."""
-        if len(self._lines) >= MOST_WAITING:
-            self._left_out += 1
+    def put(self, event: str, **fields: Any) -> None:
+        """Queue a line; never waits."""
+        with self._lock:
+            self._queue(event, fields)
+
+    def _queue(self, event: str, fields: Mapping[str, Any]) -> None:
+        if len(self._queued) >= MOST_QUEUED and event != "end":
+            self._dropped += 1
             return
-        self._lines.append(json.dumps({"event": event, **told}, default=str).encode() + b"\n")
+        if self._dropped:  # where the gap is
+            dropped, self._dropped = self._dropped, 0
+            self._queued.append(line("left_out", {"lines": dropped}))
+        self._queued.append(line(event, fields))
 
-    def begin(self, progress: Progress, **told: Any) -> None:
-        """Say that a run begins, and tell its channels' means once a second from now on."""
-        self._progress, self._began = progress, time.monotonic()
-        self.put("begin", **told)
+    def begin(self, progress: Progress, **fields: Any) -> None:
+        """Write that a run begins, and its channels' means once a second from now on."""
+        self._run_began = time.monotonic()
+        self.put("begin", **fields)
+        self._progress = progress
 
-    def end(self, **told: Any) -> None:
-        """Say how the run ended, last of all."""
-        self._progress = None
-        self.put("end", **told)
+    def end(self, **fields: Any) -> None:
+        """Write how the run ended, last of all."""
+        with self._lock:
+            self._progress = None
+            self._queue("end", fields)
 
     def step(self, row: Mapping[str, Any]) -> None:
-        """Say that a step has ended."""
+        """Write that a step has ended."""
         self.put("step", name=row["name"], start_s=row["start"], stop_s=row["stop"])
 
     def event(self, row: Mapping[str, Any]) -> None:
-        """Tell an event of the run's record."""
+        """Write an event of the run's record."""
         self.put("event", time_s=round(row["time"], 6), **{key: row[key] for key in ("level", "source", "message")})
 
     # -- in the thread ------------------------------------------------------------------------------------------------
 
-    def _write(self) -> None:
-        sums: dict[str, list[float]] = {}
-        told = time.monotonic()
-        while not self.fault:
-            over = self._ended.wait(1.0 / LOOKS_A_SECOND)
-            self._look(sums)
-            now = time.monotonic()
-            if self._progress is not None and sums and now - told >= 1.0:
-                told = now
-                means = {name: round(sum(values) / len(values), 6) for name, values in sums.items()}
-                self.put("values", wall_s=round(now - self._began, 3), means=means)
-                sums.clear()
-            self._send()
-            if over and not self._lines:
-                return
+    def _write_until_end(self) -> None:
+        try:
+            self._write_lines()
+        except Exception as error:  # noqa: BLE001 (nothing that is shown of a run is worth the run)
+            self.fault = f"--events {self._path}: {type(error).__name__}: {error}; lines are missing from there on"
 
-    def _look(self, sums: dict[str, list[float]]) -> None:
+    def _write_lines(self) -> None:
+        samples: dict[str, list[float]] = {}
+        means_at = time.monotonic() + 1.0
+        while not self._ending.wait(1.0 / SAMPLES_PER_S):
+            self._sample(samples)
+            if time.monotonic() >= means_at:
+                means_at += 1.0
+                self._queue_means(samples)
+                samples.clear()
+            self._write_queued()
+        until = time.monotonic() + END_WAIT_S
+        while not self._write_queued():
+            if time.monotonic() > until:
+                self.fault = f"--events {self._path}: the reader takes nothing; the last lines are missing"
+                return
+            select.select([], [self._file], [], END_WAIT_S / 10)
+
+    def _sample(self, samples: dict[str, list[float]]) -> None:
+        """Add every channel's newest value."""
         progress = self._progress
         if progress is None:
             return
@@ -115,23 +133,31 @@ class EventLines:
         for stream, channels in progress.streams.items():
             for channel, value in zip(channels, newest.get(stream, ()), strict=False):
                 if math.isfinite(value):
-                    sums.setdefault(channel.name if stream == "loop" else f"{stream}/{channel.name}", []).append(value)
+                    name = channel.name if stream == "loop" else f"{stream}/{channel.name}"
+                    samples.setdefault(name, []).append(value)
 
-    def _send(self) -> None:
-        """Write what waits, as far as the reader takes it."""
-        while self._lines or self._left_out:
-            if not self._lines:
-                count, self._left_out = self._left_out, 0
-                self.put("left_out", lines=count)
-            line = self._lines[0]
+    def _queue_means(self, samples: Mapping[str, list[float]]) -> None:
+        means = {name: round(sum(values) / len(values), 6) for name, values in samples.items()}
+        with self._lock:
+            if self._progress is not None and means:  # nothing comes after the end
+                wall_s = round(time.monotonic() - self._run_began, 3)
+                self._queue("values", {"wall_s": wall_s, "means": means})
+
+    def _write_queued(self) -> bool:
+        """Write what waits as far as the reader takes it; whether that is all."""
+        while self._queued:
+            first = self._queued[0]
             try:
-                sent = os.write(self._file, line)
+                sent = os.write(self._file, first)
             except BlockingIOError:
-                return
-            except OSError as error:
-                self.fault = f"--events {self._path}: {error.strerror}; nothing more was written there"
-                return
-            if sent < len(line):
-                self._lines[0] = line[sent:]
+                return False
+            if sent < len(first):
+                self._queued[0] = first[sent:]
             else:
-                self._lines.popleft()
+                self._queued.popleft()
+        return True
+
+
+def line(event: str, fields: Mapping[str, Any]) -> bytes:
+    """One event as it is written."""
+    return json.dumps({"event": event, **fields}, default=str).encode() + b"\n"

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from leactl.errors import InputError
-from leactl.runner.event_lines import MOST_WAITING, EventLines
+from leactl.runner.event_lines import MOST_QUEUED, EventLines
 from tests.cli.terminal import leactl
 
 SHORT = ("run", "current-step", "--bench", "emulated", "--set", "trials=1")
@@ -84,13 +84,26 @@ def test_a_reader_that_hangs_or_leaves_costs_the_run_nothing(tmp_path):
 
 def test_what_has_no_room_is_counted_and_told(tmp_path):
     lines = EventLines(tmp_path / "lines")
-    for number in range(MOST_WAITING + 7):
+    for number in range(MOST_QUEUED + 7):
         lines.put("event", number=number)
     with lines:
-        pass
+        lines.end(status="complete")
     told = read(tmp_path / "lines")
-    assert [line["number"] for line in told if line["event"] == "event"] == list(range(MOST_WAITING))
-    assert {"event": "left_out", "lines": 7} in told
+    assert [line["number"] for line in told[:-2]] == list(range(MOST_QUEUED))
+    assert told[-2:] == [{"event": "left_out", "lines": 7}, {"event": "end", "status": "complete"}]
+
+
+def test_a_reader_that_takes_nothing_holds_up_an_end_for_no_longer_than_it_may(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    began = time.process_time()
+    with EventLines(tmp_path / "pipe") as lines:
+        for _ in range(100):
+            lines.put("event", message="x" * 4096)  # more than a pipe holds
+        lines.end(status="complete")
+    assert "the reader takes nothing; the last lines are missing" in lines.fault
+    assert time.process_time() - began < 0.5  # it waits, and does not spin
+    os.close(reader)
 
 
 def test_what_cannot_be_written_to_is_refused_before_anything_moves(tmp_path):
