@@ -25,6 +25,7 @@ MOST = 3  # effects in a set
 ENTRY = 3.2  # times its floor and uncertainty, that an effect must be large to enter a set
 SAME = 1e-3  # of twice a log likelihood, by which fits are alike
 EXCHANGES = 4
+USUAL_LAST = (2, 0)  # rounds of weighing: by what a set leaves over, then as usual
 SHORTLIST = 4
 USUAL_SPREAD = 2.0  # of a sound machine's noise, by which the next one may differ
 WHOLE_ROUNDS = 2
@@ -33,7 +34,7 @@ LOOSE, LOOSE_ERROR = 0.8, 0.1  # the same where an effect must explain less than
 TIE = 1e-6  # of a gain, by which the unusual one of two effects with the same columns stands behind; far above rounding
 RIVAL_FORM_ERROR = 0.005  # of a gain, standard deviation of the difference of two forms that are both nearly right
 UNSHOWN = 0.05  # prior odds of a spring whose rest no run comes by against an effect that pulls one way by its nature
-FORM_ERROR = 0.003  # share of what a set explains in a channel that its own functional form may miss
+FORM_ERROR = 0.03  # share of what a set explains, in squares, that its own forms may miss; 17 % of the amplitude
 BEYOND = 2.0  # times the largest size of an effect's definition: a geared servo has half more than benches of one stage
 INTERVAL = 1.96  # standard deviations on either side that hold 95 %
 SHAPE = (0.3, 3.0)  # how much of a shape may be there: the grid's neighbours are that far apart
@@ -270,43 +271,62 @@ def step(evidence: Evidence, hypothesis: Sequence[Candidate]) -> Candidate | Non
 def shortlist(evidence: Evidence, hypothesis: Sequence[Candidate]) -> list[Candidate]:
     """The effects worth fitting beside a set."""
     listed: list[Candidate] = []
-    for rounds in (2, 0):
-        fit = evidence.settle(hypothesis, rounds)
-        normal = evidence.normal()
-        explained = explained_by_rows(normal, fit, normal.fit())
-        miss = LOOSE_ERROR if any(library()[name].explains < LOOSE for name, _ in hypothesis) else FORM_ERROR
+    for rounds in USUAL_LAST:
+        beside = Beside(evidence, hypothesis, rounds)
         ranked = [
             item.candidate
-            for item in best_of_each(evidence, normal, hypothesis)
-            if item.height > ENTRY
-            and (
-                item.gain > miss * shared_with(evidence, item.candidate, explained)
-                or elsewhere(normal, fit, normal.fit([*hypothesis, item.candidate]), explained, miss) > ENTRY**2
-            )
+            for item in best_of_each(evidence, beside.normal, hypothesis)
+            if item.height > ENTRY and beside.outlasts_forms(item)
         ]
         listed += [candidate for candidate in ranked[:SHORTLIST] if candidate not in listed]
     return listed
 
 
-def explained_by_rows(normal: Normal, fit: Fit, calibrated: Fit) -> list[float]:
-    """Weighted squares that a set takes from each rows beyond calibration."""
-    found = []
-    for index, rows in enumerate(normal.stack.rows):
-        count = normal.weights[index] * len(rows.left_over)
-        before, after = normal.residual(calibrated, index), normal.residual(fit, index)
-        found.append(count * max(before**2 - after**2, 0.0))
-    return found
+class Beside:
+    """A set as some weights see it, and what an effect beside it takes away but for what the set's own forms miss.
+
+    The form of a law is right to within a share of what it explains; in which rows it misses most, nobody can say. So
+    that share of what the set explains in all rows of an equation is no sign of a further effect there.
+    """
+
+    def __init__(self, evidence: Evidence, hypothesis: Sequence[Candidate], rounds: int) -> None:
+        self._evidence, self._hypothesis = evidence, list(hypothesis)
+        self._fit = evidence.settle(hypothesis, rounds)
+        self.normal = evidence.normal()
+        self._gone = taken_by_rows(self.normal, self.normal.fit(), self._fit)
+        self._miss = LOOSE_ERROR if any(library()[name].explains < LOOSE for name, _ in hypothesis) else FORM_ERROR
+
+    def outlasts_forms(self, item: Finding) -> bool:
+        """Whether an effect takes away more than the forms of the set may miss, where it acts or elsewhere."""
+        explained = [max(amount, 0.0) for amount in self._gone]
+        where_it_acts = self._miss * shared_with(self._evidence, item.candidate, explained)
+        return item.gain > where_it_acts or self._elsewhere(item.candidate) > ENTRY**2
+
+    def _elsewhere(self, candidate: Candidate) -> float:
+        """Misfit that the effect takes away, of rows and of priors, but for what the forms may miss in an equation."""
+        larger = self.normal.fit([*self._hypothesis, candidate])
+        further = by_equation(self.normal, taken_by_rows(self.normal, self._fit, larger))
+        total = self._fit.misfit - larger.misfit
+        for equation, gone in by_equation(self.normal, self._gone).items():
+            missed = self._miss * max(gone, 0.0)
+            total -= min(max(further[equation], -missed), missed)
+        return total
 
 
-def elsewhere(normal: Normal, fit: Fit, more: Fit, explained: Sequence[float], miss: float) -> float:
-    """Misfit that a larger set takes away, of rows and of priors, but for what the set's own forms may miss."""
-    total = fit.misfit - more.misfit
-    for index, rows in enumerate(normal.stack.rows):
-        count = normal.weights[index] * len(rows.left_over)
-        gained = count * (normal.residual(fit, index) ** 2 - normal.residual(more, index) ** 2)
-        allowed = miss * explained[index]
-        total -= min(max(gained, -allowed), allowed)
-    return total
+def by_equation(normal: Normal, amounts: Sequence[float]) -> dict[str, float]:
+    """Sums over the rows of each equation."""
+    sums: dict[str, float] = {}
+    for rows, amount in zip(normal.stack.rows, amounts, strict=True):
+        sums[rows.equation] = sums.get(rows.equation, 0.0) + amount
+    return sums
+
+
+def taken_by_rows(normal: Normal, before: Fit, after: Fit) -> list[float]:
+    """Weighted squares that one fit leaves less than another in each rows; below zero where it leaves more."""
+    return [
+        normal.weights[k] * len(rows.left_over) * (normal.residual(before, k) ** 2 - normal.residual(after, k) ** 2)
+        for k, rows in enumerate(normal.stack.rows)
+    ]
 
 
 def shared_with(evidence: Evidence, candidate: Candidate, explained: Sequence[float]) -> float:
@@ -382,10 +402,25 @@ def prune(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
         members = [member(evidence, normal, hypothesis, k) for k in range(len(hypothesis))]
         heights = [item.height if item is not None else 0.0 for item in members]
         weakest = int(np.argmin(heights))
-        if heights[weakest] > ENTRY:
+        if heights[weakest] <= ENTRY:
+            hypothesis = hypothesis[:weakest] + hypothesis[weakest + 1 :]
+            continue
+        missed = next((k for k in np.argsort(heights) if not stands_beside(evidence, hypothesis, int(k))), None)
+        if missed is None:
             break
-        hypothesis = hypothesis[:weakest] + hypothesis[weakest + 1 :]
+        hypothesis = hypothesis[:missed] + hypothesis[missed + 1 :]
     return hypothesis
+
+
+def stands_beside(evidence: Evidence, hypothesis: Sequence[Candidate], index: int) -> bool:
+    """Whether a member takes away more than the forms of the others may miss, by either weights."""
+    others = [*hypothesis[:index], *hypothesis[index + 1 :]]
+    for rounds in USUAL_LAST:
+        beside = Beside(evidence, others, rounds)
+        item = finding(evidence, beside.normal, evidence.stack.columns_of(others), hypothesis[index])
+        if item is not None and beside.outlasts_forms(item):
+            return True
+    return False
 
 
 def member(evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], index: int) -> Finding | None:
@@ -403,7 +438,7 @@ def describe(evidence: Evidence, hypothesis: list[Candidate]) -> Found:
     members, rivals, moved = [], [], []
     for index in range(len(hypothesis)):
         others = hypothesis[:index] + hypothesis[index + 1 :]
-        moved.append(misfit_moved(normal, fit, normal.fit(others)))
+        moved.append([abs(amount) for amount in taken_by_rows(normal, normal.fit(others), fit)])
         found = finding(evidence, normal, evidence.stack.columns_of(others), hypothesis[index], whole=True)
         if found is None:  # brought to its whole form it has no place beside the others
             return describe(evidence, others)
@@ -412,14 +447,6 @@ def describe(evidence: Evidence, hypothesis: list[Candidate]) -> Found:
         rivals.append([found, *(r for r in ranked if r.effect != found.effect and is_possible(evidence, r))])
     rest = best_of_each(evidence, normal, hypothesis)
     return Found(hypothesis, members, rivals, rest, fit, taken, left, moved)
-
-
-def misfit_moved(normal: Normal, fit: Fit, without: Fit) -> list[float]:
-    """Of each rows: weighted squares by which two fits differ, either way."""
-    return [
-        normal.weights[k] * len(rows.left_over) * abs(normal.residual(without, k) ** 2 - normal.residual(fit, k) ** 2)
-        for k, rows in enumerate(normal.stack.rows)
-    ]
 
 
 def make_whole(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
@@ -453,7 +480,7 @@ def taken_and_left(evidence: Evidence, hypothesis: Sequence[Candidate]) -> tuple
     evidence.weigh_as_usual()
     normal = evidence.normal()
     before, after = normal.fit(), normal.fit(hypothesis)
-    taken = explained_by_rows(normal, after, before)
+    taken = [max(amount, 0.0) for amount in taken_by_rows(normal, before, after)]
     left = [
         max(normal.weights[k] * normal.residual(after, k) ** 2 - USUAL_SPREAD, 0.0) * len(rows.left_over)
         for k, rows in enumerate(normal.stack.rows)
