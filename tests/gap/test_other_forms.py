@@ -1,0 +1,43 @@
+"""A joint's friction follows a law of nobody's library: the nearest effect is named, and none for what its form misses."""
+
+import numpy as np
+import pytest
+
+from leactl.gap.diagnose import diagnose
+from tests.gap.joints import Effect, Log, case, drawn_joint
+
+NEAR_REST = 0.002  # of the top speed, within which a drag has no sign yet
+
+
+def hyperbolic(joint, top):
+    """Friction that falls with one over the speed where the library has an exponential."""
+    return lambda speed: 0.8 * joint.friction * np.tanh(speed / (NEAR_REST * top)) / (1.0 + abs(speed) / (0.08 * top))
+
+
+def power_of_1_6(joint, top):
+    """A drag between a damping and the square of the speed."""
+    return lambda speed: 0.5 * joint.damping * top * np.sign(speed) * (abs(speed) / top) ** 1.6
+
+
+def cubic(joint, top):
+    """A drag that grows faster than the square."""
+    return lambda speed: joint.damping * top * (speed / top) ** 3
+
+
+@pytest.mark.parametrize(
+    ("law", "nearest"), [(hyperbolic, "stribeck"), (power_of_1_6, "quadratic_drag"), (cubic, "quadratic_drag")]
+)
+def test_only_the_nearest_effect_is_named(law, nearest):
+    random = np.random.default_rng([77, 0])
+    joint = drawn_joint(random)
+    top = 0.6 * joint.constant * joint.top / joint.damping
+    found = diagnose(case(joint, Log(), random, Effect(drag=law(joint, top))))
+    assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == [nearest]
+
+
+def test_two_effects_of_one_equation_are_both_named():
+    random = np.random.default_rng([77, 1])
+    joint = drawn_joint(random)
+    top = 0.6 * joint.constant * joint.top / joint.damping
+    found = diagnose(case(joint, Log(), random, Effect(loss=0.15, drag=hyperbolic(joint, top))))
+    assert {cause.effect for cause in found.causes if cause.probability >= 0.5} == {"saturation", "stribeck"}
