@@ -8,7 +8,8 @@ is measured against the size that sound machines in the place of the case give i
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
+from operator import mul
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,7 @@ MOST = 3  # effects in a set
 ENTRY = 3.2  # times its floor and uncertainty, that an effect must be large to enter a set
 SAME = 1e-3  # of twice a log likelihood, by which fits are alike
 EXCHANGES = 4
+MOVES = 4  # of a form, at each of two steps
 USUAL_LAST = (2, 0)  # rounds of weighing: by what a set leaves over, then as usual
 SHORTLIST = 4
 USUAL_SPREAD = 2.0  # of a sound machine's noise, by which the next one may differ
@@ -248,7 +250,8 @@ def search(evidence: Evidence) -> Found:
             break
         hypothesis = exchange(evidence, [*hypothesis, added])
         hypothesis = refine(evidence, hypothesis)
-    return describe(evidence, prune(evidence, hypothesis))
+    evidence.settle(hypothesis)  # finer forms leave less noise, under which they are told more finely
+    return describe(evidence, prune(evidence, refine(evidence, hypothesis)))
 
 
 def step(evidence: Evidence, hypothesis: Sequence[Candidate]) -> Candidate | None:
@@ -362,11 +365,9 @@ def refine(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
         if not form or effect.periodic or not effect.continuous:
             continue
         others = hypothesis[:index] + hypothesis[index + 1 :]
-        for place in range(effect.refined):
-            grid = tried_at(place, form, evidence.forms.get(name, []))
-            if len(grid) > 1:
-                form = refined(evidence, others, name, form, place, max(b / a for a, b in pairwise(grid)))
-        hypothesis[index] = (name, form)
+        grids = [tried_at(place, form, evidence.forms.get(name, [])) for place in range(effect.refined)]
+        ratios = [max((b / a for a, b in pairwise(grid)), default=1.0) for grid in grids]
+        hypothesis[index] = (name, refined(evidence, others, name, form, ratios))
     return hypothesis
 
 
@@ -376,21 +377,21 @@ def tried_at(place: int, form: Form, forms: Sequence[Form]) -> list[float]:
     return sorted(alike or {other[place] for other in forms})
 
 
-def refined(evidence: Evidence, others: list[Candidate], name: str, form: Form, place: int, ratio: float) -> Form:
-    """The form with the best number at a place between its neighbours: two rounds of thirds on a logarithmic scale.
+def refined(evidence: Evidence, others: list[Candidate], name: str, form: Form, ratios: Sequence[float]) -> Form:
+    """The best form near one: its first numbers are moved together, for what one gains may be what another loses.
 
-    ratio : of neighbours on the grid.
+    ratios : of neighbours on the grid of each of these numbers; two rounds of thirds of them, on a logarithmic scale.
     """
-    for _ in range(2):
-        ratio = ratio ** (1.0 / 3.0)
-        tried = [
-            (name, (*form[:place], form[place] * factor, *form[place + 1 :])) for factor in (1.0 / ratio, 1.0, ratio)
-        ]
-        evidence.add(tried)
-        normal, base = evidence.normal(), evidence.stack.columns_of(others)
-        found = [item for c in tried if (item := finding(evidence, normal, base, c)) is not None]
-        if found:
-            form = max(found, key=lambda item: item.gain).candidate[1]
+    for part in (1.0 / 3.0, 1.0 / 9.0):
+        for _ in range(MOVES):
+            steps = product(*((ratio**-part, 1.0, ratio**part) if ratio > 1.0 else (1.0,) for ratio in ratios))
+            tried = [(name, (*map(mul, form, step), *form[len(step) :])) for step in steps]
+            evidence.add(tried)
+            normal, base = evidence.normal(), evidence.stack.columns_of(others)
+            known = [item for one in tried if (item := finding(evidence, normal, base, one)) is not None]
+            before, form = form, max(known, key=lambda item: item.gain).candidate[1] if known else form
+            if form == before:
+                break
     return form
 
 
