@@ -128,7 +128,7 @@ class Effect:
     delays: ClassVar[bool] = False  # whether it is a delay and nothing else, which wrong stamps are too
     explains: ClassVar[float] = 0.82  # share of what it does to the channels it touches that its columns must explain
     periodic: ClassVar[str] = ""  # the place whose column repeats over the angle, where orders are searched for
-    orders: ClassVar[tuple[int, int]] = (0, 0)  # the orders that are searched
+    orders: ClassVar[tuple[int, int]] = (0, 0)  # of a wave over the angle, first number of its form; that are tried
 
     def forms_at(self, scales: Mapping[str, float]) -> list[Form]:
         """Forms in SI units at a machine's scales (see `SCALES`); none where one of these is not known."""

@@ -16,7 +16,8 @@ class PositionDependentFriction(Effect):
     name = "position_dependent_friction"
     relative_to = ("coulomb_friction",)
     continuous = False
-    forms = tuple((float(order),) for order in range(1, 13))
+    orders = (1, 12)
+    forms = tuple((float(order),) for order in range(orders[0], orders[1] + 1))
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """A drag with the sign of the motion, periodic in angle."""

@@ -65,6 +65,7 @@ class Effect:
     slew: float = np.inf  # A/s, that the drive follows its reference with
     loss: float = 0.0  # of the torque constant at the highest current, growing with its square
     drag: Callable[[float], float] = lambda speed: 0.0  # N*m, against the motion
+    ripple: Callable[[float], float] = lambda angle: 0.0  # of the torque, beside what the constant says
 
 
 SOUND = Effect()
@@ -169,7 +170,8 @@ def simulated(joint, log, asked, effect):
             wanted = value if log.held else before + (value - before) * (part + 1) / PARTS
             limited += min(max(wanted - limited, -fastest), fastest)
             flowing += follows * (limited - flowing)
-            torque = joint.constant * flowing * (1.0 - effect.loss * (flowing / joint.top) ** 2)
+            share = 1.0 - effect.loss * (flowing / joint.top) ** 2 + effect.ripple(angle)
+            torque = joint.constant * flowing * share
             ahead = speed + (torque - joint.damping * speed - effect.drag(speed)) * step / joint.inertia
             speed = ahead - min(max(ahead, -held), held)
             angle += speed * step

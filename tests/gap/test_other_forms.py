@@ -1,4 +1,4 @@
-"""A joint's friction follows a law of nobody's library: the nearest effect is named, and none for what its form misses."""
+"""A joint follows laws of nobody's library: the nearest effect is named, and none for what its form misses."""
 
 import numpy as np
 import pytest
@@ -41,3 +41,11 @@ def test_two_effects_of_one_equation_are_both_named():
     top = 0.6 * joint.constant * joint.top / joint.damping
     found = diagnose(case(joint, Log(), random, Effect(loss=0.15, drag=hyperbolic(joint, top))))
     assert {cause.effect for cause in found.causes if cause.probability >= 0.5} == {"saturation", "stribeck"}
+
+
+def test_overtones_of_a_wave_are_no_further_effect():
+    random = np.random.default_rng([78, 0])
+    joint = drawn_joint(random)
+    waves = Effect(ripple=lambda angle: 0.08 * np.cos(6 * angle) + 0.03 * np.cos(12 * angle + 1.0))
+    found = diagnose(case(joint, Log(), random, waves))
+    assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["torque_ripple"]

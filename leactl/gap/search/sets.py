@@ -32,6 +32,7 @@ SHORTLIST = 4
 USUAL_SPREAD = 2.0  # of a sound machine's noise, by which the next one may differ
 WHOLE_ROUNDS = 2
 WAVE = ("cos", "sin")  # coefficients that make one amplitude
+OVERTONES = (2.0, 3.0)  # multiples of an order that a machine's wave has beside it
 LOOSE, LOOSE_ERROR = 0.8, 0.1  # the same where an effect must explain less than that by its own account
 TIE = 1e-6  # of a gain, by which the unusual one of two effects with the same columns stands behind; far above rounding
 RIVAL_FORM_ERROR = 0.005  # of a gain, standard deviation of the difference of two forms that are both nearly right
@@ -215,7 +216,7 @@ class Found:
     rivals: list[list[Finding]]  # for each member: every effect in its place, itself among them
     rest: list[Finding]  # what would come next
     fit: Fit
-    taken: list[float]  # of each rows: weighted squares under usual noise that the set takes away
+    taken: list[float]  # of each rows: weighted squares under usual noise that the set takes away, with its overtones,
     left: list[float]  # and what is left there beyond usual noise
     moved: list[list[float]]  # for each member, of each rows: misfit that leaving it out moves, either way
 
@@ -279,7 +280,7 @@ def shortlist(evidence: Evidence, hypothesis: Sequence[Candidate]) -> list[Candi
         ranked = [
             item.candidate
             for item in best_of_each(evidence, beside.normal, hypothesis)
-            if item.height > ENTRY and beside.outlasts_forms(item)
+            if item.height > ENTRY and beside.outlasts_forms(item.candidate)
         ]
         listed += [candidate for candidate in ranked[:SHORTLIST] if candidate not in listed]
     return listed
@@ -289,31 +290,40 @@ class Beside:
     """A set as some weights see it, and what an effect beside it takes away but for what the set's own forms miss.
 
     The form of a law is right to within a share of what it explains; in which rows it misses most, nobody can say. So
-    that share of what the set explains in all rows of an equation is no sign of a further effect there.
+    that share of what the set explains in all rows of an equation is no sign of a further effect there. Nor is what
+    overtones of the set's waves take away: no machine's wave is a pure sine.
     """
 
     def __init__(self, evidence: Evidence, hypothesis: Sequence[Candidate], rounds: int) -> None:
-        self._evidence, self._hypothesis = evidence, list(hypothesis)
-        self._fit = evidence.settle(hypothesis, rounds)
+        self._evidence = evidence
+        overtones = overtones_of(hypothesis)
+        evidence.add(overtones)
+        fit = evidence.settle(hypothesis, rounds)
         self.normal = evidence.normal()
-        self._gone = taken_by_rows(self.normal, self.normal.fit(), self._fit)
+        self._wider = [*hypothesis, *overtones]
+        self._fit = self.normal.fit(self._wider) if overtones else fit
+        self._gone = taken_by_rows(self.normal, self.normal.fit(), fit)
         self._miss = LOOSE_ERROR if any(library()[name].explains < LOOSE for name, _ in hypothesis) else FORM_ERROR
 
-    def outlasts_forms(self, item: Finding) -> bool:
-        """Whether an effect takes away more than the forms of the set may miss, where it acts or elsewhere."""
-        explained = [max(amount, 0.0) for amount in self._gone]
-        where_it_acts = self._miss * shared_with(self._evidence, item.candidate, explained)
-        return item.gain > where_it_acts or self._elsewhere(item.candidate) > ENTRY**2
-
-    def _elsewhere(self, candidate: Candidate) -> float:
-        """Misfit that the effect takes away, of rows and of priors, but for what the forms may miss in an equation."""
-        larger = self.normal.fit([*self._hypothesis, candidate])
+    def outlasts_forms(self, candidate: Candidate) -> bool:
+        """Whether an effect takes away more, in rows and from priors, than the forms of the set may miss."""
+        larger = self.normal.fit([*self._wider, candidate])
         further = by_equation(self.normal, taken_by_rows(self.normal, self._fit, larger))
         total = self._fit.misfit - larger.misfit
         for equation, gone in by_equation(self.normal, self._gone).items():
             missed = self._miss * max(gone, 0.0)
             total -= min(max(further[equation], -missed), missed)
-        return total
+        return total > ENTRY**2
+
+
+def overtones_of(hypothesis: Sequence[Candidate]) -> list[Candidate]:
+    """Multiples of the orders of a set's waves, as far as the library tries them."""
+    return [
+        (name, (times * form[0], *form[1:]))
+        for name, form in hypothesis
+        for times in OVERTONES
+        if form and times * form[0] <= library()[name].orders[1]
+    ]
 
 
 def by_equation(normal: Normal, amounts: Sequence[float]) -> dict[str, float]:
@@ -416,12 +426,7 @@ def prune(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
 def stands_beside(evidence: Evidence, hypothesis: Sequence[Candidate], index: int) -> bool:
     """Whether a member takes away more than the forms of the others may miss, by either weights."""
     others = [*hypothesis[:index], *hypothesis[index + 1 :]]
-    for rounds in USUAL_LAST:
-        beside = Beside(evidence, others, rounds)
-        item = finding(evidence, beside.normal, evidence.stack.columns_of(others), hypothesis[index])
-        if item is not None and beside.outlasts_forms(item):
-            return True
-    return False
+    return any(Beside(evidence, others, rounds).outlasts_forms(hypothesis[index]) for rounds in USUAL_LAST)
 
 
 def member(evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], index: int) -> Finding | None:
@@ -477,10 +482,12 @@ def whole_form(item: Finding) -> tuple[float, ...]:
 
 
 def taken_and_left(evidence: Evidence, hypothesis: Sequence[Candidate]) -> tuple[list[float], list[float]]:
-    """Of each rows, under usual noise: weighted squares that a set takes away, and what it leaves beyond noise."""
+    """Of each rows, under usual noise: weighted squares that a set and its overtones take away, and what they leave."""
+    overtones = overtones_of(hypothesis)
+    evidence.add(overtones)
     evidence.weigh_as_usual()
     normal = evidence.normal()
-    before, after = normal.fit(), normal.fit(hypothesis)
+    before, after = normal.fit(), normal.fit([*hypothesis, *overtones])
     taken = [max(amount, 0.0) for amount in taken_by_rows(normal, before, after)]
     left = [
         max(normal.weights[k] * normal.residual(after, k) ** 2 - USUAL_SPREAD, 0.0) * len(rows.left_over)
