@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from leactl.effects.contract import Effect, Form, Signals, Terms
 from leactl.effects.plant import Plant
 from leactl.effects.shapes import rate_limited
@@ -13,18 +15,21 @@ class CommandSlewLimit(Effect):
 
     name = "command_slew_limit"
     one_sided = True
-    explains = 0.75  # where in the loop the limit sits is not known
+    explains = 0.75  # when within an interval a setpoint comes is not known
     shaped = True
     forms = ((0.0015,), (0.004,), (0.012,), (0.03,), (0.07,))
     form_scales = ("highest rate",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """What the limit takes from the model's current."""
-        if signals.following is None:
+        """What the limit before the loop takes from the model's current."""
+        if signals.command is None or signals.following is None:
             return {}
         flows = None if signals.current is None else float(signals.current[0])  # a run may begin on the way
-        slow = rate_limited(signals.following, form[0] * signals.interval, flows)
-        return {"current_following": {"strength": slow - signals.following}}
+        most = form[0] * signals.interval
+        ends = rate_limited(signals.command, most, flows)
+        moved = np.diff(ends, prepend=ends[0] if flows is None else flows)
+        means = ends - 0.5 * moved * np.minimum(np.abs(moved) / most, 1.0)  # a ramp ends within its interval
+        return {"current_following": {"strength": signals.looped(means) - signals.following}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
         """Rate."""

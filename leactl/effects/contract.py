@@ -72,7 +72,9 @@ class Signals:
     run: str = ""
     fastest: float = 0.0  # rad/s, that the run reaches elsewhere, where this is a stretch of it
     current: Array | None = None
-    following: Array | None = None  # A, what the model's loop makes of the reference
+    command: Array | None = None  # A, mean over each interval of what the model's loop is to follow
+    looped: Callable[[Array], Array] = np.asarray  # what the model's loop makes of a command, as the current is read
+    following: Array | None = None  # A, what it makes of the reference
     voltage: Array | None = None
     angle: Array | None = None
     sharp_angle: Array | None = None  # rad, mean over the interval that ends at each sample, not smoothed

@@ -26,7 +26,9 @@ MOST = 3  # effects in a set
 ENTRY = 3.2  # times its floor and uncertainty, that an effect must be large to enter a set
 SAME = 1e-3  # of twice a log likelihood, by which fits are alike
 EXCHANGES = 4
-MOVES = 4  # of a form, at each of two steps
+MOVES = 4  # of a form, at each of some steps:
+FINER = (1 / 3, 1 / 9, 1 / 27, 1 / 81)  # of the grid's ratio, on a logarithmic scale
+ALIKE = 2.0  # weighted squares, by which forms may differ that nothing tells apart
 USUAL_LAST = (2, 0)  # rounds of weighing: by what a set leaves over, then as usual
 SHORTLIST = 4
 USUAL_SPREAD = 2.0  # of a sound machine's noise, by which the next one may differ
@@ -390,9 +392,10 @@ def tried_at(place: int, form: Form, forms: Sequence[Form]) -> list[float]:
 def refined(evidence: Evidence, others: list[Candidate], name: str, form: Form, ratios: Sequence[float]) -> Form:
     """The best form near one: its first numbers are moved together, for what one gains may be what another loses.
 
-    ratios : of neighbours on the grid of each of these numbers; two rounds of thirds of them, on a logarithmic scale.
+    ratios : of neighbours on the grid of each of these numbers; a step is a third of them, on a logarithmic scale, then
+        a third of that, until neighbours explain the runs alike.
     """
-    for part in (1.0 / 3.0, 1.0 / 9.0):
+    for part in FINER:
         for _ in range(MOVES):
             steps = product(*((ratio**-part, 1.0, ratio**part) if ratio > 1.0 else (1.0,) for ratio in ratios))
             tried = [(name, (*map(mul, form, step), *form[len(step) :])) for step in steps]
@@ -402,6 +405,9 @@ def refined(evidence: Evidence, others: list[Candidate], name: str, form: Form, 
             before, form = form, max(known, key=lambda item: item.gain).candidate[1] if known else form
             if form == before:
                 break
+        gains = [item.gain for item in known]
+        if max(gains, default=0.0) - min(gains, default=0.0) < ALIKE:
+            break
     return form
 
 

@@ -6,6 +6,8 @@ is; instants are averaged with the one before. All get one smoothing, so that no
 sharp one.
 """
 
+from functools import partial
+
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
@@ -51,12 +53,12 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
     if reference is not None and model.bench.current_loop_bandwidth:
         if not moved_by_a_servo(clock):
             reference = led(reference, model.bench, dt)
-        ends, means = loop(reference, model.bench.current_loop_bandwidth, dt)
-        s.following = means
-        if ("q_axis_current", "test") not in clock.means:
-            s.following = ends
-            if current is not None and not moved_by_a_servo(clock):
-                current = current + means - middle(ends)  # what a step does between two instants
+        bandwidth, as_means = model.bench.current_loop_bandwidth, ("q_axis_current", "test") in clock.means
+        ends, means = loop(reference, bandwidth, dt)
+        s.command, s.following = reference, means if as_means else ends
+        s.looped = partial(read_of_loop, bandwidth=bandwidth, interval=dt, as_mean=as_means)
+        if not as_means and current is not None and not moved_by_a_servo(clock):
+            current = current + means - middle(ends)  # what a step does between two instants
     if current is not None:
         s.current = smooth(current)
         s.extra["sharp_current"] = smooth(current, SHARP)
@@ -149,6 +151,11 @@ def loop(reference: Array, bandwidth: float, interval: float) -> tuple[Array, Ar
     ends: Array = lfilter([1 - decay], [1, -decay], reference, zi=[decay * reference[0]])[0]
     begins = np.concatenate([reference[:1], ends[:-1]])
     return ends, np.asarray(reference + (begins - reference) * (constant / interval) * (1 - decay), np.float64)
+
+
+def read_of_loop(reference: Array, bandwidth: float, interval: float, as_mean: bool) -> Array:
+    """Of such an answer what the current's channel reads: its mean over each interval, or its end."""
+    return loop(reference, bandwidth, interval)[int(as_mean)]
 
 
 def settled(s: Signals, swing: float) -> Mask:
