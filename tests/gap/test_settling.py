@@ -30,3 +30,23 @@ def test_a_slew_limited_drive_may_begin_a_run_on_its_way(begin):
     signals = fast_signals(run, model(), None)
     limited = library()["command_slew_limit"].terms(signals, (rate,))["current_following"]["strength"]
     assert signals.following + limited == pytest.approx(flowing, abs=0.1)
+
+
+@pytest.mark.parametrize("as_mean", [True, False])
+def test_a_command_is_limited_before_its_loop(as_mean):
+    count, interval, parts, rate, bandwidth = 600, 1e-3, 200, 300.0, 40.0
+    asked = np.repeat([0.0, 6.0, -4.0, 2.0, 2.05, -1.0], 100)
+    step, limited, flowing, course = interval / parts, 0.0, 0.0, []
+    for wanted in np.repeat(asked, parts):
+        limited += min(max(wanted - limited, -rate * step), rate * step)
+        flowing += (limited - flowing) * -math.expm1(-2.0 * math.pi * bandwidth * step)
+        course.append(flowing)
+    table = np.reshape(course, (count, parts))
+    reading = table.mean(axis=1) if as_mean else table[:, -1]
+    clock = clocked(count, interval, {("q_axis_current_reference", "test"): asked, ("q_axis_current", "test"): reading})
+    clock = replace(clock, means={("q_axis_current", "test")} if as_mean else set())
+    run = replace(record("free"), fast=clock, slow=None)
+    signals = fast_signals(run, model(bench={"current_loop_bandwidth": bandwidth}), None)
+    column = library()["command_slew_limit"].terms(signals, (rate,))["current_following"]["strength"]
+    missed = reading - signals.following - column
+    assert np.std(missed) < 0.02 * np.std(column)
