@@ -1,10 +1,18 @@
-"""Open regular files alone: a FIFO without a writer holds whoever opens it, a device such as /dev/zero never ends."""
+"""Open regular files alone: a FIFO without a writer holds whoever opens it, a device such as /dev/zero never ends.
+
+What only POSIX has is left out on other systems, where files are read and benches are emulated.
+"""
 
 import errno
 import os
 import stat
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
+
+NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)
+AT_ONCE: Final = getattr(os, "O_NONBLOCK", 0)
+OF_THIS_PROCESS: Final = getattr(os, "O_CLOEXEC", 0) or getattr(os, "O_NOINHERIT", 0)
+AS_BYTES: Final = getattr(os, "O_BINARY", 0)  # Windows writes other line ends without it
 
 
 def open_regular(path: Path, most: int | None = None) -> BinaryIO:
@@ -18,7 +26,7 @@ def open_regular(path: Path, most: int | None = None) -> BinaryIO:
     ------
     OSError : it cannot be opened, is of another kind, or larger; `strerror` says so.
     """
-    stream = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
+    stream = os.fdopen(os.open(path, os.O_RDONLY | AT_ONCE | OF_THIS_PROCESS | AS_BYTES), "rb")
     about = os.fstat(stream.fileno())
     if stat.S_ISREG(about.st_mode) and (most is None or about.st_size <= most):
         return stream
@@ -28,3 +36,19 @@ def open_regular(path: Path, most: int | None = None) -> BinaryIO:
     if not stat.S_ISREG(about.st_mode):
         raise OSError(errno.EINVAL, "a regular file was expected; this is none", str(path))
     raise OSError(errno.EFBIG, f"{about.st_size} bytes; at most {most} are read", str(path))
+
+
+def read_at(descriptor: int, count: int, place: int) -> bytes:
+    """Read bytes at a place of a file, wherever it stands."""
+    if hasattr(os, "pread"):
+        return os.pread(descriptor, count, place)
+    os.lseek(descriptor, place, os.SEEK_SET)
+    return os.read(descriptor, count)
+
+
+def write_at(descriptor: int, data: bytes, place: int) -> int:
+    """Write bytes at a place of a file, wherever it stands; how many of them were."""
+    if hasattr(os, "pwrite"):
+        return os.pwrite(descriptor, data, place)
+    os.lseek(descriptor, place, os.SEEK_SET)
+    return os.write(descriptor, data)

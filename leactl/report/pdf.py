@@ -63,7 +63,8 @@ def print_pdf(html: Path, out: Path) -> None:
     DeviceError : the browser failed.
     """
     command = [browser(), *FLAGS]
-    if os.geteuid() == 0:  # as root Chromium does not start inside its sandbox; the page is our own and has no script
+    # as root Chromium does not start inside its sandbox; the page is our own and has no script
+    if hasattr(os, "geteuid") and os.geteuid() == 0:
         command.append("--no-sandbox")
     with tempfile.TemporaryDirectory() as profile, replacement(out) as path:
         # Chromium may leave by status 0 without a file, so that the file is what counts

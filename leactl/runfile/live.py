@@ -11,6 +11,8 @@ import os
 import struct
 from typing import Any, BinaryIO, Final
 
+from leactl.regular import read_at
+
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 # superblock of version 3 (HDF5 file format 3.0, II.A): at byte 11 bit 0, a writer has the file open, and bit 2, it
 # writes in SWMR mode; where the file ends, as the writer last said; and a checksum of all before it
@@ -47,9 +49,11 @@ class AsClosed(io.RawIOBase):
     def readinto(self, buffer: Any) -> int:
         """Read from here; of the superblock what it would be."""
         view = memoryview(buffer).cast("B")
-        count = os.preadv(self._descriptor, [view], self._at)
+        data = read_at(self._descriptor, len(view), self._at)
+        count = len(data)
+        view[:count] = data
         if self._at < LENGTH:
-            told = as_closed(os.pread(self._descriptor, LENGTH, 0), os.fstat(self._descriptor).st_size)
+            told = as_closed(read_at(self._descriptor, LENGTH, 0), os.fstat(self._descriptor).st_size)
             told = told[self._at : self._at + count]
             view[: len(told)] = told
         self._at += count

@@ -5,6 +5,7 @@ Both ways write under a hidden name in the same directory, force it to the disk 
 
 import os
 import secrets
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -72,7 +73,10 @@ def temporary(target: Path) -> Iterator[Path]:
 
 def force_to_disk(path: Path) -> None:
     """Wait until the disk itself has the file or the directory entry."""
-    descriptor = os.open(path, os.O_RDONLY)
+    on_windows = sys.platform == "win32"
+    if on_windows and path.is_dir():
+        return  # it opens none, and forces a file to the disk only through a descriptor that may write
+    descriptor = os.open(path, os.O_RDWR if on_windows else os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:

@@ -24,14 +24,16 @@ def reserve(file: Any, size: int) -> None:
     if lacking <= 0:
         return
     try:
-        os.posix_fallocate(descriptor, have, lacking)
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(descriptor, have, lacking)
+            return
     except OSError as fault:
         if fault.errno not in (errno.EOPNOTSUPP, errno.EINVAL):
             raise OSError(fault.errno, f"no room for {lacking} bytes more: {fault.strerror}") from fault
-        # a file system that cannot reserve can at least count
-        free = shutil.disk_usage(Path(file.filename).parent).free
-        if free < lacking:
-            raise OSError(errno.ENOSPC, f"no room for {lacking} bytes more: {free} are free") from fault
+    # a file system that cannot reserve can at least count
+    free = shutil.disk_usage(Path(file.filename).parent).free
+    if free < lacking:
+        raise OSError(errno.ENOSPC, f"no room for {lacking} bytes more: {free} are free")
 
 
 def trim(path: Path) -> None:

@@ -18,6 +18,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from leactl.errors import InputError
+from leactl.regular import AS_BYTES, AT_ONCE, OF_THIS_PROCESS
 from leactl.runner.progress import Progress
 
 STDOUT = Path("-")
@@ -48,7 +49,7 @@ class EventLines:
         ------
         InputError : it cannot be opened, or is a pipe that nobody reads.
         """
-        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NONBLOCK | os.O_CLOEXEC
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | AT_ONCE | OF_THIS_PROCESS | AS_BYTES
         try:
             self._file = os.dup(1) if self._path == STDOUT else os.open(self._path, flags, 0o644)
         except OSError as error:

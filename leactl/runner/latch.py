@@ -19,6 +19,7 @@ from pathlib import Path
 from leactl.bench import benchfile
 from leactl.bench.benchfile import BenchFile
 from leactl.errors import InputError, LeactlError, SafetyTrip
+from leactl.regular import read_at, write_at
 from leactl.runfile.publish import force_to_disk
 from leactl.runner import state
 from leactl.yamlfile import printable
@@ -134,7 +135,7 @@ class Ready:
         self._cut_short = json.dumps(asdict(Trip(latch.bench, "unknown, for want of memory", "", ""))).encode()
         try:
             self._descriptor = state.opened(self._path, latch.shared)
-            if os.pread(self._descriptor, BYTES, 0).strip() in (b"", RELEASED.strip()):
+            if read_at(self._descriptor, BYTES, 0).strip() in (b"", RELEASED.strip()):
                 self._write(RELEASED)
                 force_to_disk(self._path.parent)
         except OSError as error:
@@ -164,13 +165,13 @@ class Ready:
         with suppress(OSError):
             if (
                 state.in_place(self._descriptor, self._path)
-                and os.pread(self._descriptor, BYTES, 0).strip() == RELEASED.strip()
+                and read_at(self._descriptor, BYTES, 0).strip() == RELEASED.strip()
             ):
                 self._path.unlink()
         os.close(self._descriptor)
 
     def _write(self, text: bytes) -> None:
-        if os.pwrite(self._descriptor, text.ljust(BYTES), 0) < len(text):
+        if write_at(self._descriptor, text.ljust(BYTES), 0) < len(text):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         os.fsync(self._descriptor)
 

@@ -7,12 +7,11 @@ devices.
 """
 
 import errno
-import fcntl
 import os
-import pwd
 import re
 import socket
 import stat
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -35,8 +34,12 @@ def held(bench: BenchFile, devices: Sequence[CheckedDevice]) -> Iterator[list[in
     Raises
     ------
     DeviceError : another run holds one of them; with its process.
-    InputError : there is no place for locks.
+    InputError : there is no place for locks, or this is no Linux.
     """
+    if sys.platform != "linux":
+        raise InputError(
+            f"bench '{bench.name}': devices are driven on Linux alone; emulated benches and files are for any system"
+        )
     used = sorted({device.entry.bus for device in devices if device.entry.bus})
     places = {name_of(bench): f"bench '{bench.name}'"}
     for name in used:
@@ -86,6 +89,8 @@ def _holder(name: bytes) -> str:
     process, user = found
     if user == os.geteuid():
         return f"process {process}"
+    import pwd  # of POSIX alone, as is fcntl
+
     try:
         return f"process {process} of user {pwd.getpwuid(user).pw_name}"
     except KeyError:
@@ -101,6 +106,10 @@ def locked(path: Path, taken: str) -> Iterator[int]:
     DeviceError : another process holds it.
     InputError : there is no place for it.
     """
+    try:
+        import fcntl
+    except ImportError:
+        raise InputError(f"{path}: this system has no locks of files, which keep two processes apart here") from None
     try:
         descriptor = state.opened(path, shared=False)
     except OSError as error:

@@ -7,9 +7,7 @@ two readers of one terminal would take each other's answers.
 import os
 import select
 import sys
-import termios
 import threading
-import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -28,8 +26,8 @@ class Keyboard:
     def __init__(self, terminal: int | None = None) -> None:
         self._terminal = terminal
         self._asking = self._pause_pressed = False
-        self._poll = select.poll()
         if terminal is not None:
+            self._poll = select.poll()
             self._poll.register(terminal, select.POLLIN)
 
     @property
@@ -82,6 +80,12 @@ def keyboard(shown: bool) -> Iterator[Keyboard]:
     Ctrl-S keep their meaning.
     """
     try:
+        import termios
+        import tty
+    except ImportError:  # Windows has no such terminals
+        yield Keyboard()
+        return
+    try:
         terminal = sys.stdin.fileno()
         before: list[Any] = termios.tcgetattr(terminal)
     except (OSError, ValueError, AttributeError, termios.error):  # no stdin, a closed one, or no terminal
@@ -106,6 +110,8 @@ def at_the_terminal(text: str) -> Callable[[], bool]:
 
     What was typed before the question answers nothing. A terminal that gives each key at once gives a line in parts.
     """
+    import termios  # a bench with people beside it is on Linux
+
     # from a thread: a stopped terminal takes no text, and must not hold the loop
     question = f"{text}  {HOW}\n".encode()
     threading.Thread(target=_tell, args=(sys.stderr.fileno(), question), daemon=True).start()

@@ -6,12 +6,12 @@ A run on real buses announces itself to every user of the machine, any of whom m
 """
 
 import errno
-import fcntl
 import json
 import mmap
 import os
 import secrets
 import stat
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -22,6 +22,7 @@ from typing import Any
 
 from leactl.driver.contract import Confirmation
 from leactl.errors import DeviceError, InputError
+from leactl.regular import AS_BYTES, AT_ONCE, NO_LINK, read_at, write_at
 from leactl.runner import lock_holders, state
 from leactl.runner.state import Place
 from leactl.yamlfile import printable
@@ -39,7 +40,7 @@ class Announcement:
     def __init__(self, descriptor: int, fault: str = "", path: Path | None = None, shared: bool = False) -> None:
         self.fault = fault  # why nobody can find it
         self._descriptor, self._path, self._shared = descriptor, path, shared
-        self._head = mmap.mmap(descriptor, HEAD, prot=mmap.PROT_READ)
+        self._head = mmap.mmap(descriptor, HEAD, access=mmap.ACCESS_READ)
         self._read_to = HEAD
         self._telling = threading.Lock()
 
@@ -55,9 +56,9 @@ class Announcement:
                 return
             with suppress(FileNotFoundError):
                 self._path.rename(self._path.with_name(f"{self._path.name}.{secrets.token_hex(4)}.aside"))
-            told = os.pread(self._descriptor, MOST_TOLD, 0)
+            told = read_at(self._descriptor, MOST_TOLD, 0)
             descriptor = _locked(self._path, told, self._shared)
-            self._descriptor, self._head = descriptor, mmap.mmap(descriptor, HEAD, prot=mmap.PROT_READ)
+            self._descriptor, self._head = descriptor, mmap.mmap(descriptor, HEAD, access=mmap.ACCESS_READ)
 
     def asked(self) -> str:
         """The cause to stop for, once somebody has asked; empty before."""
@@ -70,13 +71,13 @@ class Announcement:
 
     def pause(self, wanted: bool) -> None:
         """Ask for a pause, or for its end, as another process does."""
-        os.pwrite(self._descriptor, PAUSE if wanted else GOES_ON, 1)
+        write_at(self._descriptor, PAUSE if wanted else GOES_ON, 1)
 
     def remarks(self) -> list[str]:
         """What has been remarked since this was asked last."""
         if os.fstat(self._descriptor).st_size <= self._read_to:
             return []
-        text = os.pread(self._descriptor, state.MOST_BYTES, self._read_to)
+        text = read_at(self._descriptor, state.MOST_BYTES, self._read_to)
         whole = text[: text.rfind(b"\n") + 1]  # a line that is being written is read the next time
         self._read_to += len(whole)
         return [str(line["remark"]) for line in _lines(whole) if "remark" in line]
@@ -121,7 +122,7 @@ def announced(
         fault = f"{path.parent}: `leactl bench stop` cannot reach this run: {error.strerror or error}"
         if needed:
             raise InputError(f"{fault}; set LEACTL_STATE to a directory that can be written") from None
-        nowhere = os.memfd_create("run")
+        nowhere = _nowhere()
         os.write(nowhere, 2 * GOES_ON)
         announcement = Announcement(nowhere, fault)
     try:
@@ -135,8 +136,20 @@ def announced(
         announcement.close()
 
 
+def _nowhere() -> int:
+    """A file without a name; in memory where the system has such."""
+    if hasattr(os, "memfd_create"):
+        return os.memfd_create("run")
+    with tempfile.TemporaryFile() as file:
+        return os.dup(file.fileno())
+
+
 def _locked(path: Path, text: bytes, shared: bool) -> int:
     """Make a file that is locked before anybody finds it, for one without a lock is taken for an ended run's."""
+    try:
+        import fcntl
+    except ImportError:
+        raise OSError(errno.ENOSYS, "this system has no locks of files") from None
     hidden = path.with_suffix(".tmp")
     descriptor = state.opened(hidden, shared)
     try:
@@ -170,7 +183,7 @@ class Underway:
         ------
         DeviceError : this user may not.
         """
-        self._ask("stop", lambda: os.pwrite(self.descriptor, STOP, 0))
+        self._ask("stop", lambda: write_at(self.descriptor, STOP, 0))
 
     def ask_to_pause(self, wanted: bool) -> None:
         """Ask for a pause, which begins at the run's next rest, or for its end.
@@ -180,7 +193,7 @@ class Underway:
         DeviceError : this user may not.
         """
         byte = PAUSE if wanted else GOES_ON
-        self._ask("pause" if wanted else "go on", lambda: os.pwrite(self.descriptor, byte, 1))
+        self._ask("pause" if wanted else "go on", lambda: write_at(self.descriptor, byte, 1))
 
     def remark(self, text: str) -> None:
         """Have the run record a remark with the moment at which it sees it.
@@ -326,7 +339,7 @@ def _opened(path: Path) -> int | None:
     ------
     OSError : it is a link or no regular file, which no run makes, or this user may not.
     """
-    safely = os.O_NOFOLLOW | os.O_NONBLOCK
+    safely = NO_LINK | AT_ONCE | AS_BYTES
     try:
         try:
             descriptor = os.open(path, os.O_RDWR | safely)
@@ -341,6 +354,8 @@ def _opened(path: Path) -> int | None:
 
 
 def _ended(descriptor: int) -> bool:
+    import fcntl  # of POSIX alone: elsewhere no run leaves such a file
+
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -350,7 +365,7 @@ def _ended(descriptor: int) -> bool:
 
 def _told(descriptor: int) -> dict[str, Any]:
     told: dict[str, Any] = {}
-    for line in _lines(os.pread(descriptor, MOST_TOLD, HEAD)):
+    for line in _lines(read_at(descriptor, MOST_TOLD, HEAD)):
         told |= line
     if not _is_of_devices(told.get("safe", {})):
         del told["safe"]

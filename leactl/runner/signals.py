@@ -131,7 +131,8 @@ def to_the_end() -> Iterator[None]:
 
 def _noted_by(request: StopRequest) -> dict[signal.Signals, Any]:
     """Let a request take the signals; what took each of them before."""
-    heeded = [signal.SIGINT, signal.SIGTERM, signal.SIGQUIT]
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+    heeded = [signal.SIGINT, signal.SIGTERM]
+    heeded += [getattr(signal, name) for name in ("SIGQUIT",) if hasattr(signal, name)]  # Windows has neither of these
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
         heeded.append(signal.SIGHUP)
     return {number: signal.signal(number, request.note) for number in heeded}

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from leactl.errors import InputError
+from leactl.regular import AS_BYTES, AT_ONCE, NO_LINK
 
 if TYPE_CHECKING:  # an emergency stop imports this: nothing heavy comes with it
     from leactl.bench.benchfile import BenchFile
@@ -131,7 +132,7 @@ def read(path: Path) -> bytes:
     FileNotFoundError : there is none, and no link either.
     OSError : it is no regular file, a link, or larger than any file of state.
     """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    descriptor = os.open(path, os.O_RDONLY | NO_LINK | AT_ONCE | AS_BYTES)
     try:
         _expect_regular(descriptor, path)
         text = os.read(descriptor, MOST_BYTES + 1)
@@ -150,14 +151,14 @@ def opened(path: Path, shared: bool) -> int:
     OSError : it cannot be made, or is a link or no regular file.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    how = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK
+    how = os.O_RDWR | NO_LINK | AT_ONCE | AS_BYTES
     try:
         descriptor = os.open(path, how | os.O_CREAT | os.O_EXCL, OF_ITS_OWNER)
     except FileExistsError:
         # without O_CREAT: in a sticky directory the kernel refuses that for another user's file (fs.protected_regular)
         descriptor = os.open(path, how)
     else:
-        if shared:
+        if shared:  # on Linux alone
             os.fchmod(descriptor, OF_EVERYBODY)
     try:
         _expect_regular(descriptor, path)
@@ -205,7 +206,7 @@ def _unusable(directory: Path) -> str:
         return f"{directory}: {error.strerror}"
     if not stat.S_ISDIR(status.st_mode):
         return f"{directory}: is no directory"
-    if status.st_uid not in (0, os.geteuid()):
+    if hasattr(os, "geteuid") and status.st_uid not in (0, os.geteuid()):
         return f"{directory}: belongs to user {status.st_uid}, who could exchange what is in it; root was expected"
     if not os.access(directory, os.W_OK | os.X_OK):
         return f"{directory}: no permission to write there"

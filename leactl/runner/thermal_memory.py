@@ -21,6 +21,7 @@ import numpy as np
 
 from leactl.errors import InputError
 from leactl.model.motor import Motor
+from leactl.regular import write_at
 from leactl.runner import state
 from leactl.runner.boot_time import Moment
 from leactl.runner.state import Place
@@ -116,7 +117,7 @@ class Memory:
             self.let_go()
         if self._held is None:
             self._held = state.opened(self.path, self._place.shared)
-        if os.pwrite(self._held, text, 0) < len(text):
+        if write_at(self._held, text, 0) < len(text):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         if os.fstat(self._held).st_size > len(text):  # something else has written here
             os.ftruncate(self._held, len(text))
