@@ -5,7 +5,8 @@ import math
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Identity
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
-from leactl_plugins.elmo_can import cia402, emergency
+from leactl_plugins.elmo.fault_names import CODES
+from leactl_plugins.elmo_can import cia402
 from leactl_plugins.elmo_can.cia402 import FAULTS
 from leactl_plugins.elmo_can.sdo import Sdo
 from leactl_plugins.elmo_can.settings import ElmoSettings
@@ -283,4 +284,4 @@ class Commissioning:
 
     def _fault_text(self, word: int) -> str:
         code = self._sdo.read(0x603F, 0, "u16")
-        return f"statusword 0x{word:04X}, error 0x{code:04X} ({emergency.CODES.get(code, 'unnamed')})"
+        return f"statusword 0x{word:04X}, error 0x{code:04X} ({CODES.get(code, 'unnamed')})"

@@ -17,6 +17,7 @@ from leactl.driver.contract import Confirmation, Driver, Identity, Mode, Row, St
 from leactl.driver.far_end import CanEmulator, Physics
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
+from leactl_plugins.elmo.scales import CountedPosition
 from leactl_plugins.elmo_can import cia402, emergency
 from leactl_plugins.elmo_can.cia402 import FAULTS, State
 from leactl_plugins.elmo_can.commissioning import ALL_MODES, OF_32_BITS, Commissioning, event_tpdo
@@ -52,27 +53,6 @@ _torque_demand = struct.Struct("<Hhb")
 _motion_demand = struct.Struct("<ii")
 _status = struct.Struct("<Hbhh")
 _motion = struct.Struct("<ii")
-
-
-class _Position:
-    """Counts of the encoder, going on where the drive's own go round."""
-
-    def __init__(self, low: int, high: int) -> None:
-        self._low, self._span = low, high - low
-        self._unmet = low - 2 * self._span  # further than any reading, which is taken as it is
-        self.counts = self._unmet
-        self.located = False  # the shaft's angle is known since operation was asked for
-        self.half = (high - low) // 2
-
-    def nearest(self, counts: int) -> int:
-        """The position closest to the last one that the drive shows as these counts."""
-        if self.counts == self._unmet:
-            return counts
-        return self.counts + (counts - self.counts + self.half) % self._span - self.half
-
-    def shown(self, counts: int) -> int:
-        """A position as the drive holds it."""
-        return (counts - self._low) % self._span + self._low
 
 
 class _Lateness:
@@ -151,7 +131,7 @@ class ElmoCan(Driver):
         self._answers = self._answers_to_come()
         self._emergency = ""
         self._life = _SignsOfLife()
-        self._position = _Position(*OF_32_BITS)
+        self._position = CountedPosition(*OF_32_BITS)
         self._standing = _Standing()
         self._followed = self._follows
         self.values = [NAN] * len(self.loop_channels)
@@ -236,7 +216,7 @@ class ElmoCan(Driver):
         setup.check_scales()
         setup.clear_offsets()
         self._standing.modes = setup.supported_modes()
-        self._position = _Position(*setup.position_range())
+        self._position = CountedPosition(*setup.position_range())
         self._current_per_mille, self._standing.most_per_mille = setup.read_scales()
         self._turn_to(Mode.OFF)
         setup.arm_dead_man()

@@ -1,25 +1,11 @@
 """Settings of one Elmo drive in the bench file."""
 
-import math
-from enum import StrEnum
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from leactl.driver.contract import SAFE_STATE_S, DriverSettings
-
-
-class CurrentConvention(StrEnum):
-    """What the drive means by its current; each is a fixed factor to the power-invariant q axis."""
-
-    AMPLITUDE = "amplitude"
-    POWER_INVARIANT = "power_invariant"
-    RMS = "rms"
-
-    @property
-    def to_q_axis(self) -> float:
-        """Power-invariant q-axis amperes per ampere that the drive reports."""
-        return {"amplitude": math.sqrt(1.5), "power_invariant": 1.0, "rms": math.sqrt(3.0)}[self.value]
+from leactl_plugins.elmo.scales import CurrentConvention
 
 
 class VoltageObject(BaseModel):

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveInt, StringConstraint
 from leactl.driver.batch import RecordSettings
 from leactl.driver.text_form import TextForm
 from leactl.units import converter
-from leactl_plugins.elmo_can.settings import CurrentConvention
+from leactl_plugins.elmo.scales import CurrentConvention
 
 STRICT = ConfigDict(frozen=True, extra="forbid")
 Heading = Annotated[str, StringConstraints(strict=True, strip_whitespace=True, min_length=1)]
