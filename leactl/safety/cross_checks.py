@@ -26,6 +26,11 @@ class _Still:
         quantity = watch.channel.quantity
         self.velocity = place.get("velocity") if quantity == "angle" else None
         self.angle = place.get("angle") if quantity == "velocity" else None
+        self.enabled = place.get("drive_enabled") if quantity == "q_axis_current" else None
+
+    def is_off(self) -> bool:
+        """Whether it is the current of a drive out of operation, which may tell exactly none: it does not measure it."""
+        return self.enabled is not None and self.value == 0.0 and self.panel.values[self.enabled] == 0.0
 
     def turns(self, now: float) -> bool | None:
         """Of an angle or a velocity, whether the other of the two tells that the shaft turns; None of any else."""
@@ -40,7 +45,8 @@ class _Still:
 class Stuck:
     """Trips on a channel that repeats one value through a whole stretch of its `stuck_s` while any other moves.
 
-    A shaft at rest repeats its angle and its velocity: each of the two is stuck only while the other tells of motion.
+    A shaft at rest repeats its angle and its velocity: each of the two is stuck only while the other tells of motion. A
+    drive out of operation may repeat a current of exactly 0.
     Stretches follow one another, so that it takes between one and two of them; a channel that has moved once costs
     nothing until its next.
     """
@@ -93,7 +99,9 @@ class Stuck:
         self._next = min(item.ends for item in self._channels)
 
     def _is_judged(self, item: _Still, now: float) -> bool:
-        """Look at what others do meanwhile; False where the shaft rests, so that this stretch tells nothing."""
+        """Look at what others do meanwhile; False where shaft or drive rests, so that this stretch tells nothing."""
+        if item.is_off():
+            return False
         turns = item.turns(now)
         item.alone = item.alone and not (self._others_moved(item) if turns is None else turns)
         return turns is not False

@@ -214,6 +214,13 @@ def test_an_angle_that_stands_while_its_shaft_turns_evenly_is_stuck_though_nothi
     assert 0.2 <= trips_after(rig, "test angle has been exactly .* for 0.2 s", 1) <= 0.42
 
 
+def test_a_current_of_none_is_stuck_only_in_operation(make):
+    rig = make("q_axis_current: {stuck_s: 0.2}")
+    rig.run(1.0, waving(rig))  # off
+    rig.engage()
+    assert trips_after(rig, "test q_axis_current has been exactly 0 A for 0.2 s", 1, waving(rig)) <= 0.62
+
+
 def turning(rig, cycle):
     """The shaft turns at about 0.5 rad/s."""
     rig.shaft.angle, rig.shaft.velocity = 5e-4 * cycle, 0.5 + 1e-3 * (cycle % 3)
