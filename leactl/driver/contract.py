@@ -144,6 +144,7 @@ class Driver(ABC):
     transport: ClassVar[str]  # the kind of bus it needs: "can", "i2c", "serial", or "none": the maker's own library
     summary: ClassVar[str]  # one line for `leactl driver list`
     example: ClassVar[Mapping[str, Any]] = {}  # settings with which `leactl driver check` makes one and its far end
+    baudrate: ClassVar[int] = 9600  # of the serial line on which `leactl driver check` tries one
     synchronised: ClassVar[bool] = False  # its CAN bus carries CANopen's SYNC once a cycle, after the outputs
 
     @abstractmethod

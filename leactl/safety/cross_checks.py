@@ -29,7 +29,7 @@ class _Still:
         self.enabled = place.get("drive_enabled") if quantity == "q_axis_current" else None
 
     def is_off(self) -> bool:
-        """Whether it is the current of a drive out of operation, which may tell exactly none: it does not measure it."""
+        """Whether it is the current of a drive out of operation, which may tell none without measuring any."""
         return self.enabled is not None and self.value == 0.0 and self.panel.values[self.enabled] == 0.0
 
     def turns(self, now: float) -> bool | None:

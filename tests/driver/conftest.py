@@ -9,6 +9,7 @@ from leactl.bench.wiring import MachineWiring
 
 from .adc_bench import AdcBench
 from .elmo_bench import ElmoBench
+from .elmo_serial_bench import ElmoSerialBench
 from .supply_bench import Bk1688bBench, SupplyBench
 from .transports import (
     CAN,
@@ -108,3 +109,17 @@ def make_supply(make_serial):
 def make_bk1688b(make_serial):
     """Make a supply of the 168xB family, with these settings."""
     return partial(make_serial, Bk1688bBench)
+
+
+@pytest.fixture
+def make_serial_drive(far_end_process):
+    """Make a drive at the end of a pseudo terminal with these settings; it is let go at the end."""
+    made = []
+
+    def make(**settings):
+        made.append(ElmoSerialBench(wire=SerialElsewhere(*far_end_process("serial", "pty")), **settings))
+        return made[-1]
+
+    yield make
+    for bench in made:
+        bench.drive.close()

@@ -5,6 +5,7 @@ import math
 from leactl_plugins.ads1115.emulator import Ads1115Emulator
 from leactl_plugins.bk1688b.emulator import Bk1688bEmulator
 from leactl_plugins.elmo_can.emulator import PRE_OPERATIONAL, STOPPED, ElmoEmulator
+from leactl_plugins.elmo_serial.emulator import ElmoSerialEmulator, Error
 from leactl_plugins.scpi_supply.emulator import ScpiSupplyEmulator
 
 from leactl.driver.far_end import Frame
@@ -293,4 +294,54 @@ class FailingBk1688bEnd(FailingLine, Bk1688bEmulator):
         return [self.set_volts, self.set_amperes]
 
 
-SUPPLY_ENDS = {"scpi_supply": FailingSupplyEnd, "bk1688b": FailingBk1688bEnd}
+class FailingElmoEnd(ElmoSerialEmulator):
+    """A drive at the end of a serial line, on a shaft."""
+
+    def __init__(self) -> None:
+        self.shaft = Shaft()
+        super().__init__(self.shaft, counts_per_turn=COUNTS)
+        self._deaf: set[str] = set()
+        self._refused: dict[str, int] = {}
+
+    def follows(self) -> list:
+        """Mode and setpoint that the shaft was told last."""
+        return list(self.shaft.following)
+
+    def hold(self, name: str, value: float) -> None:
+        """Hold this value, as somebody has left it."""
+        self.values[name] = value
+
+    def lack(self, name: str) -> None:
+        """Be a firmware without this command."""
+        del self.values[name]
+
+    def ignore(self, name: str) -> None:
+        """Confirm that this is set, and forget it."""
+        self._deaf.add(name)
+
+    def run_away(self) -> None:
+        """Be on at 5 rad/s, as another program has left it, its echo on and half a command in its buffer."""
+        self.values.update({"UM": 2, "JV": round(5 * COUNTS / (2 * math.pi)), "EO": 1})
+        self._input = b"J"
+        self._switch(True)
+        self.values["JV"] = round(5 * COUNTS / (2 * math.pi))
+        self._execute("BG")
+        self.program_running = False
+
+    def reboot(self) -> None:
+        """Lose the supply for a moment."""
+        self._switch(False)
+        self.values["EO"] = 1
+
+    def refuse(self, name: str, number: int) -> None:
+        """Answer whatever sets this by an error."""
+        self._refused[name] = number
+
+    def _set(self, name: str, value: float, now: float) -> None:
+        if name in self._refused and value:
+            raise Error(self._refused[name])
+        if name not in self._deaf:
+            super()._set(name, value, now)
+
+
+SERIAL_ENDS = {"scpi_supply": FailingSupplyEnd, "bk1688b": FailingBk1688bEnd, "elmo_serial": FailingElmoEnd}

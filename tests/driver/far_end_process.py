@@ -16,7 +16,7 @@ from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.wires.buses import CanWire
 from leactl.emulation.wires.serial import SerialWire
 from leactl.emulation.wires.serving import CanBridge, SerialBridge, StubChip, serve, stub_bus
-from tests.driver.failing import SUPPLY_ENDS, FailingConverter, FailingDrive
+from tests.driver.failing import SERIAL_ENDS, FailingConverter, FailingDrive
 
 CHIP = 0x48
 
@@ -82,14 +82,14 @@ def serve_converter(place):
     serve(clock, [], chips, Requests(make, look).stop)
 
 
-def serve_supply(place):
+def serve_line(place):
     clock = EmulatedClock()
     wire = SerialWire(clock, 10 / 115200)
     bridge = SerialBridge(wire)
     Path(place["link"]).symlink_to(bridge.place.split()[-1])
 
     def make(kind, *arguments):
-        wire.device = SUPPLY_ENDS[kind](*arguments)
+        wire.device = SERIAL_ENDS[kind](*arguments)
         return wire.device
 
     print(json.dumps("ready"), flush=True)
@@ -100,4 +100,4 @@ def serve_supply(place):
 
 
 if __name__ == "__main__":
-    {"can": serve_drive, "i2c": serve_converter, "serial": serve_supply}[sys.argv[1]](json.loads(sys.argv[2]))
+    {"can": serve_drive, "i2c": serve_converter, "serial": serve_line}[sys.argv[1]](json.loads(sys.argv[2]))

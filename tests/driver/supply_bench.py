@@ -43,7 +43,7 @@ class SupplyBench:
         self.wire = wire or SerialInProcess()
         self.exact, self.clock = self.wire.exact, self.wire.clock
         self.settings = self.driver.Settings(**(self.settings_given | self.wire.settings | settings))
-        self.far = self.wire.supply(*self.far_end())
+        self.far = self.wire.device(*self.far_end())
         self.said, self.heard = bytearray(), bytearray()
         self.connections = self.dead_connections = 0
         self.port = SerialPort(lambda: Tap(self), self.clock, "supply0")

@@ -72,7 +72,7 @@ def test_a_supply_that_does_not_tell_its_limits_is_taken_as_it_is_told_and_says_
     ],
 )
 def test_another_model_is_refused_by_its_limits(here, model, complaint):
-    here.wire.supply("bk1688b", model)
+    here.wire.device("bk1688b", model)
     with pytest.raises(DeviceError) as refused:
         here.supply.open()
     assert str(refused.value) == f"supply: {complaint}"
@@ -249,7 +249,7 @@ def test_what_a_person_sets_at_the_panel_is_a_fault(here):
 def test_a_current_ten_times_what_was_meant_is_seen_within_two_seconds():
     """A 1688B in the place of a 1685B, which counts in hundredths, and does not tell its limits."""
     bench = Bk1688bBench(model="1685B", current_limit_A=5.0)
-    bench.far = bench.wire.supply("bk1688b", "1688B")
+    bench.far = bench.wire.device("bk1688b", "1688B")
     bench.far.ignore("GMAX")
     bench.supply.open()
     bench.supply.supply(8.0, 1.0)

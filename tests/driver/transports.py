@@ -19,7 +19,7 @@ from leactl.driver.clock import MonotonicClock
 from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.wires.buses import CanWire, EmulatedCanBus, EmulatedI2cBus
 from leactl.emulation.wires.serial import EmulatedSerialLine, SerialWire
-from tests.driver.failing import SUPPLY_ENDS, FailingConverter, FailingDrive
+from tests.driver.failing import SERIAL_ENDS, FailingConverter, FailingDrive
 
 ROOT = Path(__file__).parents[2]
 CAN = ["in_process", "udp_multicast", *(["kernel"] if "LEACTL_TEST_CAN" in os.environ else [])]
@@ -97,20 +97,20 @@ class I2cElsewhere:
 
 
 class SerialInProcess:
-    """An emulated line at 9600 baud with two stop bits."""
+    """An emulated line, at 9600 baud with two stop bits where nothing else is said."""
 
     exact = True
     settings = {}
 
-    def __init__(self):
+    def __init__(self, byte_s=11 / 9600):
         self.clock = EmulatedClock()
-        self.wire = SerialWire(self.clock, 11 / 9600)
+        self.wire = SerialWire(self.clock, byte_s)
 
     def connect(self):
         return EmulatedSerialLine(self.wire)
 
-    def supply(self, kind, *arguments):
-        self.wire.device = SUPPLY_ENDS[kind](*arguments)
+    def device(self, kind, *arguments):
+        self.wire.device = SERIAL_ENDS[kind](*arguments)
         return self.wire.device
 
 
@@ -125,7 +125,7 @@ class SerialElsewhere:
         self.connect = MachineWiring().serial("supply0", SerialBus(kind="serial", port=place["link"]))
         self._process = process
 
-    def supply(self, kind, *arguments):
+    def device(self, kind, *arguments):
         self._process.ask("new", kind, *arguments)
         return FarEnd(self._process)
 

@@ -65,8 +65,11 @@ def in_operation(stand: Stand) -> Mode:
 
 
 def reads_si_units(stand: Stand) -> None:
-    """q-axis current in power-invariant A, velocity in rad/s and angle in rad are what the machine has."""
-    stand.driver.open()
+    """q-axis current in power-invariant A, velocity in rad/s and angle in rad are what the machine has.
+
+    In operation: a drive that is off may tell no current.
+    """
+    in_operation(stand)
     for truth in TRUE_VALUES:
         machine = stand.machine
         machine.current, machine.velocity, machine.angle = truth

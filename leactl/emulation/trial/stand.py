@@ -14,7 +14,7 @@ from leactl.emulation.trial.known import KnownBench, KnownMachine
 from leactl.emulation.wires.buses import CanWire, EmulatedCanBus, EmulatedI2cBus
 from leactl.emulation.wires.serial import EmulatedSerialLine, SerialWire
 
-BYTE_S = 11 / 9600  # of a serial line with two stop bits
+BITS = 11  # of a byte on a serial line with two stop bits
 PERIOD_S, ANSWER_S = 0.01, 0.006
 ROLE = "test"
 
@@ -43,7 +43,7 @@ class Stand:
             bus.devices[address] = far_end
             port = I2cPort(lambda: bus)
         elif driver.transport == "serial":
-            line = self._wire = SerialWire(self.clock, BYTE_S)
+            line = self._wire = SerialWire(self.clock, BITS / driver.baudrate)
             line.device = far_end
             port = SerialPort(lambda: EmulatedSerialLine(line), self.clock)
         else:

@@ -1,0 +1,525 @@
+"""Elmo servo drives over RS-232: one exchange of commands and readings a cycle, stopped by a program in the drive.
+
+The README of this plug-in lists the sources, and what only a real drive can show.
+"""
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any, ClassVar
+
+from leactl.driver.answers import Irregular
+from leactl.driver.clock import Clock
+from leactl.driver.contract import Confirmation, Driver, Identity, Mode, Row, StreamSpec, drive_channels
+from leactl.driver.conversation import Unreadable
+from leactl.driver.far_end import Physics, SerialEmulator
+from leactl.driver.serial_port import SerialPort
+from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
+from leactl.quantities import ChannelSpec
+from leactl_plugins.elmo.scales import CountedPosition
+from leactl_plugins.elmo_serial.interpreter import CommandRefused, Interpreter, Replies
+from leactl_plugins.elmo_serial.meeting import COUNTS_OF_32_BITS, READINGS, DriveLimits, Meeting
+from leactl_plugins.elmo_serial.settings import ElmoSerialSettings
+from leactl_plugins.elmo_serial.status import Status, left_operation
+
+CURRENT, VELOCITY, ANGLE = range(3)  # where the reference of what a mode sets stands among `values`
+FOLLOWED = {Mode.CURRENT: (CURRENT, 1), Mode.VELOCITY: (VELOCITY, 2), Mode.ANGLE: (ANGLE, 5)}  # and its UM
+DEMANDS = ("TC", "JV", "PA")  # what sets it
+MOTOR_OFF = b"\rMO=0;"  # the first byte ends what was half sent
+CYCLE_SHARE = 0.55  # of a cycle's time that an exchange may take: the loop waits for 0.6
+ENABLE_TIME_S = 3.0  # the lapse of the dead-man that is tried first included
+SAFE_TRY_S = 0.2  # that one try of the safe state may take, echo and lost bytes included
+AFRESH_S = 0.01  # between a connection that has failed and what is sent over the next
+MUST_BE_ON = 58  # what a demand is refused by while the motor is off
+LEAST_PATIENCE_S = 0.02  # with an answer in the loop; an adapter on USB holds bytes back for up to 16 ms
+MOST_GARBLED = 3  # exchanges in a row
+QUIET_S = 1.0  # at most one notice of irregular answers, and one of a limited current, in this time
+NAN = math.nan
+
+
+class _Record:
+    """What is passed on to the run beside its rows."""
+
+    def __init__(self) -> None:
+        self.irregular, self.told = Irregular(), Irregular()
+        self.notices: list[str] = []
+        self.rows: list[Row] = []
+        self.quiet_until = self.quiet_of_limits_until = -math.inf
+        self.limited = False
+
+
+class ElmoSerial(Driver):
+    """One Elmo drive, asked for its readings every cycle; its own program stops it where the host falls silent."""
+
+    Settings = ElmoSerialSettings
+    transport = "serial"
+    baudrate = 115200
+    summary = "Elmo Gold and SimplIQ servo drives over RS-232 (two-letter commands)"
+    example: ClassVar[Mapping[str, Any]] = {"counts_per_turn": 40000}
+
+    def __init__(self, name: str, role: str, settings: ElmoSerialSettings, port: SerialPort, clock: Clock) -> None:
+        self.name, self.role, self.settings = name, role, settings
+        self._port, self._clock = port, clock
+        self._interpreter = Interpreter(port, settings.tag_variable)
+        self._opened = self._echoed = False
+        self._identity = Identity()
+        self._angle_per_count = settings.sign * 2.0 * math.pi / settings.counts_per_turn
+        self._q_per_ampere = settings.sign * settings.current_convention.to_q_axis
+        self._limits = DriveLimits(NAN, NAN, -math.inf, math.inf)
+        self._position = CountedPosition(*COUNTS_OF_32_BITS)
+        self._exchange_s, self._patience_s = math.inf, settings.answer_timeout_s
+        self._record = _Record()
+        self._status = Status(0)
+        self._forgiven = False  # the latched fault that it was met with, until it is switched on
+        self._safe = False  # it has confirmed so, and nothing was asked of it since
+        self._supervised = False  # since the last exchange, so that the next one may be a sign of life
+        self._proved = False  # that its program switches it off where the host's counter stands still
+        self._heard = self._voltage_due = -math.inf
+        self._garbled = 0
+        self._late = False  # the exchange under way was sent in an earlier cycle
+        self._follow(Mode.OFF)
+        self._followed = [NAN, NAN, NAN]
+        self.values = [NAN] * len(self.loop_channels)
+
+    def safe_state(self, deadline_s: float) -> Confirmation:
+        """Switch the motor off and see that it is, from any state, over a fresh connection if need be; never raises."""
+        self._follow(Mode.OFF)
+        self._safe = False
+        until = self._clock.now() + deadline_s
+        trouble = ""
+        while (left := until - self._clock.now()) > 0.0:
+            try:
+                if not self._port.connected:
+                    self._port.reopen()
+                self._port.discard()
+                replies = self._told_off(min(left, SAFE_TRY_S))
+            except DeviceError as error:
+                if not (trouble and isinstance(error, NoAnswer)):  # the last try has little time
+                    trouble = str(error)
+                self._start_afresh(until)
+                continue
+            status = Status(replies.whole("SR"))
+            if not status.motor_on and replies.whole("MO") == 0:
+                self._status, self._safe = status, True
+                break
+            trouble = f"still on: {status}"
+        if not self._opened:
+            self._port.close()
+        return (
+            Confirmation(True, str(self._status))
+            if self._safe
+            else Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble or 'no time was left'}")
+        )
+
+    def _told_off(self, within_s: float) -> Replies:
+        """Switch off and ask whether it is, the echo off for the next try where this one drowns in it."""
+        self._interpreter.begin(("MO=0", "EO=0", "MO", "SR"), first=MOTOR_OFF)
+        replies = self._interpreter.collect(self._clock.now() + within_s)
+        if replies is None:
+            self._interpreter.give_up()
+            raise NoAnswer(f"no answer to MO=0 in {within_s:.2g} s")
+        replies.check()
+        for command in ("MO", "SR"):
+            replies.whole(command)
+        return replies
+
+    def _start_afresh(self, until: float) -> None:
+        with suppress(DeviceError):
+            self._port.reopen()
+        self._clock.sleep_until(min(until, self._clock.now() + AFRESH_S))  # a line may be there and take nothing
+
+    def stop_now(self) -> None:
+        """Send what switches the motor off, and wait for nothing; over a fresh connection if need be."""
+        self._follow(Mode.OFF)
+        for _ in range(2):
+            try:
+                if not self._port.connected:
+                    self._port.reopen()
+                self._port.write(MOTOR_OFF)
+            except DeviceError:
+                if not self._opened:
+                    return  # no line to reach it by, which `safe_state` will tell
+                with suppress(DeviceError):
+                    self._port.reopen()
+            else:
+                return
+
+    def open(self) -> None:
+        """Meet the drive, switch it off, see that a program runs in it, read its limits, tell it how long to wait.
+
+        Raises
+        ------
+        DeviceError : the drive is absent, has no program, or contradicts the bench file; `DeviceFault` in a fault.
+        """
+        self._port.open()
+        self._opened = True
+        self._port.discard()
+        self._record, self._safe, self._proved = _Record(), False, False
+        self._follow(Mode.OFF)
+        meeting = Meeting(self.name, self.settings, self._interpreter, self._clock)
+        try:
+            self._echoed = meeting.echo_off()
+            self._identity = meeting.identity()
+            self._status = meeting.check_status()
+            self._limits = meeting.limits()
+            self._position = meeting.position()
+            meeting.arm_dead_man()
+            self._exchange_s = meeting.exchange_s()
+            self._patience_s = min(self.settings.answer_timeout_s, max(3.0 * self._exchange_s, LEAST_PATIENCE_S))
+        except DeviceError as error:
+            text = str(error)
+            if text.startswith(self.name):
+                raise
+            kind = DeviceError if isinstance(error, CommandRefused) else type(error)
+            raise kind(f"{self.name}: {text}") from None
+        self._forgiven, self._heard, self._interpreter.surplus = self._status.faulty, self._clock.now(), 0
+        self._record.notices.append(
+            f"a row's readings are taken one after another, within {1e3 * self._exchange_s:.2g} ms after its time:"
+            " a serial line has no common instant"
+        )
+
+    def close(self) -> None:
+        """Let the line go; a drive that is safe gets its echo back."""
+        if self._opened:
+            self._opened = False
+            if self._safe and self._echoed:
+                with suppress(DeviceError):  # it is safe, which is what counts
+                    self._port.write(b"EO=1;")
+                    self._clock.sleep_until(self._clock.now() + SAFE_TRY_S)  # closing drops what is not sent yet
+            self._port.close()
+
+    @classmethod
+    def far_end(cls, settings: ElmoSerialSettings, role: str, physics: Physics) -> SerialEmulator:
+        """A drive that turns the bench's machine."""
+        from leactl_plugins.elmo_serial.emulator import ElmoSerialEmulator
+
+        return ElmoSerialEmulator(
+            physics.machine(role),
+            counts_per_turn=settings.counts_per_turn,
+            q_axis_per_ampere=settings.current_convention.to_q_axis,
+            peak_current=settings.emulated_peak_current_A,
+            continuous_current=settings.emulated_continuous_current_A,
+            voltage_command=settings.bus_voltage_command,
+            variables=(settings.life_variable, settings.silence_variable),
+        )
+
+    def identity(self) -> Identity:
+        """Version (VR) and serial number (SN[4]) as told when it was opened."""
+        return self._identity
+
+    # -- one cycle ---------------------------------------------------------------------------------------------------
+
+    @property
+    def loop_channels(self) -> tuple[ChannelSpec, ...]:
+        """Channels of `values`: the references in force until the readings were asked for, and the readings."""
+        return drive_channels(self.role, self.name)
+
+    @property
+    def streams(self) -> tuple[StreamSpec, ...]:
+        """The bus voltage, asked for at its own pace."""
+        if self.settings.bus_voltage_command is None:
+            return ()
+        channel = ChannelSpec("vbus", "bus_voltage", self.role, self.name, "DC link voltage")
+        return (StreamSpec(f"{self.name}_supply", (channel,)),)
+
+    def pace(self, period: float) -> None:
+        """See that an exchange fits into a cycle of this length [s].
+
+        Raises
+        ------
+        DeviceError : it does not; with the rate that does.
+        """
+        if self._exchange_s > CYCLE_SHARE * period:
+            raise DeviceError(
+                f"{self.name}: an exchange takes {1e3 * self._exchange_s:.3g} ms on its line, a cycle at"
+                f" {1.0 / period:g} Hz leaves {1e3 * CYCLE_SHARE * period:.3g} ms: {CYCLE_SHARE / self._exchange_s:.0f}"
+                " Hz at the most, a higher baud rate on both sides, or the drive's CAN (elmo_can)"
+            )
+
+    @property
+    def engaged(self) -> bool:
+        """True where the drive has shown itself on, in the unit mode asked for and with its program running."""
+        status = self._status
+        shown = status.motor_on and status.guarded and status.unit_mode == self._unit_mode
+        return self._proved and self._asked_on and shown
+
+    def engage(self, mode: Mode) -> None:
+        """Begin to enter operation in this mode with zero demand; angle holds where the shaft is.
+
+        The first time after `open` the drive is switched on without a sign of life until its program has switched it
+        off again, with zero demand: one that does not is never let into operation.
+
+        Raises
+        ------
+        InputError : the drive has no such mode.
+        """
+        if mode not in FOLLOWED:
+            raise InputError(f"{self.name}: mode '{mode}' is not one a drive can follow over this line")
+        self._follow(mode)
+        self._safe = False
+        self._enable_by = self._clock.now() + ENABLE_TIME_S
+
+    def release(self) -> None:
+        """Begin to leave operation; no current flows once the drive has left it."""
+        self._follow(Mode.OFF)
+
+    def command(self, value: float) -> None:
+        """Set the demand of the engaged mode (A, rad/s or rad) for the next cycle.
+
+        Raises
+        ------
+        InputError : not finite, outside what the drive can hold, or above what it lets through.
+        """
+        if self._reference == CURRENT:
+            most = self._limits.peak * abs(self._q_per_ampere)
+            if not abs(value) <= most:
+                raise InputError(f"{self.name}: a demand of {value:g} A is above the {most:g} A of the drive (PL[1])")
+        elif self._reference == VELOCITY:
+            low, high = self._limits.low, self._limits.high
+            if not (math.isfinite(value) and low <= value / self._angle_per_count <= high):
+                raise InputError(
+                    f"{self.name}: a demand of {value:g} rad/s is outside the drive's {low:g} to {high:g} counts/s"
+                    " (VL[2], VH[2])"
+                )
+        elif not abs(value / self._angle_per_count - self._position.counts) < self._position.half:
+            reach = self._position.half * abs(self._angle_per_count)
+            raise InputError(f"{self.name}: a demand of {value:g} is outside what the drive can hold ({reach:g})")
+        self._value = value
+
+    def begin_cycle(self) -> None:
+        """Send this cycle's exchange, unless the one before is under way still: the readings first, then the demand.
+
+        The drive's program is fed by exchanges alone: none that no supervised cycle came before is counted in the
+        variable that it watches.
+
+        Raises
+        ------
+        DeviceError : the line is gone.
+        """
+        now, interpreter = self._clock.now(), self._interpreter
+        sent = interpreter.pending_since
+        self._late = sent is not None and now - sent < self._patience_s and not interpreter.garbled
+        if self._late:
+            return
+        first = b""
+        if sent is None:
+            interpreter.drop_unasked()
+        else:
+            self._lose()
+            interpreter.give_up()
+            first = b";"  # which ends a command that was cut short
+        commands = [*READINGS, *self._demands(now)]
+        if self._voltage_due < now and self._supervised and self.settings.bus_voltage_command is not None:
+            self._voltage_due = now + self.settings.bus_voltage_period_s
+            commands.append(self.settings.bus_voltage_command)
+        alive = self._supervised and (self._proved or not self._asked_on)
+        interpreter.begin(commands, self.settings.life_variable if alive else "", first)
+        self._supervised = False
+
+    def end_cycle(self, deadline: float) -> None:
+        """Collect the readings; NaN where they did not come within the cycle.
+
+        Raises
+        ------
+        DeviceFault : the drive has a fault, left operation by itself, or holds another demand than it was sent.
+        NoAnswer : it has fallen silent, or did not enter operation in time.
+        DeviceError : it refuses what it was sent.
+        """
+        values = self.values
+        values[0], values[1], values[2] = self._followed
+        values[3] = values[4] = values[5] = values[6] = NAN
+        replies = self._interpreter.collect(deadline)
+        now = self._clock.now()
+        if replies is not None:
+            try:
+                self._take_in(replies, now)
+            except Unreadable as error:
+                self._see_garbled(error)
+        self._tell_surplus()
+        self._judge(now)
+
+    def feed(self) -> None:
+        """Let the next exchange count as a sign of life."""
+        self._supervised = True
+
+    def take(self) -> list[Row]:
+        """Bus voltages that have come in since the last call."""
+        rows, self._record.rows = self._record.rows, []
+        return rows
+
+    def notices(self) -> list[str]:
+        """How far a row's readings lie apart, irregular answers, and each onset of a limited current."""
+        record, now = self._record, self._clock.now()
+        if record.irregular != record.told and (now >= record.quiet_until or self._mode is Mode.OFF):
+            record.quiet_until, record.told = now + QUIET_S, replace(record.irregular)
+            record.notices.append(str(record.irregular))
+        notices, record.notices = record.notices, []
+        return notices
+
+    # -- what goes out -----------------------------------------------------------------------------------------------
+
+    def _follow(self, mode: Mode) -> None:
+        """Turn to a mode, with no demand; what the drive has shown so far is of the mode before."""
+        self._mode, self._value = mode, 0.0
+        reference, self._unit_mode = FOLLOWED.get(mode, (ANGLE, 0))
+        self._reference: int = reference
+        self._enable_by = math.inf
+        self._asked_on = self._was_on = self._asks_why = False
+        self._on_since = NAN  # of the motor, while its dead-man is tried
+        self._moving: int | None = None  # the demand in counts that a motion was begun to last
+        self._checked: tuple[str, float] | None = None  # what the exchange under way sets, and the drive has to hold
+
+    def _demands(self, now: float) -> list[str]:
+        """What this cycle sets besides asking for the readings."""
+        self._checked = None
+        why = ["MF"] if self._asks_why else []
+        if self._mode is Mode.OFF:
+            return [*why, "MO=0"] if self._status.motor_on else why
+        if self.engaged:
+            return [*why, *self._demand()]
+        if self._asked_on or self._enable_by == -math.inf:
+            return why
+        if self._status.motor_on:
+            return ["MO=0"]
+        if self._status.unit_mode != self._unit_mode:
+            return [f"UM={self._unit_mode}"]
+        if not self._supervised:
+            return []
+        self._asked_on, self._was_on, self._on_since = True, False, now
+        return ["MO=1", *(["TC=0"] if self._reference == CURRENT else [])]
+
+    def _demand(self) -> list[str]:
+        word = DEMANDS[self._reference]
+        if self._reference == CURRENT:
+            amperes = round(self._value / self._q_per_ampere, 3)
+            self._checked = word, amperes
+            return [f"{word}={amperes:.3f}", word]
+        counts = round(self._value / self._angle_per_count)
+        if self._mode is Mode.ANGLE:
+            counts = self._position.shown(counts)
+        self._checked = word, counts
+        if counts == self._moving:
+            return [word]
+        return [f"{word}={counts}", word, "BG"]
+
+    # -- what comes in -----------------------------------------------------------------------------------------------
+
+    def _take_in(self, replies: Replies, now: float) -> None:
+        """Take a whole exchange: into the row where it is this cycle's own."""
+        status = Status(replies.whole("SR"))
+        self._heard = now
+        try:
+            replies.check()
+        except CommandRefused as error:
+            if error.number != MUST_BE_ON or not self._asked_on:
+                raise DeviceFault(f"{self.name}: {error}") from None
+            self._asks_why = self._was_on  # for MF tells more; one that comes on takes no torque yet
+            self._checked = None
+        current, speed, counts = replies.number("IQ"), replies.number("VX"), replies.whole("PX")
+        voltage = self.settings.bus_voltage_command
+        if voltage is not None and voltage in replies:
+            self._record.rows.append(Row(f"{self.name}_supply", self._interpreter.answered, (replies.number(voltage),)))
+        self._check_demand(replies)
+        position = self._position
+        position.counts = position.nearest(counts)
+        self._garbled = 0
+        self._see(status, now)
+        if "MF" in replies and self._asks_why:
+            raise DeviceFault(f"{self.name}: {left_operation(status, replies.whole('MF'))}")
+        if self._late:
+            self._record.irregular.late += 1
+            return
+        values = self.values
+        values[3], values[4] = current * self._q_per_ampere, speed * self._angle_per_count
+        values[5], values[6] = position.counts * self._angle_per_count, 1.0 if self.engaged else 0.0
+        self._followed = [NAN, NAN, NAN]
+        if self._mode is not Mode.OFF:
+            self._followed[self._reference] = self._value
+
+    def _check_demand(self, replies: Replies) -> None:
+        """Hold what the drive tells of its demand against what it was sent: RS-232 has no check of its own."""
+        if self._checked is None:
+            return
+        word, sent = self._checked
+        held = replies.number(word)
+        if abs(held - sent) > 1e-3 + 1e-5 * abs(sent):
+            raise DeviceFault(f"{self.name}: holds {word}={held:g} where {sent:g} was sent; the line garbles commands")
+        if word != DEMANDS[CURRENT]:
+            self._moving = int(sent)
+
+    def _see(self, status: Status, now: float) -> None:
+        """Take what the drive shows of itself."""
+        record, before = self._record, self.engaged
+        self._status = status
+        if status.limited and not record.limited and now >= record.quiet_of_limits_until:
+            record.quiet_of_limits_until = now + QUIET_S
+            record.notices.append(
+                f"the drive holds its current down to CL[1], {self._limits.continuous:g} A (bit 13 of SR"
+                f" 0x{status.register:X})"
+            )
+        record.limited = status.limited
+        self._forgiven = self._forgiven and not status.motor_on
+        if not self._asked_on:
+            self._asks_why = self._asks_why or (status.faulty and not self._forgiven)
+        elif status.faulty and not self._forgiven:
+            self._asks_why = True
+        elif not self._proved:
+            self._try_dead_man(status)
+        elif self.engaged:
+            self._was_on = True
+            if not before and self._reference == ANGLE:
+                self._value = self._position.counts * self._angle_per_count  # hold where the shaft is
+            self._enable_by = -math.inf  # from here on, leaving operation is the drive's own doing
+        elif self._was_on:
+            self._asks_why = True
+
+    def _try_dead_man(self, status: Status) -> None:
+        """Have the drive on and the host silent: its program has to switch it off, before any demand is sent.
+
+        Raises
+        ------
+        DeviceError : it is on still, when it should not be.
+        """
+        if status.motor_on:
+            self._was_on = True
+            lasted = self._interpreter.asked - self._on_since  # at the least, when it showed itself on
+            if lasted > self.settings.host_silence_s:
+                raise DeviceError(
+                    f"{self.name}: its dead-man does not work: on for {lasted:.3f} s without a sign of life in"
+                    f" {self.settings.life_variable}, {self.settings.host_silence_s:g} s were set; its program is"
+                    " another one, or watches other variables"
+                )
+        elif self._was_on:
+            self._proved, self._asked_on, self._was_on = True, False, False
+
+    def _see_garbled(self, error: Unreadable) -> None:
+        """Leave a row empty for an exchange that was garbled.
+
+        Raises
+        ------
+        DeviceError : it is the third in a row.
+        """
+        self._garbled += 1
+        self._lose()
+        if self._garbled >= MOST_GARBLED:
+            raise DeviceError(f"{self.name}: {error}; {self._garbled} exchanges in a row were garbled")
+
+    def _lose(self) -> None:
+        """Go on after an exchange of which it is not known whether the drive has taken it."""
+        self._record.irregular.lost += 1
+        self._moving = None
+        if self._asked_on and not self._was_on:
+            self._asked_on = False  # it is asked anew
+
+    def _tell_surplus(self) -> None:
+        self._record.irregular.surplus += self._interpreter.surplus
+        self._interpreter.surplus = 0
+
+    def _judge(self, now: float) -> None:
+        """Say what keeps the drive out of operation, where it should be in it."""
+        silence = now - self._heard
+        if silence > self.settings.host_silence_s + self.settings.answer_timeout_s:
+            raise NoAnswer(f"{self.name}: no answer for {silence:.3f} s")
+        if self._mode is not Mode.OFF and self._enable_by < now and self._enable_by > -math.inf:
+            raise NoAnswer(f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {self._status}")

@@ -1,0 +1,303 @@
+"""The drive's far end of the line: its interpreter, its motor, and the program that watches the host.
+
+Bytes in, bytes out; it shares with the driver only the bits of SR and MF. What is echoed is echoed at once, byte by
+byte, between answers that are not sent yet (SimplIQ Software Manual, 3.2).
+"""
+
+import math
+import re
+from collections import deque
+
+from leactl.driver.far_end import Machine
+from leactl_plugins.elmo.fault_names import bits_of
+from leactl_plugins.elmo_serial.status import (
+    CURRENT_LIMITED,
+    FAULT_LATCHED,
+    MOTION_SHIFT,
+    MOTOR_ON,
+    PROGRAM_RUNNING,
+    UNIT_MODE_SHIFT,
+)
+
+BAD_COMMAND, BAD_INDEX, NEEDS_INDEX, EMPTY, SYNTAX, RANGE, READ_ONLY = 2, 3, 16, 18, 19, 21, 23
+NOT_IN_THIS_MODE, MUST_BE_OFF, MUST_BE_ON, BAD_UNIT_MODE, NOTHING_YET = 12, 57, 58, 60, 164
+BAD_NUMBER = 162
+MOST_INPUT = 512
+EXECUTE_S = 2e-4  # from the end of a command to the first byte of its answer
+TICK_S = 0.01  # at which the program looks at the host's counter
+MOST_WHOLE = 0x7FFFFFFF
+UNIT_MODES = {1, 2, 3, 4, 5}
+FOLLOWS = {1: "current", 2: "velocity", 4: "angle", 5: "angle"}
+MOTION = {"TC": (1,), "JV": (2, 5), "PA": (4, 5)}  # unit modes in which it may be set
+VERSION = "Whistle 1.01.12.00 08Mar2018"
+_form = re.compile(r"([A-Z]{2})(?:\[([0-9]{1,4})\])?(=(.*))?", re.ASCII | re.DOTALL)
+_number = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?", re.ASCII)
+
+
+class Error(Exception):
+    """A command that is not carried out, by its number."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+class ElmoSerialEmulator:
+    """One drive at the end of a line, turning a machine."""
+
+    def __init__(
+        self,
+        machine: Machine,
+        *,
+        counts_per_turn: int,
+        q_axis_per_ampere: float = math.sqrt(1.5),
+        peak_current: float = 40.0,
+        continuous_current: float = 40.0,
+        voltage_command: str | None = "AN[6]",
+        variables: tuple[str, str] = ("UI[1]", "UI[2]"),
+    ) -> None:
+        self._machine, self._q_axis_per_ampere = machine, q_axis_per_ampere
+        self._counts_per_rad = counts_per_turn / (2.0 * math.pi)
+        self._voltage_command, self._watched = voltage_command, variables
+        self.values: dict[str, float] = {  # what may be set, by name with index
+            "EO": 1,
+            "HX": 0,
+            "UM": 5,
+            "TC": 0.0,
+            "JV": 0,
+            "PA": 0,
+            "PL[1]": peak_current,
+            "CL[1]": continuous_current,
+            "VL[2]": -2_000_000_000,
+            "VH[2]": 2_000_000_000,
+            "XM[1]": -1_000_000_000,
+            "XM[2]": 1_000_000_000,
+            "CA[18]": counts_per_turn,
+            **{f"UI[{number}]": 0 for number in range(1, 25)},
+        }
+        self.serial_number = "1"
+        self.on = False
+        self.program_running = True  # started by itself when the drive was switched on
+        self.fault_bits = 0  # MF
+        self.frozen = False
+        self._last_error = NOTHING_YET
+        self._begun_motion: tuple[str, float] | None = None
+        self._input = b""
+        self._output: deque[tuple[float, bytes]] = deque()
+        self._busy = 0.0
+        self._seen, self._quiet_ticks, self._next_tick = 0.0, 0, 0.0
+
+    # -- the wire ----------------------------------------------------------------------------------------------------
+
+    @property
+    def due(self) -> float:
+        """When an echo or an answer is ready, or the program looks at the host's counter."""
+        if self.frozen:
+            return math.inf
+        tick = self._next_tick if self.on and self.program_running else math.inf
+        return min(self._output[0][0] if self._output else math.inf, tick)
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Take bytes as they arrive: each is echoed at once; a semicolon or a carriage return ends a command."""
+        if self.frozen:
+            return
+        for byte in data:
+            if self.values["EO"]:
+                self._output.appendleft((now, bytes((byte,))))
+            if byte not in b";\r\n":
+                self._input += bytes((byte,))
+            elif self._input:
+                command, self._input = self._input[-MOST_INPUT:].decode("latin-1"), b""
+                answer = self._obey(command, now)
+                self._busy = max(self._busy, now) + EXECUTE_S
+                self._output.append((self._busy, answer))
+
+    def tick(self, now: float) -> bytes:
+        """Let the program look where that is due; the bytes that are ready."""
+        if self.on and self.program_running and now >= self._next_tick:
+            self._next_tick += TICK_S
+            self._watch()
+        if self._output and now >= self._output[0][0]:
+            return self._output.popleft()[1]
+        return b""
+
+    # -- inside the drive --------------------------------------------------------------------------------------------
+
+    def _watch(self) -> None:
+        """Switch off where the host's counter stands still for longer than it may, as the program does."""
+        counter, allowed = (self.values[variable] for variable in self._watched)
+        if counter != self._seen:
+            self._seen, self._quiet_ticks = counter, 0
+        else:
+            self._quiet_ticks += 1
+        if 1e3 * TICK_S * self._quiet_ticks >= allowed:
+            self._switch(False)
+
+    def freeze(self, frozen: bool) -> None:
+        """Hear nothing, answer nothing and go on with the last demand, its program too, or come back to life."""
+        self.frozen = frozen
+
+    def fault(self, code: int) -> None:
+        """Shut the motor down and latch in MF what an emergency message would give this code for."""
+        self._switch(False)
+        self.fault_bits = bits_of(code)
+
+    def _switch(self, on: bool, now: float = 0.0) -> None:
+        self.on, self._begun_motion = on, None
+        if on:
+            self.fault_bits, self.values["TC"], self.values["JV"] = 0, 0.0, 0
+            self._quiet_ticks, self._next_tick = 0, now + TICK_S
+            self._seen = self.values[self._watched[0]]
+            self.values["PA"] = self._position()
+            self._begun_motion = ("angle", self._machine.read()[2]) if self.values["UM"] in (4, 5) else None
+            self._move()
+        else:
+            self._machine.command("off", 0.0)
+
+    def _move(self) -> None:
+        """Have the machine follow what the unit mode says; no torque beyond the continuous limit lasts."""
+        mode = FOLLOWS.get(int(self.values["UM"]), "off")
+        if mode == "current":
+            self._machine.command("current", self._allowed() * self._q_axis_per_ampere)
+        elif self._begun_motion is not None:
+            self._machine.command(*self._begun_motion)
+        else:
+            self._machine.command(mode if mode == "velocity" else "off", 0.0)
+
+    def _allowed(self) -> float:
+        """What of the current asked for flows [A]: the peak's few seconds are not emulated, it is held down at once."""
+        most = min(self.values["PL[1]"], self.values["CL[1]"])
+        return max(-most, min(most, self.values["TC"]))
+
+    def _position(self) -> int:
+        counts = round(self._machine.read()[2] * self._counts_per_rad)
+        low, high = int(self.values["XM[1]"]), int(self.values["XM[2]"])
+        return (counts - low) % (high - low) + low if high > low else counts
+
+    @property
+    def status(self) -> int:
+        """SR."""
+        moving = self._begun_motion is not None
+        limited = self.on and self.values["UM"] == 1 and self._allowed() != self.values["TC"]
+        return (
+            (MOTOR_ON if self.on else 0)
+            | (FAULT_LATCHED if self.fault_bits else 0)
+            | int(self.values["UM"]) << UNIT_MODE_SHIFT
+            | (PROGRAM_RUNNING if self.program_running else 0)
+            | (CURRENT_LIMITED if limited else 0)
+            | (2 if moving else 1 if not self.on else 0) << MOTION_SHIFT
+        )
+
+    # -- the interpreter ---------------------------------------------------------------------------------------------
+
+    def _obey(self, command: str, now: float) -> bytes:
+        """The answer to one command, its end included."""
+        try:
+            answer = self._carry_out(command, now)
+        except Error as error:
+            self._last_error = error.number
+            return bytes((error.number,)) + b"?;"
+        return answer.encode("ascii") + b";"
+
+    def _carry_out(self, command: str, now: float) -> str:
+        found = _form.fullmatch(command)
+        if found is None:
+            raise Error(BAD_COMMAND if not re.match(r"[A-Z]{2}", command) else SYNTAX)
+        name = found[1] if found[2] is None else f"{found[1]}[{int(found[2])}]"
+        if found[3] is None:
+            return self._execute(name) if name in ("BG", "ST") else self._told(name)
+        if not found[4]:
+            raise Error(EMPTY)
+        if not _number.fullmatch(found[4]):
+            raise Error(BAD_NUMBER)
+        self._set(name, float(found[4]), now)
+        return ""
+
+    def _told(self, name: str) -> str:
+        """The value of a command that asks."""
+        current, velocity, _ = self._machine.read()
+        if name == "IQ":
+            return f"{current / self._q_axis_per_ampere:.4f}" if self.on else "0"
+        if name == self._voltage_command:
+            return f"{self._machine.bus_voltage:.2f}"
+        whole = {
+            "ID": 0,
+            "VX": round(velocity * self._counts_per_rad),
+            "PX": self._position(),
+            "SR": self.status,
+            "MO": int(self.on),
+            "MF": self.fault_bits,
+            "MS": self.status >> MOTION_SHIFT & 3,
+            "EC": self._last_error,
+        }
+        if name in whole:
+            return str(whole[name])
+        if name in ("VR", "SN[4]"):
+            return VERSION if name == "VR" else self.serial_number
+        if name in self.values:
+            return f"{self.values[name]:.10g}"
+        raise Error(self._unknown(name))
+
+    def _unknown(self, name: str) -> int:
+        """Why there is no such variable."""
+        word = name[:2]
+        vectors = {known[:2] for known in self.values if "[" in known} | {"AN", "SN"}
+        if word in vectors:
+            return BAD_INDEX if "[" in name else NEEDS_INDEX
+        return BAD_COMMAND
+
+    def _set(self, name: str, value: float, now: float) -> None:
+        if name == "MO":
+            self._set_motor(value, now)
+            return
+        if name not in self.values:
+            read_only = ("IQ", "ID", "VX", "PX", "SR", "MF", "MS", "EC", "VR", "SN[4]", self._voltage_command)
+            raise Error(READ_ONLY if name in read_only else self._unknown(name))
+        if name == "UM":
+            if self.on:
+                raise Error(MUST_BE_OFF)
+            if value not in UNIT_MODES:
+                raise Error(BAD_UNIT_MODE)
+        if name in MOTION:
+            if self.values["UM"] not in MOTION[name]:
+                raise Error(NOT_IN_THIS_MODE)
+            if name == "TC" and not self.on:
+                raise Error(MUST_BE_ON)
+        low, high = self._range_of(name)
+        if not low <= value <= high:
+            raise Error(RANGE)
+        self.values[name] = value if name in ("TC", "PL[1]", "CL[1]") else round(value)
+        if name == "TC":
+            self._move()
+
+    def _range_of(self, name: str) -> tuple[float, float]:
+        if name == "TC":
+            return -self.values["PL[1]"], self.values["PL[1]"]
+        if name == "JV":
+            return self.values["VL[2]"], self.values["VH[2]"]
+        return (0, 1) if name in ("EO", "HX") else (-MOST_WHOLE - 1, MOST_WHOLE)
+
+    def _set_motor(self, value: float, now: float) -> None:
+        if value not in (0, 1):
+            raise Error(RANGE)
+        if bool(value) != self.on:
+            self._switch(bool(value), now)
+
+    def _execute(self, name: str) -> str:
+        """Begin a motion, or stop one."""
+        if not self.on:
+            raise Error(MUST_BE_ON)
+        mode = self.values["UM"]
+        if mode == 2:
+            self._begun_motion = ("velocity", self.values["JV"] / self._counts_per_rad if name == "BG" else 0.0)
+        elif mode in (4, 5):
+            angle = self._machine.read()[2]
+            if name == "BG":
+                span = int(self.values["XM[2]"] - self.values["XM[1]"])
+                ahead = (int(self.values["PA"]) - self._position() + span // 2) % span - span // 2
+                angle += ahead / self._counts_per_rad
+            self._begun_motion = ("angle", angle)
+        else:
+            raise Error(NOT_IN_THIS_MODE)
+        self._move()
+        return ""

@@ -1,0 +1,257 @@
+"""Commands to an Elmo's interpreter, many at a time, and what it answers: which answer belongs to which exchange.
+
+Each command ends with a semicolon and is answered in its turn by its value and a semicolon, by a semicolon alone where
+it sets something, or by a binary error number, `?` and a semicolon (SimplIQ Software Manual, 3.1). No answer says what
+it answers. An exchange therefore begins by setting a variable to a number that no exchange near it has, and ends by
+asking for it: what stands before that number in the expected shape is its own, and nothing else is.
+"""
+
+import math
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from leactl.driver.conversation import Unreadable
+from leactl.driver.serial_port import SerialPort
+from leactl.errors import DeviceError, NoAnswer
+from leactl_plugins.elmo.fault_names import refusal
+
+END, REFUSED = b";", b"?"
+EXECUTED = frozenset(("BG", "ST"))  # commands that carry no value and are answered by none
+TAGS = 900
+FIRST_TAG = 100
+LONGEST_VALUE = 64
+MOST_SEGMENTS = 200  # that may come before an answer: a device that says more babbles
+MISHEARD = frozenset(
+    (2, 3, 5, 16, 18, 19, 32, 97, 110, 136, 162)
+)  # what the drive says of a command garbled on its way
+_number = re.compile(rb"[-+]?[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?", re.ASCII)
+_whole = re.compile(rb"-?[0-9]{1,10}", re.ASCII)
+
+
+class CommandRefused(DeviceError):
+    """The drive has understood a command and does not carry it out."""
+
+    def __init__(self, command: str, number: int) -> None:
+        super().__init__(f"{command} is refused: {refusal(number)}")
+        self.command, self.number = command, number
+
+
+class Replies:
+    """What the commands of one exchange were answered, by command."""
+
+    def __init__(self, values: dict[str, bytes], refused: dict[str, int]) -> None:
+        self._values, self.refused = values, refused
+
+    def __contains__(self, command: str) -> bool:
+        """Whether it was asked, and not refused."""
+        return command in self._values
+
+    def check(self) -> None:
+        """Go on where every command was carried out.
+
+        Raises
+        ------
+        CommandRefused : the first that was not.
+        Unreadable : the first was garbled on its way.
+        """
+        for command, number in self.refused.items():
+            if number in MISHEARD:
+                raise Unreadable(f"{command} was not understood: {refusal(number)}")
+            raise CommandRefused(command, number)
+
+    def text(self, command: str) -> str:
+        """An answer in printable letters.
+
+        Raises
+        ------
+        CommandRefused : it was not given.
+        """
+        if command in self.refused:
+            raise CommandRefused(command, self.refused[command])
+        return self._values[command].decode("ascii", "backslashreplace").strip()
+
+    def number(self, command: str) -> float:
+        """An answer that is a number.
+
+        Raises
+        ------
+        Unreadable : it is none.
+        CommandRefused : it was not given.
+        """
+        value = float(self._read(command, _number, "a number"))
+        if not math.isfinite(value):
+            raise Unreadable(f"{command} was answered by '{self.text(command)}' where a number was expected")
+        return value
+
+    def whole(self, command: str) -> int:
+        """An answer that is a whole number of 32 bits.
+
+        Raises
+        ------
+        Unreadable : it is none.
+        CommandRefused : it was not given.
+        """
+        value = int(self._read(command, _whole, "a whole number"))
+        if not -0x80000000 <= value <= 0xFFFFFFFF:
+            raise Unreadable(f"{command} was answered by {value} where 32 bits were expected")
+        return value
+
+    def _read(self, command: str, form: re.Pattern[bytes], expected: str) -> bytes:
+        if command in self.refused:
+            raise CommandRefused(command, self.refused[command])
+        value = self._values[command]
+        if not form.fullmatch(value):
+            raise Unreadable(f"{command} was answered by '{self.text(command)}' where {expected} was expected")
+        return value
+
+
+class _Pending(NamedTuple):
+    """An exchange that is not answered yet."""
+
+    commands: Sequence[str]
+    tag: bytes
+    sent: float
+
+
+class Interpreter:
+    """The host's side of one line; at most one exchange is under way, which spares the drive's receive buffer."""
+
+    def __init__(self, port: SerialPort, tag_variable: str) -> None:
+        port.line_end = END
+        self._port, self._clock, self._tag_variable = port, port.clock, tag_variable
+        self._pending: _Pending | None = None
+        self._segments: list[bytes] = []
+        self._number = 0
+        self.garbled = False  # the exchange under way has ended in another shape than it ought to
+        self.surplus = 0  # answers that belonged to no exchange
+        self.asked = self.answered = 0.0  # when the last exchange that was answered was sent, and its answer was whole
+
+    @property
+    def pending_since(self) -> float | None:
+        """When the exchange under way was sent; None where none is."""
+        return self._pending.sent if self._pending else None
+
+    def begin(self, commands: Sequence[str], counted_in: str = "", first: bytes = b"") -> None:
+        """Send an exchange; one that is under way is given up.
+
+        `counted_in` is a variable to set to the exchange's number, in place of the one that means nothing else.
+
+        Raises
+        ------
+        DeviceError : the line is gone, or takes no more.
+        """
+        variable = counted_in or self._tag_variable
+        self._number = (self._number + 1) % TAGS
+        tag = str(FIRST_TAG + self._number)
+        self.give_up()
+        text = ";".join((f"{variable}={tag}", *commands, variable, ""))
+        self._port.write(first + text.encode("ascii"))
+        self._pending = _Pending(commands, tag.encode("ascii"), self._clock.now())
+
+    def give_up(self) -> None:
+        """Expect no more answers to the exchange under way."""
+        self._pending, self.garbled = None, False
+        self.surplus += len(self._segments)
+        self._segments.clear()
+
+    def collect(self, until: float) -> Replies | None:
+        """The answers to the exchange under way, as soon as they are whole; None at this moment.
+
+        Raises
+        ------
+        DeviceError : the line is gone.
+        """
+        pending = self._pending
+        while pending is not None:
+            segment = self._port.take_line()
+            if segment is None:
+                if self._clock.now() >= until:
+                    return None
+                self._port.wait(until)
+                continue
+            self._add(segment)
+            if len(self._segments) > MOST_SEGMENTS:
+                self.give_up()
+                return None
+            if self._segments[-1] == pending.tag:
+                found = _decoded(self._segments[-len(pending.commands) - 2 :], pending.commands)
+                if found is not None:
+                    self.surplus += len(self._segments) - len(pending.commands) - 2
+                    self._segments.clear()
+                    self.asked, self.answered = pending.sent, self._clock.now()
+                    self._pending, self.garbled = None, False
+                    return found
+                self.garbled = True  # unless a reading happens to be that number
+        return None
+
+    def drop_unasked(self) -> None:
+        """Count what has come while no exchange was under way, and forget it.
+
+        Raises
+        ------
+        DeviceError : the line is gone.
+        """
+        while self._port.take_line() is not None:
+            self.surplus += 1
+
+    def ask(self, *commands: str, within_s: float, tries: int = 3) -> Replies:
+        """Make an exchange and wait for it; it is made anew where it is lost or garbled.
+
+        Raises
+        ------
+        CommandRefused : a command that sets something was refused; one that asks tells so when its answer is read.
+        NoAnswer : none of the tries was answered.
+        DeviceError : the line is gone.
+        """
+        trouble: DeviceError = NoAnswer(f"no answer to {', '.join(commands) or 'the interpreter'} in {within_s:g} s")
+        for number in range(tries):
+            self.begin(commands, first=END if number else b"")  # which ends a command that was cut short
+            replies = self.collect(self._clock.now() + within_s)
+            if replies is None:
+                continue
+            misheard = [command for command, code in replies.refused.items() if code in MISHEARD and _sets(command)]
+            if misheard and number < tries - 1:
+                continue
+            for command, code in replies.refused.items():
+                if _sets(command):
+                    raise CommandRefused(command, code)
+            return replies
+        self.give_up()
+        raise trouble
+
+    def _add(self, segment: bytes) -> None:
+        """Put a segment to the others.
+
+        The error number may be a semicolon itself. The manual prints the `?` after the semicolon; drives send it
+        before.
+        """
+        if segment.startswith(REFUSED) and self._segments:
+            last = self._segments[-1]
+            self._segments[-1] = (last or END) + REFUSED
+            if segment == REFUSED and not last:
+                return
+            segment = segment[1:]
+        self._segments.append(segment)
+
+
+def _sets(command: str) -> bool:
+    return "=" in command or command in EXECUTED
+
+
+def _decoded(segments: Sequence[bytes], commands: Sequence[str]) -> Replies | None:
+    """The answers to an exchange; None where these segments have not its shape."""
+    if len(segments) != len(commands) + 2 or segments[0]:
+        return None
+    values: dict[str, bytes] = {}
+    refused: dict[str, int] = {}
+    for command, segment in zip(commands, segments[1:-1], strict=True):
+        if segment.endswith(REFUSED):
+            if len(segment) != 2:
+                return None
+            refused[command] = segment[0]
+        elif bool(segment) is _sets(command) or len(segment) > LONGEST_VALUE:
+            return None
+        else:
+            values[command] = segment
+    return Replies(values, refused)
