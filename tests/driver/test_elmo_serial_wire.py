@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from leactl_plugins.elmo.fault_names import bits_of, motor_fault, refusal
 from leactl_plugins.elmo_serial.interpreter import CommandRefused, Interpreter
+from leactl_plugins.elmo_serial.outliers import Outliers
 from leactl_plugins.elmo_serial.settings import ElmoSerialSettings
 from leactl_plugins.elmo_serial.status import Status
 from pydantic import ValidationError
@@ -407,9 +408,7 @@ def test_a_rate_that_the_line_does_not_carry_is_refused_with_the_one_that_it_doe
     told = bench.drive.notices()
     assert re.match(r"a row's readings are taken one after another, within \d(\.\d)? ms after its time", told[0])
     bench.drive.pace(0.01)
-    with pytest.raises(
-        DeviceError, match=r"takes [45](\.\d+)? ms on its line, a cycle at 1000 Hz leaves .*: 1\d\d Hz at"
-    ):
+    with pytest.raises(DeviceError, match=r"takes [45](\.\d+)? ms on its line, a cycle .* leaves .*: 1\d\d Hz at"):
         bench.drive.pace(0.001)
 
 
@@ -574,7 +573,8 @@ def test_a_line_that_was_pulled_out_is_told_and_the_drive_stops_by_itself(bench)
     assert bench.shaft.following[0] == "off"
 
 
-NOT_IN_A_NUMBER = st.sampled_from([byte for byte in range(256) if chr(byte) not in "0123456789+-.eE"])
+# letters would make another query of one, as PA of PX
+NOT_IN_A_NUMBER = st.sampled_from([byte for byte in range(256) if not chr(byte).isalnum() and chr(byte) not in "+-."])
 PLACES = st.integers(0, 400)
 
 
@@ -619,6 +619,27 @@ def test_no_noise_beside_digits_gives_a_wrong_row_and_none_holds_the_loop_up(noi
     bench.to_host = bench.to_drive = bytes
     assert bench.drive.safe_state(1.0).safe
     assert bench.shaft.following[0] == "off"
+
+
+def test_a_digit_that_arrives_as_another_is_told_by_the_rows_beside_it(bench, monkeypatch):
+    bench.engage(Mode.VELOCITY)
+    bench.drive.notices()
+    for number in range(30):
+        bench.shaft.velocity, bench.shaft.angle = 2.0, 4.0 + 0.02 * number
+        with monkeypatch.context() as garbled:
+            if number == 20:
+                garbled.setattr(bench.far, "_position", lambda: 78011)  # in place of 28011
+            row = bench.cycle()
+        assert not math.isnan(row[ANGLE])
+    assert bench.drive.notices() == [
+        "angle [rad] of 12.2539 between 4.38001 and 4.42006: a digit may have been garbled on the line; 1 readings so far"
+    ]
+
+
+def test_a_step_and_a_ramp_are_no_outliers():
+    outliers = Outliers([("current", 0.5)])
+    assert [outliers.see([value]) for value in (0, 0, 9, 9, 8, 7, 0, math.nan, 0, 0)] == [None] * 10
+    assert outliers.count == 0
 
 
 # -- the safe state ----------------------------------------------------------------------------------------------------

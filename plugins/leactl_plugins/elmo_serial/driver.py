@@ -20,6 +20,7 @@ from leactl.quantities import ChannelSpec
 from leactl_plugins.elmo.scales import CountedPosition
 from leactl_plugins.elmo_serial.interpreter import CommandRefused, Interpreter, Replies
 from leactl_plugins.elmo_serial.meeting import COUNTS_OF_32_BITS, READINGS, DriveLimits, Meeting
+from leactl_plugins.elmo_serial.outliers import Outliers
 from leactl_plugins.elmo_serial.settings import ElmoSerialSettings
 from leactl_plugins.elmo_serial.status import Status, left_operation
 
@@ -34,7 +35,8 @@ AFRESH_S = 0.01  # between a connection that has failed and what is sent over th
 MUST_BE_ON = 58  # what a demand is refused by while the motor is off
 LEAST_PATIENCE_S = 0.02  # with an answer in the loop; an adapter on USB holds bytes back for up to 16 ms
 MOST_GARBLED = 3  # exchanges in a row
-QUIET_S = 1.0  # at most one notice of irregular answers, and one of a limited current, in this time
+QUIET_S = 1.0  # at most one notice of each kind in this time
+NOISE = (("q-axis current [A]", 0.5), ("velocity [rad/s]", 0.2), ("angle [rad]", 0.02))  # of what is read; more is told
 NAN = math.nan
 
 
@@ -45,8 +47,9 @@ class _Record:
         self.irregular, self.told = Irregular(), Irregular()
         self.notices: list[str] = []
         self.rows: list[Row] = []
-        self.quiet_until = self.quiet_of_limits_until = -math.inf
+        self.quiet_until = self.quiet_of_limits_until = self.quiet_of_outliers_until = -math.inf
         self.limited = False
+        self.outliers = Outliers(NOISE)
 
 
 class ElmoSerial(Driver):
@@ -436,6 +439,15 @@ class ElmoSerial(Driver):
         self._followed = [NAN, NAN, NAN]
         if self._mode is not Mode.OFF:
             self._followed[self._reference] = self._value
+        self._look_back(now)
+
+    def _look_back(self, now: float) -> None:
+        """Tell of a reading that stood off the one before and the one that has come now."""
+        record = self._record
+        outlier = record.outliers.see(self.values[3:6])
+        if outlier is not None and now >= record.quiet_of_outliers_until:
+            record.quiet_of_outliers_until = now + QUIET_S
+            record.notices.append(f"{outlier}; {record.outliers.count} readings so far")
 
     def _check_demand(self, replies: Replies) -> None:
         """Hold what the drive tells of its demand against what it was sent: RS-232 has no check of its own."""
