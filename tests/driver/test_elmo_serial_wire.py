@@ -632,7 +632,8 @@ def test_a_digit_that_arrives_as_another_is_told_by_the_rows_beside_it(bench, mo
             row = bench.cycle()
         assert not math.isnan(row[ANGLE])
     assert bench.drive.notices() == [
-        "angle [rad] of 12.2539 between 4.38001 and 4.42006: a digit may have been garbled on the line; 1 readings so far"
+        "angle [rad] of 12.2539 between 4.38001 and 4.42006: a digit may have been garbled on the line;"
+        " 1 readings so far"
     ]
 
 
