@@ -62,7 +62,7 @@ def test_the_shipped_bench_catches_its_whole_catalogue_and_ends_safe(drill):
     assert [finding.faults for finding in drilled.findings if not finding.held] == []
     found = by_name(drilled)
     assert found.keys() | drilled.left_out.keys() == {"no_fault", "stop", *known_faults()}
-    assert drilled.left_out.keys() == {"slow_disk", "supply_stuck_on", "supply_out_of_regulation"}
+    assert drilled.left_out.keys() == {"slow_disk", "supply_stuck_on", "supply_out_of_regulation", "cut_line"}
     assert {finding.on for finding in found["stuck_sensor"]} == {"torque_sensor", "drive_test", "drive_load"}
     assert all(verify(Path(finding.run)) == [] for finding in drilled.findings)
 

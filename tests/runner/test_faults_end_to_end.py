@@ -138,7 +138,8 @@ CAUGHT = [
     ),
 ]
 
-ELSEWHERE = {"supply_stuck_on", "supply_out_of_regulation"}  # tests/emulation/test_supply_feeds_the_bench.py
+# tests/emulation/test_supply_feeds_the_bench.py, tests/runner/test_serial_runs.py
+ELSEWHERE = {"supply_stuck_on", "supply_out_of_regulation", "cut_line"}
 
 
 @pytest.fixture

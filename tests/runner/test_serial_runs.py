@@ -8,6 +8,8 @@ import yaml
 
 from leactl.analysis.analyze import analyze_runs
 from leactl.bench import benchfile
+from leactl.emulation.faults import find_fault
+from leactl.emulation.faults.contract import Standing
 from leactl.errors import InputError
 from leactl.runfile.integrity import verify
 from leactl.runfile.reader import Run
@@ -73,6 +75,17 @@ def test_a_drive_whose_program_has_ended_ends_the_run(spin, bench):
 
 
 def test_a_drives_faults_end_a_run_over_serial_lines(bench, tmp_path):
-    drilled = EmulatedDrill(bench(), ("drive_fault", "frozen_drive", "stuck_sensor"), tmp_path, lambda *_: None).run()
+    faults = ("cut_line", "drive_fault", "frozen_drive", "stuck_sensor")
+    drilled = EmulatedDrill(bench(), faults, tmp_path, lambda *_: None).run()
     assert [finding.faults for finding in drilled.findings if not finding.held] == []
-    assert len(drilled.findings) == 12
+    assert len(drilled.findings) == 14
+    cut = next(finding for finding in drilled.findings if finding.name == "cut_line" and finding.on == "line_test")
+    assert next((end.confirmed, end.without_power) for end in cut.devices.values()) == (False, True)
+    assert cut.zero_torque_s <= 0.3
+
+
+def test_a_line_that_is_none_cannot_be_cut(bench):
+    file, devices, _document = benchfile.load(bench())
+    standing = Standing(file, {device.name: device for device in devices})
+    fault = find_fault("cut_line").model_validate({"fault": "cut_line", "at_s": 1, "bus": "i2c1"})
+    assert fault.misfits(standing) == {"bus": "'i2c1' is no serial line of the bench; it has line_test, line_load"}

@@ -15,6 +15,7 @@ from leactl.emulation.clock import EmulatedClock, HostClock
 from leactl.emulation.faults.device_readings import STILL, Signals
 from leactl.emulation.plant.parameters import BenchParameters
 from leactl.emulation.wires.buses import CanWire, EmulatedI2cBus
+from leactl.emulation.wires.serial import SerialWire
 from leactl.errors import InputError
 from leactl.yamlblock import Block
 
@@ -34,6 +35,7 @@ class FaultTarget(Protocol):
     rig: Any
     wires: dict[str, CanWire]
     i2c_buses: dict[str, EmulatedI2cBus]
+    serial_wires: dict[str, SerialWire]
     bus_of: dict[str, str]
     far_ends: dict[str, Any]
     signals: dict[str, Signals]

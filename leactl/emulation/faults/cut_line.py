@@ -1,0 +1,37 @@
+"""A serial line whose cable is out."""
+
+from collections.abc import Sequence
+
+from pydantic import Field
+
+from leactl.bench.benchfile import BenchFile, SerialBus
+from leactl.emulation.faults.contract import Draw, Drill, FaultTarget, LastingFault, Standing, Undo
+
+
+class CutLine(LastingFault):
+    """The cable of a serial line comes off, or a wire of it breaks: nothing arrives any more, on either side."""
+
+    example = "{fault: cut_line, at_s: 2, bus: line_test}"
+
+    bus: str = Field(description="name of the serial line")
+
+    @classmethod
+    def drills(cls, file: BenchFile) -> Sequence[Drill]:
+        """Off."""
+        return (Drill({}, 0.1, "cyclic_age_s"),)
+
+    def misfits(self, standing: Standing) -> dict[str, str]:
+        """A bus that is none, or no serial line."""
+        lines = [name for name, bus in standing.file.buses.items() if isinstance(bus, SerialBus)]
+        known = f"it has {', '.join(lines) or 'none'}"
+        return {} if self.bus in lines else {"bus": f"'{self.bus}' is no serial line of the bench; {known}"}
+
+    def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
+        """Take the cable out."""
+        wire = bench.serial_wires[self.bus]
+        wire.cut = True
+
+        def end() -> None:
+            wire.cut = False
+
+        return end
