@@ -236,7 +236,7 @@ class ElmoSerial(Driver):
         if self._exchange_s > CYCLE_SHARE * period:
             raise DeviceError(
                 f"{self.name}: an exchange takes {1e3 * self._exchange_s:.3g} ms on its line, a cycle at"
-                f" {1.0 / period:g} Hz leaves {1e3 * CYCLE_SHARE * period:.3g} ms: {CYCLE_SHARE / self._exchange_s:.0f}"
+                f" {1.0 / period:g} Hz leaves {1e3 * CYCLE_SHARE * period:.3g} ms: {math.floor(CYCLE_SHARE / self._exchange_s)}"
                 " Hz at the most, a higher baud rate on both sides, or the drive's CAN (elmo_can)"
             )
 
