@@ -157,7 +157,7 @@ def test_what_has_not_the_shape_of_the_exchange_is_no_answer(answer):
     interpreter, line = scripted(answer, b"", b"")
     with pytest.raises(NoAnswer, match=r"^no answer to IQ in 0.1 s$"):
         interpreter.ask("IQ", within_s=0.1)
-    assert line.said == b"UI[3]=101;IQ;UI[3];;UI[3]=102;IQ;UI[3];;UI[3]=103;IQ;UI[3];"
+    assert line.said == b"UI[3]=101;IQ;UI[3];!;UI[3]=102;IQ;UI[3];!;UI[3]=103;IQ;UI[3];"
 
 
 def test_what_stands_before_an_answer_is_passed_over_and_counted():
@@ -201,7 +201,7 @@ def test_what_is_asked_at_the_opening(make_bench):
     bench.far.hold("EO", 0)
     bench.drive.open()
     sent = bytes(bench.said).decode("ascii")
-    assert sent.startswith(";\rUI[3]=101;MO=0;EO=0;HX=0;UI[3];UI[3]=102;VR;SN[4];UI[3];UI[3]=103;SR;MF;UI[3];")
+    assert sent.startswith("!;UI[3]=101;MO=0;EO=0;HX=0;UI[3];UI[3]=102;VR;SN[4];UI[3];UI[3]=103;SR;MF;UI[3];")
     assert "UI[2]=280;UI[2];" in sent  # the program's time: 300 ms less two of its ticks
     assert bench.drive.identity() == ("Elmo Whistle", "1", "1.01.12.00 08Mar2018")
     assert "MO=1" not in sent
@@ -651,7 +651,7 @@ def test_stop_now_ends_what_was_half_sent_and_waits_for_nothing(bench):
     bench.said.clear()
     began = bench.clock.now()
     bench.drive.stop_now()
-    assert bytes(bench.said) == b"\rMO=0;"
+    assert bytes(bench.said) == b"!;MO=0;"
     assert bench.clock.now() == began
 
 
@@ -665,6 +665,30 @@ def test_the_safe_state_is_confirmed_by_reading_back_whatever_the_drive_has_been
     assert re.match(r"motor off, \w+, (no )?program running, SR 0x", confirmed.detail)
     assert bench.clock.now() - began < 0.5
     assert bench.shaft.following[0] == "off"
+
+
+def test_a_command_that_was_cut_short_is_not_carried_out_by_what_comes_after_it(bench):
+    bench.engage(Mode.CURRENT)
+    bench.drive.release()
+    bench.cycles(0.05)
+    bench.wire.wire.from_host(b"MO=1")
+    bench.clock.sleep_until(bench.clock.now() + 0.01)
+    switched = []
+    switch = bench.far._switch
+    bench.far._switch = lambda on, now=0.0: (switched.append(on), switch(on, now))
+    bench.drive.stop_now()
+    bench.clock.sleep_until(bench.clock.now() + 0.01)
+    assert switched == []
+
+
+def test_a_speed_that_no_counter_holds_is_refused_where_the_drive_tells_no_limit(make_bench):
+    bench = make_bench()
+    bench.far.lack("VH[2]")
+    bench.drive.open()
+    bench.cycle()
+    bench.engage(Mode.VELOCITY)
+    with pytest.raises(InputError, match=r"outside the drive's -2e\+09 to 2.14748e\+09 counts/s"):
+        bench.drive.command(1e12)
 
 
 def test_a_drive_that_stays_on_is_not_confirmed(bench):

@@ -18,7 +18,7 @@ from leactl.driver.serial_port import SerialPort
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.elmo.scales import CountedPosition
-from leactl_plugins.elmo_serial.interpreter import CommandRefused, Interpreter, Replies
+from leactl_plugins.elmo_serial.interpreter import SPOILS, CommandRefused, Interpreter, Replies
 from leactl_plugins.elmo_serial.meeting import COUNTS_OF_32_BITS, READINGS, DriveLimits, Meeting
 from leactl_plugins.elmo_serial.outliers import Outliers
 from leactl_plugins.elmo_serial.settings import ElmoSerialSettings
@@ -27,7 +27,7 @@ from leactl_plugins.elmo_serial.status import Status, left_operation
 CURRENT, VELOCITY, ANGLE = range(3)  # where the reference of what a mode sets stands among `values`
 FOLLOWED = {Mode.CURRENT: (CURRENT, 1), Mode.VELOCITY: (VELOCITY, 2), Mode.ANGLE: (ANGLE, 5)}  # and its UM
 DEMANDS = ("TC", "JV", "PA")  # what sets it
-MOTOR_OFF = b"\rMO=0;"  # the first byte ends what was half sent
+MOTOR_OFF = SPOILS + b"MO=0;"
 CYCLE_SHARE = 0.55  # of a cycle's time that an exchange may take: the loop waits for 0.6
 ENABLE_TIME_S = 3.0  # the lapse of the dead-man that is tried first included
 SAFE_TRY_S = 0.2  # that one try of the safe state may take, echo and lost bytes included
@@ -234,10 +234,11 @@ class ElmoSerial(Driver):
         DeviceError : it does not; with the rate that does.
         """
         if self._exchange_s > CYCLE_SHARE * period:
+            most = math.floor(CYCLE_SHARE / self._exchange_s)
             raise DeviceError(
                 f"{self.name}: an exchange takes {1e3 * self._exchange_s:.3g} ms on its line, a cycle at"
-                f" {1.0 / period:g} Hz leaves {1e3 * CYCLE_SHARE * period:.3g} ms: {math.floor(CYCLE_SHARE / self._exchange_s)}"
-                " Hz at the most, a higher baud rate on both sides, or the drive's CAN (elmo_can)"
+                f" {1.0 / period:g} Hz leaves {1e3 * CYCLE_SHARE * period:.3g} ms: {most} Hz at the most, a higher"
+                " baud rate on both sides, or the drive's CAN (elmo_can)"
             )
 
     @property
@@ -311,7 +312,7 @@ class ElmoSerial(Driver):
         else:
             self._lose()
             interpreter.give_up()
-            first = b";"  # which ends a command that was cut short
+            first = SPOILS
         commands = [*READINGS, *self._demands(now)]
         if self._voltage_due < now and self._supervised and self.settings.bus_voltage_command is not None:
             self._voltage_due = now + self.settings.bus_voltage_period_s

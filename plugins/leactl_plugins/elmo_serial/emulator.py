@@ -274,7 +274,7 @@ class ElmoSerialEmulator:
         if name == "TC":
             return -self.values["PL[1]"], self.values["PL[1]"]
         if name == "JV":
-            return self.values["VL[2]"], self.values["VH[2]"]
+            return self.values.get("VL[2]", -MOST_WHOLE), self.values.get("VH[2]", MOST_WHOLE)
         return (0, 1) if name in ("EO", "HX") else (-MOST_WHOLE - 1, MOST_WHOLE)
 
     def _set_motor(self, value: float, now: float) -> None:

@@ -17,6 +17,7 @@ from leactl.errors import DeviceError, NoAnswer
 from leactl_plugins.elmo.fault_names import refusal
 
 END, REFUSED = b";", b"?"
+SPOILS = b"!;"  # ends a command that was cut short, as one that nobody can carry out: MO=1 might stand there
 EXECUTED = frozenset(("BG", "ST"))  # commands that carry no value and are answered by none
 TAGS = 900
 FIRST_TAG = 100
@@ -206,7 +207,7 @@ class Interpreter:
         """
         trouble: DeviceError = NoAnswer(f"no answer to {', '.join(commands) or 'the interpreter'} in {within_s:g} s")
         for number in range(tries):
-            self.begin(commands, first=END if number else b"")  # which ends a command that was cut short
+            self.begin(commands, first=SPOILS if number else b"")
             replies = self.collect(self._clock.now() + within_s)
             if replies is None:
                 continue

@@ -1,6 +1,5 @@
 """What a drive is asked and told before it may run: who it is, that it is off, its scales and limits, its dead-man."""
 
-import math
 from typing import NamedTuple
 
 from leactl.driver.clock import Clock
@@ -8,7 +7,7 @@ from leactl.driver.contract import Identity
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
 from leactl_plugins.elmo.fault_names import motor_fault
 from leactl_plugins.elmo.scales import CountedPosition
-from leactl_plugins.elmo_serial.interpreter import Interpreter
+from leactl_plugins.elmo_serial.interpreter import SPOILS, Interpreter
 from leactl_plugins.elmo_serial.settings import ElmoSerialSettings
 from leactl_plugins.elmo_serial.status import Status
 
@@ -41,8 +40,8 @@ class Meeting:
         NoAnswer : nothing at this baud rate answers as an Elmo's interpreter does.
         """
         echoed = False
-        for number in range(3):
-            self._interpreter.begin(("MO=0", "EO=0", "HX=0"), first=b"\r" if number else b";\r")
+        for _ in range(3):
+            self._interpreter.begin(("MO=0", "EO=0", "HX=0"), first=SPOILS)
             if self._interpreter.collect(self._clock.now() + self._answer_s) is not None:
                 return echoed
             echoed = True  # what comes back is what was sent, which has not the shape of an answer
@@ -108,8 +107,8 @@ class Meeting:
         found = DriveLimits(
             replies.number("PL[1]"),
             replies.number("CL[1]"),
-            replies.number("VL[2]") if "VL[2]" in replies else -math.inf,
-            replies.number("VH[2]") if "VH[2]" in replies else math.inf,
+            replies.number("VL[2]") if "VL[2]" in replies else COUNTS_OF_32_BITS[0],
+            replies.number("VH[2]") if "VH[2]" in replies else COUNTS_OF_32_BITS[1] - 1,
         )
         if found.peak <= 0.0 or found.continuous <= 0.0:
             raise DeviceError(
