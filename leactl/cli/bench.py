@@ -190,6 +190,9 @@ app.command("remark", epilog=examples('bench remark "the bearing squeaks" mine.y
 app.command("read", epilog=examples("bench read mine.yaml", "bench read mine.yaml --for 5 --json", ends=ON_A_BENCH))(
     bench_by_hand.read
 )
+app.command("recording", epilog=examples("bench recording drive_test mine.yaml --out step.csv", ends=(DeviceError,)))(
+    bench_by_hand.recording
+)
 app.command("zero", epilog=examples("bench zero mine.yaml", ends=ON_A_BENCH))(bench_by_hand.zero)
 app.command(
     "jog",

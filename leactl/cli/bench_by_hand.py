@@ -1,4 +1,4 @@
-"""`leactl bench stop, pause, resume, remark, read, zero, jog`: what an operator does at a bench beside a protocol."""
+"""`leactl bench stop, pause, resume, remark, read, zero, jog, recording`: what is done at a bench beside a protocol."""
 
 import json
 import time
@@ -262,6 +262,24 @@ def jog(
     else:
         print_end(outcome)
     finish(outcome, [])
+
+
+def recording(
+    device: str = typer.Argument(help="Name of the device in the bench file."),
+    bench: str = BENCH,
+    out: Path = typer.Option(..., "--out", help="File to save it in; it must not be there."),
+    bus: list[str] = BUS,
+    as_json: bool = AS_JSON,
+) -> None:
+    """Save what a drive's own recorder holds as a text table, for `leactl runs attach`; the drive is off meanwhile."""
+    from leactl.runner.own_recording import save_recording
+
+    saved = save_recording(bench, device, out, bus)
+    if as_json:
+        answer = {"file": str(saved.file), "columns": saved.headings, "rows": saved.rows, "interval_s": saved.interval}
+        typer.echo(json.dumps(answer))
+    else:
+        typer.echo(f"{saved.file}: {saved.rows} rows every {saved.interval:g} s: {', '.join(saved.headings)}")
 
 
 def _perform(

@@ -318,6 +318,27 @@ class ProtectedSupply(Protocol):
         """
 
 
+class OwnRecording(NamedTuple):
+    """What a device's own recorder holds, on a clock of its own that begins at 0."""
+
+    headings: tuple[str, ...]  # of the columns, with their units in brackets
+    interval: float  # between two rows [s]
+    values: "NDArray[np.float64]"  # (rows, columns)
+
+
+@runtime_checkable
+class RecordingDevice(Protocol):
+    """A device with a recorder inside, faster than any line to it; it is armed by the maker's program."""
+
+    def recorded(self) -> OwnRecording:
+        """Upload what the recorder holds, which may take many seconds; only while the device is open and off.
+
+        Raises
+        ------
+        DeviceError : it holds nothing, or the upload is not whole.
+        """
+
+
 def drive_channels(role: str, device: str) -> tuple[ChannelSpec, ...]:
     """Channels that the `values` of a drive begin with: references, readings, and whether it follows its setpoint."""
 

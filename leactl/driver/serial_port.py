@@ -11,7 +11,7 @@ from typing import Protocol
 from leactl.driver.clock import Clock
 from leactl.errors import DeviceError
 
-LONGEST_LINE = 256  # bytes; what is longer is noise, of which the end alone is kept
+LONGEST_LINE = 256  # bytes, unless a driver expects more; what is longer is noise, of which the end alone is kept
 MOST_LINES = 64  # that wait to be taken; a device that babbles pushes out the oldest
 
 
@@ -46,6 +46,7 @@ class SerialPort:
         self.clock = clock
         self.name = name
         self.line_end = b"\n"  # of both directions; the driver of a device with another one sets it
+        self.longest_line = LONGEST_LINE
         self._line: SerialLine | None = None
         self._users = 0
         self._begun = b""
@@ -138,8 +139,8 @@ class SerialPort:
         except OSError as error:
             raise self._gone(error) from None
         *lines, begun = (self._begun + read).split(self.line_end)
-        self._lines.extend(line[-LONGEST_LINE:].rstrip(b"\r") for line in lines)
-        self._begun = begun[-LONGEST_LINE:]
+        self._lines.extend(line[-self.longest_line :].rstrip(b"\r") for line in lines)
+        self._begun = begun[-self.longest_line :]
 
     def _open_line(self) -> None:
         try:

@@ -182,3 +182,16 @@ def test_a_bench_that_another_run_holds_is_refused(testbed, holder, arguments):
     done = leactl("bench", arguments[0], testbed, *arguments[1:])
     assert (done.returncode, done.stdout) == (5, "")
     assert f"bench 'testbed-{os.getpid()}' is driven by another run, process {holder.pid};" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nobody"], "bench 'emulated' has no device 'nobody'; it has drive_test, drive_load, torque_sensor, daq"),
+        (["drive_test"], "drive_test (elmo_can) has no recorder of its own that could be uploaded"),
+    ],
+)
+def test_a_recording_is_refused_where_there_is_no_recorder(here, arguments, words):
+    done = leactl("bench", "recording", *arguments, "--out", "step.csv")
+    assert (done.returncode, done.stderr) == (2, f"leactl: {words}\n")
+    assert not (here / "step.csv").exists()

@@ -52,6 +52,11 @@ class ElmoSerialBench:
         self.drive = ElmoSerial("drive", "test", self.settings, self.port, self.clock)
 
     @property
+    def place(self):
+        """The line's port; of a pseudo terminal only."""
+        return self.wire.port
+
+    @property
     def shaft(self):
         """What the drive turns; in process only."""
         return self.far.shaft
@@ -90,4 +95,5 @@ class ElmoSerialBench:
         heard, end = b"", self.clock.now() + 0.2
         while self.clock.now() < end:
             heard += line.read(0.01)
+        line.close()
         return heard

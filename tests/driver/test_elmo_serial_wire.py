@@ -2,26 +2,37 @@
 
 import json
 import math
+import os
 import re
+import subprocess
+import sys
 
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from leactl_plugins.elmo.fault_names import bits_of, motor_fault, refusal
+from leactl_plugins.elmo_recorder_csv.driver import ElmoRecorderCsv
+from leactl_plugins.elmo_recorder_csv.settings import ElmoRecorderCsvSettings
 from leactl_plugins.elmo_serial.interpreter import CommandRefused, Interpreter
 from leactl_plugins.elmo_serial.outliers import Outliers
+from leactl_plugins.elmo_serial.recorder import parsed
 from leactl_plugins.elmo_serial.settings import ElmoSerialSettings
 from leactl_plugins.elmo_serial.status import Status
 from pydantic import ValidationError
 
+from leactl.bench import benchfile
 from leactl.driver.contract import Mode
 from leactl.driver.conversation import Unreadable
 from leactl.driver.serial_port import SerialPort
 from leactl.emulation.clock import EmulatedClock
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
+from leactl.runner.own_recording import save_recording
+from tests.cli.terminal import leactl
 
 from .elmo_serial_bench import ElmoSerialBench
 from .failing import COUNTS
+from .transports import ROOT
 
 CURRENT, VELOCITY, ANGLE, ENABLED = 3, 4, 5, 6
 
@@ -721,3 +732,132 @@ def test_a_drive_in_another_process_is_met_moved_and_stopped(make_serial_drive):
     assert bench.drive.safe_state(1.0).safe
     assert bench.far.follows()[0] == "off"
     assert json.dumps(bench.drive.identity()) == '["Elmo Whistle", "1", "1.01.12.00 08Mar2018"]'
+
+
+# -- the drive's own recorder ------------------------------------------------------------------------------------------
+
+
+def test_an_upload_is_read_as_the_manual_takes_it_apart():
+    upload = parsed("0008000100013f80000000010000")  # Command Reference of the steppers' line, BH
+    assert (upload.values.tolist(), upload.gap) == ([65536.0], 1)
+    assert parsed("000400020003" + "3c000000" + "ab12" + "0001").values.tolist() == [-21742 / 128, 1 / 128]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "a recording of 0 characters where 20 and more"),
+        ("0008000100013f8000000001000", "of 0.875 items where its head says 1"),
+        ("0008000100013f80000000010000ff", "of 1.25 items where its head says 1"),
+        ("0006000100013f80000000010000", "items of 6 digits; 4 or 8 were"),
+        ("0008000100017f80000000010000", "with the factor inf and a gap of 1"),
+        ("000800010001zz80000000010000", "of 28 characters where 20 and more hexadecimal"),
+    ],
+)
+def test_an_upload_that_is_not_whole_is_refused(text, message):
+    with pytest.raises(Unreadable, match=message):
+        parsed(text)
+
+
+@given(st.text(st.sampled_from("0123456789abcdef"), max_size=80))
+def test_digits_of_any_kind_are_a_recording_or_refused(text):
+    try:
+        upload = parsed(text)
+    except Unreadable:
+        return
+    assert len(text) == 20 + int(text[2:4], 16) * len(upload.values)
+
+
+def test_the_recorder_is_uploaded_signal_by_signal(bench):
+    bench.shaft.velocity, bench.shaft.angle = 2.0, 0.5
+    bench.far.hold("RC", 0b1000000011)
+    bench.far.hold("RG", 5)
+    bench.far.hold("RL", 40)
+    bench.engage(Mode.CURRENT)
+    bench.drive.command(3.0)
+    bench.cycle()
+    with pytest.raises(DeviceError, match=r"^drive: its recorder holds nothing \(RR is -1\); 0 was expected"):
+        bench.drive.recorded()
+    bench.talk(b"RR=2;")
+    assert bench.drive.safe_state(1.0).safe
+    recording = bench.drive.recorded()
+    assert recording.headings == ("VX (counts/s)", "PX (counts)", "IQ (A)")
+    assert recording.interval == pytest.approx(5e-4)
+    assert recording.values.shape == (40, 3)
+    assert recording.values[0].tolist() == [12732.0, 3183.0, pytest.approx(3.0 / math.sqrt(1.5), abs=0.008)]
+
+
+def test_an_upload_with_a_byte_missing_is_refused(bench):
+    bench.far.hold("RC", 1)
+    bench.talk(b"RR=2;")
+    once = iter([True])
+    bench.to_host = lambda data: data[1:] if len(data) > 8 and b";" not in data and next(once, False) else data
+    with pytest.raises(DeviceError, match=r"^drive: a recording of 1023.88 items where its head says \d+$"):
+        bench.drive.recorded()
+
+
+HOST = """
+import sys
+from tests.driver.elmo_serial_bench import ElmoSerialBench
+from tests.driver.transports import SerialToLine
+from leactl.driver.contract import Mode
+bench = ElmoSerialBench(wire=SerialToLine(sys.argv[1]), dead_man_ms=1000, answer_timeout_s=0.5)
+bench.drive.open()
+bench.engage(Mode.CURRENT)
+bench.drive.command(2.0)
+while True:
+    bench.cycle()
+    if bench.drive.values[0] == 2.0:
+        print("moving", flush=True)
+"""
+
+
+def test_a_host_that_is_killed_leaves_a_drive_that_switches_itself_off(make_serial_drive):
+    bench = make_serial_drive()
+    with subprocess.Popen([sys.executable, "-c", HOST, bench.place], cwd=ROOT, stdout=subprocess.PIPE) as host:
+        try:
+            assert host.stdout.readline() == b"moving\n"
+            assert bench.far.follows()[0] == "current"
+        finally:
+            host.kill()
+    began = bench.clock.now()
+    while bench.far.follows()[0] != "off":
+        assert bench.clock.now() - began < 10.0
+
+
+def test_a_recording_is_saved_as_a_table_that_the_importer_reads(make_serial_drive, tmp_path):
+    bench = make_serial_drive()
+    bench.far.hold("RC", 0b1000000011)
+    bench.far.hold("RL", 50)
+    bench.talk(b"RR=2;")
+    bench.drive.close()
+    data = yaml.safe_load((benchfile.SHIPPED / "emulated.yaml").read_text())
+    del data["emulated"]
+    data["name"] = f"recorded-{os.getpid()}"
+    data["buses"]["can0"]["interface"] = "socketcan"
+    data["buses"]["line"] = {"kind": "serial", "port": bench.place, "baudrate": 115200}
+    data["devices"]["drive_test"] |= {
+        "driver": "elmo_serial",
+        "bus": "line",
+        "settings": {"counts_per_turn": COUNTS, "answer_timeout_s": 0.5},
+    }
+    path, target = tmp_path / "bench.yaml", tmp_path / "step.csv"
+    path.write_text(yaml.safe_dump(data))
+    done = leactl("bench", "recording", "drive_test", str(path), "--out", str(target), "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told == {"file": str(target), "columns": told["columns"], "rows": 50, "interval_s": pytest.approx(1e-4)}
+    assert told["columns"] == ["VX (counts/s)", "PX (counts)", "IQ (A)"]
+    signals = {
+        "speed": {"column": "VX", "quantity": "velocity"},
+        "place": {"column": "PX", "quantity": "angle"},
+        "current": {"column": "IQ", "quantity": "q_axis_current"},
+    }
+    settings_of_importer = ElmoRecorderCsvSettings(signals=signals, time_column="Time", counts_per_turn=COUNTS)
+    importer = ElmoRecorderCsv("recorder", "test", settings_of_importer, None, None)
+    record = importer.read_files([target])
+    assert record.values.shape == (50, 3)
+    assert record.values[0, 1] == pytest.approx(0.25, abs=1e-4)  # where the shaft stands
+    assert record.time[-1] == pytest.approx(49e-4)
+    with pytest.raises(InputError, match="exists already and is never overwritten"):
+        save_recording(str(path), "drive_test", target)

@@ -114,15 +114,25 @@ class SerialInProcess:
         return self.wire.device
 
 
-class SerialElsewhere:
-    """A pseudo terminal; other load on the machine may hold up either side, so the times allowed are long."""
+class SerialToLine:
+    """A serial line by its port; other load on the machine may hold up either side, so the times allowed are long."""
 
     exact = False
     settings = {"answer_s": 2.0, "period_s": 0.2}
 
+    def __init__(self, port):
+        self.clock, self.port = MonotonicClock(), port
+        self.connect = MachineWiring().serial("supply0", SerialBus(kind="serial", port=port))
+
+    def device(self, *_arguments):
+        """Nothing: whoever made the line has put a device there."""
+
+
+class SerialElsewhere(SerialToLine):
+    """A pseudo terminal, and what is at its end in another process."""
+
     def __init__(self, process, place):
-        self.clock = MonotonicClock()
-        self.connect = MachineWiring().serial("supply0", SerialBus(kind="serial", port=place["link"]))
+        super().__init__(place["link"])
         self._process = process
 
     def device(self, kind, *arguments):

@@ -11,10 +11,19 @@ from typing import Any, ClassVar
 
 from leactl.driver.answers import Irregular
 from leactl.driver.clock import Clock
-from leactl.driver.contract import Confirmation, Driver, Identity, Mode, Row, StreamSpec, drive_channels
+from leactl.driver.contract import (
+    Confirmation,
+    Driver,
+    Identity,
+    Mode,
+    OwnRecording,
+    Row,
+    StreamSpec,
+    drive_channels,
+)
 from leactl.driver.conversation import Unreadable
 from leactl.driver.far_end import Physics, SerialEmulator
-from leactl.driver.serial_port import SerialPort
+from leactl.driver.serial_port import LONGEST_LINE, SerialPort
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.elmo.scales import CountedPosition
@@ -34,6 +43,7 @@ SAFE_TRY_S = 0.2  # that one try of the safe state may take, echo and lost bytes
 AFRESH_S = 0.01  # between a connection that has failed and what is sent over the next
 MUST_BE_ON = 58  # what a demand is refused by while the motor is off
 LEAST_PATIENCE_S = 0.02  # with an answer in the loop; an adapter on USB holds bytes back for up to 16 ms
+LONGEST_UPLOAD = 20 + 8 * 0xFFFF  # bytes of one recorded signal
 MOST_GARBLED = 3  # exchanges in a row
 QUIET_S = 1.0  # at most one notice of each kind in this time
 NOISE = (("q-axis current [A]", 0.5), ("velocity [rad/s]", 0.2), ("angle [rad]", 0.02))  # of what is read; more is told
@@ -210,6 +220,23 @@ class ElmoSerial(Driver):
     def identity(self) -> Identity:
         """Version (VR) and serial number (SN[4]) as told when it was opened."""
         return self._identity
+
+    def recorded(self) -> OwnRecording:
+        """Upload what the drive's own recorder holds; only while it is open and off.
+
+        Raises
+        ------
+        DeviceError : it holds nothing, or the upload is not whole.
+        """
+        from leactl_plugins.elmo_serial import recorder
+
+        self._port.longest_line = LONGEST_UPLOAD
+        try:
+            return recorder.recorded(self._interpreter, self.settings.answer_timeout_s)
+        except DeviceError as error:
+            raise type(error)(f"{self.name}: {error}") from None
+        finally:
+            self._port.longest_line = LONGEST_LINE
 
     # -- one cycle ---------------------------------------------------------------------------------------------------
 

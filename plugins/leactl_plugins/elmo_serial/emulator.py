@@ -6,6 +6,7 @@ byte, between answers that are not sent yet (SimplIQ Software Manual, 3.2).
 
 import math
 import re
+import struct
 from collections import deque
 
 from leactl.driver.far_end import Machine
@@ -22,6 +23,8 @@ from leactl_plugins.elmo_serial.status import (
 BAD_COMMAND, BAD_INDEX, NEEDS_INDEX, EMPTY, SYNTAX, RANGE, READ_ONLY = 2, 3, 16, 18, 19, 21, 23
 NOT_IN_THIS_MODE, MUST_BE_OFF, MUST_BE_ON, BAD_UNIT_MODE, NOTHING_YET = 12, 57, 58, 60, 164
 BAD_NUMBER = 162
+BAD_START, NO_DATA = 7, 70
+CELLS, LONG_SIGNALS, CURRENT_FACTOR = 16, (1, 2), 0.0078125  # bits of RC, what is uploaded in 8 digits, A per bit
 MOST_INPUT = 512
 EXECUTE_S = 2e-4  # from the end of a command to the first byte of its answer
 TICK_S = 0.01  # at which the program looks at the host's counter
@@ -73,8 +76,15 @@ class ElmoSerialEmulator:
             "XM[1]": -1_000_000_000,
             "XM[2]": 1_000_000_000,
             "CA[18]": counts_per_turn,
+            "RC": 0,
+            "RG": 1,
+            "RL": 1024,
+            "WS[29]": 100,
+            **{f"RV[{number}]": number for number in range(1, 17)},
             **{f"UI[{number}]": 0 for number in range(1, 25)},
         }
+        self._recording: dict[int, list[int]] = {}  # what the recorder holds, by bit of RC
+        self._next_sample, self._samples_left = math.inf, 0
         self.serial_number = "1"
         self.on = False
         self.program_running = True  # started by itself when the drive was switched on
@@ -95,7 +105,7 @@ class ElmoSerialEmulator:
         if self.frozen:
             return math.inf
         tick = self._next_tick if self.on and self.program_running else math.inf
-        return min(self._output[0][0] if self._output else math.inf, tick)
+        return min(self._output[0][0] if self._output else math.inf, tick, self._next_sample)
 
     def receive(self, data: bytes, now: float) -> None:
         """Take bytes as they arrive: each is echoed at once; a semicolon or a carriage return ends a command."""
@@ -117,6 +127,8 @@ class ElmoSerialEmulator:
         if self.on and self.program_running and now >= self._next_tick:
             self._next_tick += TICK_S
             self._watch()
+        if now >= self._next_sample:
+            self._sample()
         if self._output and now >= self._output[0][0]:
             return self._output.popleft()[1]
         return b""
@@ -188,6 +200,42 @@ class ElmoSerialEmulator:
             | (2 if moving else 1 if not self.on else 0) << MOTION_SHIFT
         )
 
+    # -- the recorder ------------------------------------------------------------------------------------------------
+
+    def _record(self, value: float, now: float) -> None:
+        """Begin to record at once (RR=2), or give up; a trigger is not emulated."""
+        if value not in (0, 2):
+            raise Error(RANGE)
+        self._recording = {bit: [] for bit in range(CELLS) if int(self.values["RC"]) >> bit & 1} if value else {}
+        if value and not self._recording:
+            raise Error(BAD_START)
+        self._samples_left = int(self.values["RL"]) if value else 0
+        self._next_sample = now if value else math.inf
+
+    def _sample(self) -> None:
+        current, velocity, angle = self._machine.read()
+        counted = {1: velocity * self._counts_per_rad, 2: angle * self._counts_per_rad}
+        units = {10: current / self._q_axis_per_ampere / CURRENT_FACTOR, 7: self._machine.bus_voltage}
+        for bit, items in self._recording.items():
+            signal = int(self.values[f"RV[{bit + 1}]"])
+            items.append(round((counted | units).get(signal, 0.0)))
+        self._samples_left -= 1
+        self._next_sample += 1e-6 * self.values["RG"] * self.values["WS[29]"]
+        if not self._samples_left:
+            self._next_sample = math.inf
+
+    def _upload(self, value: float) -> str:
+        """The answer to BH: the lowest bit of RC that is asked for; short items for what is measured as a voltage."""
+        asked = int(value) & int(self.values["RC"])
+        bit = (asked & -asked).bit_length() - 1
+        if self._samples_left or bit not in self._recording:
+            raise Error(NO_DATA)
+        long = int(self.values[f"RV[{bit + 1}]"]) in LONG_SIGNALS
+        factor = CURRENT_FACTOR if self.values[f"RV[{bit + 1}]"] == 10 else 1.0
+        items, layout = self._recording[bit], ">i" if long else ">h"
+        head = f"00{8 if long else 4:02x}{len(items):04x}{int(self.values['RG']):04x}{struct.pack('>f', factor).hex()}"
+        return head + b"".join(struct.pack(layout, item) for item in items).hex()
+
     # -- the interpreter ---------------------------------------------------------------------------------------------
 
     def _obey(self, command: str, now: float) -> bytes:
@@ -210,6 +258,8 @@ class ElmoSerialEmulator:
             raise Error(EMPTY)
         if not _number.fullmatch(found[4]):
             raise Error(BAD_NUMBER)
+        if name == "BH":
+            return self._upload(float(found[4]))
         self._set(name, float(found[4]), now)
         return ""
 
@@ -229,6 +279,7 @@ class ElmoSerialEmulator:
             "MF": self.fault_bits,
             "MS": self.status >> MOTION_SHIFT & 3,
             "EC": self._last_error,
+            "RR": 2 if self._samples_left else 0 if self._recording else -1,
         }
         if name in whole:
             return str(whole[name])
@@ -247,8 +298,8 @@ class ElmoSerialEmulator:
         return BAD_COMMAND
 
     def _set(self, name: str, value: float, now: float) -> None:
-        if name == "MO":
-            self._set_motor(value, now)
+        if name in ("MO", "RR"):
+            (self._set_motor if name == "MO" else self._record)(value, now)
             return
         if name not in self.values:
             read_only = ("IQ", "ID", "VX", "PX", "SR", "MF", "MS", "EC", "VR", "SN[4]", self._voltage_command)

@@ -19,6 +19,7 @@ from leactl_plugins.elmo.fault_names import refusal
 END, REFUSED = b";", b"?"
 SPOILS = b"!;"  # ends a command that was cut short, as one that nobody can carry out: MO=1 might stand there
 EXECUTED = frozenset(("BG", "ST"))  # commands that carry no value and are answered by none
+UPLOAD = "BH="  # which is answered by a value although it looks like an assignment
 TAGS = 900
 FIRST_TAG = 100
 LONGEST_VALUE = 64
@@ -237,7 +238,11 @@ class Interpreter:
 
 
 def _sets(command: str) -> bool:
-    return "=" in command or command in EXECUTED
+    return ("=" in command and not command.startswith(UPLOAD)) or command in EXECUTED
+
+
+def _longest(command: str) -> float:
+    return math.inf if command.startswith(UPLOAD) else LONGEST_VALUE
 
 
 def _decoded(segments: Sequence[bytes], commands: Sequence[str]) -> Replies | None:
@@ -251,7 +256,7 @@ def _decoded(segments: Sequence[bytes], commands: Sequence[str]) -> Replies | No
             if len(segment) != 2:
                 return None
             refused[command] = segment[0]
-        elif bool(segment) is _sets(command) or len(segment) > LONGEST_VALUE:
+        elif bool(segment) is _sets(command) or len(segment) > _longest(command):
             return None
         else:
             values[command] = segment

@@ -1,0 +1,83 @@
+"""What a device's own recorder holds, saved as a text table that its importer reads and `leactl runs attach` takes."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from leactl.bench import benchfile
+from leactl.bench.bench import Bench
+from leactl.bench.wiring import MachineWiring
+from leactl.driver import registry
+from leactl.driver.contract import OwnRecording, RecordingDevice
+from leactl.driver.stopping import doubt, make_safe
+from leactl.errors import DeviceError, InputError
+from leactl.runfile.publish import new_file, refuse_existing
+from leactl.runner import locks
+from leactl.runner.checked_bench import load_checked
+
+DIGITS = 9  # of a number: what single precision holds
+
+
+class SavedRecording(NamedTuple):
+    """A recording that has become a file."""
+
+    file: Path
+    headings: tuple[str, ...]
+    rows: int
+    interval: float  # s
+
+
+def save_recording(name_or_path: str, device: str, target: Path, elsewhere: Sequence[str] = ()) -> SavedRecording:
+    """Upload what the recorder of a bench's device holds, with the device off, and save it; no other is touched.
+
+    Parameters
+    ----------
+    device : its name in the bench file; it needs a recorder (`RecordingDevice`).
+    target : a path that is not taken.
+    elsewhere : buses as `NAME=INTERFACE:CHANNEL` puts them.
+
+    Raises
+    ------
+    InputError : no such device, none with a recorder, a bench without buses of this machine, or a name that is taken.
+    DeviceError : a run holds the bench, or the recorder holds nothing; nothing was written.
+    """
+    refuse_existing(target)
+    file, devices, _document = load_checked(name_or_path)
+    moved = benchfile.put_elsewhere(file, elsewhere)
+    chosen = [entry for entry in devices if entry.name == device]
+    if not chosen:
+        raise InputError(f"bench '{file.name}' has no device '{device}'; it has {', '.join(d.name for d in devices)}")
+    if not hasattr(registry.load(chosen[0].entry.driver), "recorded"):
+        raise InputError(f"{device} ({chosen[0].entry.driver}) has no recorder of its own that could be uploaded")
+    if file.emulated is not None and chosen[0].entry.bus not in moved:
+        raise InputError(
+            f"bench '{file.name}' is emulated: nothing has been recorded there; serve it (leactl bench serve), and say"
+            " by --bus where"
+        )
+    file = file.model_copy(update={"buses": {**file.buses, **moved}})
+    with locks.held(file, chosen):
+        recording = _uploaded(Bench(file, chosen, MachineWiring()), device)
+    with new_file(target) as path:
+        path.write_text(_table(recording), encoding="utf-8")
+    return SavedRecording(target, recording.headings, len(recording.values), recording.interval)
+
+
+def _uploaded(bench: Bench, name: str) -> OwnRecording:
+    """Open the device, which makes it off, upload, and let it go."""
+    device = bench.drivers[name]
+    assert isinstance(device, RecordingDevice)
+    bench.open()
+    try:
+        return device.recorded()
+    finally:
+        unsafe = doubt(make_safe([device]))
+        bench.close()
+        if unsafe:
+            raise DeviceError(unsafe)
+
+
+def _table(recording: OwnRecording) -> str:
+    lines = [",".join(("Time (s)", *recording.headings))]
+    for number, row in enumerate(recording.values.tolist()):
+        lines.append(",".join(f"{value:.{DIGITS}g}" for value in (number * recording.interval, *row)))
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,100 @@
+"""The drive's own recorder: every signal at one instant, uploaded as hexadecimal digits once it is full.
+
+SimplIQ Software Manual, 7.4: RR says whether valid data are there, each bit of RC is a signal that RV names by number,
+RG is the gap between samples in units of WS[29], and BH=n uploads the signal of one bit of RC.
+"""
+
+import math
+import re
+import struct
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leactl.driver.contract import OwnRecording
+from leactl.driver.conversation import Unreadable
+from leactl.errors import DeviceError
+from leactl_plugins.elmo_serial.interpreter import UPLOAD, Interpreter
+
+SIGNALS = {
+    1: "VX (counts/s)",
+    2: "PX (counts)",
+    3: "DV[3] (counts)",
+    5: "PE (counts)",
+    6: "DV[1] (A)",
+    7: "DC bus (V)",
+    8: "PY (counts)",
+    9: "VY (counts/s)",
+    10: "IQ (A)",
+    11: "ID (A)",
+    12: "AN[1] (V)",
+    14: "AN[3] (A)",
+    15: "AN[4] (A)",
+    16: "DV[2] (counts/s)",
+}
+HEAD = 20  # digits: type 2, width 2, length 4, gap 4, factor 8
+WIDTHS = {4: ">i2", 8: ">i4"}  # digits of an item, and what it is
+CELLS = 16  # bits of RC
+SHORTEST_US, LONGEST_US = 10, 10_000  # of WS[29], beyond which it is no time in microseconds
+UPLOAD_S = 30.0  # 4096 items of 8 digits take 17 s at 19200 baud
+
+
+class Upload(NamedTuple):
+    """One signal as it was uploaded."""
+
+    values: NDArray[np.float64]  # (n,), in the signal's units
+    gap: int  # between two items, in sampling times of the recorder
+
+
+def parsed(text: str) -> Upload:
+    """Read the answer to BH.
+
+    Raises
+    ------
+    Unreadable : no hexadecimal digits, or another number of them than its head says.
+    """
+    if len(text) < HEAD or not re.fullmatch(r"[0-9A-Fa-f]+", text, re.ASCII):
+        raise Unreadable(
+            f"a recording of {len(text)} characters where {HEAD} and more hexadecimal digits were expected"
+        )
+    width, length, gap = int(text[2:4], 16), int(text[4:8], 16), int(text[8:12], 16)
+    (factor,) = struct.unpack(">f", bytes.fromhex(text[12:HEAD]))
+    if width not in WIDTHS:
+        raise Unreadable(f"a recording of items of {width} digits; 4 or 8 were expected")
+    if len(text) != HEAD + width * length:
+        raise Unreadable(f"a recording of {(len(text) - HEAD) / width:g} items where its head says {length}")
+    if not math.isfinite(factor) or gap < 1:
+        raise Unreadable(f"a recording with the factor {factor:g} and a gap of {gap}")
+    items = np.frombuffer(bytes.fromhex(text[HEAD:]), WIDTHS[width])
+    return Upload(items.astype(np.float64) * factor, gap)
+
+
+def recorded(interpreter: Interpreter, answer_s: float) -> OwnRecording:
+    """Upload every signal that the recorder holds.
+
+    Raises
+    ------
+    DeviceError : it holds none, is busy, or answers what cannot be read.
+    """
+    replies = interpreter.ask("RR", "RC", "RG", "WS[29]", within_s=answer_s)
+    state, cells, gap, sampling_us = (replies.whole(name) for name in ("RR", "RC", "RG", "WS[29]"))
+    if state != 0:
+        found = "holds nothing" if state < 0 else "waits for its trigger, or records"
+        raise DeviceError(f"its recorder {found} (RR is {state}); 0 was expected, which is a whole recording")
+    if not SHORTEST_US <= sampling_us <= LONGEST_US:
+        raise DeviceError(f"its recorder samples every {sampling_us} us (WS[29]); that is no time of a drive's")
+    columns: dict[str, Upload] = {}
+    for cell in range(1, CELLS + 1):
+        if cells >> cell - 1 & 1:
+            number = interpreter.ask(f"RV[{cell}]", within_s=answer_s).whole(f"RV[{cell}]")
+            command = f"{UPLOAD}{1 << cell - 1}"
+            text = interpreter.ask(command, within_s=UPLOAD_S, tries=1).text(command)
+            columns[SIGNALS.get(number, f"signal {number}")] = upload = parsed(text)
+            if upload.gap != gap:
+                raise Unreadable(f"{command} was answered by a gap of {upload.gap} where RG is {gap}")
+    lengths = {len(upload.values) for upload in columns.values()}
+    if len(lengths) != 1:
+        raise Unreadable(f"its recorder gives signals of {', '.join(map(str, sorted(lengths))) or 'no'} items")
+    values = np.stack([upload.values for upload in columns.values()], axis=1)
+    return OwnRecording(tuple(columns), 1e-6 * gap * sampling_us, values)
