@@ -1,6 +1,6 @@
 """A bench with its devices open: one exchange a cycle with all drives, own streams beside it, one way to close."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from leactl import yamlfile
@@ -16,6 +16,9 @@ from leactl.driver.stopping import doubt, make_safe
 from leactl.errors import DeviceError, InputError, LeactlError, NoBus
 from leactl.quantities import ChannelSpec
 
+Wrap = Callable[[str, str, Callable[..., Any]], Callable[..., Any]]
+"""Of an owner, the name of one of its calls, and the call itself."""
+
 
 class Bench:
     """The devices of a bench file on a wiring; `open` before use, `close` in any case."""
@@ -28,7 +31,7 @@ class Bench:
         self.drives: dict[str, Driver] = {}
         self.provenance = {device.name: Provenance(device.entry) for device in devices}
         self._motion: list[MotionDevice] = []
-        synchronised: dict[str, CanPort] = {}
+        self.syncs: dict[str, Callable[[], None]] = {}  # CANopen's SYNC, by bus
         for device in devices:
             entry = device.entry
             port = ports[entry.bus] if entry.bus else wiring.library(device.name)
@@ -40,8 +43,8 @@ class Bench:
                 self.drives[entry.role] = driver
                 self._motion.append(driver)
             if driver.synchronised and isinstance(port, CanPort) and entry.bus:
-                synchronised[entry.bus] = port
-        self._sync = [port.sync for port in synchronised.values()]
+                self.syncs[entry.bus] = port.sync
+        self._sync = list(self.syncs.values())
         self._noticing = [
             (name, driver) for name, driver in self.drivers.items() if type(driver).notices is not Driver.notices
         ]
@@ -51,6 +54,14 @@ class Bench:
             for drive in self._motion
             for channel in drive.loop_channels
         )
+
+    def pass_calls_through(self, wrap: Wrap, names: Sequence[str]) -> None:
+        """Have these calls of every driver, and every SYNC, pass through a function; before any of them is made."""
+        for name, driver in self.drivers.items():
+            for call in names:
+                if hasattr(driver, call):
+                    setattr(driver, call, wrap(name, call, getattr(driver, call)))
+        self._sync = [wrap(name, "sync", sync) for name, sync in self.syncs.items()]
 
     @property
     def others(self) -> list[Driver]:

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import typer
 
-from leactl.cli.completion import drivers
+from leactl.cli.completion import benches, drivers
 from leactl.cli.helptext import examples, group_of_commands
-from leactl.errors import InputError
+from leactl.errors import DeviceError, InputError
 
 app = group_of_commands()
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
@@ -102,3 +102,33 @@ def new(
     second = "answer_of" if bus == "serial" else "register_of"
     typer.echo(f"\nFill in value_of in driver.py and {second} in emulator.py, then:")
     typer.echo(f"  pip install -e {folder} && leactl driver check {name} && pytest {folder}")
+
+
+@app.command(
+    epilog=examples(
+        "driver replay run.trace --bench mine.yaml",
+        ends=(DeviceError,),
+        means={DeviceError: "a driver sent or ended otherwise than the trace has it"},
+    )
+)
+def replay(
+    trace: Path = typer.Argument(help="A file that leactl run --trace has written."),
+    bench: str = typer.Option(..., "--bench", help="The run's bench file.", autocompletion=benches),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Make the calls of a trace again on the drivers, its wires answering as they did, and say where they differ."""
+    from leactl.bench import benchfile, wire_replay
+
+    file, devices, _document = benchfile.load(bench)
+    replayed = wire_replay.replay(trace, file, devices)
+    if as_json:
+        body = replayed._asdict() | {"difference": replayed.difference and replayed.difference._asdict()}
+        typer.echo(json.dumps(body))
+    else:
+        typer.echo(f"{trace}: {replayed.calls} calls ended as they did, {replayed.transfers} transfers were the same")
+        if replayed.cut_short:
+            typer.echo("  the trace ends within a call")
+        for text in replayed.raised:
+            typer.echo(f"  as then: {text}")
+    if replayed.difference is not None:
+        raise DeviceError(f"{trace}:{replayed.difference.line}  {replayed.difference}")

@@ -45,10 +45,14 @@ def run(
     at_end: str = typer.Option(
         "", "--at-end", metavar="COMMAND", help="Run this when the run is over: COMMAND STATUS RUN.h5."
     ),
+    trace: Path | None = typer.Option(
+        None, "--trace", metavar="FILE", help="Write every byte of every wire; CAN frames apart with .asc, .blf, .log."
+    ),
     dry_run: bool = typer.Option(False, "--dry-run", help="Check everything, print the plan, and move nothing."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
     """Run a protocol on a bench: every setpoint supervised, every sample in one run file."""
+    from leactl.bench.wire_trace import WireTrace
     from leactl.errors import InputError
     from leactl.runner.acceptance import judge_all
     from leactl.runner.event_lines import STDOUT, EventLines
@@ -74,8 +78,12 @@ def run(
             print(f"leactl: warning: {text}", file=sys.stderr)
         typer.echo(json.dumps(body) if as_json else rehearsal_text(request, rehearsal, body))
         return
-    with to_the_end(), EventLines(events) if events else nullcontext() as lines:
-        outcome = perform(replace(request, lines=lines))
+    with (
+        to_the_end(),
+        EventLines(events) if events else nullcontext() as lines,
+        WireTrace(trace) if trace else nullcontext() as traced,
+    ):
+        outcome = perform(replace(request, lines=lines, trace=traced))
         acceptance, unmet = judge_all(request.plan, outcome)
         answer = outcome.as_json() | {"acceptance": acceptance}
         if lines is not None:

@@ -18,6 +18,7 @@ from leactl.bench.bench import Bench, refuse_blind
 from leactl.bench.benchfile import BenchFile, CheckedDevice
 from leactl.bench.provenance import overdue
 from leactl.bench.records import awaited, collect, placed
+from leactl.bench.wire_trace import CALLS, TracedWiring, WireTrace
 from leactl.bench.wiring import MachineWiring, Wiring
 from leactl.driver.contract import Confirmation, MotionDevice
 from leactl.driver.stopping import doubt
@@ -65,6 +66,7 @@ class Request:
     run_id: str = ""  # where it has to be known before the run; else one is made
     part_of: Mapping[str, str] = field(default_factory=dict)  # its campaign, and its place there
     lines: EventLines | None = None  # where the run is told as it goes
+    trace: WireTrace | None = None  # where every byte of its wires goes
 
     @property
     def in_process(self) -> bool:
@@ -236,7 +238,7 @@ def _alone(request: Request) -> AbstractContextManager[list[int]]:
 
 def _ready(request: Request, windings: Windings) -> tuple[Request, Bench, Supervisor]:
     """The request with the plan that its windings allow, its bench, none of whose devices is open, and supervisor."""
-    bench = Bench(request.bench, request.devices, _wiring(request))
+    bench = _bench(request)
     check_fit(request.plan, bench)
     refuse_blind(bench, request.bench_document)
     planned = _planned_bytes(request.plan, bench)
@@ -468,6 +470,15 @@ def _check_supplies(request: Request, supervisor: Supervisor) -> None:
 def _planned_bytes(plan: Plan, bench: Bench) -> float:
     rates = [plan.record_Hz, *(action.rate_Hz for action in plan.actions if isinstance(action, Record))]
     return planned_bytes(bench.streams(), max(rates), plan.rate_Hz, plan.duration_s, bench.fast_streams)
+
+
+def _bench(request: Request) -> Bench:
+    trace = request.trace
+    if trace is None:
+        return Bench(request.bench, request.devices, _wiring(request))
+    bench = Bench(request.bench, request.devices, TracedWiring(_wiring(request), trace))
+    bench.pass_calls_through(trace.called, CALLS)
+    return bench
 
 
 def _wiring(request: Request) -> Wiring:

@@ -36,6 +36,7 @@ ELSEWHERE = {
     "bench pause": ("tests/cli/test_bench_stop.py", '"pause"'),
     "bench resume": ("tests/cli/test_bench_stop.py", '"resume"'),
     "bench remark": ("tests/cli/test_bench_stop.py", '"remark"'),
+    "driver replay": ("tests/runner/test_wire_traces.py", '"driver", "replay"'),
     "bench recording": ("tests/driver/test_elmo_serial_wire.py", '"bench", "recording"'),
     "runs trend torque_constant": ("tests/analysis/test_trend.py", '"runs", "trend"'),
     "runs import": ("tests/runfile/test_import_faults.py", '"runs", "import"'),

@@ -1,0 +1,327 @@
+"""A trace against the drivers: the same calls in the same order, and from the wires what was heard then.
+
+Time is the trace's own. What a driver sends has to be what it sent then; from the first difference on, what was heard
+would be no answer to it, and the replay ends.
+"""
+
+import errno
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from leactl.bench.bench import Bench
+from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus, SerialBus
+from leactl.bench.wire_trace import (
+    CALLED,
+    ENDED,
+    FAILED,
+    HEARD,
+    SENT,
+    TraceLine,
+    expect_can_frames,
+    frame_text,
+    outcome_text,
+    read_trace,
+)
+from leactl.driver.contract import Mode
+from leactl.driver.i2c_port import SmBus, swapped
+from leactl.driver.serial_port import SerialLine
+from leactl.errors import InputError
+
+if TYPE_CHECKING:
+    import can
+
+
+class Difference(NamedTuple):
+    """Where a replay left its trace."""
+
+    line: int  # of the file
+    owner: str
+    stands: str
+    came: str
+
+    def __str__(self) -> str:
+        return f"{self.owner}: {self.came} where the trace has {self.stands}"
+
+
+class Replayed(NamedTuple):
+    """How a replay went."""
+
+    calls: int  # that ended as they did
+    transfers: int  # on all wires, that were the same
+    difference: Difference | None
+    raised: tuple[str, ...]  # what calls ended with, in order, each once
+    cut_short: bool  # the trace ends within a call
+
+
+class Diverged(BaseException):
+    """Something else was sent than the trace has; no driver takes care of it."""
+
+    def __init__(self, difference: Difference) -> None:
+        super().__init__(str(difference))
+        self.difference = difference
+
+
+class ReplayClock:
+    """The clock of the trace: it goes on where somebody waits, and to the moment of what is heard; a call sets it."""
+
+    def __init__(self) -> None:
+        self._time = 0.0
+
+    def now(self) -> float:
+        """Seconds of the trace."""
+        return self._time
+
+    def set(self, moment: float) -> None:
+        """Show this moment, as the bench's clock did when the call was made."""
+        self._time = moment
+
+    def sleep_until(self, moment: float) -> None:
+        """Go on to the moment; never back."""
+        self._time = max(self._time, moment)
+
+
+class Wire:
+    """What is left of one bus's lines."""
+
+    def __init__(self, name: str, lines: Sequence[TraceLine], replay: "ReplayWiring") -> None:
+        self.name, self._lines, self._replay, self._next = name, lines, replay, 0
+
+    def now(self) -> float:
+        """Seconds of the trace."""
+        return self._replay.clock.now()
+
+    def send(self, text: str) -> None:
+        """Send what the trace has next.
+
+        Raises
+        ------
+        Diverged : it has something else.
+        OSError : sending failed then.
+        """
+        line = self._take()
+        if line is None:
+            return  # the trace was cut short
+        if line.kind == FAILED:
+            raise OSError(line.text)
+        if line.kind != SENT or line.text != text:
+            stands = f"'{line.kind} {line.text}'"
+            raise Diverged(Difference(line.number, self.name, stands, f"'> {text}' was sent"))
+
+    def hear(self, timeout: float) -> str | None:
+        """What was heard next within the call under way; None, and the time is over, where that is nothing.
+
+        Raises
+        ------
+        OSError : hearing failed then.
+        """
+        clock = self._replay.clock
+        line = self._lines[self._next] if self._next < len(self._lines) else None
+        if line is None or line.kind == SENT or line.number > self._replay.call_ends:
+            clock.sleep_until(clock.now() + timeout)
+            return None
+        self._take()
+        if line.kind == FAILED:
+            raise OSError(line.text)
+        return line.text
+
+    def transfer(self, kind: str, text: str) -> str:
+        """A transfer of a bus that answers at once: the text of the trace's line, which begins so.
+
+        Raises
+        ------
+        Diverged : it has another one.
+        OSError : with the number that it had then.
+        """
+        line = self._take()
+        if line is None:
+            raise OSError(errno.ENODEV, "the trace ends here")
+        if line.text.startswith(text) and line.kind == FAILED:
+            raise OSError(int(line.text.rpartition(" ")[2]), "as it was then")
+        if line.kind != kind or not line.text.startswith(text):
+            stands = f"'{line.kind} {line.text}'"
+            raise Diverged(Difference(line.number, self.name, stands, f"'{kind} {text}' was asked for"))
+        return line.text
+
+    def _take(self) -> TraceLine | None:
+        if self._next >= len(self._lines):
+            return None
+        line = self._lines[self._next]
+        self._next += 1
+        self._replay.transfers += 1
+        self._replay.clock.sleep_until(line.time)
+        return line
+
+
+class ReplayWiring:
+    """Connections to what a trace has of each bus."""
+
+    def __init__(self, lines: Sequence[TraceLine], buses: Sequence[str]) -> None:
+        self.clock = ReplayClock()
+        self.call_ends = 0  # line of the trace at which the call under way ended
+        self.transfers = 0
+        wires = (SENT, HEARD, FAILED)
+        self._wires = {
+            name: Wire(name, [line for line in lines if line.owner == name and line.kind in wires], self)
+            for name in buses
+        }
+
+    def can(self, name: str, bus: CanBus) -> "Callable[[], can.BusABC]":
+        """Connect to a bus of the trace."""
+        return lambda: _CanSide(self._wires[name])  # type: ignore[return-value]
+
+    def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
+        """Connect to a bus of the trace."""
+        return lambda: _I2cSide(self._wires[name])
+
+    def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
+        """Connect to a line of the trace."""
+        return lambda: _LineSide(self._wires[name])
+
+    def library(self, device: str) -> Any:
+        """No library is a wire."""
+        raise InputError(f"{device} has no bus")
+
+    def wait_for_disk(self) -> None:
+        """Nothing is written."""
+
+    def hang(self, torque: float) -> None:
+        """Nothing hangs."""
+
+
+class _LineSide:
+    def __init__(self, wire: Wire) -> None:
+        self._wire = wire
+
+    def read(self, timeout: float) -> bytes:
+        text = self._wire.hear(timeout)
+        return bytes.fromhex(text) if text else b""
+
+    def write(self, data: bytes) -> int:
+        self._wire.send(data.hex())
+        return len(data)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class _CanSide:
+    def __init__(self, wire: Wire) -> None:
+        self._wire = wire
+
+    def send(self, message: "can.Message") -> None:
+        self._wire.send(frame_text(message))
+
+    def recv(self, timeout: float) -> "can.Message | None":
+        import can
+
+        text = self._wire.hear(timeout)
+        if text is None:
+            return None
+        identifier, data, marks = [*text.split(" "), "", ""][:3]
+        if data and set(data) <= set("xer"):
+            data, marks = "", data
+        return can.Message(
+            timestamp=self._wire.now(),
+            arbitration_id=int(identifier, 16),
+            data=bytes.fromhex(data),
+            is_extended_id="x" in marks,
+            is_error_frame="e" in marks,
+            is_remote_frame="r" in marks,
+        )
+
+    def shutdown(self) -> None:
+        """Nothing is open."""
+
+
+class _I2cSide:
+    def __init__(self, wire: Wire) -> None:
+        self._wire = wire
+
+    def read_word_data(self, i2c_addr: int, register: int) -> int:
+        text = self._wire.transfer(HEARD, f"{i2c_addr:02x} {register:02x}")
+        return swapped(int(text.rpartition(" ")[2], 16))
+
+    def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:
+        self._wire.transfer(SENT, f"{i2c_addr:02x} {register:02x} {swapped(value):04x}")
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Replayed:
+    """Make the calls of a trace on the drivers of its bench; devices without a bus are left out.
+
+    Raises
+    ------
+    InputError : no trace, one of another bench, or one whose CAN frames are in a log of their own.
+    """
+    lines = read_trace(path)
+    wired = [device for device in devices if device.entry.bus]
+    buses = sorted({device.entry.bus or "" for device in wired})
+    expect_can_frames(path, lines, [name for name in buses if isinstance(file.buses[name], CanBus)])
+    wiring = ReplayWiring(lines, buses)
+    bench = Bench(file, wired, wiring)
+    left_out = {device.name for device in devices} - {device.name for device in wired}
+    ends = _ends_of(lines)
+    calls, raised, cut_short = 0, list[str](), False
+    for line in lines:
+        if line.kind != CALLED or line.owner in left_out:
+            continue
+        call = _call_of(path, line, bench)
+        end = ends.get(line.number)
+        wiring.call_ends = end.number if end else lines[-1].number
+        cut_short = cut_short or end is None
+        wiring.clock.set(line.time)
+        try:
+            came = outcome_text(call())
+        except Diverged as found:
+            return Replayed(calls, wiring.transfers, found.difference, tuple(dict.fromkeys(raised)), cut_short)
+        except Exception as error:  # noqa: BLE001 (whatever a driver raises is what is compared)
+            came = outcome_text(None, error)
+            raised.append(f"{type(error).__name__}: {error}")
+        if end is not None and came != end.text:
+            difference = Difference(
+                end.number, line.owner, f"'{end.text}'", f"{line.text.split()[0]} ended with '{came}'"
+            )
+            return Replayed(calls, wiring.transfers, difference, tuple(dict.fromkeys(raised)), cut_short)
+        calls += 1
+    return Replayed(calls, wiring.transfers, None, tuple(dict.fromkeys(raised)), cut_short)
+
+
+def _ends_of(lines: Sequence[TraceLine]) -> dict[int, TraceLine]:
+    """The line at which each call ended, by the line of the call."""
+    open_calls: dict[str, int] = {}
+    found = {}
+    for line in lines:
+        if line.kind == CALLED:
+            open_calls[line.owner] = line.number
+        elif line.kind == ENDED and line.owner in open_calls:
+            found[open_calls.pop(line.owner)] = line
+    return found
+
+
+def _call_of(path: Path, line: TraceLine, bench: Bench) -> Callable[[], Any]:
+    """The call that a line tells.
+
+    Raises
+    ------
+    InputError : of a device that the bench has not, or none.
+    """
+    name, _, text = line.text.partition(" ")
+    try:
+        arguments = json.loads(text)
+    except ValueError:
+        raise InputError(f"{path}:{line.number}  '{text[:40]}': arguments as a JSON list were expected") from None
+    if line.owner in bench.syncs:
+        return bench.syncs[line.owner]
+    driver = bench.drivers.get(line.owner)
+    function = getattr(driver, name, None)
+    if driver is None or not callable(function) or not isinstance(arguments, list):
+        raise InputError(f"{path}:{line.number}  '{line.owner} = {line.text[:40]}': no call of a device of this bench")
+    if name == "engage":
+        arguments = [Mode(*arguments)]
+    if name == "end_cycle":
+        return lambda: (function(*arguments), driver.values)[1]  # type: ignore[attr-defined]
+    return lambda: function(*arguments)

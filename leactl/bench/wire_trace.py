@@ -1,0 +1,329 @@
+"""Every byte of every wire of a run, with the calls that led to it: a field fault that can be replayed.
+
+A trace is text, a line each: seconds of the bench's clock, the bus or device, what kind of line it is, and what went
+over the wire or was called (docs/reference/wire-traces.md). The last line of a run that died may be cut short, and is
+not read.
+"""
+
+import json
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
+
+from leactl.bench.benchfile import CanBus, I2cBus, SerialBus
+from leactl.bench.wiring import Wiring
+from leactl.driver.contract import Confirmation
+from leactl.driver.i2c_port import SmBus, swapped
+from leactl.driver.serial_port import SerialLine
+from leactl.errors import InputError
+from leactl.runfile.publish import refuse_existing
+
+if TYPE_CHECKING:
+    import can
+
+HEAD = "# leactl wire trace 1"
+SENT, HEARD, FAILED, CALLED, ENDED = ">", "<", "!", "=", "~"
+KINDS = (SENT, HEARD, FAILED, CALLED, ENDED)
+CAN_LOGS = (".asc", ".blf", ".log")  # python-can's own formats
+FLUSH_S = 0.5
+CALLS = (  # of a driver; what it makes of the wire follows from them and from what it hears
+    "open",
+    "close",
+    "safe_state",
+    "stop_now",
+    "pace",
+    "engage",
+    "release",
+    "command",
+    "begin_cycle",
+    "end_cycle",
+    "feed",
+    "take",
+    "notices",
+    "tare",
+    "supply",
+    "protect",
+    "switch_on",
+    "switch_off",
+)
+
+
+class TraceLine(NamedTuple):
+    """One line of a trace."""
+
+    number: int  # in the file, from 1
+    time: float  # s
+    owner: str  # bus or device
+    kind: str  # one of `KINDS`
+    text: str
+
+
+class WireTrace:
+    """A trace that is being written; CAN frames go to a log of python-can's where the name ends so."""
+
+    def __init__(self, path: Path) -> None:
+        """Make the file.
+
+        Raises
+        ------
+        InputError : a name that is taken, or a place that cannot be written to.
+        """
+        logged = path.suffix.lower() in CAN_LOGS
+        self.path = path.with_suffix(".trace") if logged else path
+        self._files = ExitStack()
+        self._depth: dict[str, int] = {}
+        self._can_log: Any = None
+        self._flushed = -math.inf
+        self.now: Callable[[], float] = lambda: 0.0  # the bench's clock, once there is one
+        for taken in {path, self.path}:
+            refuse_existing(taken)
+        try:
+            self._text: TextIO = self._files.enter_context(self.path.open("x", encoding="utf-8"))
+            if logged:
+                import can
+
+                self._can_log = self._files.enter_context(can.Logger(path))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+        self._text.write(f"{HEAD}\n")
+
+    def __enter__(self) -> "WireTrace":
+        return self
+
+    def __exit__(self, *_exception: object) -> None:
+        self._files.close()
+
+    def write(self, owner: str, kind: str, text: str) -> None:
+        """Add a line."""
+        now = self.now()
+        self._text.write(f"{now!r} {owner} {kind} {text}\n")  # to the last bit: drivers compare times
+        if now - self._flushed >= FLUSH_S:
+            self._flushed = now
+            self._text.flush()
+
+    def frame(self, owner: str, kind: str, message: "can.Message") -> None:
+        """Add a CAN frame."""
+        if self._can_log is None:
+            self.write(owner, kind, frame_text(message))
+            return
+        import can
+
+        self._can_log(
+            can.Message(
+                timestamp=self.now(),
+                arbitration_id=message.arbitration_id,
+                is_extended_id=message.is_extended_id,
+                is_error_frame=message.is_error_frame,
+                is_remote_frame=message.is_remote_frame,
+                data=message.data,
+                channel=owner,
+                is_rx=kind == HEARD,
+            )
+        )
+
+    def called(self, owner: str, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """A function that adds a line when it is called and one when it ends; not where it was called by another."""
+
+        def call(*arguments: Any) -> Any:
+            if self._depth.get(owner, 0):
+                return function(*arguments)
+            self.write(owner, CALLED, f"{name} {json.dumps(arguments)}")
+            self._depth[owner] = 1
+            try:
+                result = function(*arguments)
+            except BaseException as error:
+                self.write(owner, ENDED, outcome_text(None, error))
+                raise
+            finally:
+                self._depth[owner] = 0
+            self.write(owner, ENDED, outcome_text(result if name != "end_cycle" else function.__self__.values))  # type: ignore[attr-defined]
+            return result
+
+        return call
+
+
+def frame_text(message: "can.Message") -> str:
+    """A CAN frame as a line has it: identifier and data in hex; what is no plain frame of 11 bits is marked."""
+    marks = ("x" if message.is_extended_id else "") + ("e" if message.is_error_frame else "")
+    marks += "r" if message.is_remote_frame else ""
+    return f"{message.arbitration_id:03x} {bytes(message.data).hex()} {marks}".rstrip(" ")
+
+
+def outcome_text(result: Any, error: BaseException | None = None) -> str:
+    """What came of a call, as far as it is the same each time: an error, readings, a confirmation."""
+    if error is not None:
+        return json.dumps({"raised": type(error).__name__, "text": str(error)})
+    if isinstance(result, Confirmation):
+        return json.dumps({"safe": result.safe})
+    if isinstance(result, list) and all(isinstance(value, float) for value in result):
+        return json.dumps(result)
+    return "null"
+
+
+class TracedWiring:
+    """A wiring whose connections write what passes over them."""
+
+    def __init__(self, wiring: Wiring, trace: WireTrace) -> None:
+        self._wiring, self._trace = wiring, trace
+        self.clock = wiring.clock
+        trace.now = wiring.clock.now
+
+    def can(self, name: str, bus: CanBus) -> "Callable[[], can.BusABC]":
+        """How to connect to a CAN bus."""
+        connect = self._wiring.can(name, bus)
+        return lambda: TracedCan(connect(), name, self._trace)  # type: ignore[return-value]
+
+    def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
+        """How to connect to an I2C bus."""
+        connect = self._wiring.i2c(name, bus)
+        return lambda: TracedI2c(connect(), name, self._trace)
+
+    def serial(self, name: str, bus: SerialBus) -> Callable[[], SerialLine]:
+        """How to connect to a serial line."""
+        connect = self._wiring.serial(name, bus)
+        return lambda: TracedLine(connect(), name, self._trace)
+
+    def library(self, device: str) -> Any:
+        """What stands in for a maker's library, which is no wire."""
+        return self._wiring.library(device)
+
+    def wait_for_disk(self) -> None:
+        """What every write of the run file waits for."""
+        self._wiring.wait_for_disk()
+
+    def hang(self, torque: float) -> None:
+        """Weights act with this torque [N*m]."""
+        self._wiring.hang(torque)
+
+
+class TracedLine:
+    """A serial line."""
+
+    def __init__(self, line: SerialLine, name: str, trace: WireTrace) -> None:
+        self._line, self._name, self._trace = line, name, trace
+        self.close = line.close
+
+    def read(self, timeout: float) -> bytes:
+        """What has come."""
+        try:
+            read = self._line.read(timeout)
+        except OSError as error:
+            self._trace.write(self._name, FAILED, str(error))
+            raise
+        if read:
+            self._trace.write(self._name, HEARD, read.hex())
+        return read
+
+    def write(self, data: bytes) -> int:
+        """Hand over bytes; those that were taken are in the trace."""
+        try:
+            taken = self._line.write(data)
+        except OSError as error:
+            self._trace.write(self._name, FAILED, str(error))
+            raise
+        self._trace.write(self._name, SENT, data[:taken].hex())
+        return taken
+
+
+class TracedCan:
+    """A CAN bus: what a port uses of it."""
+
+    def __init__(self, bus: "can.BusABC", name: str, trace: WireTrace) -> None:
+        self._bus, self._name, self._trace = bus, name, trace
+        self.shutdown = bus.shutdown
+
+    def send(self, message: "can.Message") -> None:
+        """Send a frame."""
+        try:
+            self._bus.send(message)
+        except Exception as error:
+            self._trace.write(self._name, FAILED, str(error))
+            raise
+        self._trace.frame(self._name, SENT, message)
+
+    def recv(self, timeout: float) -> "can.Message | None":
+        """Take a frame."""
+        try:
+            message = self._bus.recv(timeout)
+        except Exception as error:
+            self._trace.write(self._name, FAILED, str(error))
+            raise
+        if message is not None:
+            self._trace.frame(self._name, HEARD, message)
+        return message
+
+
+class TracedI2c:
+    """An I2C bus; registers as the device has them, the high byte first."""
+
+    def __init__(self, bus: SmBus, name: str, trace: WireTrace) -> None:
+        self._bus, self._name, self._trace = bus, name, trace
+        self.close = bus.close
+
+    def read_word_data(self, i2c_addr: int, register: int) -> int:
+        """Read a register."""
+        word: int = self._transfer(
+            lambda: self._bus.read_word_data(i2c_addr, register), f"{i2c_addr:02x} {register:02x}"
+        )
+        self._trace.write(self._name, HEARD, f"{i2c_addr:02x} {register:02x} {swapped(word):04x}")
+        return word
+
+    def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:
+        """Write a register."""
+        self._transfer(lambda: self._bus.write_word_data(i2c_addr, register, value), f"{i2c_addr:02x} {register:02x}")
+        self._trace.write(self._name, SENT, f"{i2c_addr:02x} {register:02x} {swapped(value):04x}")
+
+    def _transfer(self, transfer: Callable[[], Any], where: str) -> Any:
+        try:
+            return transfer()
+        except OSError as error:
+            self._trace.write(self._name, FAILED, f"{where} {error.errno or 0}")
+            raise
+
+
+def read_trace(path: Path) -> list[TraceLine]:
+    """Read a trace up to its last whole line.
+
+    Raises
+    ------
+    InputError : no trace, or a line that is none, with its place.
+    """
+    try:
+        text = path.read_bytes().decode("utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is no text; a trace of leactl run --trace was expected") from None
+    head, *lines = text.split("\n")[:-1] or [""]
+    if head != HEAD:
+        raise InputError(f"{path}:1  '{head[:40]}': '{HEAD}' was expected")
+    return list(_parsed(path, lines))
+
+
+def _parsed(path: Path, lines: Sequence[str]) -> Iterator[TraceLine]:
+    for number, line in enumerate(lines, start=2):
+        time, owner, kind, text = [*line.split(" ", 3), "", "", "", ""][:4]
+        try:
+            seconds = float(time)
+        except ValueError:
+            seconds = math.nan
+        if not math.isfinite(seconds) or kind not in KINDS or not owner:
+            expected = f"seconds, a bus or a device, and one of {' '.join(KINDS)} were expected"
+            raise InputError(f"{path}:{number}  '{line[:40]}': {expected}")
+        yield TraceLine(number, seconds, owner, kind, text)
+
+
+def expect_can_frames(path: Path, lines: Sequence[TraceLine], buses: Sequence[str]) -> None:
+    """Refuse a trace whose CAN frames are in a log of their own.
+
+    Raises
+    ------
+    InputError : it has calls and no frame of any of these buses.
+    """
+    if buses and lines and not any(line.owner in buses and line.kind in (SENT, HEARD) for line in lines):
+        raise InputError(
+            f"{path}: holds no frame of {', '.join(buses)}; a trace that can be replayed has a name that ends in none"
+            f" of {', '.join(CAN_LOGS)}"
+        )

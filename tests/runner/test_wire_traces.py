@@ -1,0 +1,173 @@
+"""Traces of runs: every byte of every wire, read up to the last whole line, and replayed against the drivers."""
+
+import json
+import math
+
+import can
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from leactl_plugins.elmo_serial.driver import ElmoSerial
+
+from leactl.bench import benchfile
+from leactl.bench.wire_replay import replay
+from leactl.bench.wire_trace import HEAD, KINDS, read_trace
+from leactl.errors import InputError
+from tests.cli.terminal import leactl
+
+PROTOCOL = """
+name: spin
+setup: free
+rate_Hz: 50
+steps:
+  - mode: {test: current}
+  - hold: {role: test, current_A: 1.0, duration_s: 0.4}
+  - mode: {test: "off"}
+"""
+
+
+@pytest.fixture(scope="module")
+def traced(tmp_path_factory):
+    """Run the protocol on a bench with a trace, once for each; gives the trace and the bench file."""
+    folder = tmp_path_factory.mktemp("traces")
+    (folder / "spin.yaml").write_text(PROTOCOL)
+    made = {}
+
+    def run(kind, faults=(), name="run.trace"):
+        if (kind, len(faults), name) in made:
+            return made[kind, len(faults), name]
+        data = yaml.safe_load((benchfile.SHIPPED / "emulated.yaml").read_text())
+        data["name"] = f"traced-{len(made)}"
+        data["emulated"]["faults"] = list(faults)
+        for role in ("test", "load") if kind == "serial" else ():
+            data["buses"][f"line_{role}"] = {"kind": "serial", "baudrate": 115200}
+            own = {"driver": "elmo_serial", "bus": f"line_{role}", "settings": {"counts_per_turn": 40000}}
+            data["devices"][f"drive_{role}"] |= own
+        place = folder / str(len(made))
+        place.mkdir()
+        (place / "bench.yaml").write_text(yaml.safe_dump(data))
+        words = (folder / "spin.yaml", "--bench", place / "bench.yaml", "--out", place, "--trace", place / name)
+        done = leactl("run", *words, LEACTL_STATE=str(place / "state"))
+        assert done.returncode == (5 if faults else 0), done.stderr
+        made[kind, len(faults), name] = place / name, place / "bench.yaml"
+        return made[kind, len(faults), name]
+
+    return run
+
+
+def replayed(trace, bench):
+    file, devices, _ = benchfile.load(str(bench))
+    return replay(trace, file, devices)
+
+
+@pytest.mark.parametrize("kind", ["can", "serial"])
+def test_a_run_is_replayed_to_the_last_byte(traced, kind):
+    trace, bench = traced(kind)
+    found = replayed(trace, bench)
+    assert (found.difference, found.raised, found.cut_short) == (None, (), False)
+    wires = [line for line in read_trace(trace) if line.kind in "><!"]
+    assert found.transfers == len(wires) > 300
+    assert {line.owner for line in wires} == {"i2c1", *(["can0"] if kind == "can" else ["line_test", "line_load"])}
+
+
+def test_a_fault_in_the_field_is_raised_again(traced):
+    fault = {"fault": "drive_fault", "at_s": 1.0, "device": "drive_test", "code": 0x2340}
+    trace, bench = traced("serial", [fault])
+    found = replayed(trace, bench)
+    assert found.difference is None
+    assert found.raised == ("DeviceFault: drive_test: MF 0xB000 (short circuit)",)
+
+
+def test_a_driver_that_sends_something_else_is_named_with_the_line(traced, monkeypatch):
+    trace, bench = traced("serial")
+    monkeypatch.setattr(ElmoSerial, "_demands", lambda *_: ["MF"])
+    found = replayed(trace, bench)
+    line = trace.read_text().splitlines()[found.difference.line - 1]
+    assert f" {found.difference.owner} > " in line
+    assert found.difference.came.startswith("'> ")
+
+
+def test_a_reading_that_differs_is_named(traced, tmp_path):
+    trace, bench = traced("can")
+    text = trace.read_text()
+    changed = tmp_path / "changed.trace"
+    lines = text.splitlines(keepends=True)
+    places = [number for number, line in enumerate(lines) if " can0 < 281 " in line]
+    place = places[len(places) // 2]
+    before, data = lines[place].rsplit(" ", 1)
+    lines[place] = f"{before} {'00' * 7}01\n"
+    assert data != lines[place].rsplit(" ", 1)[1]
+    changed.write_text("".join(lines))
+    done = leactl("driver", "replay", changed, "--bench", bench)
+    assert done.returncode == 5
+    assert done.stderr.startswith(f"leactl: {changed}:")
+    assert "drive_test: end_cycle ended with" in done.stderr
+    told = json.loads(leactl("driver", "replay", changed, "--bench", bench, "--json").stdout)
+    assert told["difference"]["owner"] == "drive_test"
+
+
+def test_a_trace_that_was_cut_off_is_replayed_as_far_as_it_goes(traced, tmp_path):
+    trace, bench = traced("serial")
+    data = trace.read_bytes()
+    for share in (0.1, 0.5, 0.9):
+        cut = tmp_path / f"{share}.trace"
+        cut.write_bytes(data[: int(share * len(data))])
+        found = replayed(cut, bench)
+        assert found.difference is None
+        assert found.calls > 0
+
+
+@pytest.mark.parametrize("suffix", ["asc", "blf", "log"])
+def test_can_frames_go_to_a_log_of_pythons_where_the_name_says_so(traced, suffix):
+    log, bench = traced("can", name=f"run.{suffix}")
+    whole, _ = traced("can")
+    frames = [line for line in read_trace(whole) if line.owner == "can0" and line.kind in "<>"]
+    logged = list(can.LogReader(log))
+    assert [message.arbitration_id for message in logged] == [int(line.text[:3], 16) for line in frames]
+    beside = read_trace(log.with_suffix(".trace"))
+    assert {line.owner for line in beside if line.kind in "<>"} == {"i2c1"}
+    with pytest.raises(InputError, match="holds no frame of can0; a trace that can be replayed has a name"):
+        replayed(log.with_suffix(".trace"), bench)
+
+
+def test_a_file_that_is_there_is_not_overwritten(traced):
+    trace, bench = traced("can")
+    before = trace.read_bytes()
+    done = leactl("run", "friction", "--bench", bench, "--trace", trace)
+    assert (done.returncode, trace.read_bytes()) == (2, before)
+    assert "exists already and is never overwritten" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", r"t.trace:1  '': '# leactl wire trace 1' was expected"),
+        ("nonsense\n", r"t.trace:1  'nonsense': "),
+        (
+            f"{HEAD}\nsoon can0 > 601\n",
+            r"t.trace:2  'soon can0 > 601': seconds, a bus or a device, and one of",
+        ),
+        (f"{HEAD}\n0.5 can0 ? 601\n", r"t.trace:2  '0.5 can0 \? 601': "),
+        (f"{HEAD}\n0.5 drive_test = explode []\n0.5 can0 > 601\n", "no call of a device of this bench"),
+        (f"{HEAD}\n0.5 drive_test = open nothing\n0.5 can0 > 601\n", "arguments as a JSON list were expected"),
+    ],
+)
+def test_what_is_no_trace_is_refused_with_its_place(tmp_path, text, message):
+    path = tmp_path / "t.trace"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        replayed(path, "emulated")
+
+
+@given(st.text(st.sampled_from("0.5 \n#>=~!<acnopenx[]1"), max_size=60))
+@settings(max_examples=200, deadline=None)
+def test_any_text_is_read_or_refused(tmp_path_factory, text):
+    path = tmp_path_factory.mktemp("any") / "t.trace"
+    path.write_text(f"{HEAD}\n{text}")
+    try:
+        lines = read_trace(path)
+    except InputError:
+        return
+    assert len(lines) == text.count("\n")
+    assert all(math.isfinite(line.time) and line.kind in KINDS for line in lines)
