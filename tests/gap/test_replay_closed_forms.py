@@ -128,6 +128,16 @@ def test_a_servo_holds_a_pendulum_where_its_torque_equals_the_weight():
     assert CONSTANT * 2.0 * (1.0 - angle) / RESISTANCE == pytest.approx(0.5 * 9.80665 * 0.2 * np.sin(angle), rel=1e-3)
 
 
+def test_a_servo_s_axis_answers_a_step_as_a_damped_spring():
+    stands, inertia = 10, 0.24
+    job = servo(np.where(np.arange(400) < stands, 0.0, 1.0), 0.0, load={"type": "none"}, rotor_inertia=inertia)
+    half, stiff = 0.5 * CONSTANT**2 / RESISTANCE / inertia, 2.0 * CONSTANT / RESISTANCE / inertia
+    rate, time = np.sqrt(stiff - half**2), 5e-3 * np.arange(400 - stands)
+    swing = np.cos(rate * time) + half / rate * np.sin(rate * time)
+    wrong = job.fast["angle", "test"][stands:] - (1.0 - np.exp(-half * time) * swing)
+    assert np.max(np.abs(wrong)) < 1e-4
+
+
 def test_a_servo_beyond_its_voltage_runs_at_the_speed_of_its_back_emf():
     job = servo(np.full(600, 1000.0), 0.0, load={"type": "none"})
     assert np.diff(job.fast["angle", "test"])[-1] / 5e-3 == pytest.approx(10.0 / CONSTANT, rel=1e-3)

@@ -123,6 +123,8 @@ def asked_angle(job: Job) -> Array:
     held = np.append(np.repeat(reference[:-1], job.parts), reference[-1])
     for becomes in (*job.plant.loop_answer, *job.plant.set_point):
         held = becomes(held, job.step)
+    # a step of the stepper goes from half before an instant to half behind it, a reference changes at one
+    held = np.append(held[:1], 0.5 * (held[:-1] + held[1:]))
     if enabled is not None:
         on = np.append(np.repeat(enabled[:-1], job.parts), enabled[-1])
         held = np.where(on > 0.5, held, np.nan)

@@ -17,7 +17,6 @@ from leactl.effects.plant import Moment, Plant
 Array = npt.NDArray[np.float64]
 BRISTLE_DAMPING = 0.2  # of critical, while bristles bend: without it a rotor that sticks would ring for ever
 SHAFT_DAMPING = 0.03  # of critical, as steel shafts with clamped couplings have
-BRAKED = 0.5  # share of a speed that the back-EMF takes in a step, from which it acts on what is left of it
 STIFFEST = 1.0  # rad, half the phase that a shaft's resonance may turn in a step; a stiffer one is as good as rigid
 
 
@@ -109,7 +108,8 @@ def stepped(lanes: Lanes, start: State) -> Motion:
     steps, count = lanes.drive.shape
     h = lanes.step
     servo = lanes.servo
-    braking = braking_within_steps(servo, lanes) if servo is not None else np.zeros(count)
+    # at a step's start, half a step late, back-EMF would make an axis lighter and throw a light one to and fro
+    braking = servo.torque_constant * servo.emf / servo.resistance if servo is not None else np.zeros(count)
     decay, gain = _answer(lanes.damping + lanes.emf_damping + braking, lanes.inertia, h)
     load_decay, load_gain = _answer(lanes.load_damping, lanes.load_inertia, h)
     stiffness = resonant_stiffness(lanes)
@@ -136,7 +136,7 @@ def stepped(lanes: Lanes, start: State) -> Motion:
             drive = drive + out.pull[index]
         if servo is not None and out.current is not None:
             flowing = out.current[index] = _servo_current(servo, lanes.step, index, angle, velocity, groups)
-            drive = servo.torque_constant * flowing + braking * velocity
+            drive = servo.torque_constant * flowing
             for group in groups:
                 group.saturate(drive, flowing)
         if shaft:
@@ -147,6 +147,8 @@ def stepped(lanes: Lanes, start: State) -> Motion:
         elif hanging:
             np.multiply(lanes.gravity, np.sin(angle - lanes.hanging), out=torque)
         np.subtract(drive, torque, out=push)
+        if servo is not None:
+            push += braking * velocity  # a current has its back-EMF in it, and so has the decay of a step
         out.torque[index] = torque
         out.angle[index] = angle
         level = held
@@ -178,16 +180,6 @@ def stepped(lanes: Lanes, start: State) -> Motion:
                 out.load_velocity[index] = load_velocity
     out.end = State(angle, velocity, load_velocity, twist, bristle)
     return out
-
-
-def braking_within_steps(servo: Servo, lanes: Lanes) -> Array:
-    """Damping by the back-EMF [N*m*s/rad] of rotors so light that it brakes them within a step or two, else 0.
-
-    Their current at a step's start would throw them further the other way with every step, so that it is taken as
-    damping, which decays within a step.
-    """
-    damping = servo.torque_constant * servo.emf / servo.resistance
-    return np.where(lanes.step * damping > BRAKED * lanes.inertia, damping, 0.0)
 
 
 def _servo_current(
