@@ -1,0 +1,377 @@
+"""One joint as MuJoCo has it once a file is compiled: inertia, weight, friction, spring, and the actuator on it."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+from leactl.exchange.xml_text import XmlText, read_xml
+
+Array = npt.NDArray[np.float64]
+MISSING = "MuJoCo is not installed: pip install 'leactl[mujoco]'"
+MOST_NAMES = 20  # of joints that a fault lists
+SLOW = 1e-6  # rad/s at which damping is taken: a polynomial's higher terms vanish
+ALIKE = 1e-9  # relative, by which figures of one meaning may differ
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """What drives the joint; figures are at the joint, its `gear` taken into account."""
+
+    name: str
+    index: int
+    kind: str  # torque, position, velocity or other
+    gear: float
+    gain: float  # N*m for a unit of ctrl
+    kp: float  # N*m/rad, of a position actuator
+    kv: float  # N*m*s/rad, of a position or velocity actuator
+    force_limit: float | None  # N*m, its own forcerange
+    control_range: tuple[float, float] | None  # of ctrl
+    time_constant: float  # s, of a first-order lag between ctrl and force; zero without one
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint of a compiled model, SI units; of a slide, N stand for N*m, m for rad and kg for kg*m^2."""
+
+    name: str
+    slides: bool
+    inertia: float  # kg*m^2, of all that it moves, armature included, the joints below held
+    armature: float  # kg*m^2, of the joint's attribute
+    damping: float  # N*m*s/rad, at standstill
+    attribute_damping: float  # N*m*s/rad, of the joint's attribute
+    friction: float  # N*m, frictionloss
+    stiffness: float  # N*m/rad
+    spring_rest: float  # rad
+    level_torque: float  # N*m, that holds what it moves out level; of a slide, the weight along it [N]
+    hanging_angle: float  # rad, at which that hangs straight down
+    mass: float  # kg, of what it moves
+    lever: float  # m, from its axis to the centre of that mass
+    torque_limit: float | None  # N*m, of all actuators together (actuatorfrcrange)
+    range: tuple[float, float] | None  # rad
+    actuator: Actuator | None
+    timestep: float  # s, of the file
+    notes: tuple[str, ...]  # what the file says and no model file can
+
+
+def is_urdf(text: XmlText) -> bool:
+    """Whether a file is URDF; MJCF otherwise."""
+    return text.root == "robot"
+
+
+def compile_file(path: Path) -> tuple[Any, XmlText]:
+    """Compile an MJCF or URDF file by MuJoCo; of a URDF, shapes are left out, so that no mesh has to be there.
+
+    Raises
+    ------
+    InputError : MuJoCo is not installed, the file cannot be read, or MuJoCo finds fault with it.
+    """
+    text = read_xml(path)
+    if text.root not in ("mujoco", "robot"):
+        raise InputError(f"{path}:1:1  <{text.root}> is the outermost element; <mujoco> or <robot> was expected")
+    mujoco = loaded()
+    try:
+        if is_urdf(text):
+            return mujoco.MjModel.from_xml_string(_without_shapes(text.raw)), text
+        return mujoco.MjModel.from_xml_path(str(path)), text
+    except ValueError as fault:
+        raise InputError(f"{path}: MuJoCo does not compile it: {' '.join(str(fault).split())}") from None
+
+
+def loaded() -> Any:
+    """The `mujoco` package.
+
+    Raises
+    ------
+    InputError : it is not installed.
+    """
+    try:
+        import mujoco
+    except ImportError as fault:
+        raise InputError(MISSING) from fault
+    return mujoco
+
+
+def _without_shapes(raw: bytes) -> str:
+    """A URDF without what only looks or touches: its links' inertia is told by `<inertial>` alone."""
+    root = ElementTree.fromstring(raw)
+    for link in root.iter("link"):
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            link.remove(shape)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def read_joint(path: Path, name: str) -> Joint:
+    """Read one joint of an MJCF or URDF file.
+
+    Raises
+    ------
+    InputError : the file cannot be compiled, has no such joint, or the joint is none that a model file describes:
+        a ball or free joint, one in a closed loop, one that a tendon or several actuators act on.
+    """
+    model, text = compile_file(path)
+    return joint_of(model, text, name)
+
+
+def joint_of(model: Any, text: XmlText, name: str) -> Joint:
+    """One joint of a compiled file; raises as `read_joint` does."""
+    mujoco = loaded()
+    names = {model.joint(index).name: index for index in range(model.njnt)}
+    if not name or name not in names:
+        raise InputError(f"{text.name}: no joint '{name}'; {_instead(name, [known for known in names if known])}")
+    index = names[name]
+    kind = int(model.jnt_type[index])
+    if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+        called = "ball" if kind == mujoco.mjtJoint.mjJNT_BALL else "free"
+        raise InputError(f"{text.name}: joint '{name}' is a {called} joint; a hinge or slide was expected")
+    state = mujoco.MjData(model)
+    mujoco.mj_forward(model, state)
+    about = _About(mujoco, model, state, text.name, index)
+    about.refuse_loops(text)
+    about.refuse_tendons()
+    return about.joint(kind == mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+def _instead(name: str, known: list[str]) -> str:
+    """What was probably meant by a joint's name, or which there are."""
+    if not known:
+        return "the file names none"
+    if close := get_close_matches(name, known, n=1):
+        return f"did you mean '{close[0]}'?"
+    shown = ", ".join(known[:MOST_NAMES])
+    return f"known: {shown}{f' and {len(known) - MOST_NAMES} more' if len(known) > MOST_NAMES else ''}"
+
+
+class _About:
+    """A joint in its model, at the position in which the file has it."""
+
+    def __init__(self, mujoco: Any, model: Any, state: Any, file: str, index: int) -> None:
+        self.mujoco, self.model, self.state, self.file, self.index = mujoco, model, state, file, index
+        self.name = model.joint(index).name
+        self.dof, self.position = int(model.jnt_dofadr[index]), int(model.jnt_qposadr[index])
+        self.body = int(model.jnt_bodyid[index])
+        self.notes: list[str] = []
+
+    def moves(self, body: int) -> bool:
+        """Whether a body is moved by the joint."""
+        while body > self.body:
+            body = int(self.model.body_parentid[body])
+        return body == self.body
+
+    def refuse_loops(self, text: XmlText) -> None:
+        """Refuse equality constraints that tie the joint, or what it moves to what it does not move."""
+        model, kinds, bodies_alone = self.model, self.mujoco.mjtEq, [self.mujoco.mjtObj.mjOBJ_BODY] * self.model.neq
+        between = getattr(model, "eq_objtype", bodies_alone)  # sites too since 3.2
+        for equality in range(model.neq):
+            if not model.eq_active0[equality]:
+                continue
+            kind, ends = int(model.eq_type[equality]), (int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality]))
+            if kind == kinds.mjEQ_JOINT and self.index in ends:
+                raise InputError(f"{self.file}: joint '{self.name}' is tied to another by an equality constraint")
+            if kind in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
+                sites = int(between[equality]) == self.mujoco.mjtObj.mjOBJ_SITE
+                bodies = [int(model.site_bodyid[end]) if sites else end for end in ends]
+                if self.moves(bodies[0]) != self.moves(bodies[1]):
+                    raise InputError(f"{self.file}: joint '{self.name}' is part of a loop that an equality closes")
+        for element in text.elements:
+            if element.name == "mimic" and self.name in (element.attributes.get("joint"), self._owner(text, element)):
+                raise InputError(
+                    f"{self.file}:{text.line(element)}:1  joint '{self.name}' is tied to another by <mimic>"
+                )
+
+    def _owner(self, text: XmlText, element: Any) -> str | None:
+        return text.elements[element.parent].attributes.get("name") if element.parent is not None else None
+
+    def refuse_tendons(self) -> None:
+        """Refuse tendons that pull and whose length goes by the joint's position."""
+        model, before = self.model, np.array(self.state.ten_length)
+        for shift in (1e-3, 0.3):  # one may be drawn so that its length stands still at first
+            state = self._at(float(self.state.qpos[self.position]) + shift)
+            for tendon in np.flatnonzero(np.abs(state.ten_length - before) > 1e-12):
+                if self._pulls(int(tendon)):
+                    name = model.tendon(tendon).name or tendon
+                    raise InputError(f"{self.file}: tendon '{name}' acts on joint '{self.name}'")
+
+    def _pulls(self, tendon: int) -> bool:
+        model, kinds = self.model, self.mujoco.mjtTrn
+        own = ("stiffness", "damping", "frictionloss", "limited", "armature")
+        if any(np.any(getattr(model, f"tendon_{name}")[tendon]) for name in own if hasattr(model, f"tendon_{name}")):
+            return True
+        driven = (np.asarray(model.actuator_trntype) == kinds.mjTRN_TENDON) & (model.actuator_trnid[:, 0] == tendon)
+        tied = (np.asarray(model.eq_type) == self.mujoco.mjtEq.mjEQ_TENDON) & (
+            (model.eq_obj1id == tendon) | (model.eq_obj2id == tendon)
+        )
+        return bool(np.any(driven) or np.any(tied))
+
+    def _at(self, position: float, speed: float = 0.0) -> Any:
+        """The whole with the joint elsewhere, or turning."""
+        state = self.mujoco.MjData(self.model)
+        state.qpos[:] = self.state.qpos
+        state.qpos[self.position], state.qvel[self.dof] = position, speed
+        self.mujoco.mj_forward(self.model, state)
+        return state
+
+    def joint(self, slides: bool) -> Joint:
+        """Work out all figures."""
+        model, dof = self.model, self.dof
+        level, hanging = self._weight(slides)
+        stiffness = float(np.ravel(model.jnt_stiffness[self.index])[0])
+        actuator = self._actuator()
+        self._tell_polynomials()
+        below = [
+            model.joint(other).name or f"number {other}"
+            for other in range(model.njnt)
+            if other != self.index and self.moves(int(model.jnt_bodyid[other])) and other > self.index
+        ]
+        if below:
+            self.notes.append(f"inertia and weight are those with {', '.join(below)} where the file has them")
+        if model.opt.density or model.opt.viscosity:
+            self.notes.append("the medium's drag (density, viscosity) is not taken along")
+        limited = bool(model.jnt_actfrclimited[self.index])
+        return Joint(
+            name=self.name,
+            slides=slides,
+            inertia=self._inertia(),
+            armature=float(model.dof_armature[dof]),
+            damping=self._damping(),
+            attribute_damping=float(model.dof_damping[dof]),
+            friction=float(model.dof_frictionloss[dof]),
+            stiffness=stiffness,
+            spring_rest=float(model.qpos_spring[self.position]),
+            level_torque=level,
+            hanging_angle=hanging,
+            mass=float(model.body_subtreemass[self.body]),
+            lever=self._lever(),
+            torque_limit=self._smaller(model.jnt_actfrcrange[self.index], "actuatorfrcrange") if limited else None,
+            range=_pair(model.jnt_range[self.index]) if model.jnt_limited[self.index] else None,
+            actuator=actuator,
+            timestep=float(model.opt.timestep),
+            notes=tuple(self.notes),
+        )
+
+    def _inertia(self) -> float:
+        unit, found = np.zeros(self.model.nv), np.zeros(self.model.nv)
+        unit[self.dof] = 1.0
+        self.mujoco.mj_mulM(self.model, self.state, found, unit)
+        return float(found[self.dof])
+
+    def _damping(self) -> float:
+        """Also of what actuators add to the joint's attribute."""
+        still = float(self.state.qfrc_passive[self.dof])
+        turning = self._at(float(self.state.qpos[self.position]), SLOW)
+        found = (still - float(turning.qfrc_passive[self.dof])) / SLOW
+        attribute = float(self.model.dof_damping[self.dof])
+        return attribute if abs(found - attribute) <= 1e-6 * max(attribute, 1e-6) else found
+
+    def _weight(self, slides: bool) -> tuple[float, float]:
+        """Torque that holds what is moved out level, and the angle at which it hangs."""
+        start = float(self.state.qpos[self.position])
+        sine = self._bias(start)
+        if slides:
+            return sine, 0.0
+        cosine = self._bias(start + 0.5 * math.pi)
+        level = math.hypot(sine, cosine)
+        if level <= ALIKE * float(self.model.body_subtreemass[self.body]):
+            return 0.0, 0.0
+        return level, math.remainder(start - math.atan2(sine, cosine), 2.0 * math.pi)
+
+    def _bias(self, position: float) -> float:
+        """Torque against gravity at a position of the joint, what compensates gravity taken off."""
+        state = self._at(position)
+        return float(state.qfrc_bias[self.dof] - state.qfrc_gravcomp[self.dof])
+
+    def _lever(self) -> float:
+        axis = self.state.xaxis[self.index]
+        away = self.state.subtree_com[self.body] - self.state.xanchor[self.index]
+        return float(np.linalg.norm(away - axis * float(axis @ away)))
+
+    def _actuator(self) -> Actuator | None:
+        acting = list(self._acting())
+        if len(acting) > 1:
+            several = ", ".join(f"'{self.model.actuator(index).name or index}'" for index in acting)
+            raise InputError(f"{self.file}: several actuators act on joint '{self.name}': {several}; one was expected")
+        return self._figures(acting[0]) if acting else None
+
+    def _acting(self) -> Iterator[int]:
+        """Actuators that push the joint, by the power that their force would have."""
+        model, kinds = self.model, self.mujoco.mjtTrn
+        on_joints = (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT)
+        state = self._at(float(self.state.qpos[self.position]), 1.0)
+        outputs = getattr(model, "actuator_outadr", range(len(model.actuator_trntype)))  # several each since 4.0
+        for index in range(len(model.actuator_trntype)):
+            direct = int(model.actuator_trntype[index]) in on_joints
+            if direct and int(model.actuator_trnid[index][0]) == self.index:
+                yield index
+            elif not direct and abs(float(state.actuator_velocity[outputs[index]])) > 1e-12:
+                name = model.actuator(index).name or index
+                raise InputError(f"{self.file}: actuator '{name}' acts on joint '{self.name}' from outside of it")
+
+    def _figures(self, index: int) -> Actuator:
+        model, mujoco = self.model, self.mujoco
+        gear = float(model.actuator_gear[index][0])
+        gain, bias = (
+            np.asarray(values[index], np.float64) for values in (model.actuator_gainprm, model.actuator_biasprm)
+        )
+        dynamics = int(model.actuator_dyntype[index])
+        lags = dynamics in (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
+        kind = self._kind(index, gain, bias) if lags or dynamics == mujoco.mjtDyn.mjDYN_NONE else "other"
+        if kind == "position" and lags:
+            self.notes.append("the lag of the position actuator (timeconst) is not taken along")
+        if gear == 0.0:
+            raise InputError(f"{self.file}: the actuator on joint '{self.name}' has gear 0 and drives nothing")
+        if np.ravel(getattr(model, "actuator_delay", np.zeros(len(model.actuator_gear))))[index]:
+            self.notes.append("the actuator's delay is not taken along; write it as the effect transport_delay")
+        limited = bool(model.actuator_forcelimited[index])
+        force = self._smaller(model.actuator_forcerange[index], "forcerange") if limited else None
+        return Actuator(
+            name=model.actuator(index).name,
+            index=index,
+            kind=kind,
+            gear=gear,
+            gain=gear * float(gain[0]),
+            kp=gear**2 * float(gain[0]) if kind == "position" else 0.0,
+            kv=-(gear**2) * float(bias[2]) if kind in ("position", "velocity") else 0.0,
+            force_limit=None if force is None else abs(gear) * force,
+            control_range=_pair(model.actuator_ctrlrange[index]) if model.actuator_ctrllimited[index] else None,
+            time_constant=float(model.actuator_dynprm[index][0]) if lags else 0.0,
+        )
+
+    def _kind(self, index: int, gain: Array, bias: Array) -> str:
+        """What a fixed gain and an affine bias make of ctrl."""
+        model, mujoco = self.model, self.mujoco
+        if int(model.actuator_gaintype[index]) != mujoco.mjtGain.mjGAIN_FIXED:
+            return "other"
+        if int(model.actuator_biastype[index]) == mujoco.mjtBias.mjBIAS_NONE:
+            return "torque"
+        if int(model.actuator_biastype[index]) != mujoco.mjtBias.mjBIAS_AFFINE or bias[0] or bias[2] > 0.0:
+            return "other"
+        near = ALIKE * abs(float(gain[0]))
+        if gain[0] > 0.0 and abs(gain[0] + bias[1]) <= near:
+            return "position"
+        return "velocity" if gain[0] > 0.0 and bias[1] == 0.0 and abs(gain[0] + bias[2]) <= near else "other"
+
+    def _tell_polynomials(self) -> None:
+        """Note damping and springs that are not linear, which MuJoCo has since 3.6."""
+        for owner, index, name in (
+            ("dof_dampingpoly", self.dof, "damping"),
+            ("jnt_stiffnesspoly", self.index, "stiffness"),
+        ):
+            if hasattr(self.model, owner) and np.any(getattr(self.model, owner)[index]):
+                self.notes.append(f"of the joint's {name} the linear part alone is taken along")
+
+    def _smaller(self, limits: Array, called: str) -> float:
+        low, high = _pair(limits)
+        if abs(low + high) > ALIKE * max(abs(low), abs(high)):
+            self.notes.append(f"{called} {low:g} to {high:g} is not the same both ways; the smaller of the two counts")
+        return min(abs(low), abs(high))
+
+
+def _pair(values: Array) -> tuple[float, float]:
+    return float(values[0]), float(values[1])

@@ -1,0 +1,161 @@
+"""XML that a person wrote, changed attribute by attribute: comments, order and white space stay as they are."""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
+
+from leactl.errors import InputError
+from leactl.regular import open_regular
+
+MOST_BYTES = 1 << 24
+_ATTRIBUTE = re.compile(r"""\s+([^\s=/>"']+)\s*=\s*("[^"]*"|'[^']*')""")
+
+
+@dataclass(frozen=True)
+class Element:
+    """One start tag of a file."""
+
+    path: tuple[str, ...]  # names from the root to the element
+    attributes: Mapping[str, str]
+    begin: int  # bytes into the file, of its `<`
+    end: int  # behind its `>`
+    parent: int | None  # index among the elements of the file
+
+    @property
+    def name(self) -> str:
+        """Name of the element."""
+        return self.path[-1]
+
+
+@dataclass(frozen=True)
+class XmlText:
+    """A file as bytes, and where its elements begin."""
+
+    name: str
+    raw: bytes
+    elements: tuple[Element, ...]
+
+    @property
+    def root(self) -> str:
+        """Name of the outermost element."""
+        return self.elements[0].name
+
+    def line(self, element: Element) -> int:
+        """Line at which an element begins, from 1."""
+        return self.raw.count(b"\n", 0, element.begin) + 1
+
+    def children(self, element: Element) -> Iterator[Element]:
+        """The elements right below one."""
+        index = self.elements.index(element)
+        return (child for child in self.elements if child.parent == index)
+
+    def changed(self, changes: Mapping[int, Mapping[str, str | None]], below: Mapping[int, str]) -> bytes:
+        """The file with attributes of some elements set, or removed where they are None.
+
+        Parameters
+        ----------
+        changes : attributes by the index of their element.
+        below : text of an element to put first below another, by the other's index.
+        """
+        parts, at = [], 0
+        for index in sorted({*changes, *below}):
+            element = self.elements[index]
+            parts.append(self.raw[at : element.begin])
+            tag = self.raw[element.begin : element.end].decode("utf-8")
+            for name, value in changes.get(index, {}).items():
+                tag = _with_attribute(tag, name, value)
+            parts.append(tag.encode("utf-8"))
+            at = element.end
+            if index in below:
+                parts.append((_break_before(self.raw, element) + below[index]).encode("utf-8"))
+        return b"".join([*parts, self.raw[at:]])
+
+
+def read_xml(path: Path) -> XmlText:
+    """Read an XML file.
+
+    Raises
+    ------
+    InputError : it is absent, no regular file, larger than 16 MiB, not UTF-8, no XML, or declares a document type.
+    """
+    try:
+        with open_regular(path, MOST_BYTES) as stream:
+            raw = stream.read()
+    except OSError as fault:
+        raise InputError(f"{path}: {fault.strerror or fault}") from None
+    except ValueError as fault:  # a path may hold characters that no file name can
+        raise InputError(f"{str(path)!r}: {fault}") from None
+    return parsed(raw, str(path))
+
+
+def parsed(raw: bytes, name: str) -> XmlText:
+    """The elements of XML bytes; `name` stands in messages.
+
+    Raises
+    ------
+    InputError : the bytes are not UTF-8, no XML, or declare a document type, whose entities could grow without end.
+    """
+    try:
+        raw.decode("utf-8")
+    except UnicodeDecodeError as fault:
+        raise InputError(f"{name}: not UTF-8 at byte {fault.start}") from None
+    elements: list[Element] = []
+    open_elements: list[int] = []
+    parser = expat.ParserCreate("utf-8")
+
+    def begin(tag: str, attributes: dict[str, str]) -> None:
+        parent = open_elements[-1] if open_elements else None
+        path = (*(elements[parent].path if parent is not None else ()), tag)
+        at = parser.CurrentByteIndex
+        open_elements.append(len(elements))
+        elements.append(Element(path, attributes, at, _end_of_tag(raw, at), parent))
+
+    def declares(*_: object) -> None:
+        raise InputError(f"{name}:{parser.CurrentLineNumber}:1  <!DOCTYPE> is not accepted")
+
+    parser.StartElementHandler = begin
+    parser.EndElementHandler = lambda _: open_elements.pop()
+    parser.StartDoctypeDeclHandler = declares
+    try:
+        parser.Parse(raw, True)
+    except expat.ExpatError as fault:
+        raise InputError(f"{name}:{fault.lineno}:{fault.offset + 1}  no XML: {expat.ErrorString(fault.code)}") from None
+    return XmlText(name, raw, tuple(elements))
+
+
+def _end_of_tag(raw: bytes, at: int) -> int:
+    """Where a start tag ends, behind its `>`; one in a quoted value does not count."""
+    quote = b""
+    for index in range(at, len(raw)):
+        char = raw[index : index + 1]
+        if quote:
+            quote = b"" if char == quote else quote
+        elif char in (b'"', b"'"):
+            quote = char
+        elif char == b">":
+            return index + 1
+    return len(raw)  # the parser finds fault with it
+
+
+def _with_attribute(tag: str, name: str, value: str | None) -> str:
+    """A start tag with an attribute set, or without it where the value is None."""
+    for match in _ATTRIBUTE.finditer(tag):
+        if match[1] == name:
+            before, after = tag[: match.start()], tag[match.end() :]
+            if value is None:
+                return before + after
+            kept = tag[match.start() : match.start(2)]
+            return before + kept + quoteattr(value) + after
+    if value is None:
+        return tag
+    head = tag.rstrip(">").rstrip("/").rstrip()
+    return f"{head} {name}={quoteattr(value)}{tag[len(head) :].lstrip()}"
+
+
+def _break_before(raw: bytes, element: Element) -> str:
+    """Line break and indentation of an element's first child: two blanks more than its own."""
+    line = raw[raw.rfind(b"\n", 0, element.begin) + 1 : element.begin].decode("utf-8")
+    return "\n" + (line if not line.strip() else "") + "  "
