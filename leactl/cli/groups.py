@@ -16,6 +16,7 @@ GROUPS: Final = {  # by the name of the module that has the group as `app`
     "campaign": "Run campaigns: `leactl campaign CAMPAIGN` begins one or goes on with it.",
     "driver": "List, explain and check driver plug-ins.",
     "gap": "Diagnose the gap between model and bench.",
+    "model": "Models of other simulators, in and out.",
     "motor": "Motor parameter sets and motor design.",
     "protocol": "List, show, check and expand protocols.",
     "runs": "List, show, verify and mend run files.",

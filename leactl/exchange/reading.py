@@ -93,11 +93,11 @@ def import_joint(path: Path, name: str, supply: float | None = None, ctrl_is_cur
     writing.weight()
     writing.drive(supply, ctrl_is_current)
     missing = writing.missing | NOT_OF_A_SIMULATOR
-    heading = [f"# joint '{name}' of {path.name}, as MuJoCo compiles it"]
-    heading += [f"# not in that file: {key}: {reason}" for key, reason in missing.items()]
+    heading = [yamlfile.printable(f"# joint '{name}' of {path.name}, as MuJoCo compiles it")]
+    heading += [yamlfile.printable(f"# not in that file: {key}: {reason}") for key, reason in missing.items()]
     keys = {key: writing.keys[key] for key in Model.model_fields if key in writing.keys}
     text = "\n".join(heading) + "\n" + yaml.safe_dump(rounded(keys), sort_keys=False, allow_unicode=True)
-    model = yamlfile.parse(text, f"{path}: joint '{name}'").validate(Model)
+    model = yamlfile.parse(text, yamlfile.printable(f"{path}: joint '{name}'")).validate(Model)
     return Imported(model, text, joint, missing, tuple([*joint.notes, *writing.notes]))
 
 
@@ -176,7 +176,7 @@ class _Writing:
         else:
             what = "a velocity actuator" if actuator.kind == "velocity" else "an actuator of another law"
             self._no_motor(f"{what} is on the joint; model files have a position servo or none")
-            self.missing["drive"] = self.missing["torque_constant"]
+            self.missing["drive"] = "see torque_constant"
 
     def _no_motor(self, reason: str) -> None:
         self.missing["torque_constant"] = reason
@@ -215,7 +215,7 @@ class _Writing:
             reasons.append("any damping (kv, or the joint's)")
         if reasons or supply is None:
             reason = f"a position actuator is on the joint; as a servo it lacks {', '.join(reasons)}"
-            self.missing |= {"drive": reason, "torque_constant": reason, "phase_resistance": reason}
+            self.missing |= {"drive": reason, "torque_constant": "see drive", "phase_resistance": "see drive"}
             return
         constant = braking * supply / min(limits)
         gain = actuator.kp * supply / min(limits)

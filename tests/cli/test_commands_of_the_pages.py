@@ -25,6 +25,8 @@ ELSEWHERE = {
     "gap diagnose": ("tests/gap/test_gap_commands.py", '"gap", "diagnose"'),
     "gap simulate": ("tests/gap/test_gap_commands.py", '"gap", "simulate"'),
     "gap plan": ("tests/gap/test_planning.py", '"gap", "plan"'),
+    "model import": ("tests/exchange/test_model_commands.py", '"model", "import"'),
+    "model export": ("tests/exchange/test_model_commands.py", '"model", "export"'),
     "driver check room_meter": ("tests/cli/test_driver_new.py", '"driver", "check"'),
     "run ": ("tests/cli/test_run.py", 'leactl("run"'),
     "safety challenge": ("tests/cli/test_challenge.py", '"challenge"'),

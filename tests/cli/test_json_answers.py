@@ -14,8 +14,17 @@ from leactl.gap.diagnosis import Diagnosis
 from tests.cli.answers import SCHEMA, schema_of, sections, written
 from tests.cli.terminal import leactl
 from tests.cli.test_schema import PAGES, misfits
+from tests.exchange.robots import SERVO, leg
 
 ANSWERS = sections()
+AUGMENTED = """\
+name: knee
+torque_constant: 1.8
+phase_resistance: 5.4
+coulomb_friction: 0.3
+drive: {type: position_servo, gain: 45, voltage_limit: 24}
+effects: [{effect: stribeck, parameters: {breakaway_ratio: 0.3, stribeck_velocity: 0.2}}]
+"""
 SELDOM = r"welch\.|unexplained\.|causes\[\]|region\.|acceptance\[\]\.(result|bisect)|results\[\]\.(actuator|condition)$"
 
 
@@ -55,6 +64,8 @@ def workshop(tmp_path_factory):
     for path in sorted((folder / "runs").glob("*.h5")):
         path.rename(path.with_name(re.sub(r"^.*?Z-", "", path.name)))
     shutil.copy(next((folder / "runs").glob("torque*.h5")), folder / "RUN.h5")
+    leg(folder, SERVO.replace("/>", ' ctrlrange="-1 1"/>'))
+    (folder / "augmented.yaml").write_text(AUGMENTED)
     return folder
 
 
@@ -79,6 +90,8 @@ def keys_in(answer, known, key=""):
 def test_an_answer_fits_its_table(title, workshop, monkeypatch):
     monkeypatch.chdir(workshop)
     command, rows = ANSWERS[title]
+    if "robot.xml" in command:
+        pytest.importorskip("mujoco", reason="robots are read by leactl[mujoco]")
     words = [name for word in shlex.split(command) for name in (sorted(map(str, Path().glob(word))) or [word])]
     done = leactl(*words, LEACTL_STATE=str(workshop / "state"))
     assert done.returncode == 0, done.stderr

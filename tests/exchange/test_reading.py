@@ -49,7 +49,7 @@ def test_a_pendulum_on_a_position_actuator_is_a_servo_of_that_stiffness_brake_an
 )
 def test_what_no_file_says_of_the_motor_is_told_as_missing(tmp_path, actuator, words, lacks):
     imported = import_joint(leg(tmp_path, actuator), "knee", **words)
-    assert lacks in imported.missing["torque_constant"]
+    assert lacks in imported.missing["torque_constant"] + imported.missing.get("drive", "")
     assert imported.model.torque_constant is imported.model.drive is None
     for key in imported.missing:
         assert f"# not in that file: {key}: " in imported.text

@@ -1,0 +1,98 @@
+"""The Python file of callbacks for one joint: the source that ships here, with the joint's figures in it."""
+
+from importlib import resources
+from pathlib import Path
+from pprint import pformat
+from textwrap import wrap
+from typing import Any
+
+from leactl import __version__
+from leactl.exchange.destinations import ACTS_ON, CALLBACKS, CURRENT, MJCF
+from leactl.exchange.writing import Patch
+from leactl.model.nominal import Model
+from leactl.vocabulary.effect import effect_definition
+
+WIDTH = 110
+FIGURES = "PARAMETERS: dict[str, Any] = {}\n"
+
+
+def callbacks(model: Model, patched: Patch, source: Path, into: Path, out: Path) -> str:
+    """The text of the file.
+
+    Parameters
+    ----------
+    source, into, out : names of the model file, of the user's file and of the patched one, for the heading.
+    """
+    text = (resources.files("leactl.exchange") / "mujoco_effects.py").read_text(encoding="utf-8")
+    body = text.split('"""\n', 1)[1]
+    figures = pformat(parameters(model, patched), width=WIDTH, sort_dicts=False)
+    return _heading(patched, source, into, out) + body.replace(FIGURES, f"PARAMETERS: dict[str, Any] = {figures}\n", 1)
+
+
+def parameters(model: Model, patched: Patch) -> dict[str, Any]:
+    """What the callbacks of a joint ask for."""
+    acting = [one.entry for one in patched.effects if one.goes_to == CALLBACKS]
+    expected, joint = patched.expected, patched.joint
+    return {
+        "joint": joint.name,
+        "coulomb_friction": expected.get("frictionloss", joint.friction),
+        "viscous_damping": model.viscous_damping or 0.0,
+        "gear_ratio": model.gear_ratio,
+        "drive": _drive(model, patched, [entry.effect for entry in acting]),
+        "effects": [{"effect": entry.effect, "parameters": dict(entry.parameters)} for entry in acting],
+    }
+
+
+def _drive(model: Model, patched: Patch, acting: list[str]) -> dict[str, Any] | None:
+    """The law of the actuator, where the callbacks take it over."""
+    actuator, loop = patched.joint.actuator, model.bench.current_loop_bandwidth or 0.0
+    if actuator is None or patched.law is None:
+        return None
+    changes = any(ACTS_ON[effect] != "joint" for effect in acting)
+    if patched.law == CURRENT and (changes or loop):
+        constant, gain = model.torque_constant or 1.0, patched.expected.get("gain", actuator.gain)
+        return {
+            "gear": actuator.gear * gain / actuator.gain,
+            "per_ctrl": gain / constant,
+            "torque_constant": constant,
+            "loop_bandwidth": loop,
+            "limits_itself": "torque_limit" in acting,
+        }
+    drive = model.drive
+    if drive is None or not (changes or drive.damping):
+        return None
+    return {
+        "gear": actuator.gear,
+        "per_ctrl": 1.0 / actuator.gear,
+        "gain": drive.gain,
+        "damping": drive.damping,
+        "voltage_limit": drive.voltage_limit,
+        "resistance": model.phase_resistance,
+        "torque_constant": model.torque_constant,
+        "back_emf_constant": model.back_emf_constant or model.torque_constant,
+        "limits_itself": True,
+    }
+
+
+def _heading(patched: Patch, source: Path, into: Path, out: Path) -> str:
+    """The docstring: how the file is used, and what is in it."""
+    lines = [
+        f"Callbacks for MuJoCo: what acts on joint '{patched.joint.name}' beside what MJCF can hold.",
+        "",
+        f"Written by leactl {__version__} (leactl model export) from {source.name} for {into.name}.",
+        "It needs `mujoco` alone:",
+        "",
+        f'    model = mujoco.MjModel.from_xml_path("{out.name}")',
+        "    data = mujoco.MjData(model)",
+        "    effects = install(model)  # ctrl means what it did; effects.remove() takes them off again",
+        "    mujoco.mj_step(model, data)",
+        "",
+    ]
+    for one in patched.effects:
+        meaning = effect_definition(one.entry.effect).meaning
+        where = {CALLBACKS: "here", MJCF: f"in {out.name}"}.get(one.goes_to, f"nowhere, {one.reason}")
+        lines += wrap(f"- {one.entry.effect} ({where}): {meaning}", WIDTH, subsequent_indent="  ")
+    if not patched.effects:
+        lines.append("The model has no effects.")
+    text = "\n".join(lines).replace("\\", "\\\\").replace('"""', "'''")
+    return f'"""{text}\n"""\n'

@@ -1,0 +1,92 @@
+"""Where each effect of a model goes in MuJoCo: into the MJCF file, into callbacks, or nowhere, and why."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from leactl.model.nominal import EffectEntry, Model
+from leactl.vocabulary.effect import effect_definition
+
+MJCF, CALLBACKS, NOWHERE = "mjcf", "callbacks", "nowhere"
+SERVO, CURRENT = "position servo", "torque actuator"
+ACTS_ON = {
+    "asymmetric_friction": "joint",
+    "cogging": "joint",
+    "command_slew_limit": CURRENT,
+    "current_sensor_gain": CURRENT,
+    "current_sensor_offset": CURRENT,
+    "dead_time": SERVO,
+    "encoder_eccentricity": "joint",
+    "friction_run_in": "joint",
+    "gravity_load": "joint",
+    "load_dependent_friction": "drive",
+    "position_dependent_friction": "joint",
+    "position_spring": "joint",
+    "power_foldback": CURRENT,
+    "presliding": "joint",
+    "quadratic_drag": "joint",
+    "reference_rate_limit": SERVO,
+    "saturation": "drive",
+    "servo_dead_band": SERVO,
+    "stribeck": "joint",
+    "torque_limit": CURRENT,
+    "torque_ripple": "drive",
+    "transmission_error": "joint",
+    "transport_delay": "drive",
+    "unbalance": "joint",
+}
+"""What the callbacks hold: the joint itself, a drive of either kind, or one of a kind."""
+IN_AMPERES = ("command_slew_limit", "current_sensor_offset", "power_foldback", "saturation", "torque_limit")
+SECOND_BODY = "a second body behind the joint would have to be added"
+TEMPERATURES = "MuJoCo has no temperatures"
+WHY_NOT = {
+    "backlash": SECOND_BODY,
+    "bus_sag": "MuJoCo has no supply",
+    "friction_temperature": TEMPERATURES,
+    "gear_backlash": SECOND_BODY,
+    "joint_elasticity": SECOND_BODY,
+    "magnet_temperature": TEMPERATURES,
+    "shaft_compliance": SECOND_BODY,
+    "velocity_filter_lag": "it changes a reading alone; filter qvel where it is read",
+}
+WHY_A_FAMILY = {"sensor": "it changes the reading of a sensor that MuJoCo does not have", "thermal": TEMPERATURES}
+UNKNOWN = "its equation is not among those of the callbacks"
+
+
+@dataclass(frozen=True)
+class Destination:
+    """An effect of a model and what becomes of it."""
+
+    entry: EffectEntry
+    goes_to: str  # mjcf, callbacks or nowhere
+    reason: str  # why nowhere, else empty
+
+
+def destinations(model: Model, law: str | None) -> Iterator[Destination]:
+    """What becomes of each effect.
+
+    Parameters
+    ----------
+    law : of the joint's actuator: `SERVO`, `CURRENT`, or None where the callbacks cannot stand in for it.
+    """
+    springs = [entry for entry in model.effects if entry.effect == "position_spring"]
+    for entry in model.effects:
+        if springs == [entry] and "reach" not in entry.parameters:
+            yield Destination(entry, MJCF, "")
+        else:
+            reason = _why_not(entry.effect, model, law)
+            yield Destination(entry, NOWHERE if reason else CALLBACKS, reason)
+
+
+def _why_not(effect: str, model: Model, law: str | None) -> str:
+    """Why the callbacks cannot hold an effect; empty where they can."""
+    where = ACTS_ON.get(effect)
+    if where is None:
+        return WHY_NOT.get(effect) or WHY_A_FAMILY.get(effect_definition(effect).family, UNKNOWN)
+    if where == "joint":
+        return ""
+    if law is None or where not in ("drive", law):
+        drive = "drive" if where == "drive" else where
+        return f"it acts on a {drive}, and the joint has none that the model describes"
+    if effect in IN_AMPERES and model.torque_constant is None:
+        return "it is in A, and the model has no torque_constant"
+    return ""

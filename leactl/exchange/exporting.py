@@ -1,0 +1,124 @@
+"""An augmented model written for another simulator: all files at once or none."""
+
+import json
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from leactl.errors import InputError
+from leactl.exchange.callbacks import callbacks
+from leactl.exchange.destinations import CALLBACKS, NOWHERE
+from leactl.exchange.table import table
+from leactl.exchange.writing import Patch, patch, write_patch
+from leactl.gap.replay.plants import plant_of
+from leactl.model.nominal import Model, read_model
+from leactl.runfile.publish import new_file, refuse_existing
+
+
+@dataclass(frozen=True)
+class Request:
+    """What `leactl model export` is asked for."""
+
+    model: Path
+    to: str  # mjcf, urdf or json
+    into: Path | None = None
+    joint: str | None = None
+    out: Path | None = None
+    callbacks: Path | None = None
+    timestep: float | None = None
+    ctrl_is_current: bool = False
+
+    def check(self) -> None:
+        """Refuse what does not go together, and files that exist.
+
+        Raises
+        ------
+        InputError : one line each.
+        """
+        patches = self.to != "json"
+        given = {
+            "--into": self.into,
+            "--out": self.out,
+            "--callbacks": self.callbacks,
+            "--timestep": self.timestep,
+            "--ctrl current": self.ctrl_is_current or None,
+        }
+        asked = {"mjcf": ["--into", "--out"], "urdf": ["--into", "--out"], "json": []}[self.to]
+        allowed = {"mjcf": ["--callbacks", "--ctrl current"], "urdf": [], "json": ["--out", "--timestep"]}[self.to]
+        faults = [f"--to {self.to} needs {name}" for name in asked if given[name] is None]
+        faults += [
+            f"{name} does not go with --to {self.to}"
+            for name, value in given.items()
+            if value is not None and name not in (*asked, *allowed)
+        ]
+        if self.callbacks is not None and self.callbacks.suffix != ".py":
+            faults.append(f"--callbacks {self.callbacks}: a file named .py was expected")
+        if patches and self.out is not None and self.callbacks is not None and self.out == self.callbacks:
+            faults.append(f"{self.out}: is named for two outputs; give each a file of its own")
+        if faults:
+            raise InputError(faults)
+        for path in (self.out, self.callbacks):
+            if path is not None:
+                refuse_existing(path)
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written."""
+
+    written: tuple[Path, ...]
+    patched: Patch | None
+    text: str | None  # of a table that goes nowhere else
+    lines: tuple[str, ...]  # what a reader should know
+
+    def as_json(self) -> dict[str, Any]:
+        """The same for other programs."""
+        told = {"changes": [], "effects": [], "notes": []} if self.patched is None else self.patched.as_json()
+        return {"written": [str(path) for path in self.written]} | told
+
+
+def export(request: Request) -> Exported:
+    """Write a model for another simulator.
+
+    Raises
+    ------
+    InputError : a file that cannot be used, what does not go together, or a joint that the model does not fit.
+    """
+    request.check()
+    model, document = read_model(request.model)
+    plant_of(model)  # finds fault with effects that lack a parameter
+    joint = request.joint or model.name
+    if request.to == "json":
+        text = json.dumps(table(model, joint, request.timestep), indent=2)
+        if request.out is None:
+            return Exported((), None, text, ())
+        with new_file(request.out) as path:
+            path.write_text(text + "\n", encoding="utf-8")
+        return Exported((request.out,), None, None, ())
+    assert request.into is not None and request.out is not None
+    patched = patch(model, request.into, joint, request.to, request.ctrl_is_current)
+    with ExitStack() as files:
+        if request.callbacks is not None:
+            code = callbacks(model, patched, Path(document.name), request.into, request.out)
+            files.enter_context(new_file(request.callbacks)).write_text(code, encoding="utf-8")
+        write_patch(patched, request.out)
+    written = tuple(path for path in (request.out, request.callbacks) if path is not None)
+    return Exported(written, patched, None, tuple(_lines(patched, model, request.callbacks)))
+
+
+def _lines(patched: Patch, model: Model, code: Path | None) -> list[str]:
+    """What was changed, where each effect went, and notes."""
+    lines = []
+    for change in patched.changes:
+        after = "removed" if change.after is None else f"{change.before or 'not given'} -> {change.after}"
+        lines.append(f"line {change.line}: {change.element}: {change.attribute} {after}")
+    for one in patched.effects:
+        reason = f": {one.reason}" if one.reason else ""
+        if one.goes_to == CALLBACKS and code is None:
+            reason = ": give --callbacks FILE.py, MJCF cannot hold it"
+        where = {CALLBACKS: "in the callbacks" if code else "left out", NOWHERE: "left out"}.get(
+            one.goes_to, "in the file"
+        )
+        lines.append(f"{one.entry.effect}: {where}{reason}")
+    return [*lines, *(f"note: {note}" for note in patched.notes)]

@@ -1,0 +1,323 @@
+"""An augmented model as a patch of the user's MJCF or URDF file, and the figures of its callbacks."""
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from leactl.errors import InputError
+from leactl.exchange.compiled import Actuator, Joint, compile_file, is_urdf, joint_of, read_joint
+from leactl.exchange.destinations import CURRENT, MJCF, NOWHERE, SERVO, Destination, destinations
+from leactl.exchange.xml_text import Element, XmlText
+from leactl.model.nominal import Model
+from leactl.runfile.publish import new_file
+
+DIGITS = 9
+AS_WRITTEN = 1e-6  # relative, by which MuJoCo may read back another figure than was written
+STUCK_STEPS = (
+    4.0  # steps, time constant of MuJoCo's friction at rest: its default of 20 ms creeps where a bearing sticks
+)
+STUCK = "0.999 0.9999 0.001"  # solimpfriction for the same
+
+
+@dataclass(frozen=True)
+class Change:
+    """One attribute of the user's file."""
+
+    element: str  # as `joint 'knee'`
+    line: int
+    attribute: str
+    before: str | None  # None where the file did not have it
+    after: str | None  # None where it is removed
+
+
+@dataclass
+class Patch:
+    """The user's file with a model's figures, and what did not fit into it."""
+
+    text: bytes
+    joint: Joint  # as the user's file had it
+    law: str | None  # of the joint's actuator that callbacks can stand in for
+    expected: dict[str, float]  # what MuJoCo has to read of the new file, by attribute
+    changes: list[Change] = field(default_factory=list)
+    effects: list[Destination] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def as_json(self) -> dict[str, Any]:
+        """What was changed, for other programs."""
+        return {
+            "changes": [vars(change) for change in self.changes],
+            "effects": [
+                {"effect": one.entry.effect, "goes_to": one.goes_to, "reason": one.reason} for one in self.effects
+            ],
+            "notes": self.notes,
+        }
+
+
+def patch(model: Model, into: Path, name: str, format: str, ctrl_is_current: bool = False) -> Patch:
+    """The user's file with what of a model its format can hold; comments and the rest stay as they are.
+
+    Parameters
+    ----------
+    format : mjcf or urdf, which the file has to be.
+    ctrl_is_current : whether ctrl of a torque actuator is the current in A, so that torque_constant is its gain.
+
+    Raises
+    ------
+    InputError : the file cannot be compiled or is of the other format, the joint is none that a model file describes
+        or not written in the file itself, or its actuator is not the model's drive.
+    """
+    compiled, text = compile_file(into)
+    if is_urdf(text) != (format == "urdf"):
+        raise InputError(f"{into}: is {'URDF' if is_urdf(text) else 'MJCF'}; --to {format} was asked for")
+    joint = joint_of(compiled, text, name)
+    writing = _Writing(model, text, joint)
+    writing.check_drive(ctrl_is_current)
+    writing.mechanics()
+    if is_urdf(text):
+        writing.urdf()
+    else:
+        writing.mjcf(ctrl_is_current)
+    return writing.patch()
+
+
+def law_of(model: Model, actuator: Actuator | None) -> str | None:
+    """The law by which callbacks can stand in for the joint's actuator."""
+    if actuator is None:
+        return None
+    if model.drive is not None:
+        return SERVO if actuator.kind == "position" and not actuator.time_constant else None
+    return CURRENT if actuator.kind == "torque" else None
+
+
+@dataclass(frozen=True)
+class ServoFigures:
+    """A position servo on a voltage as a spring, a brake and a limit."""
+
+    stiffness: float  # N*m/rad
+    braking: float  # N*m*s/rad, by the back-EMF
+    limit: float  # N*m, at standstill
+    top_speed: float  # rad/s, at which the back-EMF takes all of its voltage
+
+
+def servo_figures(model: Model) -> ServoFigures | None:
+    """Figures of the model's position servo; None where it has none or does not know its motor."""
+    constant, resistance, drive = model.torque_constant, model.phase_resistance, model.drive
+    if drive is None or constant is None or resistance is None:
+        return None
+    emf = model.back_emf_constant or constant
+    per_volt = constant / resistance
+    return ServoFigures(
+        per_volt * drive.gain, per_volt * emf, per_volt * drive.voltage_limit, drive.voltage_limit / emf
+    )
+
+
+class _Writing:
+    """A file's changes as they come together."""
+
+    def __init__(self, model: Model, text: XmlText, joint: Joint) -> None:
+        self.model, self.text, self.of = model, text, joint
+        self.servo, self.law = servo_figures(model), law_of(model, joint.actuator)
+        self.wanted: dict[str, float] = {}  # by MJCF's names, angles in rad
+        self.set: dict[int, dict[str, str | None]] = {}
+        self.below: dict[int, str] = {}
+        self.changes: list[Change] = []
+        self.notes: list[str] = []
+        self.effects = list(destinations(model, self.law))
+
+    def patch(self) -> Patch:
+        """The whole."""
+        text = self.text.changed(self.set, self.below)
+        return Patch(text, self.of, self.law, self.wanted, self.changes, self.effects, self.notes)
+
+    def check_drive(self, ctrl_is_current: bool) -> None:
+        """Refuse a model whose drive is not what drives the joint."""
+        file, name, actuator = self.text.name, self.of.name, self.of.actuator
+        is_mjcf = not is_urdf(self.text)
+        if ctrl_is_current and (actuator is None or actuator.kind != "torque" or self.model.torque_constant is None):
+            raise InputError(
+                f"{file}: --ctrl current goes with a torque actuator on joint '{name}' and a torque_constant"
+            )
+        if self.model.drive is None or not is_mjcf:
+            return
+        if self.servo is None:
+            raise InputError(f"model {self.model.name}: a position servo needs torque_constant and phase_resistance")
+        if self.law is None:
+            has = (
+                "none" if actuator is None else "one with a lag" if actuator.time_constant else f"a {actuator.kind} one"
+            )
+            raise InputError(
+                f"{file}: the model's drive is a position servo, and joint '{name}' has {has}; a <position> actuator on"
+                " the joint was expected"
+            )
+
+    def mechanics(self) -> None:
+        """Work out the joint's figures from the model's."""
+        model, joint = self.model, self.of
+        if model.rotor_inertia is not None:
+            bodies = joint.inertia - joint.armature
+            armature = model.rotor_inertia + model.load.inertia - bodies
+            if armature < -AS_WRITTEN * bodies:
+                self.notes.append(
+                    f"the bodies alone have an inertia of {bodies:.6g} kg*m^2 about the joint, the model has"
+                    f" {bodies + armature:.6g} in all: armature is 0, and {-armature:.6g} too much is left"
+                )
+            self.wanted["armature"] = max(armature, 0.0) if abs(armature) > AS_WRITTEN * bodies else 0.0
+        if model.viscous_damping is not None or self.servo is not None:
+            added = joint.damping - joint.attribute_damping  # by the actuator's own attribute
+            braking = self.servo.braking if self.servo is not None else 0.0
+            self.wanted["damping"] = max((model.viscous_damping or 0.0) + braking - added, 0.0)
+        if model.coulomb_friction is not None:
+            self.wanted["frictionloss"] = model.coulomb_friction
+        for spring in (one.entry.parameters for one in self.effects if one.goes_to == MJCF):
+            self.wanted |= {"stiffness": spring["stiffness"], "springref": spring["rest_angle"]}
+        level = model.load.level_torque
+        if not joint.slides and abs(level - joint.level_torque) > 1e-3 * max(level, joint.level_torque):
+            self.notes.append(
+                f"held out level the bodies weigh {joint.level_torque:.6g} N*m, the model's load {level:.6g} N*m; the"
+                " bodies stay as they are"
+            )
+
+    def mjcf(self, ctrl_is_current: bool) -> None:
+        """Set attributes of the joint and of its actuator where the file's figures are others."""
+        has = figures_of(self.of)
+        values: dict[str, str | None] = {
+            name: number(math.degrees(value) if name == "springref" and self._in_degrees() else value)
+            for name, value in self.wanted.items()
+            if not alike(value, has[name])
+        }
+        if "stiffness" in values or "damping" in values:
+            values["springdamper"] = None
+        if self.wanted.get("frictionloss"):
+            values |= {"solreffriction": f"{number(STUCK_STEPS * self.of.timestep)} 1", "solimpfriction": STUCK}
+        servo, actuator, constant = self.servo, self.of.actuator, self.model.torque_constant
+        if servo is not None and self.of.torque_limit is not None and self.of.torque_limit < servo.limit:
+            values["actuatorfrcrange"] = both_ways(servo.limit)
+        self._change(self._element("worldbody", "joint", "name"), values)
+        if actuator is None:
+            return
+        if servo is not None and self.law == SERVO:
+            self._change(self._element("actuator", None, "joint"), self._servo_attributes(actuator, servo))
+            self.wanted |= {"kp": servo.stiffness, "kv": 0.0, "forcerange": servo.limit}
+        if ctrl_is_current and constant is not None and not alike(constant, actuator.gain):
+            element = self._element("actuator", None, "joint")
+            gears = (element.attributes.get("gear") or "1").split()
+            gears[0] = number(actuator.gear * constant / actuator.gain)
+            self._change(element, {"gear": " ".join(gears)})
+            self.wanted["gain"] = constant
+
+    def _servo_attributes(self, actuator: Actuator, servo: ServoFigures) -> dict[str, str | None]:
+        """Of a <position> or <general> actuator; the back-EMF brakes by the joint's damping, beyond the limit too."""
+        element, stiffness = self._element("actuator", None, "joint"), number(servo.stiffness / actuator.gear**2)
+        values: dict[str, str | None] = {}
+        if element.name == "position":
+            if not alike(servo.stiffness, actuator.kp):
+                values["kp"] = stiffness
+            if actuator.kv:
+                values |= {"kv": "0", "dampratio": None}
+        elif not alike(servo.stiffness, actuator.kp) or actuator.kv:
+            values |= {"gainprm": stiffness, "biasprm": f"0 -{stiffness} 0"}
+        if actuator.force_limit is None or not alike(servo.limit, actuator.force_limit):
+            values["forcerange"] = both_ways(servo.limit / abs(actuator.gear))
+        if actuator.force_limit is None:
+            values["forcelimited"] = "true"
+        return values
+
+    def urdf(self) -> None:
+        """Set damping and friction of the joint's <dynamics>, and the effort of its <limit>."""
+        joint = self._element("robot", "joint", "name")
+        dynamics = {"damping": self.wanted.get("damping"), "friction": self.wanted.get("frictionloss")}
+        values: dict[str, str | None] = {name: number(value) for name, value in dynamics.items() if value is not None}
+        children = {child.name: child for child in self.text.children(joint)}
+        if "dynamics" in children:
+            self._change(children["dynamics"], values)
+        elif values:
+            attributes = " ".join(f'{name}="{value}"' for name, value in values.items())
+            self.below[self.text.elements.index(joint)] = f"<dynamics {attributes}/>"
+            line = self.text.line(joint)
+            self.changes += [Change("dynamics", line, name, None, value) for name, value in values.items()]
+        if self.servo is not None and "limit" in children:
+            self._change(children["limit"], {"effort": number(self.servo.limit)})
+        if armature := self.wanted.pop("armature", 0.0):
+            self.notes.append(f"URDF has no armature; {armature:.6g} kg*m^2 are left out")
+        for name in ("stiffness", "springref"):
+            self.wanted.pop(name, None)
+        self.effects = [Destination(one.entry, NOWHERE, "URDF has no word for it") for one in self.effects]
+
+    def _element(self, within: str, tag: str | None, attribute: str) -> Element:
+        """The element of the joint, or of what refers to it."""
+        for element in self.text.elements:
+            named = element.attributes.get(attribute) == self.of.name
+            if attribute == "joint":
+                named = named or element.attributes.get("jointinparent") == self.of.name
+            if named and within in element.path[:-1] and tag in (None, element.name):
+                return element
+        what = f"joint '{self.of.name}'" if tag else f"the actuator on joint '{self.of.name}'"
+        raise InputError(
+            f"{self.text.name}: {what} is not written in this file, but included, attached or replicated; name the file"
+            " that MuJoCo saves (mj_saveLastXML) in its place"
+        )
+
+    def _in_degrees(self) -> bool:
+        told = [one.attributes.get("angle", "") for one in self.text.elements if one.name == "compiler"]
+        return not self.of.slides and "radian" not in told
+
+    def _change(self, element: Element, values: dict[str, str | None]) -> None:
+        before = element.attributes
+        kept = {name: value for name, value in values.items() if before.get(name) != value}
+        called = f"{element.name} '{before.get('name', self.of.name)}'"
+        line = self.text.line(element)
+        self.changes += [Change(called, line, name, before.get(name), value) for name, value in kept.items()]
+        self.set.setdefault(self.text.elements.index(element), {}).update(kept)
+
+
+def write_patch(patched: Patch, out: Path) -> None:
+    """Write a patched file where MuJoCo compiles it and reads what was written; else nothing is.
+
+    Raises
+    ------
+    InputError : it does not compile at that place, or a default of the file stands against a figure.
+    """
+    with new_file(out) as path:
+        path.write_bytes(patched.text)
+        try:
+            read = figures_of(read_joint(path, patched.joint.name))
+        except InputError as fault:
+            raise InputError([line.replace(str(path), str(out)) for line in fault.faults]) from None
+        for name, value in patched.expected.items():
+            if not alike(value, read[name]):
+                raise InputError(
+                    f"{out}: MuJoCo reads {name} {read[name]:.9g} of joint '{patched.joint.name}', {value:.9g} was"
+                    " written; a default or a compiler setting of the file stands against it"
+                )
+
+
+def figures_of(joint: Joint) -> dict[str, float]:
+    """What a patch may set, as MuJoCo reads it, by attribute."""
+    actuator = joint.actuator
+    return {
+        "armature": joint.armature,
+        "damping": joint.attribute_damping,
+        "frictionloss": joint.friction,
+        "stiffness": joint.stiffness,
+        "springref": joint.spring_rest,
+        "kp": actuator.kp if actuator else 0.0,
+        "kv": actuator.kv if actuator else 0.0,
+        "gain": actuator.gain if actuator else 0.0,
+        "forcerange": (actuator.force_limit if actuator else None) or 0.0,
+    }
+
+
+def alike(first: float, second: float) -> bool:
+    """Whether two figures are one but for the digits of a file."""
+    return math.isclose(first, second, rel_tol=AS_WRITTEN, abs_tol=1e-12)
+
+
+def number(value: float) -> str:
+    """A figure as an attribute."""
+    return f"{value:.{DIGITS}g}"
+
+
+def both_ways(value: float) -> str:
+    """A limit of both senses as an attribute."""
+    return f"{number(-value)} {number(value)}"
