@@ -7,6 +7,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
+from leactl.cli import finite
 from leactl.cli.completion import effects
 from leactl.cli.completion import protocols as complete_protocols
 from leactl.cli.helptext import examples, group_of_commands
@@ -173,6 +174,32 @@ def demo(
         shown = demonstrate(files.bench, files.answer, lambda: read_key(files.key, files.bench), step)
         publish(files.page, page(shown.answer, preface(shown, number)))
     typer.echo(json.dumps(document(shown, number, files)) if as_json else "\n".join(lines(shown, number, files)))
+
+
+@app.command(
+    epilog=examples("gap loop robot.xml *.h5 --joint knee --out new.xml --callbacks k.py"),
+)
+def loop(
+    robot: Path = typer.Argument(help="MJCF file."),
+    runs: list[Path] = typer.Argument(metavar="RUN...", help="Run files of its position servo to learn from."),
+    joint: str = typer.Option(..., "--joint", help="Which joint of it."),
+    out: Path = typer.Option(..., "--out", help="New MJCF file, patched."),
+    callbacks: Path = typer.Option(..., "--callbacks", help="New .py for MuJoCo with what MJCF cannot hold."),
+    supply: float | None = typer.Option(
+        None, "--supply", min=0.1, max=1000.0, help="Of the servo [V].", callback=finite
+    ),
+    held_out: list[Path] = typer.Option([], "--held-out", help="A run to judge on; may be repeated."),
+    write_model: Path | None = typer.Option(None, "--write-model", help="Write the augmented model, a new .yaml."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Close the loop in your own MuJoCo model: play runs, diagnose, patch, play held-out runs again."""
+    from leactl.exchange.loop import Files, close_loop
+    from leactl.report.gap_loop import lines
+    from leactl.report.steps import Steps
+
+    with Steps() as step:
+        closed = close_loop(Files(robot, runs, held_out, out, callbacks, write_model), joint, supply, step)
+    typer.echo(json.dumps(closed.as_json()) if as_json else "\n".join(lines(closed)))
 
 
 @blind.command(

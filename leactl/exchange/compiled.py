@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -66,7 +67,16 @@ def is_urdf(text: XmlText) -> bool:
     return text.root == "robot"
 
 
-def compile_file(path: Path) -> tuple[Any, XmlText]:
+@dataclass(frozen=True)
+class Compiled:
+    """A file as MuJoCo has it."""
+
+    model: Any  # mujoco.MjModel
+    text: XmlText
+    warnings: tuple[str, ...]  # of MuJoCo, a line each
+
+
+def compile_file(path: Path) -> Compiled:
     """Compile an MJCF or URDF file by MuJoCo; of a URDF, shapes are left out, so that no mesh has to be there.
 
     Raises
@@ -78,11 +88,25 @@ def compile_file(path: Path) -> tuple[Any, XmlText]:
         raise InputError(f"{path}:1:1  <{text.root}> is the outermost element; <mujoco> or <robot> was expected")
     mujoco = loaded()
     try:
-        if is_urdf(text):
-            return mujoco.MjModel.from_xml_string(_without_shapes(text.raw)), text
-        return mujoco.MjModel.from_xml_path(str(path)), text
+        with warnings_of(mujoco) as warnings:
+            if is_urdf(text):
+                model = mujoco.MjModel.from_xml_string(_without_shapes(text.raw))
+            else:
+                model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as fault:
         raise InputError(f"{path}: MuJoCo does not compile it: {' '.join(str(fault).split())}") from None
+    return Compiled(model, text, tuple(warnings))
+
+
+@contextmanager
+def warnings_of(mujoco: Any) -> Iterator[list[str]]:
+    """Collect what MuJoCo warns of, which it would else write to a log in the user's folder."""
+    before, warnings = mujoco.get_mju_user_warning(), list[str]()
+    mujoco.set_mju_user_warning(lambda text: warnings.append(" ".join(str(text).split())))
+    try:
+        yield warnings
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def loaded() -> Any:
@@ -116,13 +140,12 @@ def read_joint(path: Path, name: str) -> Joint:
     InputError : the file cannot be compiled, has no such joint, or the joint is none that a model file describes:
         a ball or free joint, one in a closed loop, one that a tendon or several actuators act on.
     """
-    model, text = compile_file(path)
-    return joint_of(model, text, name)
+    return joint_of(compile_file(path), name)
 
 
-def joint_of(model: Any, text: XmlText, name: str) -> Joint:
+def joint_of(compiled: Compiled, name: str) -> Joint:
     """One joint of a compiled file; raises as `read_joint` does."""
-    mujoco = loaded()
+    mujoco, model, text = loaded(), compiled.model, compiled.text
     names = {model.joint(index).name: index for index in range(model.njnt)}
     if not name or name not in names:
         raise InputError(f"{text.name}: no joint '{name}'; {_instead(name, [known for known in names if known])}")
@@ -134,6 +157,7 @@ def joint_of(model: Any, text: XmlText, name: str) -> Joint:
     state = mujoco.MjData(model)
     mujoco.mj_forward(model, state)
     about = _About(mujoco, model, state, text.name, index)
+    about.notes += [f"MuJoCo warns: {warning}" for warning in compiled.warnings]
     about.refuse_loops(text)
     about.refuse_tendons()
     return about.joint(kind == mujoco.mjtJoint.mjJNT_SLIDE)

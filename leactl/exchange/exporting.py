@@ -1,6 +1,7 @@
 """An augmented model written for another simulator: all files at once or none."""
 
 import json
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from leactl.exchange.destinations import CALLBACKS, NOWHERE
 from leactl.exchange.table import table
 from leactl.exchange.writing import Patch, patch, write_patch
 from leactl.gap.replay.plants import plant_of
-from leactl.model.nominal import Model, read_model
+from leactl.model.nominal import read_model
 from leactl.runfile.publish import new_file, refuse_existing
 
 
@@ -98,16 +99,26 @@ def export(request: Request) -> Exported:
         return Exported((request.out,), None, None, ())
     assert request.into is not None and request.out is not None
     patched = patch(model, request.into, joint, request.to, request.ctrl_is_current)
-    with ExitStack() as files:
-        if request.callbacks is not None:
-            code = callbacks(model, patched, Path(document.name), request.into, request.out)
-            files.enter_context(new_file(request.callbacks)).write_text(code, encoding="utf-8")
-        write_patch(patched, request.out)
+    code = callbacks(model, patched, Path(document.name), request.into, request.out) if request.callbacks else ""
+    write_all(patched, request.out, {} if request.callbacks is None else {request.callbacks: code})
     written = tuple(path for path in (request.out, request.callbacks) if path is not None)
-    return Exported(written, patched, None, tuple(_lines(patched, model, request.callbacks)))
+    return Exported(written, patched, None, tuple(_lines(patched, request.callbacks)))
 
 
-def _lines(patched: Patch, model: Model, code: Path | None) -> list[str]:
+def write_all(patched: Patch, out: Path, beside: Mapping[Path, str]) -> None:
+    """Write a patched file, and the texts of others beside it: all or none.
+
+    Raises
+    ------
+    InputError : MuJoCo does not read the patched file at its place as it was written, or a file exists.
+    """
+    with ExitStack() as files:
+        for path, text in beside.items():
+            files.enter_context(new_file(path)).write_text(text, encoding="utf-8")
+        write_patch(patched, out)
+
+
+def _lines(patched: Patch, code: Path | None) -> list[str]:
     """What was changed, where each effect went, and notes."""
     lines = []
     for change in patched.changes:

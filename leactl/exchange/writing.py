@@ -67,10 +67,11 @@ def patch(model: Model, into: Path, name: str, format: str, ctrl_is_current: boo
     InputError : the file cannot be compiled or is of the other format, the joint is none that a model file describes
         or not written in the file itself, or its actuator is not the model's drive.
     """
-    compiled, text = compile_file(into)
+    compiled = compile_file(into)
+    text = compiled.text
     if is_urdf(text) != (format == "urdf"):
         raise InputError(f"{into}: is {'URDF' if is_urdf(text) else 'MJCF'}; --to {format} was asked for")
-    joint = joint_of(compiled, text, name)
+    joint = joint_of(compiled, name)
     writing = _Writing(model, text, joint)
     writing.check_drive(ctrl_is_current)
     writing.mechanics()

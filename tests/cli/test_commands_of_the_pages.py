@@ -25,6 +25,7 @@ ELSEWHERE = {
     "gap diagnose": ("tests/gap/test_gap_commands.py", '"gap", "diagnose"'),
     "gap simulate": ("tests/gap/test_gap_commands.py", '"gap", "simulate"'),
     "gap plan": ("tests/gap/test_planning.py", '"gap", "plan"'),
+    "gap loop": ("tests/exchange/test_loop.py", '"gap", "loop"'),
     "model import": ("tests/exchange/test_model_commands.py", '"model", "import"'),
     "model export": ("tests/exchange/test_model_commands.py", '"model", "export"'),
     "driver check room_meter": ("tests/cli/test_driver_new.py", '"driver", "check"'),

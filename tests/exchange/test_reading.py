@@ -1,6 +1,7 @@
 """Joints of MJCF and URDF as model files: figures by hand, what is missing, and what is refused."""
 
 import math
+from pathlib import Path
 
 import pytest
 
@@ -211,6 +212,7 @@ def test_a_mimicking_joint_is_refused_and_the_one_it_follows(tmp_path):
     path.write_text(path.read_text().replace("</robot>", shoulder + "</robot>"))
     with pytest.raises(InputError, match="elbow' is tied to another by <mimic>"):
         import_joint(path, "elbow")
+    assert not (Path.cwd() / "MUJOCO_LOG.TXT").exists()  # where MuJoCo puts its warnings
 
 
 BROKEN = [

@@ -1,0 +1,170 @@
+"""From a MuJoCo model and runs to one that moves as the runs do, judged in MuJoCo itself on held-out runs."""
+
+import importlib.util
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import yaml
+
+from leactl.errors import InputError
+from leactl.exchange.callbacks import callbacks
+from leactl.exchange.exporting import write_all
+from leactl.exchange.playing import play, playable, rms_of_error
+from leactl.exchange.reading import import_joint
+from leactl.exchange.writing import Patch, patch, write_patch
+from leactl.gap.diagnose import diagnose, read_case
+from leactl.gap.diagnosis import Diagnosis
+from leactl.model.nominal import as_mapping
+from leactl.runfile.publish import refuse_existing
+
+FORMAT, VERSION = "leactl-gap-loop", 1
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Played:
+    """How far the angle of a held-out run is from the measured one in MuJoCo, root mean square [rad]."""
+
+    run: str
+    before: float  # by the file as it was
+    file: float  # by the patched file alone
+    after: float  # by the patched file with its callbacks
+
+
+@dataclass(frozen=True)
+class Loop:
+    """What was named, and how far the gap shrank in the user's simulator."""
+
+    joint: str
+    answer: Diagnosis
+    patched: Patch
+    runs: tuple[Played, ...]
+    written: tuple[Path, ...]
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Effects that the augmented model has, in the order in which they were told."""
+        has = {entry.effect for entry in self.answer.extra["augmented"].effects}
+        return tuple(cause.effect for cause in self.answer.causes if cause.effect in has)
+
+    @property
+    def whole(self) -> Played:
+        """The same over all runs, each counting alike."""
+        table = np.array([(run.before, run.file, run.after) for run in self.runs])
+        return Played("all", *np.sqrt(np.mean(table**2, axis=0)).tolist())
+
+    @property
+    def closed(self) -> float:
+        """Share of the gap that the patched file with its callbacks closes."""
+        whole = self.whole
+        return 1.0 - whole.after / whole.before if whole.before > 0.0 else 0.0
+
+    def as_json(self) -> dict[str, Any]:
+        """The same for other programs."""
+        return {
+            "format": FORMAT,
+            "format_version": VERSION,
+            "joint": self.joint,
+            "verdict": self.answer.verdict,
+            "named": list(self.named),
+            "runs": [_figures(run) for run in self.runs],
+            "all": _figures(self.whole),
+            "closed": self.closed,
+            "written": [str(path) for path in self.written],
+            "effects": self.patched.as_json()["effects"],
+            "notes": [*self.answer.notes, *self.patched.notes],
+        }
+
+
+def _figures(run: Played) -> dict[str, Any]:
+    return {"run": run.run, "before_rad": run.before, "file_rad": run.file, "after_rad": run.after}
+
+
+@dataclass(frozen=True)
+class Files:
+    """What a loop reads and writes."""
+
+    robot: Path
+    runs: Sequence[Path]
+    held_out: Sequence[Path]
+    out: Path  # the patched robot
+    callbacks: Path
+    augmented: Path | None = None  # the augmented model
+
+    def check(self) -> None:
+        """Refuse files that exist, and names that do not serve.
+
+        Raises
+        ------
+        InputError : one line each.
+        """
+        new = [path for path in (self.out, self.callbacks, self.augmented) if path is not None]
+        faults = [f"{path}: no folder {path.parent}" for path in new if not path.parent.is_dir()]
+        if self.callbacks.suffix != ".py":
+            faults.append(f"--callbacks {self.callbacks}: a file named .py was expected")
+        if len({path.resolve() for path in new}) < len(new):
+            faults.append(f"{self.out}: is named for two outputs; give each a file of its own")
+        if faults:
+            raise InputError(faults)
+        for path in new:
+            refuse_existing(path)
+
+
+def close_loop(files: Files, joint: str, supply: float | None = None, progress: Progress = lambda _: None) -> Loop:
+    """Read a joint, diagnose runs with it, patch the robot, and play the held-out runs before and after in MuJoCo.
+
+    Parameters
+    ----------
+    supply : V, of the joint's position servo.
+
+    Raises
+    ------
+    InputError : files that cannot be used, a joint that no position servo drives, runs without angle and reference,
+        or a patched file that MuJoCo does not read as it was written.
+    """
+    files.check()
+    imported = import_joint(files.robot, joint, supply)
+    if imported.model.drive is None:
+        reason = imported.missing.get("drive", "its actuator is no position actuator")
+        raise InputError(f"{files.robot}: joint '{joint}' has no position servo: {reason}")
+    with TemporaryDirectory() as folder:
+        nominal = Path(folder) / f"{files.robot.stem}.yaml"
+        nominal.write_text(imported.text, encoding="utf-8")
+        case = read_case(files.runs, files.held_out, nominal)
+    playable([*case.fitted, *case.held_out])
+    trial = files.out.with_name(f".{files.out.name}.trial.xml")
+    try:  # what does not fit is told before minutes are spent
+        write_patch(patch(imported.model, files.robot, joint, "mjcf"), trial)
+    finally:
+        trial.unlink(missing_ok=True)
+    progress("playing the runs in MuJoCo")
+    before = rms_of_error(case.held_out, play(files.robot, joint, case.held_out))
+    answer = diagnose(case, progress)
+    model = answer.extra["augmented"]
+    patched = patch(model, files.robot, joint, "mjcf")
+    source = Path("the augmented model") if files.augmented is None else files.augmented
+    beside = {files.callbacks: callbacks(model, patched, source, files.robot, files.out)}
+    if files.augmented is not None:
+        beside[files.augmented] = yaml.safe_dump(as_mapping(model), sort_keys=False)
+    write_all(patched, files.out, beside)
+    progress("playing them again")
+    alone = rms_of_error(case.held_out, play(files.out, joint, case.held_out))
+    after = rms_of_error(case.held_out, play(files.out, joint, case.held_out, _install_of(files.callbacks)))
+    names = [record.path.name for record in case.held_out]
+    runs = tuple(Played(*row) for row in zip(names, before, alone, after, strict=True))
+    written = tuple(path for path in (files.out, files.callbacks, files.augmented) if path is not None)
+    return Loop(joint, answer, patched, runs, written)
+
+
+def _install_of(path: Path) -> Callable[[Any], Any]:
+    """What a written file of callbacks installs: the file itself, as a user has it."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    install: Callable[[Any], Any] = module.install
+    return install

@@ -1,0 +1,115 @@
+"""Runs played in the user's MuJoCo model: the goals of a position servo into its actuator, its angle at the stamps."""
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+from leactl.exchange.compiled import compile_file, joint_of, loaded, warnings_of
+from leactl.gap.servo.runs import starting_speed
+from leactl.gap.signals.record import Clocked, Record
+
+Array = npt.NDArray[np.float64]
+HELD = 1e6  # times its inertia, with which a joint beside the one that plays is as good as held
+ASKED, READ = ("angle_reference", "test"), ("angle", "test")
+
+
+def playable(records: Sequence[Record]) -> None:
+    """Refuse runs that a position actuator cannot play.
+
+    Raises
+    ------
+    InputError : a run has no angle, or no reference of it; one line each.
+    """
+    faults = [
+        f"{record.path}: no {quantity} of test; a run of a position servo was expected"
+        for record in records
+        for quantity, _ in (READ, ASKED)
+        if record.fast is None or record.fast.get(quantity) is None
+    ]
+    if faults:
+        raise InputError(faults)
+
+
+def play(
+    robot: Path, name: str, records: Sequence[Record], install: Callable[[Any], Any] | None = None
+) -> tuple[Array, ...]:
+    """Angle [rad] of a joint at the stamps of each run, from the measured state at its first one.
+
+    The reference of a stamp is held in `ctrl` until the next. Other joints of the file are held where it has them.
+
+    Parameters
+    ----------
+    install : puts callbacks on a compiled model, and gives what takes them off by `remove`.
+
+    Raises
+    ------
+    InputError : the file cannot be compiled, or the motion grew beyond all bounds.
+    """
+    mujoco = loaded()
+    compiled = compile_file(robot)
+    model, joint = compiled.model, joint_of(compiled, name)
+    actuator = joint.actuator
+    if actuator is None or actuator.kind != "position":
+        raise InputError(f"{robot}: no position actuator drives joint '{name}'; runs of other drives are not played")
+    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+    dof, position = int(model.jnt_dofadr[index]), int(model.jnt_qposadr[index])
+    others = np.arange(model.nv) != dof
+    model.dof_armature[others] = HELD * np.maximum(joint.inertia, 1.0)
+    control = int(getattr(model, "actuator_ctrladr", range(actuator.index + 1))[actuator.index])
+    played = []
+    effects = None if install is None else install(model)
+    try:
+        with warnings_of(mujoco):
+            for record in records:
+                assert record.fast is not None
+                state = mujoco.MjData(model)
+                measured = record.fast.values[READ]
+                state.qpos[position] = measured[0]
+                state.qvel[dof] = starting_speed(measured, record.fast.interval)
+                asked = actuator.gear * record.fast.values[ASKED]
+                played.append(_angles(mujoco, model, state, (position, control), record.fast, asked))
+                if not np.all(np.isfinite(played[-1])):
+                    raise InputError(f"{robot}: joint '{name}' moves beyond all bounds in {record.path.name}")
+    finally:
+        if effects is not None:
+            effects.remove()
+    return tuple(played)
+
+
+def _angles(mujoco: Any, model: Any, state: Any, where: tuple[int, int], clock: Clocked, asked: Array) -> Array:
+    """Step from stamp to stamp; one between two steps gets what a straight line has there, and NaN after a reset."""
+    position, control = where
+    stamps, out = (clock.time - clock.time[0]).tolist(), []
+    before, angle = 0.0, float(state.qpos[position])
+    last = angle
+    for stamp, value in zip(stamps, asked.tolist(), strict=True):
+        while state.time < stamp - 1e-9:
+            before, last = float(state.time), float(state.qpos[position])
+            mujoco.mj_step(model, state)
+            if state.time <= before or any(warning.number for warning in _unstable(mujoco, state)):
+                return np.full(len(stamps), np.nan)  # MuJoCo begins anew where a motion has no bounds
+        angle = float(state.qpos[position])
+        share = (stamp - before) / (state.time - before) if state.time > before else 1.0
+        out.append(last + min(share, 1.0) * (angle - last))
+        state.ctrl[control] = value
+    return np.array(out, np.float64)
+
+
+def _unstable(mujoco: Any, state: Any) -> list[Any]:
+    kinds = mujoco.mjtWarning
+    return [state.warning[int(kind)] for kind in (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)]
+
+
+def rms_of_error(records: Sequence[Record], played: Sequence[Array]) -> list[float]:
+    """Root mean square of the angle's error [rad] of each run, where its samples count."""
+    found = []
+    for record, angles in zip(records, played, strict=True):
+        assert record.fast is not None
+        wrong = (angles - record.fast.values[READ])[record.fast.all_valid(READ, ASKED)]
+        found.append(math.sqrt(float(np.mean(wrong**2))))
+    return found
