@@ -2,7 +2,6 @@
 
 from importlib import resources
 from pathlib import Path
-from pprint import pformat
 from textwrap import wrap
 from typing import Any
 
@@ -25,8 +24,20 @@ def callbacks(model: Model, patched: Patch, source: Path, into: Path, out: Path)
     """
     text = (resources.files("leactl.exchange") / "mujoco_effects.py").read_text(encoding="utf-8")
     body = text.split('"""\n', 1)[1]
-    figures = pformat(parameters(model, patched), width=WIDTH, sort_dicts=False)
-    return _heading(patched, source, into, out) + body.replace(FIGURES, f"PARAMETERS: dict[str, Any] = {figures}\n", 1)
+    figures = f"PARAMETERS: dict[str, Any] = {_literal(parameters(model, patched))}\n"
+    return _heading(patched, source, into, out) + body.replace(FIGURES, figures, 1)
+
+
+def _literal(value: Any, indent: str = "") -> str:
+    """A mapping or list as Python text, an entry a line down to what fits on one."""
+    inner = indent + "    "
+    if not isinstance(value, dict | list) or len(indent) + len(repr(value)) < WIDTH - 10:
+        return repr(value)
+    if isinstance(value, list):
+        lines = [f"{inner}{_literal(part, inner)},\n" for part in value]
+        return f"[\n{''.join(lines)}{indent}]"
+    lines = [f"{inner}{key!r}: {_literal(part, inner)},\n" for key, part in value.items()]
+    return f"{{\n{''.join(lines)}{indent}}}"
 
 
 def parameters(model: Model, patched: Patch) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """An augmented model written for another simulator: all files at once or none."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,7 +37,6 @@ class Request:
         ------
         InputError : one line each.
         """
-        patches = self.to != "json"
         given = {
             "--into": self.into,
             "--out": self.out,
@@ -53,15 +52,31 @@ class Request:
             for name, value in given.items()
             if value is not None and name not in (*asked, *allowed)
         ]
-        if self.callbacks is not None and self.callbacks.suffix != ".py":
-            faults.append(f"--callbacks {self.callbacks}: a file named .py was expected")
-        if patches and self.out is not None and self.callbacks is not None and self.out == self.callbacks:
-            faults.append(f"{self.out}: is named for two outputs; give each a file of its own")
-        if faults:
-            raise InputError(faults)
-        for path in (self.out, self.callbacks):
-            if path is not None:
-                refuse_existing(path)
+        check_new((self.out, self.callbacks), self.callbacks, faults)
+
+
+def check_new(files: Iterable[Path | None], code: Path | None, also: Sequence[str] = ()) -> None:
+    """Refuse names that new files cannot take; nothing is ever overwritten.
+
+    Parameters
+    ----------
+    code : the one of them that is Python.
+    also : faults that are known already.
+
+    Raises
+    ------
+    InputError : a folder does not exist, a file exists, or two have one name; one line each.
+    """
+    new = [path for path in files if path is not None]
+    faults = [*also, *(f"{path}: no folder {path.parent}" for path in new if not path.parent.is_dir())]
+    if code is not None and code.suffix != ".py":
+        faults.append(f"--callbacks {code}: a file named .py was expected")
+    if len({path.resolve() for path in new}) < len(new):
+        faults.append(f"{new[0]}: is named for two outputs; give each a file of its own")
+    if faults:
+        raise InputError(faults)
+    for path in new:
+        refuse_existing(path)
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,13 @@ import yaml
 
 from leactl.errors import InputError
 from leactl.exchange.callbacks import callbacks
-from leactl.exchange.exporting import write_all
+from leactl.exchange.exporting import check_new, write_all
 from leactl.exchange.playing import play, playable, rms_of_error
 from leactl.exchange.reading import import_joint
 from leactl.exchange.writing import Patch, patch, write_patch
 from leactl.gap.diagnose import diagnose, read_case
 from leactl.gap.diagnosis import Diagnosis
 from leactl.model.nominal import as_mapping
-from leactl.runfile.publish import refuse_existing
 
 FORMAT, VERSION = "leactl-gap-loop", 1
 Progress = Callable[[str], None]
@@ -95,24 +94,6 @@ class Files:
     callbacks: Path
     augmented: Path | None = None  # the augmented model
 
-    def check(self) -> None:
-        """Refuse files that exist, and names that do not serve.
-
-        Raises
-        ------
-        InputError : one line each.
-        """
-        new = [path for path in (self.out, self.callbacks, self.augmented) if path is not None]
-        faults = [f"{path}: no folder {path.parent}" for path in new if not path.parent.is_dir()]
-        if self.callbacks.suffix != ".py":
-            faults.append(f"--callbacks {self.callbacks}: a file named .py was expected")
-        if len({path.resolve() for path in new}) < len(new):
-            faults.append(f"{self.out}: is named for two outputs; give each a file of its own")
-        if faults:
-            raise InputError(faults)
-        for path in new:
-            refuse_existing(path)
-
 
 def close_loop(files: Files, joint: str, supply: float | None = None, progress: Progress = lambda _: None) -> Loop:
     """Read a joint, diagnose runs with it, patch the robot, and play the held-out runs before and after in MuJoCo.
@@ -126,7 +107,7 @@ def close_loop(files: Files, joint: str, supply: float | None = None, progress: 
     InputError : files that cannot be used, a joint that no position servo drives, runs without angle and reference,
         or a patched file that MuJoCo does not read as it was written.
     """
-    files.check()
+    check_new((files.out, files.callbacks, files.augmented), files.callbacks)
     imported = import_joint(files.robot, joint, supply)
     if imported.model.drive is None:
         reason = imported.missing.get("drive", "its actuator is no position actuator")

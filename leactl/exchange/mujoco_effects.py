@@ -197,6 +197,8 @@ class JointEffects:
         flowing = wanted = self._delayed(wanted)
         if at["loop_bandwidth"]:
             lag = 1.0 / (2.0 * math.pi * at["loop_bandwidth"])
+            if self._time == self._first:
+                self._now["current"] = wanted
             ends = wanted + (self._now["current"] - wanted) * math.exp(-interval / lag)
             flowing = wanted - lag * (ends - self._now["current"]) / interval  # the mean over the step
             self._now["current"] = ends

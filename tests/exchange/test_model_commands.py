@@ -101,7 +101,7 @@ WRONG = [
     ),
     (
         ("export", "augmented.yaml", "--to", "mjcf", "--into", "robot.xml", "--out", "none/a.xml"),
-        "none/a.xml",
+        "none/a.xml: no folder none",
     ),
     (
         ("export", "augmented.yaml", "--to", "mjcf", "--into", "robot.xml", "--joint", "hip", "--out", "a.xml"),

@@ -15,7 +15,7 @@ from tests.exchange.robots import leg
 
 mujoco = pytest.importorskip("mujoco", reason="what is written is simulated by leactl[mujoco]")
 
-INTERVAL_S, TIMESTEP_S, SECONDS = 0.005, 1e-4, 5.0
+INTERVAL_S, TIMESTEP_S, SECONDS = 0.005, 1e-4, 4.0
 CHANNELS = [
     ChannelSpec("position", "angle", "test", "servo", dtype="f8"),
     ChannelSpec("goal", "angle_reference", "test", "servo", dtype="f8"),
