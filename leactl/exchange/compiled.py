@@ -382,10 +382,11 @@ class _About:
         return "velocity" if gain[0] > 0.0 and bias[1] == 0.0 and abs(gain[0] + bias[2]) <= near else "other"
 
     def _tell_polynomials(self) -> None:
-        """Note damping and springs that are not linear, which MuJoCo has since 3.6."""
+        """Note damping and springs that are not linear, which versions of MuJoCo from 3.6 on have."""
         for owner, index, name in (
             ("dof_dampingpoly", self.dof, "damping"),
             ("jnt_stiffnesspoly", self.index, "stiffness"),
+            ("jnt_springyield", self.index, "stiffness"),
         ):
             if hasattr(self.model, owner) and np.any(getattr(self.model, owner)[index]):
                 self.notes.append(f"of the joint's {name} the linear part alone is taken along")

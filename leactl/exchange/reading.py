@@ -167,6 +167,8 @@ class _Writing:
             if ctrl_is_current:
                 self.keys["torque_constant"] = abs(actuator.gain)
                 del self.missing["torque_constant"]
+                if actuator.gain < 0.0:
+                    self.notes.append("a positive ctrl turns the joint backwards; turn the sign of the runs' current")
             if actuator.time_constant:
                 self.keys["bench"] = {"current_loop_bandwidth": 1.0 / (2.0 * math.pi * actuator.time_constant)}
                 del self.missing["bench.current_loop_bandwidth"]

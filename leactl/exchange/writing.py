@@ -200,12 +200,12 @@ class _Writing:
         if servo is not None and self.law == SERVO:
             self._change(self._element("actuator", None, "joint"), self._servo_attributes(actuator, servo))
             self.wanted |= {"kp": servo.stiffness, "kv": 0.0, "forcerange": servo.limit}
-        if ctrl_is_current and constant is not None and not alike(constant, actuator.gain):
+        if ctrl_is_current and constant is not None and not alike(constant, abs(actuator.gain)):
             element = self._element("actuator", None, "joint")
             gears = (element.attributes.get("gear") or "1").split()
-            gears[0] = number(actuator.gear * constant / actuator.gain)
+            gears[0] = number(actuator.gear * constant / abs(actuator.gain))
             self._change(element, {"gear": " ".join(gears)})
-            self.wanted["gain"] = constant
+            self.wanted["gain"] = math.copysign(constant, actuator.gain)
 
     def _servo_attributes(self, actuator: Actuator, servo: ServoFigures) -> dict[str, str | None]:
         """Of a <position> or <general> actuator; the back-EMF brakes by the joint's damping, beyond the limit too."""

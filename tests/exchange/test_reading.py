@@ -1,6 +1,7 @@
 """Joints of MJCF and URDF as model files: figures by hand, what is missing, and what is refused."""
 
 import math
+import sys
 from pathlib import Path
 
 import pytest
@@ -235,3 +236,9 @@ def test_a_file_that_is_none_is_one_line(tmp_path, text, place, line):
     assert "\n" not in str(fault.value)
     with pytest.raises(InputError, match="No such file"):
         import_joint(tmp_path / "absent.xml", "knee")
+
+
+def test_without_mujoco_the_extra_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(InputError, match=r"pip install 'leactl\[mujoco\]'"):
+        import_joint(leg(tmp_path), "knee")

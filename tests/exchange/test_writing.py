@@ -105,14 +105,15 @@ def test_a_default_class_does_not_stand_against_a_figure(tmp_path):
     assert (joint.actuator.kv, joint.damping) == pytest.approx((0.0, 0.65))
 
 
-def test_ctrl_in_amperes_gets_the_calibrated_torque_constant_as_its_gain(tmp_path):
-    robot = leg(tmp_path, '<motor joint="knee" gear="1.8 0 0 0 0 0"/>')
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_ctrl_in_amperes_gets_the_calibrated_torque_constant_as_its_gain(tmp_path, sense):
+    robot = leg(tmp_path, f'<motor joint="knee" gear="{sense * 1.8} 0 0 0 0 0"/>')
     document = nominal(robot, current=True, torque_constant=1.62)
     _, joint = exported(tmp_path, document, robot, ctrl_is_current=True)
-    assert joint.actuator.gain == pytest.approx(1.62)
+    assert joint.actuator.gain == pytest.approx(sense * 1.62)
     (tmp_path / "out.xml").unlink()
     _, joint = exported(tmp_path, document, robot)
-    assert joint.actuator.gain == 1.8
+    assert joint.actuator.gain == sense * 1.8
 
 
 def test_a_urdf_gets_damping_friction_and_what_is_left_out_is_told(tmp_path):
