@@ -12,7 +12,7 @@ from leactl.gap.replay.drive import answered
 from leactl.gap.replay.plants import plant_of
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition, effect_names
-from tests.exchange.robots import MOTOR, leg
+from tests.exchange.robots import MOTOR, chain, leg
 
 mujoco = pytest.importorskip("mujoco", reason="callbacks are MuJoCo's")
 effects_of_a_joint = pytest.importorskip("leactl.exchange.mujoco_effects")
@@ -184,3 +184,26 @@ def test_a_model_that_the_callbacks_do_not_fit_is_told_of(joint, tmp_path):
     joint.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
     with pytest.raises(ValueError, match="RK4"):
         effects_of_a_joint.JointEffects(joint, figures | {"joint": "knee", "drive": None})
+
+
+def test_a_joint_of_a_floating_robot_is_found_by_its_own_addresses(tmp_path):
+    more = '<actuator><motor joint="hip"/><motor joint="knee" gear="2"/></actuator>'
+    robot = mujoco.MjModel.from_xml_path(str(chain(tmp_path, trunk="<freejoint/>", more=more)))
+    spring = {"effect": "position_spring", "parameters": {"stiffness": 3.0, "rest_angle": 0.1, "reach": 5.0}}
+    late = {"effect": "transport_delay", "parameters": {"delay": 0.01}}
+    at = {"gear": 2.0, "per_ctrl": 1.0, "torque_constant": 2.0, "loop_bandwidth": 0.0, "limits_itself": False}
+    figures = {"coulomb_friction": 0.3, "viscous_damping": 0.0, "gear_ratio": 1.0, "drive": at, "joint": "knee"}
+    effects, state = effects_of_a_joint.install(robot, figures | {"effects": [spring, late]}), mujoco.MjData(robot)
+    try:
+        state.qpos[8], state.ctrl[:] = 0.1, (5.0, 7.0)  # seven numbers of the trunk, then hip and knee
+        mujoco.mj_step(robot, state)
+        assert np.flatnonzero(state.qfrc_passive).tolist() == []
+        assert state.actuator_force.tolist() == [5.0, 7.0]  # what was asked for before a start counts as asked for long
+        state.qpos[8], state.ctrl[1] = 1.1, 0.0
+        mujoco.mj_step(robot, state)
+        assert np.flatnonzero(state.qfrc_passive).tolist() == [7]
+        assert state.actuator_force.tolist() == [5.0, 7.0]
+        assert np.flatnonzero(robot.dof_frictionloss).tolist() == [7]
+    finally:
+        effects.remove()
+    assert np.flatnonzero(robot.dof_frictionloss).tolist() == []
