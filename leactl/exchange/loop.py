@@ -51,6 +51,11 @@ class Loop:
         return tuple(cause.effect for cause in self.answer.causes if cause.effect in has)
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader should know of the diagnosis and of the patch."""
+        return (*self.answer.notes, *self.patched.notes)
+
+    @property
     def whole(self) -> Played:
         """The same over all runs, each counting alike."""
         table = np.array([(run.before, run.file, run.after) for run in self.runs])
@@ -75,7 +80,7 @@ class Loop:
             "closed": self.closed,
             "written": [str(path) for path in self.written],
             "effects": self.patched.as_json()["effects"],
-            "notes": [*self.answer.notes, *self.patched.notes],
+            "notes": list(self.notes),
         }
 
 
