@@ -193,12 +193,12 @@ def loop(
     as_json: bool = AS_JSON,
 ) -> None:
     """Close the loop in your own MuJoCo model: play runs, diagnose, patch, play held-out runs again."""
-    from leactl.exchange.loop import Files, close_loop
+    from leactl.exchange.loop import LoopFiles, close_loop
     from leactl.report.gap_loop import lines
     from leactl.report.steps import Steps
 
     with Steps() as step:
-        closed = close_loop(Files(robot, runs, held_out, out, callbacks, write_model), joint, supply, step)
+        closed = close_loop(LoopFiles(robot, runs, held_out, out, callbacks, write_model), joint, supply, step)
     typer.echo(json.dumps(closed.as_json()) if as_json else "\n".join(lines(closed)))
 
 

@@ -89,9 +89,9 @@ def export_model(
     as_json: bool = AS_JSON,
 ) -> None:
     """Write a model, effects and all, for MuJoCo, URDF or others: what the file can hold into it, the rest as code."""
-    from leactl.exchange.exporting import Request, export
+    from leactl.exchange.exporting import ExportRequest, export
 
-    request = Request(model, to.value, into, joint, out, callbacks, timestep, ctrl is Ctrl.CURRENT)
+    request = ExportRequest(model, to.value, into, joint, out, callbacks, timestep, ctrl is Ctrl.CURRENT)
     exported = export(request)
     if exported.text is not None:
         typer.echo(exported.text)

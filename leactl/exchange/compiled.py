@@ -23,7 +23,7 @@ ALIKE = 1e-9  # relative, by which figures of one meaning may differ
 
 
 @dataclass(frozen=True)
-class Actuator:
+class JointActuator:
     """What drives the joint; figures are at the joint, its `gear` taken into account."""
 
     name: str
@@ -57,7 +57,7 @@ class Joint:
     lever: float  # m, from its axis to the centre of that mass
     torque_limit: float | None  # N*m, of all actuators together (actuatorfrcrange)
     range: tuple[float, float] | None  # rad
-    actuator: Actuator | None
+    actuator: JointActuator | None
     timestep: float  # s, of the file
     notes: tuple[str, ...]  # what the file says and no model file can
 
@@ -316,7 +316,7 @@ class _About:
         away = self.state.subtree_com[self.body] - self.state.xanchor[self.index]
         return float(np.linalg.norm(away - axis * float(axis @ away)))
 
-    def _actuator(self) -> Actuator | None:
+    def _actuator(self) -> JointActuator | None:
         acting = list(self._acting())
         if len(acting) > 1:
             several = ", ".join(f"'{self.model.actuator(index).name or index}'" for index in acting)
@@ -337,7 +337,7 @@ class _About:
                 name = model.actuator(index).name or index
                 raise InputError(f"{self.file}: actuator '{name}' acts on joint '{self.name}' from outside of it")
 
-    def _figures(self, index: int) -> Actuator:
+    def _figures(self, index: int) -> JointActuator:
         model, mujoco = self.model, self.mujoco
         gear = float(model.actuator_gear[index][0])
         gain, bias = (
@@ -354,7 +354,7 @@ class _About:
             self.notes.append("the actuator's delay is not taken along; write it as the effect transport_delay")
         limited = bool(model.actuator_forcelimited[index])
         force = self._smaller(model.actuator_forcerange[index], "forcerange") if limited else None
-        return Actuator(
+        return JointActuator(
             name=model.actuator(index).name,
             index=index,
             kind=kind,

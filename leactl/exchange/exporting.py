@@ -18,7 +18,7 @@ from leactl.runfile.publish import new_file, refuse_existing
 
 
 @dataclass(frozen=True)
-class Request:
+class ExportRequest:
     """What `leactl model export` is asked for."""
 
     model: Path
@@ -94,7 +94,7 @@ class Exported:
         return {"written": [str(path) for path in self.written]} | told
 
 
-def export(request: Request) -> Exported:
+def export(request: ExportRequest) -> Exported:
     """Write a model for another simulator.
 
     Raises

@@ -35,7 +35,7 @@ class Played:
 
 
 @dataclass(frozen=True)
-class Loop:
+class ClosedLoop:
     """What was named, and how far the gap shrank in the user's simulator."""
 
     joint: str
@@ -89,7 +89,7 @@ def _figures(run: Played) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Files:
+class LoopFiles:
     """What a loop reads and writes."""
 
     robot: Path
@@ -100,7 +100,9 @@ class Files:
     augmented: Path | None = None  # the augmented model
 
 
-def close_loop(files: Files, joint: str, supply: float | None = None, progress: Progress = lambda _: None) -> Loop:
+def close_loop(
+    files: LoopFiles, joint: str, supply: float | None = None, progress: Progress = lambda _: None
+) -> ClosedLoop:
     """Read a joint, diagnose runs with it, patch the robot, and play the held-out runs before and after in MuJoCo.
 
     Parameters
@@ -143,7 +145,7 @@ def close_loop(files: Files, joint: str, supply: float | None = None, progress: 
     names = [record.path.name for record in case.held_out]
     runs = tuple(Played(*row) for row in zip(names, before, alone, after, strict=True))
     written = tuple(path for path in (files.out, files.callbacks, files.augmented) if path is not None)
-    return Loop(joint, answer, patched, runs, written)
+    return ClosedLoop(joint, answer, patched, runs, written)
 
 
 def _install_of(path: Path) -> Callable[[Any], Any]:

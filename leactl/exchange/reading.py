@@ -9,7 +9,7 @@ import yaml
 
 from leactl import yamlfile
 from leactl.errors import InputError
-from leactl.exchange.compiled import Actuator, Joint, read_joint
+from leactl.exchange.compiled import Joint, JointActuator, read_joint
 from leactl.model.nominal import Model
 
 DIGITS = 9  # of figures in the file: those of a compiled model have rounding errors behind them
@@ -24,7 +24,7 @@ NOT_OF_A_SIMULATOR = {
 
 
 @dataclass(frozen=True)
-class Imported:
+class ImportedJoint:
     """A model file and what its source does not say."""
 
     model: Model
@@ -70,7 +70,7 @@ class Imported:
         }
 
 
-def import_joint(path: Path, name: str, supply: float | None = None, ctrl_is_current: bool = False) -> Imported:
+def import_joint(path: Path, name: str, supply: float | None = None, ctrl_is_current: bool = False) -> ImportedJoint:
     """Read one joint of an MJCF or URDF file as a model file.
 
     Parameters
@@ -88,7 +88,7 @@ def import_joint(path: Path, name: str, supply: float | None = None, ctrl_is_cur
         raise InputError(f"--supply {supply:g}: no position actuator drives joint '{name}'; leave it out")
     if ctrl_is_current and kind != "torque":
         raise InputError(f"--ctrl current: no torque actuator drives joint '{name}'; leave it out")
-    writing = _Writing(joint, path)
+    writing = _ModelKeys(joint, path)
     writing.mechanics()
     writing.weight()
     writing.drive(supply, ctrl_is_current)
@@ -98,7 +98,7 @@ def import_joint(path: Path, name: str, supply: float | None = None, ctrl_is_cur
     keys = {key: writing.keys[key] for key in Model.model_fields if key in writing.keys}
     text = "\n".join(heading) + "\n" + yaml.safe_dump(rounded(keys), sort_keys=False, allow_unicode=True)
     model = yamlfile.parse(text, yamlfile.printable(f"{path}: joint '{name}'")).validate(Model)
-    return Imported(model, text, joint, missing, tuple([*joint.notes, *writing.notes]))
+    return ImportedJoint(model, text, joint, missing, tuple([*joint.notes, *writing.notes]))
 
 
 def rounded(value: Any) -> Any:
@@ -110,7 +110,7 @@ def rounded(value: Any) -> Any:
     return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
 
 
-class _Writing:
+class _ModelKeys:
     """The keys of a model file as they come together."""
 
     def __init__(self, joint: Joint, path: Path) -> None:
@@ -185,7 +185,7 @@ class _Writing:
         self.missing["phase_resistance"] = "the winding"
         self.missing["bench.current_loop_bandwidth"] = "how fast the drive's current follows"
 
-    def _torque_limit(self, actuator: Actuator) -> None:
+    def _torque_limit(self, actuator: JointActuator) -> None:
         limits = [limit for limit in (actuator.force_limit, self.joint.torque_limit) if limit is not None]
         if actuator.control_range is not None:
             limits.append(abs(actuator.gain) * min(map(abs, actuator.control_range)))
@@ -195,7 +195,7 @@ class _Writing:
                 " torque_constant"
             )
 
-    def _servo(self, actuator: Actuator, supply: float | None) -> None:
+    def _servo(self, actuator: JointActuator, supply: float | None) -> None:
         """A motor on a voltage that answers as kp, kv and the limit of the force do.
 
         Its torque is K/R clip(gain error, V) - K^2/R w: K^2/R is what brakes, K/R V the limit, K/R gain the stiffness.

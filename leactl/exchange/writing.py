@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from leactl.errors import InputError
-from leactl.exchange.compiled import Actuator, Joint, compile_file, is_urdf, joint_of, read_joint
+from leactl.exchange.compiled import Joint, JointActuator, compile_file, is_urdf, joint_of, read_joint
 from leactl.exchange.destinations import CURRENT, MJCF, NOWHERE, SERVO, Destination, destinations
 from leactl.exchange.xml_text import Element, XmlText
 from leactl.model.nominal import Model
@@ -72,7 +72,7 @@ def patch(model: Model, into: Path, name: str, format: str, ctrl_is_current: boo
     if is_urdf(text) != (format == "urdf"):
         raise InputError(f"{into}: is {'URDF' if is_urdf(text) else 'MJCF'}; --to {format} was asked for")
     joint = joint_of(compiled, name)
-    writing = _Writing(model, text, joint)
+    writing = _JointPatch(model, text, joint)
     writing.check_drive(ctrl_is_current)
     writing.mechanics()
     if is_urdf(text):
@@ -82,7 +82,7 @@ def patch(model: Model, into: Path, name: str, format: str, ctrl_is_current: boo
     return writing.patch()
 
 
-def law_of(model: Model, actuator: Actuator | None) -> str | None:
+def law_of(model: Model, actuator: JointActuator | None) -> str | None:
     """The law by which callbacks can stand in for the joint's actuator."""
     if actuator is None:
         return None
@@ -113,7 +113,7 @@ def servo_figures(model: Model) -> ServoFigures | None:
     )
 
 
-class _Writing:
+class _JointPatch:
     """A file's changes as they come together."""
 
     def __init__(self, model: Model, text: XmlText, joint: Joint) -> None:
@@ -207,7 +207,7 @@ class _Writing:
             self._change(element, {"gear": " ".join(gears)})
             self.wanted["gain"] = math.copysign(constant, actuator.gain)
 
-    def _servo_attributes(self, actuator: Actuator, servo: ServoFigures) -> dict[str, str | None]:
+    def _servo_attributes(self, actuator: JointActuator, servo: ServoFigures) -> dict[str, str | None]:
         """Of a <position> or <general> actuator; the back-EMF brakes by the joint's damping, beyond the limit too."""
         element, stiffness = self._element("actuator", None, "joint"), number(servo.stiffness / actuator.gear**2)
         values: dict[str, str | None] = {}

@@ -1,6 +1,6 @@
 """A closed loop in words: what was named, and each held-out run before and after in the user's simulator."""
 
-from leactl.exchange.loop import Loop, Played
+from leactl.exchange.loop import ClosedLoop, Played
 from leactl.report.gap_words import listed
 from leactl.report.listing import row
 from leactl.report.terminal import aligned
@@ -8,7 +8,7 @@ from leactl.report.terminal import aligned
 HEADINGS = ["held out, rms of the angle [rad]", "as it was", "patched", "with callbacks", "closed"]
 
 
-def lines(loop: Loop) -> list[str]:
+def lines(loop: ClosedLoop) -> list[str]:
     """For the terminal."""
     named = f"Named: {listed(list(loop.named))}." if loop.named else "No effect was named."
     rows = [_cells(run) for run in (*loop.runs, loop.whole)]

@@ -8,7 +8,7 @@ import yaml
 
 from leactl.errors import InputError
 from leactl.exchange.compiled import read_joint
-from leactl.exchange.exporting import Request, export
+from leactl.exchange.exporting import ExportRequest, export
 from leactl.exchange.reading import import_joint
 from leactl.model.nominal import Model
 from tests.exchange.robots import MOTOR, SERVO, arm, chain, leg, written
@@ -26,7 +26,7 @@ def exported(folder, document, into, to="mjcf", joint="knee", **words):
     """Patch a file; gives what was exported and the joint that MuJoCo reads."""
     model, out = folder / "augmented.yaml", folder / f"out{into.suffix}"
     model.write_text(yaml.safe_dump(document))
-    answer = export(Request(model, to, into, joint, out, **words))
+    answer = export(ExportRequest(model, to, into, joint, out, **words))
     return answer, read_joint(out, joint)
 
 
