@@ -249,8 +249,11 @@ def export(
     epilog=examples("runs import log.csv --map map.yaml --check", "runs import log.csv --map map.yaml --out imported"),
 )
 def import_foreign(
-    sources: list[str] = typer.Argument(..., metavar="SOURCE...", help="CSV, MAT or JSON files, or patterns."),
+    sources: list[str] = typer.Argument(..., metavar="SOURCE...", help="Logs of a format that is known, or patterns."),
     mapping: Path = typer.Option(..., "--map", help="YAML file that says which column is which channel."),
+    joint: list[str] = typer.Option(
+        [], "--joint", metavar="NAME", help="Joint that {joint} in the mapping stands for, a run each; or all."
+    ),
     out: Path = typer.Option(Path("runs"), "--out", help="Directory for the run files."),
     check: bool = typer.Option(False, "--check", help="Read everything, tell what would be written, write nothing."),
     as_json: bool = AS_JSON,
@@ -259,7 +262,7 @@ def import_foreign(
     from leactl.runfile.importing import read_runs, targets_of, write
     from leactl.runfile.importing_preview import preview, preview_lines
 
-    runs = read_runs(sources, mapping)
+    runs = read_runs(sources, mapping, joint)
     files = targets_of(runs, out) if check else write(runs, out)
     previews = [preview(run, file) for run, file in zip(runs, files, strict=True)] if check else []
     notes = list(dict.fromkeys(note for run in runs for note in run.notes))

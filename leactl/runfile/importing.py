@@ -19,13 +19,14 @@ import numpy as np
 from leactl import __version__, yamlfile
 from leactl.errors import InputError
 from leactl.runfile.description import RunInfo, faults_of
-from leactl.runfile.importing_checks import implausible
+from leactl.runfile.importing_checks import implausible, notes_on_gaps
+from leactl.runfile.importing_formats import names, open_source
+from leactl.runfile.importing_joints import ALL, PLACEHOLDER, asks_for_joints, for_joint, joints_of
 from leactl.runfile.importing_mapping import FieldOf, Mapping
 from leactl.runfile.importing_parts import split
-from leactl.runfile.importing_sources import Source, open_source
+from leactl.runfile.importing_sources import Lacking, Source, SourceRequest, WantedColumn
 from leactl.runfile.importing_steps import Step, steps_of
 from leactl.runfile.importing_streams import Stream, build_streams, number
-from leactl.runfile.importing_trees import Lacking
 from leactl.runfile.importing_units import notes_on_units
 from leactl.runfile.publish import move_without_overwriting, refuse_existing
 from leactl.runfile.writer import RunWriter
@@ -42,7 +43,7 @@ class Imported:
     notes: list[str]  # what a person should look at, with the source's name
 
 
-def import_runs(sources: Sequence[str], mapping_path: Path, out: Path) -> list[Path]:
+def import_runs(sources: Sequence[str], mapping_path: Path, out: Path, joints: Sequence[str] = ()) -> list[Path]:
     """Import every source under one mapping into the directory `out`, as `<source>.h5` or `<source>-<part>.h5`.
 
     Returns
@@ -53,22 +54,32 @@ def import_runs(sources: Sequence[str], mapping_path: Path, out: Path) -> list[P
     ------
     InputError : a fault in the mapping or in a source, one line each, or a file that exists already.
     """
-    return write(read_runs(sources, mapping_path), out)
+    return write(read_runs(sources, mapping_path, joints), out)
 
 
-def read_runs(sources: Sequence[str], mapping_path: Path) -> list[Imported]:
+def read_runs(sources: Sequence[str], mapping_path: Path, joints: Sequence[str] = ()) -> list[Imported]:
     """Read every source under one mapping into runs that are ready to be written.
 
     Parameters
     ----------
     sources : paths, or patterns such as `logs/*.json`.
+    joints : that `{joint}` in the mapping stands for, a run each, or `all`; as the mapping says where it is empty.
 
     Raises
     ------
     InputError : a fault in the mapping or in a source, one line each.
     """
-    document = yamlfile.load(mapping_path)
+    return read_by(sources, yamlfile.load(mapping_path), joints)
+
+
+def read_by(sources: Sequence[str], document: yamlfile.Document, joints: Sequence[str] = ()) -> list[Imported]:
+    """Read every source under a mapping that is loaded already."""
     mapping = document.validate(Mapping)
+    if mapping.format is not None and mapping.format not in names():
+        told = f"{mapping.format!r} is no format; one of {', '.join(names())} was expected"
+        raise InputError(document.fault(("format",), told))
+    if joints:
+        mapping = mapping.model_copy(update={"joints": ALL if ALL in joints else tuple(dict.fromkeys(joints))})
     runs: list[Imported] = []
     faults: list[str] = []
     for path in expanded(sources):
@@ -76,8 +87,8 @@ def read_runs(sources: Sequence[str], mapping_path: Path) -> list[Imported]:
             runs += read(path, mapping, document)
         except InputError as error:
             faults += [line for line in error.faults if line not in faults]
-    names = [run.info.run_id for run in runs]
-    faults += [f"{name}.h5: several sources make this run; import them apart" for name in repeated(names)]
+    run_ids = [run.info.run_id for run in runs]
+    faults += [f"{name}.h5: several sources make this run; import them apart" for name in repeated(run_ids)]
     if faults:
         raise InputError(faults)
     return runs
@@ -112,31 +123,81 @@ def read(path: Path, mapping: Mapping, document: yamlfile.Document) -> list[Impo
     ------
     InputError : everything that is wrong with it, one line each.
     """
-    labels = [mapping.steps_by_column.column] if mapping.steps_by_column else []
-    source = open_source(path, mapping.format, mapping.csv, wanted(mapping), labels)
+    mappings = mappings_by_joint(path, mapping, document)
+    columns = [column for each, _ in mappings.values() for column in wanted(each)]
+    labels = [column for each, _ in mappings.values() for column in labelled(each)]
+    source = open_source(path, mapping.format, SourceRequest(columns, labels, mapping.csv))
+    runs: list[Imported] = []
+    faults: list[str] = []
+    for joint, (each, its_document) in mappings.items():
+        try:
+            runs += read_joint(source, joint, each, its_document)
+        except InputError as error:
+            faults += [line for line in error.faults if line not in faults]
+    if faults:
+        raise InputError(faults)
+    return runs
+
+
+def mappings_by_joint(
+    path: Path, mapping: Mapping, document: yamlfile.Document
+) -> dict[str, tuple[Mapping, yamlfile.Document]]:
+    """The mapping of each joint by its name; the whole under an empty one where it takes nothing by joint.
+
+    Raises
+    ------
+    InputError : joints are asked for and `{joint}` stands nowhere, or the other way round.
+    """
+    if not asks_for_joints(document):
+        if mapping.joints:
+            told = f"joints are asked for, and {PLACEHOLDER} stands in no path of the mapping"
+            raise InputError(document.fault(("joints",), told))
+        return {"": (mapping, document)}
+    joints = mapping.joints
+    if joints == ALL or not joints:
+        listed = open_source(path, mapping.format, SourceRequest(None, csv=mapping.csv)).tables()
+        known = joints_of(path, mapping, listed, document)
+        if not joints:
+            told = f"{PLACEHOLDER} stands in the mapping; give joints: or --joint as all or some of {', '.join(known)}"
+            raise InputError(document.fault(("joints",), told))
+        joints = tuple(known)
+    return {joint: for_joint(document, joint) for joint in joints}
+
+
+def read_joint(source: Source, joint: str, mapping: Mapping, document: yamlfile.Document) -> list[Imported]:
+    """The runs of one joint, or those of a source without any."""
     streams = build_streams(source, mapping, document)
-    doubtful = [f"{path}: {line}" for name, stream in streams.items() for line in implausible(name, stream)]
+    doubtful = [f"{source.path}: {line}" for name, stream in streams.items() for line in implausible(name, stream)]
     if doubtful:
         raise InputError(doubtful)
-    notes = [f"{path}: {line}" for line in notes_on_units(streams, mapping)]
+    notes = [f"{source.path}: {line}" for line in (*notes_on_gaps(streams), *notes_on_units(streams, mapping))]
     parts = split(source.path, streams, mapping, document)
-    runs = [describe(source, suffix, part, mapping, document, notes) for suffix, part in parts]
+    runs = [
+        describe(source, "-".join(filter(None, (joint, suffix))), part, mapping, document, notes)
+        for suffix, part in parts
+    ]
     faults = [fault for run in runs for fault in faults_of(run.info, {n: s.specs for n, s in run.streams.items()})]
     if faults:
         raise InputError([document.fault((), fault) for fault in dict.fromkeys(faults)])
     return runs
 
 
-def wanted(mapping: Mapping) -> list[str | int]:
+def wanted(mapping: Mapping) -> list[WantedColumn]:
     """Every column and field that a mapping speaks of."""
-    columns: list[str | int] = []
+    columns: list[WantedColumn] = []
     fields = [*mapping.setup.values(), *mapping.parameters.values(), *(value for _, value in mapping.run)]
     for stream in mapping.streams.values():
-        columns += [stream.time.column] if stream.time.column is not None else []
+        columns += [WantedColumn(stream.time.column, stream.records)] if stream.time.column is not None else []
         for channel in stream.channels.values():
-            columns.append(channel.column)
+            columns.append(WantedColumn(channel.column, stream.records))
             fields += [channel.scale, channel.offset]
-    return columns + [value.field for value in fields if isinstance(value, FieldOf)]
+    return columns + [WantedColumn(value.field) for value in fields if isinstance(value, FieldOf)]
+
+
+def labelled(mapping: Mapping) -> list[WantedColumn]:
+    """The column that steps are named by, where there is one."""
+    by = mapping.steps_by_column
+    return [WantedColumn(by.column, mapping.streams[by.stream].records)] if by else []
 
 
 def describe(
@@ -160,9 +221,9 @@ def describe(
         }
         for block in ("setup", "parameters")
     )
-    stem = re.sub(r"[^A-Za-z0-9._-]+", "-", source.path.stem).strip("-._") or "run"
+    name = f"{source.path.stem}-{suffix}" if suffix else source.path.stem
     info = RunInfo(
-        run_id=f"{stem}-{suffix}" if suffix else stem,
+        run_id=re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-._") or "run",
         simulated=mapping.run.simulated,
         mechanical=mapping.mechanical,
         software=f"leactl {__version__}",
@@ -195,9 +256,9 @@ def text(source: Source, value: str | FieldOf, place: tuple[str, ...], document:
 
 
 def created(source: Source, mapping: Mapping, document: yamlfile.Document) -> str:
-    """When the run was recorded: as the mapping says, else the source file's own time."""
+    """When the run was recorded: as the mapping says, else as the source says, else its file's time."""
     if mapping.run.created is None:
-        moment = datetime.fromtimestamp(source.path.stat().st_mtime, UTC)
+        moment = source.began or datetime.fromtimestamp(source.path.stat().st_mtime, UTC)
     else:
         given = text(source, mapping.run.created, ("run", "created"), document)
         try:

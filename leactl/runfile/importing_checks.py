@@ -20,6 +20,9 @@ PLAUSIBLE: Final[dict[str, tuple[float, float]]] = {
     "degC": (-100.0, 600.0),
     "1": (-0.001, 1.001),
 }
+GAP = 10.0  # usual intervals
+SHORTEST_GAP_S = 0.1  # which no scheduler of a log makes by itself
+MOST_GAPS = 0.1  # share of the intervals: more of them are how the log was made
 SHORTEST_S, LONGEST_S = 1e-7, 3600.0  # between samples
 
 
@@ -38,3 +41,16 @@ def implausible(stream: str, found: Stream) -> Iterator[str]:
             worst = values[wrong[0]]
             told = f"{worst:.6g} {spec.unit} at {found.time[wrong[0]]:.6g} s is outside {low:g} .. {high:g}"
             yield f"stream {stream}, channel {spec.name}: {told}; are units and scale right?"
+
+
+def notes_on_gaps(streams: dict[str, Stream]) -> Iterator[str]:
+    """A note for each stream whose stamps leave far more than its usual interval out."""
+    for name, stream in streams.items():
+        intervals = np.diff(stream.time)
+        usual = float(np.median(intervals))
+        gaps = np.flatnonzero(intervals > max(GAP * usual, SHORTEST_GAP_S))
+        if 0 < len(gaps) <= MOST_GAPS * len(intervals):
+            longest = int(gaps[np.argmax(intervals[gaps])])
+            where = f"{intervals[longest]:.4g} s without a sample from {stream.time[longest]:.6g} s"
+            others = f" and {len(gaps) - 1} shorter" if len(gaps) > 1 else ""
+            yield f"stream {name}: {where}{others}; samples come every {usual:.4g} s otherwise"

@@ -22,6 +22,7 @@ Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Above = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 Text = Annotated[str, StringConstraints(strict=True, min_length=1)]
 Name = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
+Joint = Annotated[str, StringConstraints(strict=True, pattern=r"^[^\[\]{}]+$")]
 Row = Annotated[int, Field(strict=True, ge=0)]
 Column = Text | Row
 SCALED = ("A", "V", "N*m")  # units of quantities whose calibration analyses count; a clock and an encoder are exact
@@ -241,8 +242,9 @@ class RunMapping(Block):
 class Mapping(Block):
     """A mapping file."""
 
-    format: Literal["csv", "mat", "json"] | None = None  # by the file's ending otherwise
+    format: Text | None = None  # one of `leactl.runfile.importing_formats`; by the file's ending otherwise
     mechanical: Literal["free", "locked", "coupled", "heated"]
+    joints: Literal["all"] | tuple[Joint, ...] = ()  # that `{joint}` stands for, a run each
     run: RunMapping = RunMapping()
     setup: dict[Name, Number | str | FieldOf] = {}
     parameters: dict[Name, Number | str | FieldOf] = {}  # what the protocol was run with

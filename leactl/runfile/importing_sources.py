@@ -1,29 +1,71 @@
-"""Foreign files as something to ask for columns and single values; tables of text here, trees in `importing_trees`.
+"""Foreign files as something to ask for columns and single values: what a format gives, and what it is asked for.
 
 Numbers come as float64; what is missing is NaN; true and false are 1 and 0. Nothing in a file is ever evaluated.
 """
 
-import csv
-import sys
-from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from leactl.errors import InputError
-from leactl.runfile.importing_mapping import CsvForm, as_label
-from leactl.runfile.importing_trees import Lacking, TreeSource, json_tree, mat_tree
+from leactl.runfile.importing_mapping import CsvForm
 
 Array = npt.NDArray[np.float64]
+
+
+class Lacking(Exception):
+    """The source has no such column or field; the message says what it has."""
+
+
+class WantedColumn(NamedTuple):
+    """A column or field that will be asked for."""
+
+    name: str | int
+    records: str | None = None
+
+
+@dataclass(frozen=True)
+class SourceRequest:
+    """What will be asked of a source, of which a large file keeps that alone.
+
+    Parameters
+    ----------
+    columns : None where nobody knows yet what the source has: `tables` alone will be asked for.
+    labels : columns that will be asked for as labels, whether they are among `columns` as well or not.
+    """
+
+    columns: Sequence[WantedColumn] | None
+    labels: Sequence[WantedColumn] = ()
+    csv: CsvForm = field(default_factory=CsvForm)
+
+
+class Listed(NamedTuple):
+    """A column of numbers as its file lists it, with the units that the file itself declares."""
+
+    name: str | int
+    units: str = ""
+    declared_by: str = ""  # where those units stand
+
+
+class Tabulated(NamedTuple):
+    """Columns that share their rows, as a mapping's stream takes them."""
+
+    records: str | None
+    columns: tuple[Listed, ...]
+    kind: str = ""  # type of a message, where the file says it
+    time: Listed | None = None  # the column of stamps, where the format itself says which it is
+    joints: tuple[str, ...] = ()  # that `{joint}` in `records` may stand for
 
 
 class Source(Protocol):
     """One foreign file."""
 
     path: Path
+    began: datetime | None  # when it was recorded, where the file says it
 
     def column(self, name: str | int, records: str | None) -> Array | list[str]:
         """A column: numbers, or text where it holds any."""
@@ -37,148 +79,5 @@ class Source(Protocol):
     def place(self, name: str | int, row: int) -> str:
         """Where a row of a column stands, for messages."""
 
-
-def open_source(
-    path: Path, fmt: str | None, form: CsvForm, wanted: Sequence[str | int], labels: Sequence[str | int] = ()
-) -> Source:
-    """Open a foreign file.
-
-    Parameters
-    ----------
-    wanted : columns that will be asked for, of which a table of text keeps these alone.
-    labels : columns that will be asked for as labels, whether they are `wanted` as well or not.
-
-    Raises
-    ------
-    InputError : unreadable, not of its format, or of a format that is not known.
-    """
-    endings = {".csv": "csv", ".txt": "csv", ".tsv": "csv", ".mat": "mat", ".json": "json"}
-    kind = fmt or endings.get(path.suffix.lower())
-    if kind is None:
-        raise InputError(f"{path}: the ending does not tell its format; give `format: csv`, `mat` or `json`")
-    try:
-        if kind == "csv":
-            return CsvSource(path, form, wanted, labels)
-        return TreeSource(path, mat_tree(path) if kind == "mat" else json_tree(path))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or ' '.join(str(error).split())}") from None
-
-
-class CsvSource:
-    """A table of text; only the columns that are asked for are kept."""
-
-    def __init__(self, path: Path, form: CsvForm, wanted: Sequence[str | int], labels: Sequence[str | int]) -> None:
-        self.path, self._form = path, form
-        self._names: list[str] = []
-        self._lines = array("q")
-        self._columns: dict[int, list[str] | array[float]] = {}
-        self._labels: dict[int, list[str]] = {}
-        try:
-            with path.open(encoding=form.encoding, newline="") as file:
-                self._read(file, wanted, labels)
-        except UnicodeDecodeError as error:
-            raise InputError(f"{path}: not {form.encoding} at byte {error.start}; give csv.encoding") from None
-        except LookupError:
-            raise InputError(f"{path}: csv.encoding {form.encoding!r} is not known") from None
-        except csv.Error as error:
-            raise InputError(f"{path}: {error}") from None
-
-    def _read(self, file: Any, wanted: Sequence[str | int], labels: Sequence[str | int]) -> None:
-        form, missing = self._form, set(self._form.missing)
-        first = form.data_line or form.header_line + 1
-        table = csv.reader(file, delimiter=form.delimiter, skipinitialspace=True)
-        width = 0
-        faults: list[str] = []
-        for cells in table:
-            line = table.line_num
-            if line == form.header_line:
-                self._names = [cell.strip() for cell in cells]
-            if line < first or not cells or (form.comment and cells[0].startswith(form.comment)):
-                continue
-            if not width:
-                width = len(cells)
-                self._columns = {at: array("d") for at in self._found(wanted, width)}
-                self._labels = {at: [] for at in self._found(labels, width)}
-            if len(cells) != width:
-                faults.append(f"{self.path}: line {line}: {len(cells)} cells where {width} were expected")
-            else:
-                self._lines.append(line)
-                for at in self._columns:
-                    self._put(at, cells[at].strip(), line, missing)
-                for at, texts in self._labels.items():
-                    texts.append(sys.intern(cells[at].strip()))  # a few texts stand in millions of rows
-            if len(faults) == 5:
-                break
-        if faults:
-            raise InputError(faults)
-        if not len(self._lines):
-            raise InputError(f"{self.path}: no row of numbers after line {first - 1}")
-
-    def _put(self, at: int, cell: str, line: int, missing: set[str]) -> None:
-        column = self._columns[at]
-        if isinstance(column, list):
-            column.append(cell)
-            return
-        if cell in missing:
-            column.append(np.nan)
-            return
-        try:
-            column.append(float(cell.replace(self._form.decimal, ".")))
-        except ValueError:
-            lowered = cell.lower()
-            if lowered in ("true", "false"):
-                column.append(float(lowered == "true"))
-            elif len(column) == 0:
-                self._columns[at] = [cell]  # a column of text: run metadata, or stamps by the calendar
-            else:
-                raise InputError(
-                    f"{self.path}: line {line}, column {self._called(at)}: {cell!r} is not a number"
-                    f"; if it marks a missed sample, add it to csv.missing"
-                ) from None
-
-    def _called(self, at: int) -> str:
-        return repr(self._names[at]) if at < len(self._names) else str(at)
-
-    def _found(self, wanted: Sequence[str | int], width: int) -> list[int]:
-        places = {self._at(name, width) for name in wanted}
-        return sorted(at for at in places if at is not None)
-
-    def _at(self, wanted: str | int, width: int) -> int | None:
-        if isinstance(wanted, int):
-            return wanted if wanted < width else None
-        return self._names.index(wanted) if wanted in self._names[:width] else None
-
-    def column(self, name: str | int, records: str | None) -> Array | list[str]:
-        """A column by header or index."""
-        found = self._columns[self._known(name, self._columns)]
-        return found if isinstance(found, list) else np.frombuffer(found, np.float64)
-
-    def labels(self, name: str | int, records: str | None) -> list[str]:
-        """A column by header or index, as labels."""
-        cells = self._labels[self._known(name, self._labels)]
-        labels = {cell: as_label(cell, self._form.decimal) for cell in set(cells)}
-        return [labels[cell] for cell in cells]
-
-    def _known(self, name: str | int, kept: Iterable[int]) -> int:
-        """Where a column that was asked for stands."""
-        if isinstance(name, str) and self._names.count(name) > 1:
-            raise Lacking(f"{self.path}: the header has {name!r} {self._names.count(name)} times; give its index")
-        at = self._at(name, max(len(self._names), *kept, 0) + 1)
-        if at is None or at not in kept:
-            has = ", ".join(self._names) if self._names else "no header"
-            hint = "; is csv.delimiter right?" if len(self._names) == 1 else ""
-            raise Lacking(f"{self.path} has no column {name!r}; it has {has}{hint}")
-        return at
-
-    def field(self, name: str | int) -> float | str:
-        """The value of a column that never changes."""
-        values = self.column(name, None)
-        different = set(values) if isinstance(values, list) else set(values[np.isfinite(values)].tolist())
-        if len(different) != 1:
-            raise Lacking(f"{self.path}: column {name!r} holds {len(different)} values where one was expected")
-        only = different.pop()
-        return only if isinstance(only, str) else float(only)
-
-    def place(self, name: str | int, row: int) -> str:
-        """Line and column."""
-        return f"{self.path}: line {self._lines[row]}, column {name!r}"
+    def tables(self) -> list[Tabulated]:
+        """Everything that a mapping could take."""

@@ -10,8 +10,7 @@ from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.runfile.alignment import Alignment, by_likeness
 from leactl.runfile.importing_mapping import ChannelMapping, FieldOf, Mapping, StreamMapping, TimeBase
-from leactl.runfile.importing_sources import Source
-from leactl.runfile.importing_trees import Lacking
+from leactl.runfile.importing_sources import Lacking, Source
 from leactl.units import LINEAR, SECONDS, converter
 from leactl.yamlfile import Document
 

@@ -1,40 +1,32 @@
-"""Files of nested names, lists and arrays, JSON and MAT (v4 to v7.3), as something to ask for columns and values."""
+"""Nested names, lists and arrays, as JSON and MAT files hold them, as something to ask for columns and values."""
 
-import json
-import os
 import re
-import zlib
 from array import array
+from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 
 from leactl.errors import InputError
-from leactl.regular import open_regular
 from leactl.runfile.importing_mapping import as_label
-from leactl.runfile.opening import open_foreign, reading
-from leactl.runfile.tree import DEEPEST_FOREIGN, MOST_UNPACKED
+from leactl.runfile.importing_sources import Lacking, Listed, Tabulated
 
 Array = npt.NDArray[np.float64]
-MAX_JSON_BYTES = 1 << 30  # held in memory about five times over
-MAT_HEADER: Final = 128  # bytes, of versions 5 to 7
-MAT_PACKED: Final = 15  # an element of this type is a packed one
-BLOCK: Final = 1 << 20  # bytes that are unpacked at once
+FEWEST_ROWS = 2  # of a table
+MOST_COLUMNS = 64  # of a matrix whose columns are listed
+SURVEYED = 200  # rows by which a column is one of numbers
+LONGEST_PATH = 200  # characters, below which nothing is listed
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
-
-
-class Lacking(Exception):
-    """The source has no such column or field; the message says what it has."""
 
 
 class TreeSource:
     """Nested names, lists and arrays."""
 
-    def __init__(self, path: Path, tree: Any) -> None:
-        self.path, self._tree = path, tree
+    def __init__(self, path: Path, tree: Any, began: datetime | None = None) -> None:
+        self.path, self._tree, self.began = path, tree, began
 
     def column(self, name: str | int, records: str | None) -> Array | list[str]:
         """A column by path, below the records where they are given."""
@@ -60,6 +52,10 @@ class TreeSource:
     def place(self, name: str | int, row: int) -> str:
         """Name and row from 0."""
         return f"{self.path}: {name!r} row {row}"
+
+    def tables(self) -> list[Tabulated]:
+        """Lists of records, matrices, and columns of one length beside one another."""
+        return list(_tables(self._tree, ""))
 
     def _indexed(self, base: Any, index: int, records: str | None) -> Any:
         where = records or "the file"
@@ -122,106 +118,37 @@ def _described(value: Any) -> str:
     return f"a list of {len(value)}" if isinstance(value, list) else f"{value!r}"[:60]
 
 
-def json_tree(path: Path) -> Any:
-    """The document of a JSON file; NaN may stand for what is missing.
-
-    Raises
-    ------
-    InputError : too large, not UTF-8, or not JSON.
-    """
-    if (size := path.stat().st_size) > MAX_JSON_BYTES:
-        raise InputError(f"{path}: {size} bytes of JSON; at most {MAX_JSON_BYTES} are read, use CSV or MAT")
-    try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not UTF-8 at byte {error.start}") from None
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}:{error.lineno}:{error.colno}  not JSON: {error.msg}") from None
-    except RecursionError:
-        raise InputError(f"{path}: nested too deeply") from None
-
-
-def mat_tree(path: Path) -> Any:
-    """The variables of a MAT file as nested names; v7.3 is HDF5 and is read as such.
-
-    Raises
-    ------
-    InputError : not a MAT file, or one cut short.
-    """
-    from scipy.io import loadmat
-
-    try:
-        if h5py.is_hdf5(path):
-            tree = hdf5_tree(path)
-        else:
-            refuse_swelling(path)
-            tree = loadmat(path, simplify_cells=True)
-    # scipy meets a damaged file with whatever its parser stumbles over
-    except (ValueError, TypeError, KeyError, IndexError, EOFError, NotImplementedError, MemoryError) as error:
-        raise InputError(f"{path}: not a MAT file that can be read: {' '.join(str(error).split())}") from None
-    return {name: value for name, value in tree.items() if not name.startswith(("__", "#"))}
+def _tables(node: Any, path: str) -> Iterator[Tabulated]:
+    """The tables at a path and below it."""
+    records = path or None
+    if isinstance(node, dict):
+        by_length: dict[int, list[Listed]] = {}
+        for name, value in node.items():
+            if _is_column(value):
+                by_length.setdefault(np.size(value), []).append(Listed(str(name)))
+            elif len(path) < LONGEST_PATH:
+                yield from _tables(value, f"{path}.{name}" if path else str(name))
+        for columns in by_length.values():
+            yield Tabulated(records, tuple(columns))
+    elif isinstance(node, list) and len(node) >= FEWEST_ROWS and all(isinstance(item, dict) for item in node):
+        names = dict.fromkeys(str(name) for item in node[:SURVEYED] for name in item)
+        numbers = [name for name in names if all(_is_number(item.get(name)) for item in node[:SURVEYED])]
+        yield Tabulated(records, tuple(map(Listed, numbers)))
+    elif isinstance(node, np.ndarray) and node.ndim == 2 and node.dtype.kind in "fiub" and len(node) >= FEWEST_ROWS:
+        yield Tabulated(records, tuple(map(Listed, range(min(node.shape[1], MOST_COLUMNS)))))
+    elif isinstance(node, list) and len(node) >= FEWEST_ROWS and all(isinstance(row, list) for row in node):
+        width = min(len(row) for row in node)
+        numbers_at = [at for at in range(width) if all(_is_number(row[at]) for row in node[:SURVEYED])]
+        yield Tabulated(records, tuple(map(Listed, numbers_at)))
 
 
-def refuse_swelling(path: Path) -> None:
-    """Refuse a MAT file of version 5 to 7 whose packed variables unpack to more than anybody looks at.
-
-    It is a row of elements, each with its type and its length; a packed one is a zlib stream (MATLAB, MAT-file format).
-
-    Raises
-    ------
-    InputError : it does.
-    """
-    times, beside = MOST_UNPACKED
-    with open_regular(path) as raw:
-        size = os.fstat(raw.fileno()).st_size
-        left = times * size + beside
-        head = raw.read(MAT_HEADER)
-        order: Literal["big", "little"] = "big" if head.endswith(b"MI") else "little"
-        while len(tag := raw.read(8)) == 8 and int.from_bytes(tag[:4], order) == MAT_PACKED:
-            packed = raw.read(int.from_bytes(tag[4:], order))
-            deflate = zlib.decompressobj()
-            while packed:
-                try:
-                    left -= len(deflate.decompress(packed, BLOCK))
-                except zlib.error:
-                    return  # damaged, as scipy will say
-                packed = deflate.unconsumed_tail
-                if left < 0:
-                    raise InputError(f"{path}: unpacks to more than {times * size + beside} bytes; fewer were expected")
+def _is_column(value: Any) -> bool:
+    """Whether a value is a column of numbers."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.kind in "fiub" and value.size == max(value.shape, default=0) >= FEWEST_ROWS
+    return isinstance(value, list) and len(value) >= FEWEST_ROWS and all(map(_is_number, value[:SURVEYED]))
 
 
-def hdf5_tree(path: Path) -> Any:
-    """The variables of a MAT file of version 7.3."""
-    with open_foreign(path) as file, reading(path):
-        return _Referring(path, file).members(file, 0)
-
-
-class _Referring:
-    """A MAT file of version 7.3, whose cells refer to their members: each is read once, however many refer to it."""
-
-    def __init__(self, path: Path, file: Any) -> None:
-        self._path, self._file = path, file
-        self._read: dict[int, Any] = {}  # by address
-
-    def members(self, group: Any, depth: int) -> dict[str, Any]:
-        """What a group holds, by name."""
-        return {name: self._value(child, depth) for name, child in group.items() if name != "#refs#"}
-
-    def _value(self, node: Any, depth: int) -> Any:
-        address = h5py.h5o.get_info(node.id).addr
-        if address not in self._read:
-            if depth == DEEPEST_FOREIGN:  # as where a cell refers to itself
-                raise InputError(f"{self._path}: cells in more than {DEEPEST_FOREIGN} others; fewer were expected")
-            self._read[address] = self._unread(node, depth + 1)
-        return self._read[address]
-
-    def _unread(self, node: Any, depth: int) -> Any:
-        if isinstance(node, h5py.Group):
-            return self.members(node, depth)
-        if h5py.check_ref_dtype(node.dtype) is not None:  # cells and arrays of structs
-            references = [reference for reference in node[()].reshape(-1) if reference]
-            return [self._value(self._file[reference], depth) for reference in references]
-        values = np.asarray(node[()]).T  # MATLAB counts columns first
-        if node.attrs.get("MATLAB_class") == b"char":
-            return values.astype("<u2").tobytes().decode("utf-16-le", "replace")
-        return values
+def _is_number(value: Any) -> bool:
+    """Whether a value stands in a column of numbers; what is missing does."""
+    return value is None or isinstance(value, bool | int | float | np.number)

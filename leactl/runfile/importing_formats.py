@@ -1,0 +1,94 @@
+"""Formats of foreign files by name: the shipped ones by their folder, others by entry point `leactl.log_formats`.
+
+A format is a module, or any object, with
+
+    ENDINGS = (".parquet",)                 of its files' names, in lower case
+    def open_source(path, request) -> Source
+
+Its name in a mapping is that of the module or of the entry point. A format that another package needs imports it when
+a file is opened; a foreign one that fails to load is reported when a file of it is opened, and harms no other.
+"""
+
+import importlib
+import pkgutil
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any
+
+from leactl.errors import InputError
+from leactl.runfile.importing_sources import Source, SourceRequest
+
+GROUP = "leactl.log_formats"
+ROOM = "leactl.runfile.formats"
+
+
+@cache
+def shipped() -> frozenset[str]:
+    """Names of the formats of this package, one of each module in their folder."""
+    return frozenset(module.name for module in pkgutil.iter_modules(importlib.import_module(ROOM).__path__))
+
+
+def foreign() -> dict[str, EntryPoint]:
+    """Entry points of other packages by name; a shipped name stays with the shipped format."""
+    return {point.name: point for point in entry_points(group=GROUP) if point.name not in shipped()}
+
+
+def names() -> list[str]:
+    """Names of all formats, without importing any."""
+    return sorted({*shipped(), *foreign()})
+
+
+def load(name: str) -> Any:
+    """Load a format.
+
+    Raises
+    ------
+    InputError : there is none of this name, or it cannot be imported or used.
+    """
+    if name in shipped():
+        return importlib.import_module(f"{ROOM}.{name}")
+    point = foreign().get(name)
+    if point is None:
+        raise InputError(f"format '{name}' is not known; known: {', '.join(names())}")
+    source = f"{point.dist.name} {point.dist.version}" if point.dist else "unknown distribution"
+    try:
+        loaded = point.load()
+    except Exception as error:  # noqa: BLE001 (a foreign plug-in may fail in any way; it must not take leactl with it)
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError(f"format '{name}' of {source} cannot be used: {reason}") from None
+    if not callable(getattr(loaded, "open_source", None)) or not isinstance(getattr(loaded, "ENDINGS", None), tuple):
+        raise InputError(f"format '{name}' of {source} cannot be used: it has no tuple ENDINGS or no open_source")
+    return loaded
+
+
+def name_by_ending(path: Path) -> str:
+    """The format that a file's ending tells; a shipped one before others.
+
+    Raises
+    ------
+    InputError : no format has that ending.
+    """
+    for name in (*sorted(shipped()), *sorted(foreign())):
+        try:
+            endings = load(name).ENDINGS
+        except InputError:
+            continue  # told where a mapping asks for it by name
+        if path.name.lower().endswith(endings):
+            return name
+    raise InputError(f"{path}: the ending does not tell its format; give `format:` as one of {', '.join(names())}")
+
+
+def open_source(path: Path, name: str | None, request: SourceRequest) -> Source:
+    """Open a foreign file, in the format of its ending where none is named.
+
+    Raises
+    ------
+    InputError : unreadable, not of its format, or of a format that is not known.
+    """
+    opened = load(name or name_by_ending(path))
+    try:
+        source: Source = opened.open_source(path, request)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or ' '.join(str(error).split())}") from None
+    return source
