@@ -15,6 +15,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from leactl.errors import InputError
+from leactl.runfile.formats.parquet import modules
 from leactl.runfile.publish import new_file, refuse_existing
 from leactl.runfile.reader import Run
 
@@ -81,13 +82,7 @@ def numerals(column: np.ndarray[Any, Any]) -> Iterator[str]:
 
 def parquet_writers(run: Run) -> dict[str, Writer]:
     """One Parquet file per stream, units and the run's attributes as metadata."""
-    try:
-        import pyarrow as arrow
-        from pyarrow import parquet
-    except ModuleNotFoundError as fault:
-        raise InputError("Parquet needs pyarrow: pip install 'leactl[parquet]'") from fault
-    except ImportError as fault:  # installed, and for another NumPy
-        raise InputError(f"Parquet needs pyarrow, which cannot be loaded: {str(fault).splitlines()[0]}") from fault
+    arrow, parquet = modules()
 
     def write(stream: str, target: Path) -> None:
         fields = [arrow.field("time", arrow.float64(), metadata={"units": "s"})]

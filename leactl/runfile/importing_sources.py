@@ -49,6 +49,7 @@ class Listed(NamedTuple):
     name: str | int
     units: str = ""
     declared_by: str = ""  # where those units stand
+    quantity: str = ""  # that the file itself declares
 
 
 class Tabulated(NamedTuple):
