@@ -1,4 +1,4 @@
-"""Logs of messages by topic, MCAP and ROS 2 bags, as something to ask for columns: one pass, no message is kept.
+"""Logs of messages by topic, such as MCAP, as something to ask for columns: read in one pass, and no message is kept.
 
 A column is a path below its topic, `/drive/state.motor.current[2]`, or below `records: /drive/state`. `[NAME]` in place
 of an index takes the element that the message's own list of names gives it (`name` of a JointState, `joint_names` of
@@ -31,6 +31,7 @@ MOST_ELEMENTS: Final = 64  # of a list whose elements are listed: a longer one i
 DEEPEST: Final = 8  # fields within fields that are listed
 LISTED_OF: Final = 50  # messages of a topic that tell its fields and joints
 NUMBERS = bool | int | float | np.number | np.bool_
+RESET_NS: Final = 10**9  # that a message may be late for its recorder's buffers
 EARLIEST_NS: Final = 946_684_800 * 10**9  # 2000: clocks that begin with their computer show less
 LATEST_NS: Final = 4_102_444_800 * 10**9  # 2100
 _STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\[\]]+)\]")
@@ -42,6 +43,7 @@ class Topic(NamedTuple):
     name: str
     kind: str  # of its messages
     unreadable: str = ""  # why its messages cannot be decoded
+    only: str = ""  # its single field, which paths may leave out
 
 
 class Message(NamedTuple):
@@ -98,7 +100,7 @@ class MessageSource:
             raise Lacking(f"{self.path}: {self._nothing_of(path)}")
         if column.error:
             raise Lacking(column.error)
-        order = np.argsort(np.frombuffer(column.log_ns, np.uint64), kind="stable")
+        order = column.order()
         if column.texts:
             return [column.texts[at] for at in order]
         return np.frombuffer(column.values, np.float64)[order]
@@ -205,6 +207,9 @@ class MessageSource:
         if why := self._log.topics[topic].unreadable:
             raise Lacking(f"{self.path}: {topic} {why}")
         steps = tuple(_step(match) for match in _STEP.finditer(rest))
+        only = self._log.topics[topic].only
+        if only and (not steps or isinstance(steps[0], int)):
+            steps = (only, *steps)
         if not steps:
             raise Lacking(f"{self.path}: {wanted.name!r} is a topic; a field of it was expected")
         return Way(topic, joint, steps)
@@ -229,6 +234,7 @@ class _Gathered:
         self.values, self.log_ns = array("d"), array("Q")
         self.texts: list[str] = []
         self.rows, self.error = 0, ""
+        self._latest_ns, self._was_reset = 0, False
 
     def put(self, value: Any, log_ns: int) -> None:
         """Add a row; NaN where a list has no such element."""
@@ -240,6 +246,13 @@ class _Gathered:
             raise Lacking(f"holds {_described(value)} where a number was expected")
         self.log_ns.append(log_ns)
         self.rows += 1
+        self._was_reset |= log_ns < self._latest_ns - RESET_NS
+        self._latest_ns = max(self._latest_ns, log_ns)
+
+    def order(self) -> npt.NDArray[np.intp]:
+        """Rows by the recorder's stamps; as they were written where its clock was set back meanwhile."""
+        stamps = np.frombuffer(self.log_ns, np.uint64)
+        return np.arange(len(stamps)) if self._was_reset else np.argsort(stamps, kind="stable")
 
 
 def _step(match: re.Match[str]) -> str | int:
@@ -323,7 +336,7 @@ def _tables(topic: Topic, samples: list[Any]) -> Iterator[Tabulated]:
                 by_joint.append(Listed(path))
             elif not joints and len(value) <= MOST_ELEMENTS:
                 plain += [Listed(f"{path}[{at}]") for at in range(len(value))]
-        elif path != "header.stamp" and not path.startswith("header."):
+        elif not path.startswith("header."):
             plain.append(Listed(path))
     if by_joint:
         yield Tabulated(f"{topic.name}[{{joint}}]", tuple(by_joint), topic.kind, time, tuple(joints))

@@ -113,3 +113,24 @@ def write_mcap(path, rows=range(N), stamp=stamp_ns, chunk_size=1 << 16, compress
         if finish:
             writer.finish()
     return path
+
+
+def wpilog_record(entry, stamp_us, payload):
+    """A record as the specification has it, each number as short as it goes."""
+    numbers = [(entry, 4), (len(payload), 4), (stamp_us, 8)]
+    sizes = [max(1, (number.bit_length() + 7) // 8) for number, _ in numbers]
+    head = (sizes[0] - 1) | (sizes[1] - 1) << 2 | (sizes[2] - 1) << 4
+    fields = [number.to_bytes(size, "little") for (number, _), size in zip(numbers, sizes, strict=True)]
+    return bytes([head]) + b"".join(fields) + payload
+
+
+def wpilog_text(text):
+    return len(text.encode()).to_bytes(4, "little") + text.encode()
+
+
+def wpilog_start(entry, name, kind, stamp_us=0, metadata=""):
+    texts = b"".join(map(wpilog_text, (name, kind, metadata)))
+    return wpilog_record(0, stamp_us, b"\0" + entry.to_bytes(4, "little") + texts)
+
+
+WPILOG_HEAD = b"WPILOG\x00\x01" + wpilog_text("made by a test")
