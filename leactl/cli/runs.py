@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -10,7 +10,11 @@ from leactl.cli import finite
 from leactl.cli.helptext import examples, group_of_commands
 from leactl.errors import InputError
 
+if TYPE_CHECKING:
+    from leactl import yamlfile
+
 app = group_of_commands()
+AUTO = "auto"  # in place of a mapping file
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 
 
@@ -246,11 +250,21 @@ def export(
 
 @app.command(
     "import",
-    epilog=examples("runs import log.csv --map map.yaml --check", "runs import log.csv --map map.yaml --out imported"),
+    epilog=examples(
+        "runs import log.csv --map map.yaml --check",
+        "runs import log.csv --map map.yaml --out imported",
+        "runs import log.mcap --map auto --map-out map.yaml",
+        means={InputError: "input that cannot be used, or a proposed mapping with open questions"},
+    ),
 )
 def import_foreign(
     sources: list[str] = typer.Argument(..., metavar="SOURCE...", help="Logs of a format that is known, or patterns."),
-    mapping: Path = typer.Option(..., "--map", help="YAML file that says which column is which channel."),
+    mapping: Path = typer.Option(
+        ..., "--map", help="YAML file that says which column is which channel; auto proposes one and asks."
+    ),
+    map_out: Path | None = typer.Option(
+        None, "--map-out", metavar="FILE", help="With --map auto: write the mapping here as well."
+    ),
     joint: list[str] = typer.Option(
         [], "--joint", metavar="NAME", help="Joint that {joint} in the mapping stands for, a run each; or all."
     ),
@@ -259,10 +273,14 @@ def import_foreign(
     as_json: bool = AS_JSON,
 ) -> None:
     """Import recordings of other rigs as run files; all sources are checked first, and nothing is overwritten."""
-    from leactl.runfile.importing import read_runs, targets_of, write
+    from leactl import yamlfile
+    from leactl.runfile.importing import read_by, targets_of, write
     from leactl.runfile.importing_preview import preview, preview_lines
 
-    runs = read_runs(sources, mapping, joint)
+    if map_out is not None and str(mapping) != AUTO:
+        raise InputError(f"--map-out {map_out}: goes with --map {AUTO}")
+    document = proposed(sources, map_out, as_json) if str(mapping) == AUTO else yamlfile.load(mapping)
+    runs = read_by(sources, document, joint)
     files = targets_of(runs, out) if check else write(runs, out)
     previews = [preview(run, file) for run, file in zip(runs, files, strict=True)] if check else []
     notes = list(dict.fromkeys(note for run in runs for note in run.notes))
@@ -274,6 +292,34 @@ def import_foreign(
         typer.echo(f"note: {note}", err=True)
     lines = [line for about in previews for line in preview_lines(about)] if check else map(str, files)
     typer.echo("\n".join(lines))
+
+
+def proposed(sources: list[str], map_out: Path | None, as_json: bool) -> "yamlfile.Document":
+    """The mapping that a person and the first source make; without a person, what the source alone says of it.
+
+    Raises
+    ------
+    InputError : nobody can be asked what is open; the proposal is in `map_out`, or on stdout.
+    """
+    from leactl import yamlfile
+    from leactl.cli.mapping_questions import asked, is_attended
+    from leactl.runfile.importing import expanded
+    from leactl.runfile.importing_proposal import propose, survey
+    from leactl.runfile.publish import new_file, refuse_existing
+
+    if map_out is not None:
+        refuse_existing(map_out)
+    seen = survey(expanded(sources)[0])
+    proposal = asked(seen) if is_attended() else propose(seen, {})
+    if map_out is not None:
+        with new_file(map_out) as aside:
+            aside.write_text(proposal.text, encoding="utf-8")
+    if proposal.questions:
+        if map_out is None and not as_json:
+            typer.echo(proposal.text, nl=False)
+        where = map_out or "the proposal"
+        raise InputError([f"{where}: open: {question.text}" for question in proposal.questions])
+    return yamlfile.parse(proposal.text, str(map_out or AUTO))
 
 
 def attached_told(stream: dict[str, Any]) -> str:

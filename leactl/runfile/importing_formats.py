@@ -4,6 +4,7 @@ A format is a module, or any object, with
 
     ENDINGS = (".parquet",)                 of its files' names, in lower case
     def open_source(path, request) -> Source
+    def recognises(path, head) -> bool      optional: by the first bytes of a file; a folder has none
 
 Its name in a mapping is that of the module or of the entry point. A format that another package needs imports it when
 a file is opened; a foreign one that fails to load is reported when a file of it is opened, and harms no other.
@@ -17,10 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from leactl.errors import InputError
+from leactl.regular import open_regular
 from leactl.runfile.importing_sources import Source, SourceRequest
 
 GROUP = "leactl.log_formats"
 ROOM = "leactl.runfile.formats"
+HEAD_BYTES = 64
 
 
 @cache
@@ -62,21 +65,36 @@ def load(name: str) -> Any:
     return loaded
 
 
-def name_by_ending(path: Path) -> str:
-    """The format that a file's ending tells; a shipped one before others.
+def format_of(path: Path) -> str:
+    """The format that a file is recognised as, else that its ending tells; a shipped one before others.
 
     Raises
     ------
-    InputError : no format has that ending.
+    InputError : no format knows it.
     """
+    known = {}
     for name in (*sorted(shipped()), *sorted(foreign())):
         try:
-            endings = load(name).ENDINGS
+            known[name] = load(name)
         except InputError:
             continue  # told where a mapping asks for it by name
-        if path.name.lower().endswith(endings):
+    head = head_of(path)
+    for name, loaded in known.items():
+        if hasattr(loaded, "recognises") and loaded.recognises(path, head):
+            return name
+    for name, loaded in known.items():
+        if path.is_file() and path.name.lower().endswith(tuple(loaded.ENDINGS)):
             return name
     raise InputError(f"{path}: the ending does not tell its format; give `format:` as one of {', '.join(names())}")
+
+
+def head_of(path: Path) -> bytes:
+    """The first bytes of a file; none of a folder."""
+    try:
+        with open_regular(path) as file:
+            return file.read(HEAD_BYTES)
+    except OSError:
+        return b""  # told by the format that its ending tells
 
 
 def open_source(path: Path, name: str | None, request: SourceRequest) -> Source:
@@ -86,7 +104,7 @@ def open_source(path: Path, name: str | None, request: SourceRequest) -> Source:
     ------
     InputError : unreadable, not of its format, or of a format that is not known.
     """
-    opened = load(name or name_by_ending(path))
+    opened = load(name or format_of(path))
     try:
         source: Source = opened.open_source(path, request)
     except OSError as error:

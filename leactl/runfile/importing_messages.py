@@ -44,6 +44,7 @@ class Topic(NamedTuple):
     kind: str  # of its messages
     unreadable: str = ""  # why its messages cannot be decoded
     only: str = ""  # its single field, which paths may leave out
+    units: str = ""  # that its log declares of that field
 
 
 class Message(NamedTuple):
@@ -337,7 +338,7 @@ def _tables(topic: Topic, samples: list[Any]) -> Iterator[Tabulated]:
             elif not joints and len(value) <= MOST_ELEMENTS:
                 plain += [Listed(f"{path}[{at}]") for at in range(len(value))]
         elif not path.startswith("header."):
-            plain.append(Listed(path))
+            plain.append(Listed(path, topic.units, f"what {topic.name} declares" if topic.units else ""))
     if by_joint:
         yield Tabulated(f"{topic.name}[{{joint}}]", tuple(by_joint), topic.kind, time, tuple(joints))
     if plain:

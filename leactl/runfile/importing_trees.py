@@ -131,15 +131,24 @@ def _tables(node: Any, path: str) -> Iterator[Tabulated]:
         for columns in by_length.values():
             yield Tabulated(records, tuple(columns))
     elif isinstance(node, list) and len(node) >= FEWEST_ROWS and all(isinstance(item, dict) for item in node):
-        names = dict.fromkeys(str(name) for item in node[:SURVEYED] for name in item)
-        numbers = [name for name in names if all(_is_number(item.get(name)) for item in node[:SURVEYED])]
-        yield Tabulated(records, tuple(map(Listed, numbers)))
+        yield Tabulated(records, tuple(map(Listed, _columns_of_records(node[:SURVEYED], ""))))
     elif isinstance(node, np.ndarray) and node.ndim == 2 and node.dtype.kind in "fiub" and len(node) >= FEWEST_ROWS:
         yield Tabulated(records, tuple(map(Listed, range(min(node.shape[1], MOST_COLUMNS)))))
     elif isinstance(node, list) and len(node) >= FEWEST_ROWS and all(isinstance(row, list) for row in node):
         width = min(len(row) for row in node)
         numbers_at = [at for at in range(width) if all(_is_number(row[at]) for row in node[:SURVEYED])]
         yield Tabulated(records, tuple(map(Listed, numbers_at)))
+
+
+def _columns_of_records(items: list[dict[str, Any]], path: str) -> Iterator[str]:
+    """Paths of numbers in records, and in records within them."""
+    for name in dict.fromkeys(str(name) for item in items for name in item):
+        values = [item.get(name) for item in items]
+        below = f"{path}.{name}" if path else name
+        if all(map(_is_number, values)):
+            yield below
+        elif all(isinstance(value, dict) for value in values) and len(below) < LONGEST_PATH:
+            yield from _columns_of_records(values, below)  # type: ignore[arg-type]
 
 
 def _is_column(value: Any) -> bool:

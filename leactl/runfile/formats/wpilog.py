@@ -16,6 +16,7 @@ from leactl.errors import InputError
 from leactl.regular import open_regular
 from leactl.runfile.importing_messages import Message, MessageSource, OpenLog, Topic
 from leactl.runfile.importing_sources import SourceRequest
+from leactl.runfile.importing_words import units_named
 
 ENDINGS = (".wpilog",)
 MAGIC: Final = b"WPILOG"
@@ -23,7 +24,7 @@ MAJOR: Final = 1
 VALUE: Final = "value"  # name of an entry's only field
 START, FINISH, SET_METADATA = range(3)  # kinds of control records, which are those of entry 0
 LATEST_US: Final = 1 << 53  # 285 years
-LONGEST_NAME: Final = 1 << 12  # bytes
+LONGEST_TEXT: Final = 1 << 20  # bytes, of a name, a type or metadata
 NUMBERS: Final = {"boolean": "?", "int64": "q", "float": "f", "double": "d"}
 TEXTS: Final = ("string", "json")
 
@@ -64,8 +65,8 @@ class WpiLog:
         self._first = self._header()
         for record in self._records():
             if record.entry == 0 and data[record.begins] == START:
-                _, name, kind = self._started(record)
-                self._announce(name, kind)
+                _, name, kind, metadata = self._started(record)
+                self._announce(name, kind, metadata)
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Values of these entries as they stand in the file."""
@@ -74,7 +75,7 @@ class WpiLog:
             if record.entry == 0:
                 control = self._data[record.begins]
                 if control == START:
-                    entry, name, kind = self._started(record)
+                    entry, name, kind, _ = self._started(record)
                     live.pop(entry, None)
                     if name in topics:
                         live[entry] = name, partial(self._decode, kind)
@@ -115,25 +116,25 @@ class WpiLog:
             yield Record(entry, stamp_us, begins, ends)
             at = ends
 
-    def _started(self, record: Record) -> tuple[int, str, str]:
-        """Number, name and type of an entry that a control record starts."""
+    def _started(self, record: Record) -> tuple[int, str, str, str]:
+        """Number, name, type and metadata of an entry that a control record starts."""
         at = record.begins + 1
         entry = self._number(at, 4, record.ends)
         texts, at = [], at + 4
-        for _ in range(2):
+        for _ in range(3):
             length = self._number(at, 4, record.ends)
-            if length > LONGEST_NAME or at + 4 + length > record.ends:
-                raise InputError(f"{self._path}: damaged: an entry's name at byte {at} has {length} bytes")
+            if length > LONGEST_TEXT or at + 4 + length > record.ends:
+                raise InputError(f"{self._path}: damaged: a text at byte {at} of {length} bytes")
             texts.append(self._data[at + 4 : at + 4 + length].decode("utf-8", "replace"))
             at += 4 + length
-        return entry, texts[0], texts[1]
+        return entry, texts[0], texts[1], texts[2]
 
     def _number(self, at: int, size: int, ends: int) -> int:
         if at + size > ends:
             raise InputError(f"{self._path}: damaged: a control record at byte {at} is cut short")
         return int.from_bytes(self._data[at : at + size], "little")
 
-    def _announce(self, name: str, kind: str) -> None:
+    def _announce(self, name: str, kind: str, metadata: str) -> None:
         known = self.topics.get(name)
         why = ""
         if kind.removesuffix("[]") not in NUMBERS and kind not in TEXTS:
@@ -141,7 +142,7 @@ class WpiLog:
         elif known and known.kind != kind:
             why = f"is of type {known.kind} first and of {kind} later"
         if not (known and known.unreadable):
-            self.topics[name] = Topic(name, kind, why, VALUE)
+            self.topics[name] = Topic(name, kind, why, VALUE, units_named(metadata))
 
     def _decode(self, kind: str, begins: int, ends: int) -> dict[str, Any]:
         payload = self._data[begins:ends]

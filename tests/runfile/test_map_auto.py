@@ -1,0 +1,358 @@
+"""`--map auto`: right in nine of ten channels of every format, and never sure of a wrong unit."""
+
+import json
+import struct
+
+import numpy as np
+import pexpect
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+from scipy.io import savemat
+
+from leactl.errors import InputError
+from leactl.runfile.importing_proposal import LEAVE_OUT, UNDECIDED, accepted, propose, streams_of, survey
+from leactl.runfile.reader import Run
+from leactl.units import converter
+
+from ..cli.terminal import COMMAND, leactl
+from . import logs
+from .logs import EFFORT, HIP, HIP_SPEED, START_NS, WPILOG_HEAD, N, T, wpilog_record, wpilog_start
+
+RPM = 60 / (2 * np.pi)
+TURN = 2 * np.pi
+RNG = np.random.default_rng(7)
+MEASURED = HIP + RNG.normal(0, 2e-4, N)  # an encoder's noise
+SPEED = HIP_SPEED + RNG.normal(0, 1e-2, N)
+VOLTS = 24.1 + RNG.normal(0, 0.05, N)
+WARM = np.linspace(24.0, 31.5, N)
+ODRIVE = "axis0."
+
+
+def csv(path, columns, delimiter=","):
+    rows = zip(*columns.values(), strict=True)
+    lines = [delimiter.join(columns), *(delimiter.join(f"{x:.9g}" for x in row) for row in rows)]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def mcap(path):
+    logs.write_mcap(path)
+
+
+def degrees_in_mcap(path):
+    """A node that publishes degrees as if they were rad."""
+    keep = logs.HIP.copy(), logs.HIP_SPEED.copy()
+    logs.HIP[:], logs.HIP_SPEED[:] = np.degrees(keep[0]), np.degrees(keep[1])
+    try:
+        logs.write_mcap(path)
+    finally:
+        logs.HIP[:], logs.HIP_SPEED[:] = keep
+
+
+def npz(path):
+    np.savez(path, t=T, q=np.degrees(MEASURED), dq=SPEED, tau=EFFORT, iq=0.3 * EFFORT, vbus=VOLTS, temp_motor=WARM)
+
+
+def npz_in_rpm(path):
+    np.savez(path, time=T, position=MEASURED, speed=SPEED * RPM, target_position=MEASURED)
+
+
+def mat(path):
+    savemat(path, {"log": {"time_s": T, "theta": MEASURED / TURN, "omega": SPEED, "torque_Nm": EFFORT}})
+
+
+def table(path):
+    stamps = pa.array((START_NS + np.round(T * 1e9).astype(np.int64)) // 1000).cast(pa.timestamp("us"))
+    wrapped = np.mod(np.degrees(8 * T), 360.0)
+    columns = {"timestamp": stamps, "angle": wrapped, "velocity": np.degrees(8 + 0 * T), "current_A": EFFORT}
+    parquet.write_table(pa.table(columns), path)
+
+
+def lerobot(path):
+    state = pa.FixedSizeListArray.from_arrays(pa.array(np.degrees(np.stack([HIP, HIP], 1)).reshape(-1)), 2)
+    columns = {"observation.state": state, "action": state, "timestamp": T, "frame_index": np.arange(N)}
+    parquet.write_table(pa.table(columns), path)
+
+
+def wpilog(path):
+    kinds = {"position-left-drive": "Rotation", "velocity-left-drive": "Rotation per Second", "voltage-left-drive": ""}
+    out = [WPILOG_HEAD]
+    out += [wpilog_start(at, name, "double", 0, units) for at, (name, units) in enumerate(kinds.items(), start=1)]
+    for row, t in enumerate(T):
+        values = (MEASURED[row] / TURN, SPEED[row] / TURN, 6 * EFFORT[row])
+        for at, value in enumerate(values, start=1):
+            out.append(wpilog_record(at, 10**6 + round(t * 1e6) + at, struct.pack("<d", value)))
+    path.write_bytes(b"".join(out))
+
+
+def sysid(path):
+    rows = np.stack([T + 3, 6 * EFFORT, MEASURED / TURN, SPEED / TURN], 1).tolist()
+    tests = {"fast-backward": rows, "fast-forward": rows, "slow-backward": rows, "slow-forward": rows}
+    path.write_text(json.dumps(tests | {"sysid": True, "test": "Simple", "units": "Radians", "unitsPerRotation": 1.0}))
+
+
+def vesc(path):
+    columns = {
+        "ms_today": 40_000_000 + np.round(T * 1000), "input_voltage": VOLTS, "temp_mos_max": WARM,
+        "temp_motor": WARM + 4,
+        "current_motor": EFFORT, "current_in": 0.4 * EFFORT, "d_axis_current": 0.01 * EFFORT, "q_axis_current": EFFORT,
+        "erpm": 7 * SPEED * RPM, "duty_cycle": 0.1 * EFFORT, "encoder_position": np.mod(np.degrees(MEASURED), 360),
+    }  # fmt: skip
+    csv(path, columns, ";")
+
+
+def odrive(path):
+    columns = {"time": T, "pos_estimate": MEASURED / TURN, "vel_estimate": SPEED / TURN, "input_pos": HIP / TURN}
+    columns |= {"motor.foc.Iq_measured": EFFORT, "vbus_voltage": VOLTS}
+    csv(path, {name if name in ("time", "vbus_voltage") else ODRIVE + name: x for name, x in columns.items()})
+
+
+def moteus(path):
+    names = {"position": MEASURED / TURN, "velocity": SPEED / TURN, "torque_Nm": EFFORT, "q_A": EFFORT, "bus_V": VOLTS}
+    rows = [{name: float(values[row]) for name, values in names.items()} for row in range(N)]
+    log = [{"timestamp": float(t), "servo_stats": row} for t, row in zip(T, rows, strict=True)]
+    path.write_text(json.dumps({"log": log}))
+
+
+def feetech(path):
+    entries = [
+        {"timestamp": float(t), "position": float(q), "goal_position": float(q), "speed": float(w), "input_volts": 7.4,
+         "temp": 25.0}
+        for t, q, w in zip(T, MEASURED, SPEED, strict=True)
+    ]  # fmt: skip
+    path.write_text(json.dumps({"mass": 0.1, "entries": entries}))
+
+
+ANGLE, VELOCITY = ("angle", "rad"), ("velocity", "rad/s")
+LOGS = {
+    "log.mcap": (mcap, {"position": ANGLE, "velocity": VELOCITY, "effort": ("torque", "N*m"),
+                        "motor.bus_voltage": ("bus_voltage", "V"), "motor.enabled": ("drive_enabled", "1"),
+                        "angle.deg": ("angle", "deg")}),
+    "deg.mcap": (degrees_in_mcap, {"position": ("angle", "deg"), "velocity": ("velocity", "deg/s"),
+                                   "effort": ("torque", "N*m"), "motor.bus_voltage": ("bus_voltage", "V"),
+                                   "motor.enabled": ("drive_enabled", "1")}),
+    "log.npz": (npz, {"q": ("angle", "deg"), "dq": VELOCITY, "tau": ("torque", "N*m"), "iq": ("q_axis_current", "A"),
+                      "vbus": ("bus_voltage", "V"), "temp_motor": ("winding_temperature", "degC")}),
+    "rpm.npz": (npz_in_rpm, {"position": ANGLE, "speed": ("velocity", "rpm"),
+                             "target_position": ("angle_reference", "rad")}),
+    "log.mat": (mat, {"theta": ("angle", "turn"), "omega": VELOCITY, "torque_Nm": ("torque", "N*m")}),
+    "log.parquet": (table, {"angle": ("angle", "deg"), "velocity": ("velocity", "deg/s"),
+                            "current_A": ("q_axis_current", "A")}),
+    "lerobot.parquet": (lerobot, {"observation.state[0]": ("angle", "deg"), "action[0]": ("angle_reference", "deg"),
+                                  "observation.state[1]": ("angle", "deg"), "action[1]": ("angle_reference", "deg")}),
+    "log.wpilog": (wpilog, {"position-left-drive": ("angle", "turn"), "velocity-left-drive": ("velocity", "turn/s"),
+                            "voltage-left-drive": ("q_axis_voltage", "V")}),
+    "sysid.json": (sysid, {"voltage_V": ("q_axis_voltage", "V"), "position": ("angle", "turn"),
+                           "velocity": ("velocity", "turn/s")}),
+    "vesc.csv": (vesc, {"input_voltage": ("bus_voltage", "V"), "temp_mos_max": ("drive_temperature", "degC"),
+                        "temp_motor": ("winding_temperature", "degC"), "current_in": ("bus_current", "A"),
+                        "d_axis_current": ("d_axis_current", "A"), "q_axis_current": ("q_axis_current", "A"),
+                        "erpm": ("velocity", "rpm"), "encoder_position": ("angle", "deg")}),
+    "odrive.csv": (odrive, {"axis0.pos_estimate": ("angle", "turn"), "axis0.vel_estimate": ("velocity", "turn/s"),
+                            "axis0.input_pos": ("angle_reference", "turn"), "vbus_voltage": ("bus_voltage", "V"),
+                            "axis0.motor.foc.Iq_measured": ("q_axis_current", "A")}),
+    "moteus.json": (moteus, {"servo_stats.position": ("angle", "turn"), "servo_stats.velocity": ("velocity", "turn/s"),
+                             "servo_stats.torque_Nm": ("torque", "N*m"), "servo_stats.q_A": ("q_axis_current", "A"),
+                             "servo_stats.bus_V": ("bus_voltage", "V")}),
+    "feetech.json": (feetech, {"position": ANGLE, "goal_position": ("angle_reference", "rad"), "speed": VELOCITY,
+                               "input_volts": ("bus_voltage", "V"), "temp": ("housing_temperature", "degC")}),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def proposals(tmp_path_factory):
+    """Each log's channels by the column, or by the entry that a column of a data log is."""
+    folder = tmp_path_factory.mktemp("auto")
+    found = {}
+    for name, (write, _) in LOGS.items():
+        write(folder / name)
+        streams = streams_of(survey(folder / name), {})
+        of_values = {"value": lambda stream: stream.table.records}
+        found[name] = {
+            of_values.get(channel.column, lambda _, channel=channel: channel.column)(stream): channel
+            for stream in streams
+            for channel in stream.channels.values()
+        }
+    return found
+
+
+def equal(units, true):
+    kinds = ("angle", "velocity", "torque", "bus_voltage", "q_axis_current", "winding_temperature", "drive_enabled")
+    return [converter(units, kind) for kind in kinds] == [converter(true, kind) for kind in kinds]
+
+
+def test_nine_of_ten_channels_are_right_and_no_unit_is_surely_wrong(proposals):
+    right, of, wrong = 0, 0, []
+    for name, (_, truth) in LOGS.items():
+        for column, (quantity, units) in truth.items():
+            channel = proposals[name].get(column)
+            of += 1
+            right += channel is not None and channel.quantity == quantity and equal(channel.units[0], units)
+            if channel is not None and len(channel.units) == 1 and not equal(channel.units[0], units):
+                wrong.append(f"{name} {column}: {channel.units} for {units}, {channel.why}")
+    assert wrong == []
+    assert right >= 0.9 * of, f"{right} of {of}"
+
+
+def decided(proposals, name):
+    return {column: channel.units[0] for column, channel in proposals[name].items() if len(channel.units) == 1}
+
+
+def test_what_each_kind_of_evidence_decides(proposals):
+    assert decided(proposals, "rpm.npz") == {"position": "rad", "speed": "rpm", "target_position": "rad"}
+    assert decided(proposals, "log.npz") == {"q": "deg", "dq": "rad/s", "iq": "A", "vbus": "V", "temp_motor": "degC"}
+    assert decided(proposals, "log.parquet") == {"angle": "deg", "velocity": "deg/s", "current_A": "A"}
+    assert decided(proposals, "log.mcap") == {"angle.deg": "deg", "motor.bus_voltage": "V", "motor.enabled": "1"}
+    assert decided(proposals, "log.wpilog") == {
+        "voltage-left-drive": "V",
+        "position-left-drive": "turn",
+        "velocity-left-drive": "turn/s",
+    }
+    assert decided(proposals, "sysid.json") == {"voltage_V": "V"}
+
+
+def test_what_is_not_measured_is_left_out(tmp_path):
+    vesc(tmp_path / "vesc.csv")
+    text = propose(survey(tmp_path / "vesc.csv"), {}).text
+    assert "# duty_cycle: left out, VESC Tool's realtime data has it, and it is no channel of a run" in text
+    csv(tmp_path / "a.csv", {"t": T, "q": HIP, "position_error": HIP, "x": HIP})
+    text = propose(survey(tmp_path / "a.csv"), {}).text
+    assert "# position_error: left out, its name says error" in text
+    assert "# x: left out, its name says nothing known" in text
+
+
+@pytest.mark.parametrize(
+    ("time", "units"),
+    [
+        (T, ["s"]), (1.7e9 + T, ["s"]), (1.7e12 + 1e3 * T, ["ms"]), (1.7e15 + 1e6 * T, ["us"]),
+        (1.7e18 + 1e9 * T, ["ns"]), (1e3 * T, ["s", "ms"]), (1e6 * T, ["ms", "us"]), (1e9 * T, ["us", "ns"]),
+        (200 * T, ["s", "ms"]),
+    ],
+)  # fmt: skip
+def test_the_unit_of_stamps(tmp_path, time, units):
+    np.savez(tmp_path / "a.npz", t=time, q=HIP)
+    (stream,) = streams_of(survey(tmp_path / "a.npz"), {})
+    assert set(stream.time_units) == set(units)
+
+
+@pytest.mark.parametrize("gear", [6.0, 9.0, 10.0, 50.0, 60.0, 360.0, 1 / 6.0])
+def test_a_gear_is_never_taken_for_a_unit(tmp_path, gear):
+    np.savez(tmp_path / "a.npz", t=T, position_rad=MEASURED, velocity=gear * SPEED)
+    (stream,) = streams_of(survey(tmp_path / "a.npz"), {})
+    assert len(stream.channels["velocity"].units) > 1
+
+
+def test_a_header_that_the_numbers_contradict_is_asked_for(tmp_path):
+    np.savez(tmp_path / "a.npz", t=T, position_rad=MEASURED, velocity_rad_s=SPEED * RPM)
+    (stream,) = streams_of(survey(tmp_path / "a.npz"), {})
+    assert stream.channels["velocity_rad_s"].units == ("rpm", "rad/s")
+    answer = {("streams", "loop", "channels", "velocity_rad_s", "units"): "rad/s"}
+    (stream,) = streams_of(survey(tmp_path / "a.npz"), answer)
+    assert stream.channels["velocity_rad_s"].units == ("rad/s",)
+
+
+@pytest.mark.parametrize("values", [np.round(74 + VOLTS - 24), np.round(1000 * VOLTS)])
+def test_whole_numbers_are_counts_of_any_size(tmp_path, values):
+    np.savez(tmp_path / "a.npz", t=T, vbus=values, iq=np.round(EFFORT * 5))
+    (stream,) = streams_of(survey(tmp_path / "a.npz"), {})
+    assert all(len(channel.units) > 1 for channel in stream.channels.values())
+
+
+def test_one_answer_decides_what_hangs_on_it(tmp_path):
+    logs.write_mcap(tmp_path / "log.mcap")
+    seen = survey(tmp_path / "log.mcap")
+    answers = {}
+    asked = []
+    while questions := propose(seen, answers).questions:
+        asked.append(questions[0].key)
+        answers[questions[0].key] = questions[0].choices[0]
+    assert asked == [("mechanical",), ("streams", "joint_states", "channels", "position", "units")]
+    text = propose(seen, answers).text
+    assert UNDECIDED not in text
+    assert "quantity: torque, units: N*m" in text.replace('"', "")
+
+
+def test_answers_are_checked(tmp_path):
+    np.savez(tmp_path / "a.npz", t=T, torque=EFFORT)
+    mechanical, torque = propose(survey(tmp_path / "a.npz"), {}).questions
+    assert [accepted(mechanical, text) for text in ("1", "free\n", "5", "loose", LEAVE_OUT, "")] == [
+        "free", "free", None, None, None, None,
+    ]  # fmt: skip
+    assert [accepted(torque, text) for text in ("2", "lbf*ft", "V", LEAVE_OUT)] == ["mN*m", "lbf*ft", None, LEAVE_OUT]
+
+
+def test_a_log_that_says_nothing_is_one_line(tmp_path):
+    csv(tmp_path / "a.csv", {"t": T, "x": HIP, "y": HIP})
+    with pytest.raises(InputError, match="no name says what a column measures: t, x, y; write a mapping"):
+        propose(survey(tmp_path / "a.csv"), {})
+    (tmp_path / "b.csv").write_text("hello\n")
+    with pytest.raises(InputError, match="no row of numbers after line 1"):
+        survey(tmp_path / "b.csv")
+    (tmp_path / "c.json").write_text("{}")
+    with pytest.raises(InputError, match="no table of numbers that a mapping could take"):
+        survey(tmp_path / "c.json")
+
+
+def test_without_a_terminal_the_proposal_is_written_and_nothing_imported(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    npz(tmp_path / "log.npz")
+    done = leactl("runs", "import", "log.npz", "--map", "auto", "--map-out", "rig.yaml", input="")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "rig.yaml: open: mechanics of the rig: no log says" in done.stderr
+    assert "rig.yaml: open: stream loop, 'tau' (torque): torque by its name" in done.stderr
+    assert not (tmp_path / "runs").exists()
+    text = (tmp_path / "rig.yaml").read_text()
+    refused = leactl("runs", "import", "log.npz", "--map", "rig.yaml")
+    assert refused.returncode == 2
+    assert "rig.yaml:3:13  mechanical: 'UNDECIDED'" in refused.stderr
+    assert "'UNDECIDED' are none of N*m, mN*m" in refused.stderr
+    again = leactl("runs", "import", "log.npz", "--map", "auto", "--map-out", "rig.yaml", input="")
+    assert "rig.yaml: exists already and is never overwritten" in again.stderr
+    text = text.replace("mechanical: UNDECIDED", "mechanical: free").replace("units: UNDECIDED", "units: 'N*m'")
+    (tmp_path / "rig.yaml").write_text(text)
+    assert leactl("runs", "import", "log.npz", "--map", "rig.yaml", "--out", "runs").returncode == 0
+    np.testing.assert_allclose(Run.open(tmp_path / "runs" / "log.h5").channel("angle").values, MEASURED, atol=1e-9)
+    shown = leactl("runs", "import", "log.npz", "--map", "auto", input="")
+    assert shown.stdout.startswith(
+        "# Proposed from log.npz; every line is to be read before it is used.\nformat: npz\n"
+    )
+    answer = leactl("runs", "import", "log.npz", "--map", "auto", "--json", input="")
+    assert json.loads(answer.stdout or answer.stderr)
+    aside = leactl("runs", "import", "log.npz", "--map", "rig.yaml", "--map-out", "b.yaml")
+    assert "--map-out b.yaml: goes with --map auto" in aside.stderr
+
+
+def test_in_a_terminal_it_asks_and_imports(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    logs.write_mcap(tmp_path / "log.mcap")
+    words = [
+        "runs",
+        "import",
+        "log.mcap",
+        "--map",
+        "auto",
+        "--joint",
+        "hip",
+        "--out",
+        "imported",
+        "--map-out",
+        "rig.yaml",
+    ]
+    child = pexpect.spawn(COMMAND[0], [*COMMAND[1:], *words], encoding="utf-8", timeout=60)
+    child.expect("mechanics of the rig: no log says")
+    child.sendline("loose")
+    child.expect("'loose' is no answer")
+    child.sendline("1")
+    child.expect(r"'position' \(angle\): rad or m by sensor_msgs/JointState")
+    child.expect("- leaves the channel out")
+    child.sendline("1")
+    child.expect("imported/log-hip.h5")
+    child.expect(pexpect.EOF)
+    child.close()
+    assert child.exitstatus == 0
+    np.testing.assert_allclose(
+        Run.open(tmp_path / "imported" / "log-hip.h5").channel("velocity").values, logs.HIP_SPEED, atol=1e-9
+    )
+    again = leactl("runs", "import", "log.mcap", "--map", "rig.yaml", "--out", "again")
+    assert again.returncode == 0
+    assert sorted(again.stdout.split()) == ["again/log-hip.h5", "again/log-knee.h5"]
