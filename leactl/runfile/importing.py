@@ -20,7 +20,7 @@ from leactl import __version__, yamlfile
 from leactl.errors import InputError
 from leactl.runfile.description import RunInfo, faults_of
 from leactl.runfile.importing_checks import implausible, notes_on_gaps
-from leactl.runfile.importing_formats import names, open_source
+from leactl.runfile.importing_formats import is_log, names, open_source
 from leactl.runfile.importing_joints import ALL, PLACEHOLDER, asks_for_joints, for_joint, joints_of
 from leactl.runfile.importing_mapping import FieldOf, Mapping
 from leactl.runfile.importing_parts import split
@@ -103,12 +103,12 @@ def expanded(sources: Sequence[str]) -> list[Path]:
     """The files that paths and patterns stand for, each once."""
     found: list[Path] = []
     for text in sources:
-        if Path(text).is_file():
+        if is_log(Path(text)):
             matches = [text]
         elif Path(text).is_dir():
             raise InputError(f"{text}: a directory; name its files, such as '{text.rstrip('/')}/*.csv'")
         else:
-            matches = sorted(m for m in glob.glob(text, recursive=True) if Path(m).is_file())  # noqa: PTH207 (a text, not a folder)
+            matches = sorted(m for m in glob.glob(text, recursive=True) if is_log(Path(m)))  # noqa: PTH207 (a text, not a folder)
         if not matches:
             is_there = Path(text).exists()
             raise InputError(f"{text}: {'a regular file was expected; this is none' if is_there else 'no such file'}")
@@ -237,11 +237,18 @@ def describe(
         condition=about["condition"],
         operator=about["operator"],
     )
-    with source.path.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
     steps = steps_of(streams, mapping, document, str(source.path))
-    origin = f"{source.path.name} (SHA-256 {digest}) by {Path(document.name).name}"
+    origin = f"{source.path.name} (SHA-256 {digest_of(source.path)}) by {Path(document.name).name}"
     return Imported(info, streams, steps, origin, notes)
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file, or over those of a folder's files by their names."""
+    if path.is_dir():
+        parts = [digest_of(file) for file in sorted(path.iterdir()) if file.is_file()]
+        return hashlib.sha256("".join(parts).encode()).hexdigest()
+    with path.open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()
 
 
 def text(source: Source, value: str | FieldOf, place: tuple[str, ...], document: yamlfile.Document) -> str:

@@ -72,20 +72,35 @@ def format_of(path: Path) -> str:
     ------
     InputError : no format knows it.
     """
+    if name := recognised(path):
+        return name
+    for name, loaded in loadable().items():
+        if path.is_file() and path.name.lower().endswith(tuple(loaded.ENDINGS)):
+            return name
+    raise InputError(f"{path}: the ending does not tell its format; give `format:` as one of {', '.join(names())}")
+
+
+def is_log(path: Path) -> bool:
+    """Whether a path is a file, or a folder that a format recognises."""
+    return path.is_file() or (path.is_dir() and bool(recognised(path)))
+
+
+def recognised(path: Path) -> str:
+    """The format that says a path is one of its own; empty where none does."""
+    head = head_of(path)
+    claims = ((name, getattr(loaded, "recognises", None)) for name, loaded in loadable().items())
+    return next((name for name, claim in claims if claim is not None and claim(path, head)), "")
+
+
+def loadable() -> dict[str, Any]:
+    """Every format that loads, by name, shipped ones before others."""
     known = {}
     for name in (*sorted(shipped()), *sorted(foreign())):
         try:
             known[name] = load(name)
         except InputError:
             continue  # told where a mapping asks for it by name
-    head = head_of(path)
-    for name, loaded in known.items():
-        if hasattr(loaded, "recognises") and loaded.recognises(path, head):
-            return name
-    for name, loaded in known.items():
-        if path.is_file() and path.name.lower().endswith(tuple(loaded.ENDINGS)):
-            return name
-    raise InputError(f"{path}: the ending does not tell its format; give `format:` as one of {', '.join(names())}")
+    return known
 
 
 def head_of(path: Path) -> bytes:

@@ -134,3 +134,23 @@ def wpilog_start(entry, name, kind, stamp_us=0, metadata=""):
 
 
 WPILOG_HEAD = b"WPILOG\x00\x01" + wpilog_text("made by a test")
+
+
+def write_bag(path, rows=range(N), version=9, storage="sqlite3", compress=None, kinds=("joints", "drive")):
+    """A ROS 2 bag of `/joint_states` and `/drive`; before version 9 it carries no definitions."""
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+    store = types()
+    writer = Writer(path, version=version, storage_plugin=StoragePlugin[storage.upper()])
+    if compress:
+        writer.set_compression(CompressionMode[compress], CompressionFormat.ZSTD)
+    with writer:
+        made = {"joints": ("/joint_states", "sensor_msgs/msg/JointState", joint_state)}
+        made |= {"drive": ("/drive", "rig_msgs/msg/DriveState", drive_state)}
+        for kind in kinds:
+            topic, msgtype, make = made[kind]
+            connection = writer.add_connection(topic, msgtype, typestore=store)
+            for row in rows:
+                ns = stamp_ns(row)
+                writer.write(connection, ns + 2_000_000, store.serialize_cdr(make(store, ns, row), msgtype))
+    return path

@@ -36,11 +36,11 @@ def open_source(path: Path, request: SourceRequest) -> MessageSource:
     InputError : not MCAP, truncated, damaged, or the packages that read it are missing.
     """
     with packages(path), open_regular(path) as file:
-        opened = _Mcap(path, file)
+        opened = McapFile(path, file)
         return MessageSource(OpenLog(path, opened.topics, opened.messages), request)
 
 
-class _Mcap:
+class McapFile:
     """An MCAP file, read from its beginning to its end as often as it is asked."""
 
     def __init__(self, path: Path, file: BinaryIO) -> None:

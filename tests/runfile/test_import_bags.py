@@ -1,0 +1,126 @@
+"""ROS 2 bags of SQLite and MCAP, with and without the definitions of their messages; what is damaged is one line."""
+
+import sqlite3
+
+import numpy as np
+import pytest
+
+from leactl.errors import InputError
+from leactl.runfile.importing import import_runs
+from leactl.runfile.importing_proposal import streams_of, survey
+from leactl.runfile.reader import Run
+
+from . import logs
+from .test_import import mapping
+from .test_import_mcap import BY_JOINT, BY_PATH
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def imported(folder, source="bag", text=BY_JOINT, joints=("hip",)):
+    return import_runs([source], mapping(folder, text), folder / "out", joints)
+
+
+def fault(folder, source="bag", text=BY_JOINT, joints=("hip",)):
+    with pytest.raises(InputError) as caught:
+        imported(folder, source, text, joints)
+    assert not (folder / "out").exists()
+    assert all(line.isprintable() for line in caught.value.faults)
+    return caught.value.faults[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "source"),
+    [
+        ({"version": 9}, "bag"),
+        ({"version": 9}, "bag/bag.db3"),
+        ({"version": 8, "kinds": ("joints",)}, "bag"),
+        ({"storage": "mcap"}, "bag"),
+        ({"storage": "mcap"}, "bag/bag.mcap"),
+        ({"compress": "MESSAGE"}, "bag"),
+    ],
+)
+def test_joints_of_a_bag(folder, options, source):
+    logs.write_bag(folder / "bag", **options)
+    (file,) = imported(folder, source)
+    assert file.name == "bag-hip.h5"
+    run = Run.open(file)
+    np.testing.assert_allclose(run.channel("angle").values, logs.HIP, atol=1e-12)
+    np.testing.assert_allclose(run.channel("velocity").values, logs.HIP_SPEED, atol=1e-12)
+    np.testing.assert_allclose(run.channel("angle").time, logs.T, atol=1e-9)
+    assert run.attributes["created"] == "2023-11-14T22:13:20Z"
+
+
+def test_custom_messages_of_a_bag_that_carries_their_definitions(folder):
+    logs.write_bag(folder / "bag")
+    (file,) = imported(folder, text=BY_PATH, joints=())
+    np.testing.assert_allclose(Run.open(file).channel("line_current").values, 1e-3 * np.arange(logs.N), atol=1e-7)
+
+
+def test_a_kind_of_message_that_nobody_defines(folder):
+    logs.write_bag(folder / "bag")
+    with sqlite3.connect(folder / "bag" / "bag.db3") as bag:
+        bag.execute("DELETE FROM message_definitions")
+    bag.close()
+    assert "/drive is of rig_msgs/msg/DriveState, of which neither the log" in fault(folder, text=BY_PATH, joints=())
+    (file,) = imported(folder)  # of a kind that ROS 2 ships
+    np.testing.assert_allclose(Run.open(file).channel("angle").values, logs.HIP, atol=1e-12)
+
+
+def test_bags_by_a_pattern_and_their_proposal(folder):
+    for name in ("one", "two"):
+        logs.write_bag(folder / name, range(50))
+    files = imported(folder, "[ot]*", joints=("all",))
+    assert sorted(file.name for file in files) == ["one-hip.h5", "one-knee.h5", "two-hip.h5", "two-knee.h5"]
+    streams = streams_of(survey(folder / "one"), {})
+    assert {stream.name: list(stream.channels) for stream in streams} == {
+        "joint_states": ["position", "velocity", "effort"],
+        "drive": ["motor_bus_voltage", "motor_enabled"],
+    }
+
+
+def spoil(folder, at, by):
+    path = folder / "bag" / at
+    path.write_bytes(by(path.read_bytes()))
+
+
+@pytest.mark.parametrize(
+    ("at", "by", "told"),
+    [
+        ("bag.db3", lambda whole: whole[:5000], "bag.db3: damaged, or no bag: "),
+        ("bag.db3", lambda whole: whole[:10], "bag.db3: neither SQLite nor MCAP, of which bags are"),
+        ("bag.db3", lambda whole: whole[:100] + bytes(len(whole) - 100), "bag.db3: damaged, or no bag: "),
+        ("metadata.yaml", lambda whole: b"a: b", "relative_file_paths: files were expected"),
+        ("metadata.yaml", lambda whole: b"a: [", "metadata.yaml:"),
+        ("metadata.yaml", lambda whole: whole.replace(b"bag.db3", b"other.db3"), "other.db3: no such file, which meta"),
+        ("metadata.yaml", lambda whole: whole.replace(b"version: 9", b"version: 99"), "version 99; at most 9 is read"),
+        ("metadata.yaml", lambda whole: whole.replace(b"compression_mode: ''", b"compression_mode: FILE"), "its files"),
+    ],
+)
+def test_a_spoiled_bag_is_one_line(folder, at, by, told):
+    logs.write_bag(folder / "bag", range(50))
+    spoil(folder, at, by)
+    assert told in fault(folder)
+
+
+def test_a_bag_that_was_never_closed(folder):
+    logs.write_bag(folder / "bag", range(50))
+    (folder / "bag" / "bag.db3-wal").write_bytes(bytes(32))
+    assert "bag.db3: was never closed, bag.db3-wal holds its last messages" in fault(folder)
+
+
+def test_a_message_that_is_cut(folder):
+    logs.write_bag(folder / "bag", range(50))
+    with sqlite3.connect(folder / "bag" / "bag.db3") as bag:
+        bag.execute("UPDATE messages SET data = substr(data, 1, 30) WHERE id = 7")
+    bag.close()
+    assert "bag: /joint_states message 6: cannot be decoded: " in fault(folder)
+
+
+def test_a_folder_that_is_no_bag(folder):
+    (folder / "bag").mkdir()
+    assert fault(folder) == "bag: a directory; name its files, such as 'bag/*.csv'"
