@@ -26,15 +26,19 @@ Array = npt.NDArray[np.float64]
 NAMES: Final = ("name", "names", "joint_names")  # sensor_msgs/JointState, control_msgs of both generations
 STAMP_PARTS: Final = {"nanosec": 1, "nanosecs": 1, "nsec": 1, "nsecs": 1}  # ROS 2, ROS 1, and Foxglove's JSON
 SECONDS_PARTS: Final = ("sec", "secs")
-RECORDER: Final = ("log_time", "publish_time")
+RECORDER: Final = (("log_time",), ("publish_time",))  # paths of its stamps
 MOST_ELEMENTS: Final = 64  # of a list whose elements are listed: a longer one is an image or a cloud
 DEEPEST: Final = 8  # fields within fields that are listed
 LISTED_OF: Final = 50  # messages of a topic that tell its fields and joints
+_KNOWN_FIELDS: dict[type[Any], tuple[str, ...]] = {}  # asked for with every message
 NUMBERS = bool | int | float | np.number | np.bool_
 RESET_NS: Final = 10**9  # that a message may be late for its recorder's buffers
 EARLIEST_NS: Final = 946_684_800 * 10**9  # 2000: clocks that begin with their computer show less
 LATEST_NS: Final = 4_102_444_800 * 10**9  # 2100
 _STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\[\]]+)\]")
+
+
+Names = list[str] | None
 
 
 class Topic(NamedTuple):
@@ -144,9 +148,10 @@ class MessageSource:
             if self._first_ns is None:
                 self._first_ns = message.log_ns
             tree = self._decoded(message)
+            names = _names(tree)
             self._counts[message.topic] += 1
             for path, column in by_topic[message.topic]:
-                self._put(column, path, message, tree)
+                self._put(column, path, message, tree, names)
         if earliest is not None and EARLIEST_NS < earliest < LATEST_NS:
             self.began = datetime.fromtimestamp(earliest * 1e-9, UTC)
 
@@ -158,31 +163,30 @@ class MessageSource:
             why = " ".join(str(error).split()) or type(error).__name__
             raise InputError(f"{self.path}: {message.topic} message {at}: cannot be decoded: {why}") from None
 
-    def _put(self, column: "_Gathered", path: Way, message: Message, tree: Any) -> None:
+    def _put(self, column: "_Gathered", path: Way, message: Message, tree: Any, names: Names) -> None:
         if column.error:
             return
         try:
             if path.joint is not None:
-                index = _index_of(path.joint, tree)
+                index = _index_of(path.joint, names)
                 if index is None:
                     return
-                value = _cut(self._value(tree, path, message), index, len(_names(tree) or ()))
+                value = _cut(self._value(tree, path, message, names), index, len(names or ()))
             else:
-                value = self._value(tree, path, message)
+                value = self._value(tree, path, message, names)
             column.put(value, message.log_ns)
         except Lacking as lacking:
             where = f"{self.path}: {message.topic} message {self._counts[message.topic] - 1}"
             column.error, column.rows = f"{where} {lacking}", column.rows + 1
 
-    def _value(self, tree: Any, path: Way, message: Message) -> Any:
+    def _value(self, tree: Any, path: Way, message: Message, names: Names) -> Any:
         assert self._first_ns is not None
-        if path.steps in (("log_time",), ("publish_time",)) and _child(tree, str(path.steps[0])) is None:
-            return ((message.log_ns if path.steps == ("log_time",) else message.publish_ns) - self._first_ns) * 1e-9
+        if path.steps in RECORDER and _child(tree, path.steps[0]) is None:
+            return ((message.log_ns if path.steps == RECORDER[0] else message.publish_ns) - self._first_ns) * 1e-9
         node, done = tree, ""
         for step in path.steps:
-            below = _element(node, step, tree) if done.endswith("]") or isinstance(step, int) else _child(node, step)
-            if below is None and isinstance(step, str) and isinstance(node, Sequence | np.ndarray):
-                below = _element(node, step, tree)
+            is_list = not isinstance(node, str | dict) and isinstance(node, Sequence | np.ndarray)
+            below = _element(node, step, names) if is_list else _child(node, step)
             if below is None:
                 has = ", ".join(_fields(node)) or f"a value of {type(node).__name__}"
                 raise Lacking(f"has no {step!r} in {done or 'it'}, which has {has}")
@@ -261,39 +265,41 @@ def _step(match: re.Match[str]) -> str | int:
     return match[1] if inside is None else int(inside) if inside.isdigit() else inside
 
 
-def _fields(node: Any) -> list[str]:
+def _fields(node: Any) -> Sequence[str]:
     """Names of what a message has."""
-    if isinstance(node, dict):
-        return [str(name) for name in node]
-    return [name for name in getattr(node, "__dataclass_fields__", ()) if name != "__msgtype__"]
+    return [str(name) for name in node] if isinstance(node, dict) else _fields_of(type(node))
+
+
+def _fields_of(kind: type[Any]) -> tuple[str, ...]:
+    """Names of what messages of a type have."""
+    if kind not in _KNOWN_FIELDS:
+        _KNOWN_FIELDS[kind] = tuple(name for name in getattr(kind, "__dataclass_fields__", ()) if name != "__msgtype__")
+    return _KNOWN_FIELDS[kind]
 
 
 def _child(node: Any, name: str | int) -> Any:
     """A field; None where there is none."""
     if isinstance(node, dict):
         return node.get(name)
-    return getattr(node, str(name)) if name in _fields(node) else None
+    return getattr(node, str(name)) if name in _fields_of(type(node)) else None
 
 
-def _element(node: Any, step: str | int, tree: Any) -> Any:
-    """An element by its index or its name, NaN where the list has none such; None where it is no list."""
-    if isinstance(node, str) or not isinstance(node, Sequence | np.ndarray):
-        return None
-    index = step if isinstance(step, int) else _index_of(step, tree)
+def _element(node: Any, step: str | int, names: Names) -> Any:
+    """An element of a list by its index or its name; NaN where the list has none such."""
+    index = step if isinstance(step, int) else _index_of(step, names)
     return node[index] if index is not None and index < len(node) else np.nan
 
 
-def _names(tree: Any) -> list[str] | None:
+def _names(tree: Any) -> Names:
     """The names that lists of a message go by."""
     for name in NAMES:
         found = _child(tree, name)
-        if isinstance(found, Sequence) and not isinstance(found, str) and all(isinstance(text, str) for text in found):
-            return list(found)
+        if isinstance(found, list) and all(isinstance(text, str) for text in found):
+            return found
     return None
 
 
-def _index_of(joint: str, tree: Any) -> int | None:
-    names = _names(tree)
+def _index_of(joint: str, names: Names) -> int | None:
     if names is None:
         raise Lacking(f"has no list of names ({', '.join(NAMES)}) that could have {joint!r}")
     return names.index(joint) if joint in names else None
@@ -310,6 +316,8 @@ def _cut(value: Any, index: int, length: int) -> Any:
 
 def _nanoseconds(node: Any) -> int | None:
     """A stamp of seconds and nanoseconds; None of anything else."""
+    if isinstance(node, float | int | np.number):
+        return None
     fields = _fields(node)
     if len(fields) == 2 and fields[0] in SECONDS_PARTS and fields[1] in STAMP_PARTS:
         return int(_child(node, fields[0])) * 1_000_000_000 + int(_child(node, fields[1]))
