@@ -42,7 +42,7 @@ def answer(question: "OpenQuestion") -> str:
     typer.echo(question.text, err=True)
     for number, choice in enumerate(question.choices, start=1):
         typer.echo(f"  {number}  {choice}", err=True)
-    leaves_out = f", {LEAVE_OUT} leaves the channel out" if question.key[-1] in ("units", "scale") else ""
+    leaves_out = f", {LEAVE_OUT} leaves it out" if question.may_be_left_out else ""
     what = f"1 to {len(question.choices)}, or in words" if question.choices else "a number"
     while True:
         typer.echo(f"{what}{leaves_out}: ", err=True, nl=False)

@@ -18,6 +18,7 @@ from leactl.units import CONVERSIONS, SECONDS, converter
 Array = npt.NDArray[np.float64]
 ANGLES: Final = ("rad", "deg", "turn", "m", "mm")  # that logs are written in; `rev` is another name of turn
 VELOCITIES: Final = ("rad/s", "deg/s", "rpm", "turn/s", "m/s", "mm/s")
+MOST_DEGREES: Final = 400.0  # of a limb, in whole ones
 WIDE_RAD: Final = 6.0 * math.pi  # which no limb reaches
 TURNS: Final = {2.0 * math.pi: "rad", 360.0: "deg", 1.0: "turn"}  # what a wrapped angle jumps by
 CLOSE: Final = 0.02  # relative, of a gain to 1, where the unit of one of both is known
@@ -127,6 +128,12 @@ def is_wide_for_rad(values: Array) -> bool:
     return WIDE_RAD < largest <= 360.0
 
 
+def are_counts(columns: Sequence[Array]) -> bool:
+    """Whether an angle is in the counts of an encoder: whole numbers that reach further than degrees do."""
+    known = np.concatenate([values[np.isfinite(values)] for values in columns])
+    return bool((known == np.round(known)).all()) and float(np.abs(known).max()) > MOST_DEGREES
+
+
 def units_by_range(quantity: str, values: Array) -> tuple[str, str]:
     """The unit that a column's range leaves, and why; empty where several are left."""
     known = values[np.isfinite(values)]
@@ -136,17 +143,17 @@ def units_by_range(quantity: str, values: Array) -> tuple[str, str]:
     told = f"its range {low:.4g} .. {high:.4g}"
     if quantity == "drive_enabled" and set(np.unique(known).tolist()) <= {0.0, 1.0}:
         return "1", f"{told}, 0 and 1 alone"
-    are_counts = bool((known == np.round(known)).all())  # which may be of any size, such as tenths of a volt
-    if quantity == "bus_voltage" and not are_counts:
+    are_whole = bool((known == np.round(known)).all())  # which may be of any size, such as tenths of a volt
+    if quantity == "bus_voltage" and not are_whole:
         small, large = VOLTS_OF_A_BUS
         if small <= middle <= large:
             return "V", f"{told}; no bus has so few millivolts"
         if small * 1e3 <= middle <= large * 1e3:
             return "mV", f"{told}; no bus has so many volts"
     largest = max(-low, high)
-    if "current" in quantity and not are_counts and AMPERES[0] <= largest <= AMPERES[1]:
+    if "current" in quantity and not are_whole and AMPERES[0] <= largest <= AMPERES[1]:
         return "A", f"{told}; no actuator moves on as few mA"
-    if "voltage" in quantity and not are_counts and VOLTS[0] <= largest <= VOLTS[1]:
+    if "voltage" in quantity and not are_whole and VOLTS[0] <= largest <= VOLTS[1]:
         return "V", f"{told}; no winding shows as few mV"
     if quantity.endswith("temperature"):
         factor, zero = CONVERSIONS["degC"]["degF"]

@@ -5,11 +5,11 @@ header, by its range, or by another column whose unit is known. Where none of th
 `UNDECIDED` in its place, which no import accepts, and a question.
 """
 
-import json
 import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from fractions import Fraction
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -23,6 +23,7 @@ from leactl.runfile.importing_evidence import (
     CLOSE,
     TIGHT,
     Series,
+    are_counts,
     follows,
     gain_of,
     is_gear,
@@ -40,7 +41,7 @@ from leactl.units import SECONDS, converter, known_units
 
 Array = npt.NDArray[np.float64]
 UNDECIDED: Final = "UNDECIDED"
-LEAVE_OUT: Final = "-"  # what a person answers of a channel that is not to be imported
+LEAVE_OUT: Final = "-"  # what a person answers of a channel or a stream that is not to be imported
 LIKELY: Final[dict[str, tuple[str, ...]]] = {  # by the unit of a run file, what is asked for; others can be written
     "rad": ("rad", "deg", "turn", "m"),
     "rad/s": ("rad/s", "deg/s", "rpm", "turn/s", "m/s"),
@@ -50,6 +51,7 @@ LIKELY: Final[dict[str, tuple[str, ...]]] = {  # by the unit of a run file, what
     "degC": ("degC", "degF", "K"),
     "1": ("1", "%"),
 }
+COUNTS: Final = "turns a count, 1/4096 where an encoder has 12 bits"
 MOST_JOINTS: Final = 4  # whose numbers are looked at
 Answers = Mapping[tuple[str, ...], str]
 
@@ -61,6 +63,11 @@ class OpenQuestion(NamedTuple):
     text: str
     choices: tuple[str, ...]  # the likeliest first; empty where a number is asked for
     quantity: str = ""  # any of whose units is an answer
+
+    @property
+    def may_be_left_out(self) -> bool:
+        """Whether a channel or a stream can do without an answer, by not being imported."""
+        return self.key[0] == "streams"
 
 
 class Proposal(NamedTuple):
@@ -123,6 +130,7 @@ class ProposedStream:
     channels: dict[str, Proposed]
     left_out: dict[str | int, str]  # columns that are no channel, and why
     stamps: list[Array]  # of each joint that was looked at, as they are written
+    rate_Hz: float = 0.0  # of samples without stamps, where it is known  # noqa: N815 (a unit keeps its letter)
 
 
 def survey(path: Path) -> Survey:
@@ -169,7 +177,7 @@ def tables_of(path: Path, name: str) -> tuple[CsvForm, list[Tabulated]]:
             continue
         if sum(len(table.columns) for table in tables) > sum(len(table.columns) for table in best[1]):
             best = form, tables
-    if not any(len(table.columns) > 1 or table.time for table in best[1]):
+    if not any(table.columns for table in best[1]):
         raise InputError(faults[:1] or f"{path}: no table of numbers that a mapping could take")
     return best
 
@@ -188,6 +196,8 @@ def filled(column: str | int, records: str | None, joint: str) -> tuple[str | in
 def propose(seen: Survey, answers: Answers) -> Proposal:
     """A mapping of a source, with what a person has answered and what is still to be asked."""
     streams = streams_of(seen, answers)
+    if not streams and LEAVE_OUT in answers.values():
+        raise InputError(f"{seen.path}: every channel was left out")
     if not streams:
         columns = ", ".join(str(column.name) for table in seen.tables for column in table.table.columns)
         raise InputError(comment(f"{seen.path}: no name says what a column measures: {columns}; write a mapping"))
@@ -287,8 +297,14 @@ def increases(values: Array) -> bool:
 
 def answered(stream: ProposedStream, answers: Answers) -> None:
     """Put what a person has said in its place."""
-    if units := answers.get(("streams", stream.name, "time")):
-        stream.time_units, stream.time_why = (units,), "as answered"
+    of_time = {key: answers.get(("streams", stream.name, "time", key)) for key in ("units", "rate_Hz")}
+    if LEAVE_OUT in of_time.values():
+        stream.channels.clear()
+        return
+    if of_time["units"]:
+        stream.time_units, stream.time_why = (of_time["units"],), "as answered"
+    if of_time["rate_Hz"]:
+        stream.rate_Hz, stream.time_why = float(Fraction(of_time["rate_Hz"])), "as answered"
     for name, channel in list(stream.channels.items()):
         key = ("streams", stream.name, "channels", name)
         units = answers.get((*key, "units"))
@@ -300,7 +316,7 @@ def answered(stream: ProposedStream, answers: Answers) -> None:
             channel.decide(units, f"{units} as answered")
             channel.is_settled = True
         if scale := answers.get((*key, "scale")):
-            channel.scale, channel.scale_of = float(scale), ""
+            channel.scale, channel.scale_of = float(Fraction(scale)), ""
 
 
 def decide_by_numbers(streams: list[ProposedStream]) -> None:
@@ -325,7 +341,10 @@ def decide_by_numbers(streams: list[ProposedStream]) -> None:
         if [channel.units for _, channel in timed] == before:
             break
     for _, channel in everything:
-        if len(channel.units) > 1 and channel.units[0] == "rad" and is_wide_for_rad(np.concatenate(channel.values)):
+        if len(channel.units) > 1 and channel.quantity.startswith("angle") and are_counts(channel.values):
+            channel.units, channel.scale_of = ("turn",), COUNTS if channel.scale is None else ""
+            channel.why.append("whole numbers, as an encoder counts")
+        elif len(channel.units) > 1 and channel.units[0] == "rad" and is_wide_for_rad(np.concatenate(channel.values)):
             channel.units = tuple(dict.fromkeys(("deg", *channel.units)))
             channel.why.append("its range is wide for rad")
 
@@ -433,33 +452,35 @@ def questions_of(streams: list[ProposedStream], answers: Answers) -> list[OpenQu
     if ("mechanical",) not in answers:
         found.append(OpenQuestion(("mechanical",), "mechanics of the rig: no log says", SETUPS))
     for stream in streams:
-        if len(stream.time_units) != 1:
-            column = f"column {stream.time.name!r}" if stream.time else "no column"
-            text = f"stream {stream.name}, {column} of stamps: {stream.time_why}"
-            found.append(OpenQuestion(("streams", stream.name, "time"), text, stream.time_units or tuple(SECONDS)))
+        key: tuple[str, ...] = ("streams", stream.name, "time")
+        if stream.time is None and not stream.rate_Hz:
+            text = f"stream {stream.name}: {stream.time_why}; samples a second"
+            found.append(OpenQuestion((*key, "rate_Hz"), text, ()))
+        elif len(stream.time_units) != 1 and stream.time is not None:
+            text = f"stream {stream.name}, stamps {stream.time.name!r}: {stream.time_why}"
+            found.append(OpenQuestion((*key, "units"), comment(text), stream.time_units or tuple(SECONDS)))
         for name, channel in stream.channels.items():
             key = ("streams", stream.name, "channels", name)
             about = f"stream {stream.name}, {channel.column!r} ({channel.quantity})"
             if len(channel.units) != 1:
-                found.append(
-                    OpenQuestion((*key, "units"), f"{about}: {'; '.join(channel.why)}", channel.units, channel.quantity)
-                )
+                text = comment(f"{about}: {'; '.join(channel.why)}")
+                found.append(OpenQuestion((*key, "units"), text, channel.units, channel.quantity))
             if channel.scale_of:
-                found.append(OpenQuestion((*key, "scale"), f"{about}: scale is {channel.scale_of}", ()))
+                found.append(OpenQuestion((*key, "scale"), comment(f"{about}: scale is {channel.scale_of}"), ()))
     return found
 
 
 def accepted(question: OpenQuestion, text: str) -> str | None:
     """An answer as the mapping has it; None where it is none: a choice, its number from 1, a unit, a scale, or `-`."""
     text = text.strip()
-    of_channel = question.key[-1] in ("units", "scale")
-    if text == LEAVE_OUT and of_channel:
+    if text == LEAVE_OUT and question.may_be_left_out:
         return text
     if not question.choices:
         try:
-            return text if math.isfinite(float(text)) and float(text) != 0.0 else None
-        except ValueError:
+            scale = float(Fraction(text))  # 1/4096 as well
+        except (ValueError, ZeroDivisionError, OverflowError):
             return None
+        return text if 0.0 < scale < math.inf else None
     if text.isdigit() and 1 <= int(text) <= len(question.choices):
         return question.choices[int(text) - 1]
     known = known_units(question.quantity) if question.quantity else question.choices
@@ -468,10 +489,13 @@ def accepted(question: OpenQuestion, text: str) -> str | None:
 
 def mapping_text(seen: Survey, streams: list[ProposedStream], answers: Answers) -> str:
     """The proposal as a mapping file, each channel under its evidence."""
-    lines = [f"# Proposed from {seen.path.name}; every line is to be read before it is used.", f"format: {seen.format}"]
+    lines = [
+        f"# Proposed from {comment(seen.path.name)}; every line is to be read before it is used.",
+        f"format: {seen.format}",
+    ]
     form = seen.csv.model_dump(exclude_defaults=True)
     if form:
-        lines.append(f"csv: {{{', '.join(f'{key}: {json.dumps(value)}' for key, value in form.items())}}}")
+        lines.append(f"csv: {{{', '.join(f'{key}: {quoted(str(value))}' for key, value in form.items())}}}")
     lines.append(f"mechanical: {answers.get(('mechanical',), UNDECIDED)}  # {', '.join(SETUPS)}")
     if any(stream.table.joints for stream in streams):
         lines.append("joints: all  # or some of " + ", ".join(streams_joints(streams)))
@@ -479,10 +503,8 @@ def mapping_text(seen: Survey, streams: list[ProposedStream], answers: Answers) 
     for stream in streams:
         lines += [f"  {stream.name}:"]
         if stream.table.records:
-            lines.append(f"    records: {json.dumps(stream.table.records, ensure_ascii=False)}")
-        units = stream.time_units[0] if len(stream.time_units) == 1 else UNDECIDED
-        column = plain(stream.time.name) if stream.time else UNDECIDED
-        lines.append(f"    time: {{column: {column}, units: {units}}}  # {comment(stream.time_why)}")
+            lines.append(f"    records: {quoted(stream.table.records)}")
+        lines.append(f"    time: {{{time_keys(stream)}}}  # {comment(stream.time_why)}")
         lines.append("    channels:")
         for name, channel in stream.channels.items():
             lines.append(f"      # {comment('; '.join(channel.why))}")
@@ -490,6 +512,14 @@ def mapping_text(seen: Survey, streams: list[ProposedStream], answers: Answers) 
         for left, why in stream.left_out.items():
             lines.append(f"      # {comment(str(left))}: left out, {comment(why)}")
     return "\n".join(lines) + "\n"
+
+
+def time_keys(stream: ProposedStream) -> str:
+    """The keys of a stream's stamps in a mapping."""
+    if stream.time is None:
+        return f"rate_Hz: {stream.rate_Hz!r}" if stream.rate_Hz else f"rate_Hz: {UNDECIDED}"
+    units = stream.time_units[0] if len(stream.time_units) == 1 else UNDECIDED
+    return f"column: {plain(stream.time.name)}, units: {units}"
 
 
 def keys_of(channel: Proposed) -> Iterator[str]:
@@ -524,8 +554,14 @@ def streams_joints(streams: list[ProposedStream]) -> list[str]:
 def plain(value: str | int) -> str:
     """A value as YAML takes it inside braces."""
     if isinstance(value, int) or re.fullmatch(r"[A-Za-z_/][A-Za-z0-9_./-]*", value):
-        return str(value)
-    return json.dumps(value, ensure_ascii=False)
+        is_word = isinstance(value, str) and value.lower() in ("null", "true", "false")  # which YAML takes for no text
+        return quoted(str(value)) if is_word else str(value)
+    return quoted(value)
+
+
+def quoted(text: str) -> str:
+    """A text in quotes, with whatever could end them or their line written out."""
+    return "".join(['"', *(c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in text), '"'])
 
 
 def comment(text: str) -> str:

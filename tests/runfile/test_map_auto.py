@@ -7,9 +7,12 @@ import numpy as np
 import pexpect
 import pyarrow as pa
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pyarrow import parquet
 from scipy.io import savemat
 
+from leactl import yamlfile
 from leactl.errors import InputError
 from leactl.runfile.importing_proposal import LEAVE_OUT, UNDECIDED, accepted, propose, streams_of, survey
 from leactl.runfile.reader import Run
@@ -272,6 +275,49 @@ def test_one_answer_decides_what_hangs_on_it(tmp_path):
     assert "quantity: torque, units: N*m" in text.replace('"', "")
 
 
+def test_counts_of_an_encoder_need_its_scale(tmp_path):
+    np.savez(tmp_path / "a.npz", t=T, present_position=np.round(2048 + MEASURED / TURN * 4096))
+    seen = survey(tmp_path / "a.npz")
+    _, scale = propose(seen, {}).questions
+    assert (scale.key[-1], scale.choices) == ("scale", ())
+    assert [accepted(scale, text) for text in ("1/4096", "0.5", "0", "-1", "1/0", "x", "nan", "1e999")] == [
+        "1/4096", "0.5", None, None, None, None, None, None,
+    ]  # fmt: skip
+    text = propose(seen, {scale.key: "1/4096", ("mechanical",): "free"}).text
+    assert "quantity: angle, units: turn, scale: 0.000244140625}" in text
+    assert UNDECIDED not in text
+
+
+def test_samples_without_stamps_need_their_rate(tmp_path):
+    np.savez(tmp_path / "a.npz", position_rad=MEASURED)
+    seen = survey(tmp_path / "a.npz")
+    _, rate = propose(seen, {}).questions
+    assert (rate.key, accepted(rate, "100")) == (("streams", "loop", "time", "rate_Hz"), "100")
+    assert "time: {rate_Hz: UNDECIDED}" in propose(seen, {}).text
+    assert "time: {rate_Hz: 100.0}" in propose(seen, {rate.key: "100"}).text
+    with pytest.raises(InputError, match="every channel was left out"):
+        propose(seen, {rate.key: LEAVE_OUT})
+
+
+NAMES = st.lists(st.text(st.characters(exclude_categories=["Cs"]), max_size=12), min_size=1, max_size=4, unique=True)
+
+
+@settings(max_examples=150, deadline=None)
+@given(names=NAMES, prefix=st.sampled_from(["q", "torque ", "iq.", "", "temp["]))
+def test_whatever_columns_are_called_the_proposal_is_a_mapping(tmp_path_factory, names, prefix):
+    path = tmp_path_factory.mktemp("auto") / "a.json"
+    path.write_text(json.dumps({"t": T[:20].tolist(), **{prefix + name: HIP[:20].tolist() for name in names}}))
+    try:
+        proposal = propose(survey(path), {("mechanical",): "free"})
+    except InputError as fault:
+        assert all(line.isprintable() for line in fault.faults)
+        return
+    assert all(question.text.isprintable() for question in proposal.questions)
+    data = yamlfile.parse(proposal.text, "auto").data
+    columns = [channel["column"] for stream in data["streams"].values() for channel in stream["channels"].values()]
+    assert set(columns) <= {"t", *(prefix + name for name in names)}
+
+
 def test_answers_are_checked(tmp_path):
     np.savez(tmp_path / "a.npz", t=T, torque=EFFORT)
     mechanical, torque = propose(survey(tmp_path / "a.npz"), {}).questions
@@ -344,7 +390,7 @@ def test_in_a_terminal_it_asks_and_imports(tmp_path, monkeypatch):
     child.expect("'loose' is no answer")
     child.sendline("1")
     child.expect(r"'position' \(angle\): rad or m by sensor_msgs/JointState")
-    child.expect("- leaves the channel out")
+    child.expect("- leaves it out")
     child.sendline("1")
     child.expect("imported/log-hip.h5")
     child.expect(pexpect.EOF)
