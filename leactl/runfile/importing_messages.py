@@ -20,11 +20,11 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.runfile.importing_mapping import as_label
-from leactl.runfile.importing_sources import Lacking, Listed, SourceRequest, Tabulated, WantedColumn
+from leactl.runfile.importing_sources import Lacking, Listed, SourceRequest, Tabulated, WantedColumn, as_float
 
 Array = npt.NDArray[np.float64]
 NAMES: Final = ("name", "names", "joint_names")  # sensor_msgs/JointState, control_msgs of both generations
-STAMP_PARTS: Final = {"nanosec": 1, "nanosecs": 1, "nsec": 1, "nsecs": 1}  # ROS 2, ROS 1, and Foxglove's JSON
+STAMP_PARTS: Final = ("nanosec", "nanosecs", "nsec", "nsecs")  # ROS 2, ROS 1, and Foxglove's JSON
 SECONDS_PARTS: Final = ("sec", "secs")
 RECORDER: Final = (("log_time",), ("publish_time",))  # paths of its stamps
 MOST_ELEMENTS: Final = 64  # of a list whose elements are listed: a longer one is an image or a cloud
@@ -192,7 +192,7 @@ class MessageSource:
                 raise Lacking(f"has no {step!r} in {done or 'it'}, which has {has}")
             node, done = below, f"{done}.{step}".strip(".")
         stamp = _nanoseconds(node)
-        return node if stamp is None else (stamp - self._first_ns) * 1e-9
+        return node if stamp is None else as_float(stamp - self._first_ns) * 1e-9
 
     def _path(self, wanted: WantedColumn) -> Way:
         """Where a column stands.
@@ -246,7 +246,7 @@ class _Gathered:
         if isinstance(value, str) and self.rows == len(self.texts):
             self.texts.append(value)
         elif isinstance(value, NUMBERS) and not self.texts:
-            self.values.append(float(value))
+            self.values.append(as_float(value))
         else:
             raise Lacking(f"holds {_described(value)} where a number was expected")
         self.log_ns.append(log_ns)
@@ -320,7 +320,9 @@ def _nanoseconds(node: Any) -> int | None:
         return None
     fields = _fields(node)
     if len(fields) == 2 and fields[0] in SECONDS_PARTS and fields[1] in STAMP_PARTS:
-        return int(_child(node, fields[0])) * 1_000_000_000 + int(_child(node, fields[1]))
+        seconds, rest = (_child(node, name) for name in fields)
+        if isinstance(seconds, int | np.integer) and isinstance(rest, int | np.integer):
+            return int(seconds) * 1_000_000_000 + int(rest)
     return None
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,19 @@ Array = npt.NDArray[np.float64]
 
 class Lacking(Exception):
     """The source has no such column or field; the message says what it has."""
+
+
+def as_float(value: Any) -> float:
+    """A number as the run file keeps it.
+
+    Raises
+    ------
+    Lacking : a whole number of more than 308 digits, as JSON may hold.
+    """
+    try:
+        return float(value)
+    except OverflowError:
+        raise Lacking("holds a number beyond any float") from None
 
 
 class WantedColumn(NamedTuple):

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.runfile.importing_mapping import as_label
-from leactl.runfile.importing_sources import Lacking, Listed, Tabulated
+from leactl.runfile.importing_sources import Lacking, Listed, Tabulated, as_float
 
 Array = npt.NDArray[np.float64]
 FEWEST_ROWS = 2  # of a table
@@ -46,7 +46,7 @@ class TreeSource:
         if isinstance(value, str):
             return value
         if isinstance(value, bool | int | float | np.number):
-            return float(value)
+            return as_float(value)
         raise Lacking(f"{self.path}: {name!r} holds {_described(value)} where one value was expected")
 
     def place(self, name: str | int, row: int) -> str:
@@ -105,7 +105,10 @@ class TreeSource:
                 if value is not None and not isinstance(value, bool | int | float | np.number):
                     shown = repr(value) if isinstance(value, str) else _described(value)
                     raise InputError(f"{self.place(name, row)}: {shown} is not a number")
-                out.append(np.nan if value is None else float(value))
+                try:
+                    out.append(np.nan if value is None else as_float(value))
+                except Lacking as lacking:
+                    raise InputError(f"{self.place(name, row)}: {lacking}") from None
             return np.frombuffer(out, np.float64)
         raise Lacking(f"{self.path}: {name!r} holds {_described(found)} where a column of numbers was expected")
 

@@ -254,3 +254,12 @@ def test_a_check_tells_what_would_be_written_and_writes_nothing(folder):
     again = leactl(*arguments, "--check")  # what the import itself would refuse
     assert again.returncode == 2
     assert "a.h5: exists already" in again.stderr
+
+
+@pytest.mark.parametrize(
+    ("digits", "told"),
+    [(400, "a.json: 'q' row 1: holds a number beyond any float"), (5000, "a.json: not JSON that can be read: Exceeds")],
+)
+def test_a_whole_number_beyond_any_float_is_one_line(folder, digits, told):
+    (folder / "a.json").write_text(f'{{"t": [0, 1, 2], "q": [0, {"9" * digits}, 1], "w": [0, 1, 2]}}')
+    assert any(told in fault for fault in refused(folder, sources=("a.json",)))

@@ -32,5 +32,7 @@ def json_tree(path: Path) -> Any:
         raise InputError(f"{path}: not UTF-8 at byte {error.start}") from None
     except json.JSONDecodeError as error:
         raise InputError(f"{path}:{error.lineno}:{error.colno}  not JSON: {error.msg}") from None
+    except ValueError as error:  # a whole number of thousands of digits
+        raise InputError(f"{path}: not JSON that can be read: {str(error).partition(';')[0]}") from None
     except RecursionError:
         raise InputError(f"{path}: nested too deeply") from None
