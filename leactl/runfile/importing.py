@@ -191,13 +191,15 @@ def wanted(mapping: Mapping) -> list[WantedColumn]:
         for channel in stream.channels.values():
             columns.append(WantedColumn(channel.column, stream.records))
             fields += [channel.scale, channel.offset]
+    by = mapping.steps_by_column
+    columns += [WantedColumn(by.time.column)] if by and by.time and by.time.column is not None else []
     return columns + [WantedColumn(value.field) for value in fields if isinstance(value, FieldOf)]
 
 
 def labelled(mapping: Mapping) -> list[WantedColumn]:
     """The column that steps are named by, where there is one."""
     by = mapping.steps_by_column
-    return [WantedColumn(by.column, mapping.streams[by.stream].records)] if by else []
+    return [WantedColumn(by.column, None if by.time else mapping.streams[by.stream].records)] if by else []
 
 
 def describe(

@@ -197,6 +197,7 @@ class StepsByColumn(Block):
     stream: Name
     column: Column
     names: Annotated[dict[Text, Name], Field(min_length=1)]  # of the step, by what stands in the column
+    time: TimeBase | None = None  # of the column, where its rows are not the stream's: a label holds until the next
     settle_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] = 0.0
     parameters: dict[Name, Number | str] = {}  # the median of a `stream/channel`, or what is given
 
@@ -282,9 +283,12 @@ class Mapping(Block):
                 ("steps",),
                 "instants of the whole mean nothing to its parts; steps_by_column or _by_holds was expected",
             )
-        if self.steps_by_column and self.steps_by_column.stream not in self.streams:
+        by = self.steps_by_column
+        if by and by.time and by.time.column is None:
+            yield ("steps_by_column", "time"), "column was expected: labels that hold until the next have their stamps"
+        if by and by.stream not in self.streams:
             mapped = ", ".join(self.streams)
-            yield ("steps_by_column", "stream"), f"no stream {self.steps_by_column.stream!r} is mapped; {mapped} are"
+            yield ("steps_by_column", "stream"), f"no stream {by.stream!r} is mapped; {mapped} are"
 
     def _faults_of_channels(self) -> Iterator[tuple[Location, str]]:
         named: list[tuple[Location, str]] = []

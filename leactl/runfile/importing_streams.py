@@ -9,7 +9,14 @@ import numpy.typing as npt
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.runfile.alignment import Alignment, by_likeness
-from leactl.runfile.importing_mapping import ChannelMapping, FieldOf, Mapping, StreamMapping, TimeBase
+from leactl.runfile.importing_mapping import (
+    ChannelMapping,
+    FieldOf,
+    Mapping,
+    StepsByColumn,
+    StreamMapping,
+    TimeBase,
+)
 from leactl.runfile.importing_sources import Lacking, Source
 from leactl.units import LINEAR, SECONDS, converter
 from leactl.yamlfile import Document
@@ -54,8 +61,7 @@ def build_streams(source: Source, mapping: Mapping, document: Document) -> dict[
     for name, wanted in mapping.streams.items():
         try:
             by = mapping.steps_by_column
-            told_by = by.column if by is not None and by.stream == name else None
-            streams[name] = build_stream(source, name, wanted, told_by, document)
+            streams[name] = build_stream(source, name, wanted, by if by and by.stream == name else None, document)
         except InputError as found:
             faults += found.faults
     if faults:
@@ -80,7 +86,7 @@ def build_streams(source: Source, mapping: Mapping, document: Document) -> dict[
 
 
 def build_stream(
-    source: Source, name: str, wanted: StreamMapping, told_by: str | int | None, document: Document
+    source: Source, name: str, wanted: StreamMapping, by: StepsByColumn | None, document: Document
 ) -> Stream:
     """Read one stream on its own clock, with the labels of the column that steps are told by."""
     faults: list[str] = []
@@ -100,18 +106,33 @@ def build_stream(
     if len(lengths) > 1:
         told = ", ".join(f"{spec.name} {len(column)}" for spec, column in zip(specs, values, strict=True))
         raise InputError(document.fault(("streams", name), f"{source.path}: columns of different length: {told}"))
-    time, keep = stamps(source, name, wanted, lengths.pop(), document)
-    labels = None
-    if told_by is not None:
-        try:
-            raw = source.labels(told_by, wanted.records)
-        except Lacking as lacking:
-            raise InputError(document.fault(("steps_by_column", "column"), str(lacking))) from None
+    time, keep = stamps(source, wanted.time, wanted.records, ("streams", name, "time"), lengths.pop(), document)
+    labels = labels_of(source, by, wanted.records, time, keep, document) if by is not None else None
+    return Stream(time[keep], specs, [column[keep] for column in values], labels=labels)
+
+
+def labels_of(
+    source: Source,
+    by: StepsByColumn,
+    records: str | None,
+    time: Array,
+    keep: npt.NDArray[np.bool_],
+    document: Document,
+) -> list[str]:
+    """The label of each row that is kept: that of its own, or the one in force at its stamp; empty before the first."""
+    try:
+        raw = source.labels(by.column, None if by.time else records)
+    except Lacking as lacking:
+        raise InputError(document.fault(("steps_by_column", "column"), str(lacking))) from None
+    if by.time is None:
         if len(raw) != len(keep):
             told = f"{source.path}: {len(raw)} labels for {len(keep)} rows"
-            raise InputError(document.fault(("steps_by_column", "column"), told))
-        labels = [label for label, kept in zip(raw, keep, strict=True) if kept]
-    return Stream(time[keep], specs, [column[keep] for column in values], labels=labels)
+            hint = "; give steps_by_column.time where labels have stamps of their own"
+            raise InputError(document.fault(("steps_by_column", "column"), told + hint))
+        return [label for label, kept in zip(raw, keep, strict=True) if kept]
+    since, kept = stamps(source, by.time, None, ("steps_by_column", "time"), len(raw), document)
+    in_force = ["", *(label for label, is_kept in zip(raw, kept, strict=True) if is_kept)]
+    return [in_force[row] for row in np.searchsorted(since[kept], time[keep], side="right")]
 
 
 def build_channel(
@@ -168,20 +189,19 @@ def number(source: Source, value: float | FieldOf, place: tuple[str | int, ...],
 
 
 def stamps(
-    source: Source, stream: str, wanted: StreamMapping, rows: int, document: Document
+    source: Source, base: TimeBase, records: str | None, place: tuple[str, ...], rows: int, document: Document
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Stamps in seconds, strictly increasing, and which rows they keep."""
-    base = wanted.time
     everything: npt.NDArray[np.bool_] = np.ones(rows, bool)
     if base.column is None:
         step = base.step_s or 1.0 / (base.rate_Hz or 1.0)
         return np.asarray(base.start_s + step * np.arange(rows), np.float64), everything
     try:
-        raw = source.column(base.column, wanted.records)
+        raw = source.column(base.column, records)
     except Lacking as lacking:
-        raise InputError(document.fault(("streams", stream, "time", "column"), str(lacking))) from None
+        raise InputError(document.fault((*place, "column"), str(lacking))) from None
     if len(raw) != rows:
-        raise InputError(document.fault(("streams", stream, "time", "column"), f"{len(raw)} stamps for {rows} rows"))
+        raise InputError(document.fault((*place, "column"), f"{len(raw)} stamps for {rows} rows"))
     time = seconds(source, base, raw)
     missing = np.flatnonzero(~np.isfinite(time))
     if len(missing):

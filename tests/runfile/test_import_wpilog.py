@@ -74,6 +74,52 @@ def test_entries_are_streams_of_their_stamps(folder):
     np.testing.assert_array_equal(run.channel("q_axis_current").values, np.arange(0, 500, 2))
 
 
+BY_STATE = """
+mechanical: free
+streams:
+  loop:
+    records: position-left-drive
+    time: {column: log_time}
+    channels: {q: {column: value, quantity: angle, units: rev}}
+steps_by_column:
+  stream: loop
+  column: state.value
+  time: {column: state.log_time}
+  names: {ramp: hold, back: hold}
+"""
+
+
+def test_labels_with_stamps_of_their_own_hold_until_the_next(folder):
+    states = [(0.5, b"ramp"), (1.0, b"none"), (2.004, b"back"), (9.0, b"none")]
+    data = sysid(after=wpilog_start(9, "state", "string"))
+    data += b"".join(wpilog_record(9, 1_000_000 + round(t * 1e6), text) for t, text in states)
+    (folder / "log.wpilog").write_bytes(data)
+    (file,) = import_runs(["log.wpilog"], mapping(folder, BY_STATE), folder / "out")
+    first, last = Run.open(file).steps
+    assert (first.name, last.name) == ("hold", "hold")
+    assert (first.start, first.stop) == pytest.approx((0.5, 1.0), abs=0.0051)
+    assert (last.start, last.stop) == pytest.approx((2.01, 4.99), abs=0.0051)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("  time: {column: state.log_time}\n", "", "position-left-drive message 0 has no 'state' in it"),
+        (
+            "state.log_time}",
+            "stat.log_time}",
+            "map.yaml:11:18  steps_by_column.time.column: log.wpilog: no topic begins",
+        ),
+        ("{column: state.log_time}", "{rate_Hz: 5}", "map.yaml:11:9  steps_by_column.time: column was expected"),
+        ("{ramp: hold, back: hold}", "{up: hold}", "none of up stands in column 'state.value', which has none"),
+    ],
+)
+def test_a_fault_of_such_labels_has_its_line_and_column(folder, old, new, told):
+    data = sysid(after=wpilog_start(9, "state", "string")) + wpilog_record(9, 1_000_000, b"none")
+    assert old in BY_STATE
+    assert told in fault(folder, data, BY_STATE.replace(old, new))
+
+
 def test_what_the_library_of_wpilib_reads_reads_alike(tmp_path):
     log = pytest.importorskip("wpiutil.log", reason="robotpy-wpiutil has wheels for some machines only")
     data = sysid()
