@@ -187,6 +187,16 @@ def test_damage_anywhere_is_one_line_or_none(folder):
     assert refused > 10
 
 
+def test_a_number_that_was_changed_is_damage(folder):
+    from mcap.writer import CompressionType
+
+    whole = logs.write_mcap(folder / "log.mcap", range(12), compression=CompressionType.NONE).read_bytes()
+    changed = whole.replace(struct.pack("<d", logs.HIP[5]), struct.pack("<d", logs.HIP[5] + 0.1))
+    assert changed != whole
+    (folder / "log.mcap").write_bytes(changed)
+    assert fault(folder).endswith("log.mcap: damaged: a chunk is not what its CRC says")
+
+
 def test_a_chunk_that_unpacks_to_more_than_it_says(folder):
     import zstandard
 

@@ -238,11 +238,16 @@ def test_the_unit_of_stamps(tmp_path, time, units):
     assert set(stream.time_units) == set(units)
 
 
-@pytest.mark.parametrize("gear", [6.0, 9.0, 10.0, 50.0, 60.0, 360.0, 1 / 6.0])
-def test_a_gear_is_never_taken_for_a_unit(tmp_path, gear):
-    np.savez(tmp_path / "a.npz", t=T, position_rad=MEASURED, velocity=gear * SPEED)
+@pytest.mark.parametrize("gear", [6.0, 9.0, 10.0, 50.0, 60.0, 360.0, 1 / 6.0, 1 / 60.0, 1 / 360.0])
+@pytest.mark.parametrize("units", ["rad", "deg", "turns", ""])
+def test_a_gear_is_never_taken_for_a_unit(tmp_path, gear, units):
+    position = {"rad": MEASURED, "deg": np.degrees(MEASURED), "turns": MEASURED / TURN, "": MEASURED}[units]
+    speed = gear * (SPEED if units in ("rad", "") else SPEED / TURN * {"deg": 360.0, "turns": 1.0}[units])
+    name = f"position_{units}".rstrip("_")
+    np.savez(tmp_path / "a.npz", **{"t": T, name: position, "velocity": speed})
     (stream,) = streams_of(survey(tmp_path / "a.npz"), {})
     assert len(stream.channels["velocity"].units) > 1
+    assert len(stream.channels[name].units) == (1 if units else 4)
 
 
 def test_a_header_that_the_numbers_contradict_is_asked_for(tmp_path):
