@@ -8,7 +8,8 @@ import typer
 from leactl.errors import Stopped
 
 if TYPE_CHECKING:
-    from leactl.runfile.importing_proposal import OpenQuestion, Proposal, Survey
+    from leactl.runfile.importing_proposal import OpenQuestion, Proposal
+    from leactl.runfile.importing_survey import Survey
 
 
 def is_attended() -> bool:
@@ -37,7 +38,8 @@ def asked(seen: "Survey") -> "Proposal":
 
 def answer(question: "OpenQuestion") -> str:
     """One answer that can be used; asks again until it is."""
-    from leactl.runfile.importing_proposal import LEAVE_OUT, accepted
+    from leactl.runfile.importing_deciding import LEAVE_OUT
+    from leactl.runfile.importing_proposal import accepted
 
     typer.echo(question.text, err=True)
     for number, choice in enumerate(question.choices, start=1):

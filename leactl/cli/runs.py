@@ -304,7 +304,8 @@ def proposed(sources: list[str], map_out: Path | None, as_json: bool) -> "yamlfi
     from leactl import yamlfile
     from leactl.cli.mapping_questions import asked, is_attended
     from leactl.runfile.importing import expanded
-    from leactl.runfile.importing_proposal import propose, survey
+    from leactl.runfile.importing_proposal import propose
+    from leactl.runfile.importing_survey import survey
     from leactl.runfile.publish import new_file, refuse_existing
 
     if map_out is not None:

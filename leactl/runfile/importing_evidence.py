@@ -84,7 +84,7 @@ def gain_of(angle: Series, velocity: Series) -> Gain | None:
 
 def pairs_of(gain: float, within: float) -> list[tuple[str, str]]:
     """Units of an angle and its velocity whose factor is that of a gain."""
-    found = []
+    pairs = []
     for angle in ANGLES:
         for velocity in VELOCITIES:
             of_angle, of_velocity = converter(angle, "angle"), converter(velocity, "velocity")
@@ -92,8 +92,8 @@ def pairs_of(gain: float, within: float) -> list[tuple[str, str]]:
             if f"{of_angle.target}/s" == of_velocity.target:
                 factor = of_angle.factor / of_velocity.factor
                 if abs(math.log(abs(gain) / factor)) <= within:
-                    found.append((angle, velocity))
-    return found
+                    pairs.append((angle, velocity))
+    return pairs
 
 
 def is_gear(gain: float) -> bool:
@@ -140,27 +140,27 @@ def units_by_range(quantity: str, values: Array) -> tuple[str, str]:
     if not len(known):
         return "", ""
     low, high, middle = float(known.min()), float(known.max()), float(np.median(known))
-    told = f"its range {low:.4g} .. {high:.4g}"
+    its_range = f"its range {low:.4g} .. {high:.4g}"
     if quantity == "drive_enabled" and set(np.unique(known).tolist()) <= {0.0, 1.0}:
-        return "1", f"{told}, 0 and 1 alone"
+        return "1", f"{its_range}, 0 and 1 alone"
     are_whole = bool((known == np.round(known)).all())  # which may be of any size, such as tenths of a volt
     if quantity == "bus_voltage" and not are_whole:
         small, large = VOLTS_OF_A_BUS
         if small <= middle <= large:
-            return "V", f"{told}; no bus has so few millivolts"
+            return "V", f"{its_range}; no bus has so few millivolts"
         if small * 1e3 <= middle <= large * 1e3:
-            return "mV", f"{told}; no bus has so many volts"
+            return "mV", f"{its_range}; no bus has so many volts"
     largest = max(-low, high)
     if "current" in quantity and not are_whole and AMPERES[0] <= largest <= AMPERES[1]:
-        return "A", f"{told}; no actuator moves on as few mA"
+        return "A", f"{its_range}; no actuator moves on as few mA"
     if "voltage" in quantity and not are_whole and VOLTS[0] <= largest <= VOLTS[1]:
-        return "V", f"{told}; no winding shows as few mV"
+        return "V", f"{its_range}; no winding shows as few mV"
     if quantity.endswith("temperature"):
         factor, zero = CONVERSIONS["degC"]["degF"]
         if INDOORS_DEGC[0] <= low <= INDOORS_DEGC[1]:
-            return "degC", f"{told}; in degF it would begin at {factor * (low - zero):.3g} degC"
+            return "degC", f"{its_range}; in degF it would begin at {factor * (low - zero):.3g} degC"
         if low > 250.0 and high < 600.0:
-            return "K", f"{told}; no log begins so hot in degC or degF"
+            return "K", f"{its_range}; no log begins so hot in degC or degF"
     if quantity.startswith("angle") and (wrapped := turned(values)):
         return wrapped.units, f"{wrapped.jumps} jumps by {wrapped.period:.4g}, a turn in {wrapped.units}"
     return "", ""

@@ -20,7 +20,15 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.runfile.importing_mapping import as_label
-from leactl.runfile.importing_sources import Lacking, Listed, SourceRequest, Tabulated, WantedColumn, as_float
+from leactl.runfile.importing_sources import (
+    Lacking,
+    Listed,
+    SourceRequest,
+    Tabulated,
+    WantedColumn,
+    as_float,
+    reason_of,
+)
 
 Array = npt.NDArray[np.float64]
 NAMES: Final = ("name", "names", "joint_names")  # sensor_msgs/JointState, control_msgs of both generations
@@ -160,8 +168,9 @@ class MessageSource:
             return message.decode()
         except Exception as error:  # noqa: BLE001 (a decoder meets damaged bytes with whatever it stumbles over)
             at = self._counts[message.topic]
-            why = " ".join(str(error).split()) or type(error).__name__
-            raise InputError(f"{self.path}: {message.topic} message {at}: cannot be decoded: {why}") from None
+            raise InputError(
+                f"{self.path}: {message.topic} message {at}: cannot be decoded: {reason_of(error)}"
+            ) from None
 
     def _put(self, column: "_Gathered", path: Way, message: Message, tree: Any, names: Names) -> None:
         if column.error:
@@ -292,10 +301,10 @@ def _element(node: Any, step: str | int, names: Names) -> Any:
 
 def _names(tree: Any) -> Names:
     """The names that lists of a message go by."""
-    for name in NAMES:
-        found = _child(tree, name)
-        if isinstance(found, list) and all(isinstance(text, str) for text in found):
-            return found
+    for field in NAMES:
+        names = _child(tree, field)
+        if isinstance(names, list) and all(isinstance(text, str) for text in names):
+            return names
     return None
 
 

@@ -15,10 +15,16 @@ import numpy.typing as npt
 from leactl.runfile.importing_mapping import CsvForm
 
 Array = npt.NDArray[np.float64]
+LONGEST_REASON = 200  # characters
 
 
 class Lacking(Exception):
     """The source has no such column or field; the message says what it has."""
+
+
+def reason_of(error: BaseException) -> str:
+    """What a library says of a file, on one line and not for long."""
+    return " ".join(str(error).split())[:LONGEST_REASON] or type(error).__name__
 
 
 def as_float(value: Any) -> float:

@@ -106,8 +106,8 @@ def quantity_of(words: list[str]) -> str:
 
 def units_in_brackets(name: str) -> str:
     """What stands in brackets behind a name; empty where that is no unit, such as an index."""
-    found = _BRACKETS.search(name)
-    return found[1] if found and any(found[1].lower() in known for known in ALIASES.values()) else ""
+    brackets = _BRACKETS.search(name)
+    return brackets[1] if brackets and any(brackets[1].lower() in known for known in ALIASES.values()) else ""
 
 
 def units_of(name: str, known: list[str]) -> str:

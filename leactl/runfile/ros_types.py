@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from leactl.errors import InputError
+from leactl.runfile.importing_sources import reason_of
 
 SEPARATOR: Final = "=" * 80 + "\n"  # between the definitions of a schema of kind ros2idl
 
@@ -77,5 +78,5 @@ class RosTypes:
             known = self._store.fielddefs
             self._store.register({name: fields for name, fields in types.items() if name not in known})
         except (TypesysError, UnicodeDecodeError, RecursionError, KeyError, ValueError) as error:
-            return f"has a definition that cannot be read: {' '.join(str(error).split())[:200]}"
+            return f"has a definition that cannot be read: {reason_of(error)}"
         return ""

@@ -7,7 +7,8 @@ import pytest
 
 from leactl.errors import InputError
 from leactl.runfile.importing import import_runs
-from leactl.runfile.importing_proposal import streams_of, survey
+from leactl.runfile.importing_deciding import streams_of
+from leactl.runfile.importing_survey import survey
 from leactl.runfile.reader import Run
 
 from . import logs

@@ -14,7 +14,9 @@ from scipy.io import savemat
 
 from leactl import yamlfile
 from leactl.errors import InputError
-from leactl.runfile.importing_proposal import LEAVE_OUT, UNDECIDED, accepted, propose, streams_of, survey
+from leactl.runfile.importing_deciding import LEAVE_OUT, streams_of
+from leactl.runfile.importing_proposal import UNDECIDED, accepted, propose
+from leactl.runfile.importing_survey import survey
 from leactl.runfile.reader import Run
 from leactl.units import converter
 

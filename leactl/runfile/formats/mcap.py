@@ -17,7 +17,7 @@ from typing import Any, BinaryIO, Final
 from leactl.errors import InputError
 from leactl.regular import open_regular
 from leactl.runfile.importing_messages import Message, MessageSource, OpenLog, Topic
-from leactl.runfile.importing_sources import SourceRequest
+from leactl.runfile.importing_sources import SourceRequest, reason_of
 from leactl.runfile.ros_types import RosTypes, packages
 
 ENDINGS = (".mcap",)
@@ -111,11 +111,10 @@ class McapFile:
         except (EndOfFile, InvalidMagic):  # its beginning is that of MCAP, so it is its end that lacks
             raise InputError(f"{self._path}: {TRUNCATED}") from None
         except McapError as error:
-            raise InputError(f"{self._path}: damaged: {' '.join(str(error).split())}") from None
+            raise InputError(f"{self._path}: damaged: {reason_of(error)}") from None
         # it meets damaged lengths with whatever it stumbles over
         except (ValueError, LookupError, MemoryError, OverflowError, EOFError, OSError, struct.error) as error:
-            what = " ".join(str(error).split()) or type(error).__name__
-            raise InputError(f"{self._path}: damaged: {what}") from None
+            raise InputError(f"{self._path}: damaged: {reason_of(error)}") from None
 
     def _unpacked(self, chunk: Any) -> Any:
         """The chunk without its compression.
@@ -144,8 +143,8 @@ class McapFile:
         except (zstandard.ZstdError, RuntimeError, EOFError) as error:
             raise InputError(f"{self._path}: damaged: a chunk does not unpack: {error}") from None
         if len(data) != size:
-            told = f"{'more than ' * (len(data) > size)}{min(len(data), size)}"
-            raise InputError(f"{self._path}: damaged: a chunk unpacks to {told} bytes where it says {size}")
+            unpacked = f"{'more than ' * (len(data) > size)}{min(len(data), size)}"
+            raise InputError(f"{self._path}: damaged: a chunk unpacks to {unpacked} bytes where it says {size}")
         if chunk.uncompressed_crc not in (0, zlib.crc32(data)):  # 0 where the recorder made none
             raise InputError(f"{self._path}: damaged: a chunk is not what its CRC says")
         plain = {"compression": "", "data": data, "uncompressed_size": size, "uncompressed_crc": 0}

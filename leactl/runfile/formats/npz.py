@@ -9,7 +9,7 @@ import numpy as np
 
 from leactl.errors import InputError
 from leactl.regular import open_regular
-from leactl.runfile.importing_sources import SourceRequest
+from leactl.runfile.importing_sources import SourceRequest, reason_of
 from leactl.runfile.importing_trees import MOST_COLUMNS, TreeSource
 from leactl.runfile.tree import MOST_UNPACKED
 
@@ -35,8 +35,7 @@ def open_source(path: Path, request: SourceRequest) -> TreeSource:
                 for info in archive.infolist():
                     arrays[info.filename.removesuffix(".npy")] = read_array(path, archive, info)
         except DAMAGE as fault:
-            told = " ".join(str(fault).split()) or type(fault).__name__
-            raise InputError(f"{path}: not an NPZ archive that can be read: {told}") from None
+            raise InputError(f"{path}: not an NPZ archive that can be read: {reason_of(fault)}") from None
     return TreeSource(path, arrays | columns_of(arrays))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from leactl.errors import InputError
 from leactl.regular import open_regular
 from leactl.runfile.importing_joints import PLACEHOLDER
-from leactl.runfile.importing_sources import Listed, SourceRequest, Tabulated
+from leactl.runfile.importing_sources import Listed, SourceRequest, Tabulated, reason_of
 from leactl.runfile.importing_trees import MOST_COLUMNS, TreeSource
 from leactl.runfile.tree import MOST_UNPACKED
 
@@ -83,8 +83,7 @@ def readable(path: Path, arrow: Any) -> Iterator[None]:
     except (arrow.ArrowException, OSError, ValueError, MemoryError) as fault:
         if isinstance(fault, InputError):
             raise
-        told = " ".join(str(fault).split())[:200] or type(fault).__name__
-        raise InputError(f"{path}: not a Parquet file that can be read: {told}") from None
+        raise InputError(f"{path}: not a Parquet file that can be read: {reason_of(fault)}") from None
 
 
 def asked_for(name: str, request: SourceRequest) -> bool:

@@ -14,7 +14,7 @@ from leactl.errors import InputError
 from leactl.regular import open_regular
 from leactl.runfile.formats.mcap import LARGEST_RECORD, McapFile
 from leactl.runfile.importing_messages import Message, MessageSource, OpenLog, Topic
-from leactl.runfile.importing_sources import SourceRequest
+from leactl.runfile.importing_sources import SourceRequest, reason_of
 from leactl.runfile.ros_types import RosTypes, packages
 
 ENDINGS = (".db3",)
@@ -71,8 +71,8 @@ def files_of(folder: Path) -> tuple[list[Path], bool]:
         raise InputError(f"{folder / METADATA}: version {version}; at most {NEWEST} is read")
     mode = str(about.get("compression_mode") or "none").lower()
     if mode not in ("none", "message", "storage"):
-        told = "its files are packed; unpack them by `zstd -d` and set compression_mode to none"
-        raise InputError(f"{folder / METADATA}: compression_mode {mode!r}: {told}")
+        hint = "its files are packed; unpack them by `zstd -d` and set compression_mode to none"
+        raise InputError(f"{folder / METADATA}: compression_mode {mode!r}: {hint}")
     files = [folder / PurePosixPath(str(name)).name for name in names]
     if lacking := [file.name for file in files if not file.is_file()]:
         raise InputError(f"{folder}: {', '.join(lacking)}: no such file, which {METADATA} names")
@@ -153,5 +153,4 @@ class BagFile:
         except InputError:
             raise
         except (ReaderError, apsw.Error, ValueError, LookupError, TypeError, OSError) as error:
-            told = " ".join(str(error).split())[:200] or type(error).__name__
-            raise InputError(f"{self._path}: damaged, or no bag: {told}") from None
+            raise InputError(f"{self._path}: damaged, or no bag: {reason_of(error)}") from None
