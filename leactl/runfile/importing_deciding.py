@@ -143,12 +143,15 @@ def channel_of(column: Listed, table: Tabulated, dialect: LogDialect | None) -> 
     if not quantity:
         return said.why_not
     role = said.role or "test"
+    of_role = [f"role {role} by its name"] if said.role else []
     if column.units and converter(column.units, quantity):
-        return Proposed(column.name, quantity, role, (column.units,), [f"{column.units} by {column.declared_by}"])
+        return Proposed(
+            column.name, quantity, role, (column.units,), [f"{column.units} by {column.declared_by}", *of_role]
+        )
     if said.units:
-        return Proposed(column.name, quantity, role, (said.units,), [f"{said.units} stands in its name"])
+        return Proposed(column.name, quantity, role, (said.units,), [f"{said.units} stands in its name", *of_role])
     likely = [units for units in LIKELY[known_units(quantity)[0]] if converter(units, quantity)]
-    return Proposed(column.name, quantity, role, tuple(likely), [f"{quantity} by its name"])
+    return Proposed(column.name, quantity, role, tuple(likely), [f"{quantity} by its name", *of_role])
 
 
 def time_of(seen: SeenTable) -> tuple[Listed | None, tuple[str, ...], str]:
@@ -204,10 +207,8 @@ def decide_by_numbers(streams: list[ProposedStream]) -> None:
     """Decide units by ranges, then by what goes with what, until nothing more follows."""
     everything = [(stream, channel) for stream in streams for channel in stream.channels.values()]
     for _, channel in everything:
-        if len(channel.units) > 1 and channel.values:
-            units, why = units_by_range(channel.quantity, np.concatenate(channel.values))
-            if units in channel.units:
-                channel.decide(units, f"{units} by {why}")
+        if channel.values and not channel.is_settled:
+            decide_by_range(channel)
     timed = [(stream, channel) for stream, channel in everything if stream.stamps and len(stream.time_units) == 1]
     pairs = [(first, second) for first in timed for second in timed if belong(first, second)]
     while True:
@@ -228,6 +229,17 @@ def decide_by_numbers(streams: list[ProposedStream]) -> None:
         elif len(channel.units) > 1 and channel.units[0] == "rad" and is_wide_for_rad(np.concatenate(channel.values)):
             channel.units = tuple(dict.fromkeys(("deg", *channel.units)))
             channel.why.append("its range is wide for rad")
+
+
+def decide_by_range(channel: Proposed) -> None:
+    """Decide by what the numbers reach and how they jump; ask where that is not what is said of them."""
+    units, why = units_by_range(channel.quantity, np.concatenate(channel.values))
+    is_said = same(units, channel.units, channel.quantity)
+    if units and is_said and len(channel.units) > 1:
+        channel.decide(units, f"{units} by {why}")
+    elif units and not is_said and (len(channel.units) > 1 or channel.quantity.startswith("angle")):
+        channel.units, channel.is_settled = (units, *channel.units), True
+        channel.why.append(f"yet {why}")
 
 
 def belong(first: tuple[ProposedStream, Proposed], second: tuple[ProposedStream, Proposed]) -> bool:
@@ -262,10 +274,12 @@ def decide_by_travel(
     factor = f"{velocity.column} is {gain:.4g} times the change of {angle.column}"
     is_one = abs(gain - 1.0) <= CLOSE
     pairs = pairs_of(gain, CLOSE if is_one else TIGHT)
-    fitting = [pair for pair in pairs if same(pair[0], angle.units) and same(pair[1], velocity.units)]
+    fitting = [
+        pair for pair in pairs if same(pair[0], angle.units, "angle") and same(pair[1], velocity.units, "velocity")
+    ]
     decided = [len(channel.units) == 1 for channel in (angle, velocity)]
     if all(decided):
-        others = [pair for pair in pairs if same(pair[0], angle.units)]
+        others = [pair for pair in pairs if same(pair[0], angle.units, "angle")]
         if not fitting and others and not is_gear(gain):  # what one of both is said to be in is wrong
             velocity.units, velocity.is_settled = (others[0][1], *velocity.units), True
             velocity.why.append(f"yet {factor}, as {others[0][1]} would be")
@@ -273,24 +287,23 @@ def decide_by_travel(
     alone = len({pair[0] for pair in fitting}) == 1 and len({pair[1] for pair in fitting}) == 1
     if alone and ((any(decided) and is_one) or not is_gear(gain)):
         for channel, units in zip((angle, velocity), fitting[0], strict=True):
-            if len(channel.units) > 1:
+            if len(channel.units) > 1 and not channel.is_settled:
                 channel.decide(units, f"{units}: {factor}")
         return
+    by_gain = [of_velocity for of_angle, of_velocity in pairs if same(of_angle, angle.units, "angle")]
     if not fitting and decided[0]:
-        velocity.units = tuple(
-            dict.fromkeys((*(pair[1] for pair in pairs if same(pair[0], angle.units)), *velocity.units))
-        )
+        velocity.units = tuple(dict.fromkeys((*by_gain, *velocity.units)))
     for channel, at in ((angle, 0), (velocity, 1)):
-        likely = [units for units in channel.units if any(same(pair[at], (units,)) for pair in fitting)]
+        fit = tuple(pair[at] for pair in fitting)
+        likely = [units for units in channel.units if same(units, fit, channel.quantity)]
         if len(channel.units) > 1:
             channel.units = (*likely, *(units for units in channel.units if units not in likely))
             channel.why += [factor] if factor not in channel.why else []
 
 
-def same(units: str, among: tuple[str, ...]) -> bool:
-    """Whether a unit is one of these, by whatever name."""
-    meant = [converter(units, kind) for kind in ("angle", "velocity")]
-    return any(meant == [converter(each, kind) for kind in ("angle", "velocity")] for each in among)
+def same(units: str, among: tuple[str, ...], quantity: str) -> bool:
+    """Whether a unit of a quantity is one of these, by whatever name."""
+    return any(converter(units, quantity) == converter(each, quantity) for each in among)
 
 
 def decide_by_setpoint(

@@ -261,6 +261,31 @@ def test_a_header_that_the_numbers_contradict_is_asked_for(tmp_path):
     assert stream.channels["velocity_rad_s"].units == ("rad/s",)
 
 
+@pytest.mark.parametrize(
+    ("name", "period", "units"),
+    [
+        ("angle_rad", 360.0, ("deg", "rad")),
+        ("angle_deg", 2 * np.pi, ("rad", "deg")),
+        ("angle_rev", 1.0, ("turn",)),
+        ("angle", 1.0, ("turn",)),
+        ("angle", 2 * np.pi, ("rad",)),
+    ],
+)
+def test_a_wrapped_angle_jumps_by_a_turn_in_its_unit(tmp_path, name, period, units):
+    np.savez(tmp_path / "a.npz", **{"t": T, name: np.mod(T / 0.9, 1.0) * period})
+    (stream,) = streams_of(survey(tmp_path / "a.npz"), {})
+    assert stream.channels[name].units == units
+
+
+def test_the_side_of_a_channel_by_its_name(tmp_path):
+    np.savez(tmp_path / "a.npz", t=T, brake_torque_Nm=EFFORT, torque_Nm=EFFORT, ambient_temp=WARM)
+    (stream,) = streams_of(survey(tmp_path / "a.npz"), {})
+    assert {name: channel.role for name, channel in stream.channels.items()} == {
+        "brake_torque_Nm": "load", "torque_Nm": "test", "ambient_temp": "bench",
+    }  # fmt: skip
+    assert "role load by its name" in stream.channels["brake_torque_Nm"].why
+
+
 @pytest.mark.parametrize("values", [np.round(74 + VOLTS - 24), np.round(1000 * VOLTS)])
 def test_whole_numbers_are_counts_of_any_size(tmp_path, values):
     np.savez(tmp_path / "a.npz", t=T, vbus=values, iq=np.round(EFFORT * 5))
