@@ -254,7 +254,7 @@ def export(
         "runs import log.csv --map map.yaml --check",
         "runs import log.csv --map map.yaml --out imported",
         "runs import log.mcap --map auto --map-out map.yaml",
-        means={InputError: "input that cannot be used, or a proposed mapping with open questions"},
+        means={InputError: "input that cannot be used or a proposed mapping with open questions"},
     ),
 )
 def import_foreign(
