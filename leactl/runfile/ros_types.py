@@ -8,6 +8,8 @@ from typing import Any, Final
 from leactl.errors import InputError
 from leactl.runfile.importing_sources import reason_of
 
+MOST_PARTS: Final = 10_000  # of a message: rosbags writes code for each
+UNDERWAY: Final = 0  # of a message whose parts are being counted
 SEPARATOR: Final = "=" * 80 + "\n"  # between the definitions of a schema of kind ros2idl
 
 
@@ -73,10 +75,47 @@ class RosTypes:
                 types = dict(get_types_from_msg(written, kind))
             else:
                 for part in written.split(SEPARATOR):
-                    body = part.split("\n", 1)[-1] if part.startswith("IDL: ") else part
+                    # what a file includes stands beside it, and rosbags knows no directives
+                    body = "\n".join(line for line in part.splitlines() if not line.startswith(("IDL: ", "#")))
                     types |= get_types_from_idl(body) if body.strip() else {}
             known = self._store.fielddefs
+            if parts_of(kind, {**known, **types}, {}) > MOST_PARTS:
+                return f"has a definition of more than {MOST_PARTS} parts; fewer were expected"
             self._store.register({name: fields for name, fields in types.items() if name not in known})
         except (TypesysError, UnicodeDecodeError, RecursionError, KeyError, ValueError) as error:
             return f"has a definition that cannot be read: {reason_of(error)}"
         return ""
+
+
+def parts_of(kind: str, types: dict[str, Any], counted: dict[str, int]) -> int:
+    """How many fields a message has with those of its parts, an array of messages or texts counted by its length.
+
+    Raises
+    ------
+    TypesysError : a message of which it consists is not defined, or holds itself.
+    """
+    from rosbags.typesys import TypesysError
+
+    if kind not in types:
+        raise TypesysError(f"{kind} is used and not defined")
+    if counted.get(kind) == UNDERWAY:
+        raise TypesysError(f"{kind} holds itself")
+    if kind not in counted:
+        counted[kind] = UNDERWAY
+        parts = 1 + sum(parts_of_field(field, types, counted) for _, field in types[kind][1])
+        counted[kind] = min(parts, MOST_PARTS + 1)
+    return counted[kind]
+
+
+def parts_of_field(field: Any, types: dict[str, Any], counted: dict[str, int]) -> int:
+    """How many fields a field stands for."""
+    from rosbags.interfaces import Nodetype
+
+    node, about = field
+    if node == Nodetype.NAME:
+        return parts_of(about, types, counted)
+    if node == Nodetype.BASE:
+        return 1
+    inner, length = about
+    is_plain = inner[0] == Nodetype.BASE and inner[1][0] != "string"
+    return 1 if is_plain else parts_of_field(inner, types, counted) * (length if node == Nodetype.ARRAY else 1)

@@ -1,6 +1,7 @@
 """ROS 2 bags of SQLite and MCAP, with and without the definitions of their messages; what is damaged is one line."""
 
 import sqlite3
+import struct
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from leactl.runfile.importing import import_runs
 from leactl.runfile.importing_deciding import streams_of
 from leactl.runfile.importing_survey import survey
 from leactl.runfile.reader import Run
+from leactl.runfile.ros_types import RosTypes
 
 from . import logs
 from .test_import import mapping
@@ -70,6 +72,55 @@ def test_a_kind_of_message_that_nobody_defines(folder):
     assert "/drive is of rig_msgs/msg/DriveState, of which neither the log" in fault(folder, text=BY_PATH, joints=())
     (file,) = imported(folder)  # of a kind that ROS 2 ships
     np.testing.assert_allclose(Run.open(file).channel("angle").values, logs.HIP, atol=1e-12)
+
+
+def definition(*parts):
+    """A message, and those that it uses by their names."""
+    first, *others = parts
+    return first + "".join(f"\n{'=' * 80}\nMSG: rig_msgs/{name}\n{text}" for name, text in others)
+
+
+HEAVY = definition("rig_msgs/A[300] a", ("A", "rig_msgs/B[300] b"), ("B", "string s"))
+CHAIN = [(f"M{at}", "\n".join(f"rig_msgs/M{at + 1} f{field}" for field in range(50))) for at in range(30)]
+WIDE = definition("rig_msgs/M0 m", *CHAIN, ("M30", "float64 x"))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("string[99999999] s", "has a definition of more than 10000 parts; fewer were expected"),
+        (HEAVY, "has a definition of more than 10000 parts; fewer were expected"),
+        (WIDE, "has a definition of more than 10000 parts; fewer were expected"),
+        (definition("rig_msgs/Motor m", ("Motor", "rig_msgs/Motor m")), "rig_msgs/msg/Motor holds itself"),
+        ("rig_msgs/Other m", "rig_msgs/msg/Other is used and not defined"),
+        ("float64 x;import os", "has a definition that cannot be read: Could not parse"),
+        ("string C=''\n'+__import__('os')", "has a definition that cannot be read: Could not parse"),
+        ("\udcff".encode("utf-8", "surrogateescape").decode("latin-1"), "has a definition that cannot be read"),
+    ],
+)
+def test_a_definition_is_judged_before_code_is_made_of_it(folder, text, told):
+    why = RosTypes().learn("rig_msgs/msg/DriveState", "ros2msg", text.encode())
+    assert told in why
+    assert why.isprintable()
+
+
+IDL = """\
+{0}
+IDL: rig_msgs/msg/State
+#include "rig_msgs/msg/Motor.idl"
+module rig_msgs {{ module msg {{ struct State {{ rig_msgs::msg::Motor motor; }}; }}; }};
+{0}
+IDL: rig_msgs/msg/Motor
+module rig_msgs {{ module msg {{ struct Motor {{ double speed; sequence<float> phase; }}; }}; }};
+""".format("=" * 80)
+
+
+def test_a_definition_in_idl():
+    types = RosTypes()
+    assert types.learn("rig_msgs/msg/State", "ros2idl", IDL.encode()) == ""
+    state = types.decode("rig_msgs/msg/State", struct.pack("<4sdI2f", b"\0\1\0\0", 2.5, 2, 1.0, 3.0))
+    assert (state.motor.speed, state.motor.phase.tolist()) == (2.5, [1.0, 3.0])
+    assert "is defined in protobuf" in types.learn("rig_msgs/msg/Odd", "protobuf", b"")
 
 
 def test_bags_by_a_pattern_and_their_proposal(folder):
