@@ -120,6 +120,21 @@ def test_columns_lists_and_instants_of_a_table(folder):
         (folder / "out" / "log.h5").unlink()
 
 
+def test_columns_that_are_no_numbers_are_no_hindrance(folder):
+    ragged = [[1.0] * (row % 3) for row in range(N)]
+    odd = {
+        "day": pa.array([19000] * N).cast(pa.int32()).cast(pa.date32()),
+        "span": pa.array([5] * N, pa.duration("us")),
+    }
+    odd |= {"nothing": pa.nulls(N), "bytes": [b"x"] * N, "ragged": ragged, "words": [["a", "b"]] * N}
+    motor = pa.StructArray.from_arrays([pa.array(HIP), pa.array([True] * N)], ["speed", "on"])
+    write_parquet("log.parquet", t=T, q=DEGREES.tolist(), motor=motor, **odd)
+    run = run_of(folder, "log.parquet", PLAIN.replace("column: w", "column: motor.speed"))
+    np.testing.assert_array_equal(run.channel("velocity", "test").values, HIP)
+    (table,) = open_source(folder / "log.parquet", None, SourceRequest(None)).tables()
+    assert [column.name for column in table.columns] == ["t", "q[0]", "q[1]", "motor.speed", "motor.on"]
+
+
 def test_what_leactl_exports_comes_back(folder):
     np.savez("log.npz", t=T, q=DEGREES, w=HIP_SPEED)
     run_of(folder, "log.npz").close()

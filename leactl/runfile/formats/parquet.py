@@ -1,4 +1,4 @@
-"""Parquet tables (Apache Parquet), by `pyarrow`: the columns that are asked for, lists as `name[3]`.
+"""Parquet tables (Apache Parquet), by `pyarrow`: the columns that are asked for, lists as `name[3]`, structs as `a.b`.
 
 Instants count as seconds from the first of their column. Metadata of a field, `units`, `quantity` and `role` as
 `leactl runs export` writes them, are what the file declares.
@@ -69,6 +69,8 @@ def open_source(path: Path, request: SourceRequest) -> ParquetSource:
         names = [field.name for field in file.schema_arrow if asked_for(field.name, request)]
         refuse_swelling(path, file.metadata, names)
         table = file.read(columns=names)
+        while any(arrow.types.is_struct(field.type) for field in table.schema):
+            table = table.flatten()
         names_of = joint_names(path)
         tree, listed, began = columns_of(table, arrow, names_of)
     joints = tuple(dict.fromkeys(joint for name in names if name in names_of for joint in names_of[name]))
@@ -139,7 +141,7 @@ def columns_of(
                 listed.append(Listed(f"{field.name}[{PLACEHOLDER}]"))
             else:
                 listed += [Listed(f"{field.name}[{at}]") for at in range(len(columns))]
-        elif arrow.types.is_boolean(kind) or arrow.types.is_primitive(kind) or arrow.types.is_decimal(kind):
+        elif is_number(kind, arrow):
             tree[field.name] = column.cast(arrow.float64(), safe=False).to_numpy()
             listed.append(declared)
     return tree, listed, min(began, default=None)
@@ -148,7 +150,13 @@ def columns_of(
 def is_list(kind: Any, arrow: Any) -> bool:
     """Whether a column holds lists of numbers."""
     lists = (arrow.types.is_list, arrow.types.is_large_list, arrow.types.is_fixed_size_list)
-    return any(test(kind) for test in lists) and arrow.types.is_primitive(kind.value_type)
+    return any(test(kind) for test in lists) and is_number(kind.value_type, arrow)
+
+
+def is_number(kind: Any, arrow: Any) -> bool:
+    """Whether a column holds numbers, or true and false; dates and durations are none."""
+    types = arrow.types
+    return any(test(kind) for test in (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal))
 
 
 def elements_of(column: Any, arrow: Any) -> list[Any]:
