@@ -341,8 +341,9 @@ def set_apart(streams: list[ProposedStream]) -> None:
 
 
 def slug(text: str) -> str:
-    """A text as a name of a mapping."""
-    return re.sub(r"[^A-Za-z0-9_]+", "_", text).strip("_") or "column"
+    """A text as a name of a mapping, which YAML takes for no number and no word of its own."""
+    name = re.sub(r"[^A-Za-z0-9_]+", "_", text).strip("_")
+    return name if name[:1].isalpha() and name.lower() not in ("null", "true", "false") else f"column_{name}".strip("_")
 
 
 def free(name: str, taken: Mapping[str, object] | set[str]) -> str:

@@ -15,6 +15,7 @@ from scipy.io import savemat
 from leactl import yamlfile
 from leactl.errors import InputError
 from leactl.runfile.importing_deciding import LEAVE_OUT, streams_of
+from leactl.runfile.importing_mapping import Mapping as MappingFile
 from leactl.runfile.importing_proposal import UNDECIDED, accepted, propose
 from leactl.runfile.importing_survey import survey
 from leactl.runfile.reader import Run
@@ -329,6 +330,17 @@ def test_samples_without_stamps_need_their_rate(tmp_path):
     assert "time: {rate_Hz: 100.0}" in propose(seen, {rate.key: "100"}).text
     with pytest.raises(InputError, match="every channel was left out"):
         propose(seen, {rate.key: LEAVE_OUT})
+
+
+def test_columns_of_a_matrix_go_by_their_index(tmp_path):
+    (tmp_path / "a.json").write_text(json.dumps({"position": np.stack([HIP, HIP], 1).tolist()}))
+    seen = survey(tmp_path / "a.json")
+    answers = {("mechanical",): "free"}
+    while questions := propose(seen, answers).questions:
+        answers[questions[0].key] = questions[0].choices[0] if questions[0].choices else "100"
+    data = yamlfile.parse(propose(seen, answers).text, "auto").validate(MappingFile)
+    (stream,) = data.streams.values()
+    assert [(name, channel.column) for name, channel in stream.channels.items()] == [("column_0", 0), ("column_1", 1)]
 
 
 NAMES = st.lists(st.text(st.characters(exclude_categories=["Cs"]), max_size=12), min_size=1, max_size=4, unique=True)
