@@ -16,6 +16,7 @@ import numpy.typing as npt
 from leactl.runfile.importing_dialects import LogDialect
 from leactl.runfile.importing_evidence import (
     CLOSE,
+    GEARED,
     TIGHT,
     Series,
     are_counts,
@@ -285,11 +286,10 @@ def decide_by_travel(
             velocity.why.append(f"yet {factor}, as {others[0][1]} would be")
         return
     alone = len({pair[0] for pair in fitting}) == 1 and len({pair[1] for pair in fitting}) == 1
-    if alone and ((any(decided) and is_one) or not is_gear(gain)):
+    if alone and is_one and any(decided):
         for channel, units in zip((angle, velocity), fitting[0], strict=True):
-            if len(channel.units) > 1 and not channel.is_settled:
+            if len(channel.units) > 1 and not channel.is_settled and units not in GEARED:
                 channel.decide(units, f"{units}: {factor}")
-        return
     by_gain = [of_velocity for of_angle, of_velocity in pairs if same(of_angle, angle.units, "angle")]
     if not fitting and decided[0]:
         velocity.units = tuple(dict.fromkeys((*by_gain, *velocity.units)))

@@ -1,8 +1,8 @@
 """What the numbers of a column say of its unit: jumps of a wrapped angle, what a velocity integrates to, ranges.
 
-An angle and its velocity are a factor apart that only their two units decide, where both are of one shaft. A factor
-that is a whole number, or one over it, is that of a gear as well and decides nothing; 9.549 (rad and rpm) or 57.3
-(deg/s and rad) is no gear's within half a percent.
+An angle and its velocity are a factor apart that only their two units decide, where both are of one shaft. A gear
+between them has a factor too, and gears of 6, 9.1 or 60 make one pair of units look like another: a factor of 1 decides
+the second unit where the first is known, and any other puts the pair that it is of first among those asked for.
 """
 
 import math
@@ -20,11 +20,12 @@ ANGLES: Final = ("rad", "deg", "turn", "m", "mm")  # that logs are written in; `
 VELOCITIES: Final = ("rad/s", "deg/s", "rpm", "turn/s", "m/s", "mm/s")
 MOST_DEGREES: Final = 400.0  # of a limb, in whole ones
 WIDE_RAD: Final = 6.0 * math.pi  # which no limb reaches
+GEARED: Final = ("deg/s", "rpm", "turn/s")  # a gear of 6 or 60 apart, which there are
 TURNS: Final = {2.0 * math.pi: "rad", 360.0: "deg", 1.0: "turn"}  # what a wrapped angle jumps by
-CLOSE: Final = 0.02  # relative, of a gain to 1, where the unit of one of both is known
-TIGHT: Final = 0.005  # of a gain to the factor of two units that differ
+CLOSE: Final = 0.004  # relative, of a gain to 1, where the unit of one of both is known
+TIGHT: Final = 0.003  # of a gain to the factor of two units that differ, which are then the likeliest
 GEAR: Final = 0.003  # of a gain to a whole number, which is a gear's as well
-SURE: Final = 0.002  # relative standard error of a gain that decides
+SURE: Final = 0.001  # relative standard error of a gain that decides
 EXPLAINED: Final = 0.95  # share of a velocity that the angle's change has to explain
 ALIKE: Final = 0.05  # relative, of a reading to its setpoint
 FEWEST_JUMPS: Final = 2
