@@ -328,6 +328,13 @@ def test_whole_numbers_are_counts_of_any_size(tmp_path, values):
     assert all(len(channel.units) > 1 for channel in stream.channels.values())
 
 
+@pytest.mark.parametrize("gear", [6.283, 57.3, 1 / 57.3])
+def test_a_factor_beside_one_decides_no_angle(tmp_path, gear):
+    np.savez(tmp_path / "a.npz", t=T, position=MEASURED, velocity_rad_s=gear * SPEED)
+    (stream,) = streams_of(survey(tmp_path / "a.npz"), {})
+    assert len(stream.channels["position"].units) > 1
+
+
 def test_a_velocity_in_si_follows_from_its_angle(tmp_path):
     np.savez(tmp_path / "a.npz", t=T, position_rad=MEASURED, speed=SPEED, target_position=MEASURED)
     (stream,) = streams_of(survey(tmp_path / "a.npz"), {})
