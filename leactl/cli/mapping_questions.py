@@ -33,6 +33,8 @@ def asked(seen: "Survey") -> "Proposal":
         question = proposal.questions[0]
         answers[question.key] = answer(question)
         proposal = propose(seen, answers)
+    if answers:
+        typer.echo(proposal.text, err=True)  # with what follows from the answers
     return proposal
 
 
