@@ -135,7 +135,7 @@ def half_a_second(out):
 STOPPED = """
 import sys
 from pathlib import Path
-from leactl.gap.blind.pool import each
+from leactl.processes import each
 from tests.gap.test_blind_score import half_a_second
 
 if __name__ == "__main__":

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from leactl.errors import InputError
-from leactl.gap.blind.pool import Progress, each
 from leactl.gap.diagnose import diagnose, read_case
+from leactl.processes import Progress, each
 from leactl.runfile.publish import replacement
 
 MODEL = "nominal.yaml"

@@ -8,8 +8,8 @@ from typing import Any, Self
 from leactl.errors import InputError
 from leactl.gap.blind.answers import answer_all, case_names, read
 from leactl.gap.blind.marks import Mark, mark
-from leactl.gap.blind.pool import Progress, each
 from leactl.gap.blind.truth import Truth, measure
+from leactl.processes import Progress, each
 
 OpenKey = Callable[[], Mapping[str, Any]]
 ReadKey = Callable[[Path, Path], Mapping[str, Any]]

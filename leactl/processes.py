@@ -1,0 +1,141 @@
+"""The same work on many jobs, in one process or several: the results are the same, and a stop ends in order.
+
+Work and jobs are pickled, so the work is a function of a module. A worker is a fresh interpreter, which costs about a
+second: several processes pay off where the jobs take longer than that together.
+"""
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import get_context, parent_process
+from threading import Thread
+from types import TracebackType
+from typing import Any, Generic, Self, TypeVar
+
+from leactl.errors import InputError, LeactlError
+
+Job = tuple[Any, ...]
+Progress = Callable[[str], None]
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True)
+class Done(Generic[Value]):
+    """What came of a job: its result, or the lines that say why its input cannot be used."""
+
+    result: Value | None
+    faults: list[str]
+
+    def value(self) -> Value:
+        """The result.
+
+        Raises
+        ------
+        InputError : there is none.
+        """
+        if self.faults:
+            raise InputError(self.faults)
+        return self.result  # type: ignore[return-value]  # a job without faults has its result, which may be None
+
+
+class Workers:
+    """Processes that do jobs while the block lasts; with one process the jobs are done in this one.
+
+    Raises
+    ------
+    LeactlError : a worker was ended from outside.
+    """
+
+    def __init__(self, processes: int) -> None:
+        self._processes = processes
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Self:
+        if self._processes > 1:
+            # fresh interpreters: a fork would carry the threads of libraries along
+            self._pool = ProcessPoolExecutor(self._processes, get_context("spawn"), _prepare)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def in_order(self, work: Callable[..., Value], jobs: Sequence[Job]) -> Iterator[Done[Value]]:
+        """What comes of each job, in the order of the jobs; in one process each is done when it is asked for."""
+        if self._pool is None:
+            yield from (_tried(work, job) for job in jobs)
+            return
+        with _named_where_a_worker_ends():
+            for future in self._submitted(self._pool, work, jobs):
+                yield future.result()
+
+    def as_done(self, work: Callable[..., Value], jobs: Sequence[Job]) -> Iterator[Done[Value]]:
+        """What comes of each job, as soon as it is there."""
+        if self._pool is None:
+            yield from (_tried(work, job) for job in jobs)
+            return
+        with _named_where_a_worker_ends():
+            for future in as_completed(self._submitted(self._pool, work, jobs)):
+                yield future.result()
+
+    @staticmethod
+    def _submitted(
+        pool: ProcessPoolExecutor, work: Callable[..., Value], jobs: Sequence[Job]
+    ) -> list[Future[Done[Value]]]:
+        return [pool.submit(_tried, work, job) for job in jobs]
+
+
+def each(work: Callable[..., None], jobs: Sequence[Job], processes: int, verb: str, progress: Progress) -> None:
+    """Do every job; each writes its own result, so that one that fails or a stop costs no other.
+
+    The time that is left is told after each.
+
+    Raises
+    ------
+    InputError : jobs whose input cannot be used, all of them at the end.
+    """
+    began, faults = time.monotonic(), []
+    with Workers(processes) as workers:
+        for done, outcome in enumerate(workers.as_done(work, jobs), start=1):
+            faults += outcome.faults
+            left = (time.monotonic() - began) / done * (len(jobs) - done)
+            progress(f"{done} of {len(jobs)} {verb}, about {left / 60:.1f} min left")
+    if faults:
+        raise InputError(faults)
+
+
+def _tried(work: Callable[..., Value], job: Job) -> Done[Value]:
+    try:
+        return Done(work(*job), [])
+    except InputError as error:  # as lines: pickled, an error of several lines would be an error of one
+        return Done(None, error.faults)
+
+
+@contextmanager
+def _named_where_a_worker_ends() -> Iterator[None]:
+    try:
+        yield
+    except BrokenProcessPool:
+        ended = "a worker process was ended from outside, as the system does where memory runs out"
+        raise LeactlError(f"{ended}; fewer --processes need less") from None
+
+
+def _prepare() -> None:
+    # Ctrl-C reaches every process of a terminal: the first one lets the others finish the job they are at
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_end_with_the_first, daemon=True).start()
+
+
+def _end_with_the_first() -> None:
+    # a worker waits for jobs on a pipe whose other end it holds itself, and would wait for ever
+    first = parent_process()
+    if first is not None:
+        first.join()
+        os._exit(LeactlError.exit_status)
