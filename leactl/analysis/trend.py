@@ -1,7 +1,7 @@
 """One result over many runs, each analysed by itself, in the order in which they were made."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from leactl.analysis.estimate import Estimate, listed
 from leactl.analysis.registry import load
 from leactl.analysis.statistics.control_chart import ControlChart, control_chart
 from leactl.errors import InputError
+from leactl.processes import Workers
 from leactl.runfile.reader import Run
 
 Tell = Callable[[str], None]
@@ -61,6 +62,7 @@ def trend(
     condition: str = "",
     baseline: int | None = None,
     tell: Tell = lambda _: None,
+    processes: int = 1,
     **options: Any,
 ) -> Trend:
     """Follow a result from run to run.
@@ -70,50 +72,85 @@ def trend(
     actuator, condition : only runs with this label; there has to be one of each.
     baseline : how many of the first values the limits rest on; by default all.
     tell : is told each run as it is analysed.
+    processes : how many runs are looked at at a time; the answer does not depend on it.
     options : for the analyses, as of `analyze_runs`.
 
     Raises
     ------
     InputError : no run has the result, runs of several actuators or conditions have it, or no analysis takes an option.
     """
+    with Workers(processes) as workers:
+        group, runs = _runs_with(workers, paths, result, (actuator, condition))
+        points, left_out = _points(workers, runs, result, options, tell)
+    chart = control_chart(np.array([point.value.value for point in points]), baseline)
+    return Trend(result, points[0].value.units, *group, tuple(points), chart, tuple(left_out))
+
+
+def _runs_with(
+    workers: Workers, paths: Sequence[Path], result: str, asked: tuple[str, str]
+) -> tuple[tuple[str, str], list[tuple[str, Path, str]]]:
+    """The actuator and condition that are asked for, and their runs in order: creation, file, experiment."""
     every: list[tuple[str, tuple[str, str], Path, str]] = []
     others: dict[str, None] = {}
-    for path in paths:
-        with Run.open(path) as run:
-            experiment = experiment_of(run)
-            about = {name: str(run.attributes.get(name, "")) for name in ("created", "actuator", "condition")}
+    for path, done in zip(paths, workers.in_order(_described, [(path,) for path in paths]), strict=True):
+        created, group, experiment = done.value()
         known = results_of(experiment)
         if result not in known:
             others |= dict.fromkeys(known)
         else:
-            every.append((about["created"], (about["actuator"], about["condition"]), path, experiment))
+            every.append((created, group, path, experiment))
     if not every:
         raise InputError(f"no run has a result '{result}'; they have {listed(others, 12)}")
-    asked = actuator, condition
-    found = [item for item in every if all(want in ("", own) for want, own in zip(asked, item[1], strict=True))]
-    groups = dict.fromkeys(group for _, group, _, _ in found)
+    fitting = [item for item in every if all(want in ("", own) for want, own in zip(asked, item[1], strict=True))]
+    groups = dict.fromkeys(group for _, group, _, _ in fitting)
     if len(groups) != 1:
         there = sorted(groups or dict.fromkeys(item[1] for item in every))
         named = listed(f"'{one}' under '{other}'" for one, other in there)
         raise InputError(f"runs with '{result}' are of {named}; choose one by --actuator and --condition")
-    takes = {experiment: options_of(load(experiment)) for *_, experiment in found}
+    return next(iter(groups)), [(created, path, experiment) for created, _, path, experiment in sorted(fitting)]
+
+
+def _points(
+    workers: Workers,
+    runs: Sequence[tuple[str, Path, str]],
+    result: str,
+    options: Mapping[str, Any],
+    tell: Tell,
+) -> tuple[list[Point], list[str]]:
+    """The values of the runs that tell the result, and a line for each other one."""
+    takes = {experiment: options_of(load(experiment)) for *_, experiment in runs}
     if untaken := [name for name in options if not any(name in known for known in takes.values())]:
         raise InputError([f"--set {name}: none of {', '.join(takes)} takes it" for name in untaken])
-    points, left_out = [], []
-    for created, _, path, experiment in sorted(found):
+    jobs = [
+        (path, result, {name: value for name, value in options.items() if name in takes[experiment]})
+        for _, path, experiment in runs
+    ]
+    values = workers.in_order(_value, jobs)
+    points: list[Point] = []
+    left_out: list[str] = []
+    for created, path, _ in runs:
         tell(path.name)
-        own = {name: value for name, value in options.items() if name in takes[experiment]}
-        try:
-            value = analyze_runs([path], **own).find(result)
-        except InputError as fault:
-            left_out += fault.faults
-            continue
-        if math.isfinite(value.value):
+        done = next(values)
+        if done.faults:
+            left_out += done.faults
+        elif math.isfinite((value := done.value()).value):
             points.append(Point(path, created, value))
         else:
             left_out.append(f"{path}: does not tell {result}")
     if not points:
         raise InputError(left_out)
-    (group,) = groups
-    chart = control_chart(np.array([point.value.value for point in points]), baseline)
-    return Trend(result, points[0].value.units, *group, tuple(points), chart, tuple(left_out))
+    return points, left_out
+
+
+def _described(path: Path) -> tuple[str, tuple[str, str], str]:
+    """When a run was made, its actuator and condition, and the experiment that it is of."""
+    with Run.open(path) as run:
+        created, actuator, condition = (
+            str(run.attributes.get(name, "")) for name in ("created", "actuator", "condition")
+        )
+        return created, (actuator, condition), experiment_of(run)
+
+
+def _value(path: Path, result: str, options: Mapping[str, Any]) -> Estimate:
+    """The result of one run."""
+    return analyze_runs([path], **options).find(result)

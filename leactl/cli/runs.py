@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 app = group_of_commands()
 AUTO = "auto"  # in place of a mapping file
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
+PROCESSES = typer.Option(1, "--processes", min=1, help="How many runs are looked at at a time; the answer is the same.")
 
 
 @app.command("list", epilog=examples("runs list", "runs list runs --where hold_s=6 --sort created"))
@@ -77,6 +78,7 @@ def trend(
     settings: list[str] = typer.Option(
         [], "--set", metavar="NAME=NUMBER", help="What the analysis may be told, such as torque_constant=0.49."
     ),
+    processes: int = PROCESSES,
     as_json: bool = AS_JSON,
 ) -> None:
     """Follow a result from run to run, with control limits: has this actuator changed?"""
@@ -89,7 +91,7 @@ def trend(
 
     told = numbers(settings)
     with Steps() as step:
-        found = follow(run_files(runs or [Path("runs")]), result, actuator, condition, baseline, step, **told)
+        found = follow(run_files(runs or [Path("runs")]), result, actuator, condition, baseline, step, processes, **told)
     typer.echo(json.dumps(found.as_json(), allow_nan=False) if as_json else trend_text(found, encoding_of_stdout()))
 
 
@@ -153,19 +155,22 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
 )
 def verify(
     runs: list[Path] = typer.Argument(..., metavar="RUN...", help="Run files, or folders of them."),
+    processes: int = PROCESSES,
     as_json: bool = AS_JSON,
 ) -> None:
     """Check that runs are whole and as they were closed: values, names and attributes."""
+    from leactl.processes import Workers
     from leactl.runfile.catalog import run_files
     from leactl.runfile.integrity import examine
 
     paths = run_files(runs)
     examined = []
-    for path in paths:
-        answer = examine(path)
-        examined.append(answer)
-        if not as_json and not answer.findings:
-            typer.echo(f"{path}: {answer.told}")
+    with Workers(processes) as workers:
+        for done in workers.in_order(examine, [(path,) for path in paths]):
+            answer = done.value()
+            examined.append(answer)
+            if not as_json and not answer.findings:
+                typer.echo(f"{answer.path}: {answer.told}")
     if as_json:
         several = len(runs) > 1 or runs[0].is_dir()
         bodies = [answer.as_json() for answer in examined]

@@ -90,6 +90,19 @@ def test_values_come_in_the_order_of_time_with_their_uncertainty(runs):
     assert max(map(len, shown.splitlines())) <= 80
 
 
+def test_several_processes_give_the_same_answers_as_one(runs):
+    chosen = "--actuator", "LEA-1", "--condition", "design", "--json"
+    (runs / "spoilt.h5").write_bytes(next(runs.glob("*.h5")).read_bytes()[:5000])
+    try:
+        for words in (("verify", runs), ("verify", runs, "--json")):
+            alone, together = leactl("runs", *words), leactl("runs", *words, "--processes", 2)
+            assert (together.returncode, together.stdout, together.stderr) == (2, alone.stdout, alone.stderr)
+    finally:
+        (runs / "spoilt.h5").unlink()
+    alone, together = followed(runs, *chosen), followed(runs, *chosen, "--processes", 2)
+    assert (together.returncode, together.stdout) == (0, alone.stdout)
+
+
 def test_an_option_that_no_analysis_takes_is_refused(runs):
     done = followed(runs, "--actuator", "LEA-2", "--set", "torque_constnat=0.5")
     assert done.returncode == 2
