@@ -8,12 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from leactl import yamlfile
 from leactl.analysis.estimate import Covariance, Estimate, Grid, Plot, Result
 from leactl.analysis.quality.gate import doubts_of
 from leactl.analysis.registry import GENERIC, Experiment, load, names
 from leactl.errors import InputError
 from leactl.runfile import integrity
+from leactl.runfile.catalog import asked_in
 from leactl.runfile.reader import Run
 
 __all__ = ["GENERIC", "Experiment", "analyze_runs", "names"]
@@ -57,19 +57,6 @@ def experiment_of(run: Run) -> str:
     asked = asked_in(run.source("protocol") or "")
     protocol = str(run.attributes.get("protocol", ""))
     return asked or (protocol if is_known(protocol) else GENERIC)
-
-
-def asked_in(protocol: str) -> str:
-    """`analysis` of a protocol's text; empty where it has none.
-
-    A text that cannot be read counts as none, since the run may come from elsewhere.
-    """
-    try:
-        data = yamlfile.parse(protocol).data
-    except InputError:
-        return ""
-    named = data.get("analysis") if isinstance(data, dict) else None
-    return named if isinstance(named, str) else ""
 
 
 def analyze_runs(paths: Sequence[Path | str], experiment: str = "", **options: Any) -> Result:

@@ -17,9 +17,22 @@ app = group_of_commands()
 AUTO = "auto"  # in place of a mapping file
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 PROCESSES = typer.Option(1, "--processes", min=1, help="How many runs are looked at at a time; the answer is the same.")
+INDEX = typer.Option(None, "--index", metavar="FILE", help="The index; by default .leactl-index.sqlite in the folder.")
 
 
-@app.command("list", epilog=examples("runs list", "runs list runs --where hold_s=6 --sort created"))
+def remark(line: str) -> None:
+    """Say what a person should know beside the answer."""
+    typer.echo(f"leactl: {line}", err=True)
+
+
+@app.command(
+    "list",
+    epilog=examples(
+        "runs list",
+        "runs list runs --where hold_s=6 --sort created",
+        "runs list runs --where \"experiment == 'friction' and 'paper' in tags\"",
+    ),
+)
 def list_runs(
     directory: Path = typer.Argument(Path("runs")),
     protocol: str = typer.Option("", help="Only runs of this protocol."),
@@ -29,18 +42,21 @@ def list_runs(
     since: str = typer.Option("", metavar="DATE", help="Only from this day (UTC) or moment on."),
     until: str = typer.Option("", metavar="DATE", help="Only up to this day, which counts, or moment."),
     where: list[str] = typer.Option(
-        [], metavar="NAME=VALUE", help="Only where a parameter, or seed or bench, had this value."
+        [],
+        metavar="EXPRESSION",
+        help="Only where this holds, such as \"condition == 'loaded' and hold_s >= 6\", or hold_s=6 for short.",
     ),
     sort: str = typer.Option("file", metavar="KEY", help="file, created, duration, status, protocol or a parameter."),
     reverse: bool = typer.Option(False, "--reverse", help="The last one first."),
+    index: Path | None = INDEX,
     as_json: bool = AS_JSON,
 ) -> None:
     """List the runs of a directory, oldest first, with the parameters that differ among those of a protocol."""
     from leactl.report.run_list import run_list
-    from leactl.runfile.catalog import list_runs as catalog
+    from leactl.runfile.run_index import list_runs as summaries
     from leactl.runfile.selection import ordered, selection_of
 
-    every = catalog(directory)
+    every = summaries(directory, index, remark)
     asked = selection_of(
         every,
         protocol=protocol,
@@ -59,9 +75,56 @@ def list_runs(
     else:
         typer.echo(run_list(shown, every, {*asked.where, sort}), nl=False)
     if lost:
-        typer.echo(f"leactl: {lost} of {len(every)} files cannot be read and are left out", err=True)
+        remark(f"{lost} of {len(every)} files cannot be read and are left out")
     if every and not shown:
-        typer.echo(f"leactl: none of {len(every)} runs in {directory} is what was asked for", err=True)
+        remark(f"none of {len(every)} runs in {directory} is what was asked for")
+
+
+@app.command("index", epilog=examples("runs index runs", "runs index archive --index archive.sqlite --processes 2"))
+def index_runs(
+    directory: Path = typer.Argument(Path("runs")),
+    index: Path | None = INDEX,
+    processes: int = PROCESSES,
+    as_json: bool = AS_JSON,
+) -> None:
+    """Make the index of a directory or bring it up to date: only files that are new or changed are opened."""
+    from leactl.report.run_list import run_list
+    from leactl.report.steps import Steps
+    from leactl.runfile.run_index import update
+
+    with Steps() as step:
+        path, catalogue = update(directory, index, remark, processes, step)
+    faulty = [run for run in catalogue.runs if run.fault]
+    if as_json:
+        body = {"index": str(path), "files": len(catalogue.rows), "read": catalogue.read, "gone": catalogue.gone}
+        unreadable = [{"file": run.file, "fault": run.fault} for run in faulty]
+        typer.echo(json.dumps(body | {"unreadable": unreadable}))
+        return
+    counts = f"{catalogue.read} read, {catalogue.gone} gone, {len(faulty)} unreadable"
+    typer.echo(f"{path}: {len(catalogue.rows)} files, {counts}")
+    typer.echo(run_list(faulty, faulty, ()), nl=False)
+
+
+@app.command(
+    "tag",
+    epilog=examples("runs tag RUN.h5 paper", "runs tag RUN.h5 paper --remove", "runs list --where \"'paper' in tags\""),
+)
+def tag_runs(
+    runs: list[Path] = typer.Argument(..., metavar="RUN...", help="Run files, or folders of them."),
+    tag: str = typer.Argument(..., metavar="TAG", help="A word such as paper."),
+    remove: bool = typer.Option(False, "--remove", help="Take the tag from the runs."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Tag runs with a word to find them by; it stands in tags.json beside them, and the run files stay as they are."""
+    from leactl.runfile.catalog import run_files
+    from leactl.runfile.tags import change_tags
+
+    tagged = change_tags(run_files(runs), tag, remove)
+    if as_json:
+        typer.echo(json.dumps({"runs": [{"run": str(run.path), "tags": list(run.tags)} for run in tagged]}))
+        return
+    for run in tagged:
+        typer.echo(f"{run.path}: {', '.join(run.tags) or 'no tags'}")
 
 
 @app.command(
@@ -91,7 +154,8 @@ def trend(
 
     told = numbers(settings)
     with Steps() as step:
-        found = follow(run_files(runs or [Path("runs")]), result, actuator, condition, baseline, step, processes, **told)
+        paths = run_files(runs or [Path("runs")])
+        found = follow(paths, result, actuator, condition, baseline, step, processes, **told)
     typer.echo(json.dumps(found.as_json(), allow_nan=False) if as_json else trend_text(found, encoding_of_stdout()))
 
 

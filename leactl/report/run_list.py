@@ -6,8 +6,8 @@ import textwrap
 from collections.abc import Collection, Sequence
 from typing import Any
 
-from leactl.runfile.catalog import Summary
 from leactl.runfile.selection import differing
+from leactl.runfile.summary import Summary
 
 WIDEST_NAME = 50  # characters; `20261120T101530Z-torque-sensor-calibration-7f3a.h5` has 50
 INDENT = "    "
@@ -22,23 +22,24 @@ def run_list(shown: Sequence[Summary], every: Sequence[Summary], named: Collecti
     named : parameters that are shown in any case.
     """
     columns = shutil.get_terminal_size((80, 24)).columns if sys.stdout.isatty() else 0
-    width = min(max((len(run.path.name) for run in shown), default=0), WIDEST_NAME)
+    width = min(max((len(run.file) for run in shown), default=0), WIDEST_NAME)
     varied = differing(every)
     lines = []
     for run in shown:
         if run.fault:
-            lines += _fitted(f"{run.path.name:<{width}}", f"unreadable: {run.fault}", columns)
+            lines += _fitted(f"{run.file:<{width}}", f"unreadable: {run.fault}", columns)
             continue
         wanted = {name for name in run.parameters if name in named or (run.protocol, name) in varied}
-        protocol = "" if run.protocol in run.path.name else run.protocol
+        protocol = "" if run.protocol in run.file else run.protocol
         told = [
             protocol,
             run.actuator,
             run.condition,
             *([f"seed={run.seed}"] if "seed" in named and run.seed is not None else []),
             *(f"{name}={_text(run.parameters[name])}" for name in sorted(wanted)),
+            *([f"tags={','.join(run.tags)}"] if run.tags else []),
         ]
-        head = f"{run.path.name:<{width}}  {run.status:<9} {_time(run.duration):>8}"
+        head = f"{run.file:<{width}}  {run.status:<9} {_time(run.duration):>8}"
         lines += _fitted(head, "  ".join(filter(None, told)), columns)
     return "".join(f"{line}\n" for line in lines)
 

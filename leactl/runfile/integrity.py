@@ -20,6 +20,7 @@ from leactl.runfile.publish import new_file, refuse_existing, replacement
 from leactl.runfile.reader import Run
 from leactl.runfile.repack import repack, text_bytes, write_table
 from leactl.runfile.space import reserve, trim
+from leactl.runfile.summary import RECORDING, STATUSES
 
 WHOLE = "values, names and attributes"
 
@@ -109,10 +110,10 @@ def altered_parts(file: Any) -> list[str]:
 def unfinished(file: Any, live: bool) -> list[str]:
     """Whether the recording came to its orderly end."""
     status = layout.plain(file.attrs.get("status", ""))
-    if live or status == layout.RECORDING:
+    if live or status == RECORDING:
         return ["incomplete recording: still being written or left by a kill; run: leactl runs recover"]
-    if status and status not in layout.STATUSES:
-        return [f"status {status!r} is none of {', '.join(layout.STATUSES)}"]
+    if status and status not in STATUSES:
+        return [f"status {status!r} is none of {', '.join(STATUSES)}"]
     return []
 
 
@@ -168,7 +169,7 @@ def recover(path: Path) -> Path:
     with file, reading(path):
         streams = file.get("streams", {})
         uneven = faults_of_streams(streams, unfinished=False)
-        if not (live or uneven or layout.plain(file.attrs.get("status", "")) == layout.RECORDING):
+        if not (live or uneven or layout.plain(file.attrs.get("status", "")) == RECORDING):
             raise InputError(f"{path}: the recording ended in order; there is nothing to recover")
         if faults := faults_of_streams(streams, unfinished=True):
             raise InputError([f"{path}: {fault}" for fault in faults])

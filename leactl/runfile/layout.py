@@ -18,9 +18,6 @@ VERSION: Final = 1
 # the file format of HDF5 1.10, the oldest with SWMR: under "latest" h5py 3.16 writes a data layout that no library
 # before HDF5 2.0 reads (h5dump 1.10 and 1.14, MATLAB, h5py below 3.16)
 HDF5_FORMAT: Final = ("v110", "v110")
-RECORDING: Final = "recording"
-CLOSED_STATUSES: Final = ("complete", "stopped", "tripped", "failed")
-STATUSES: Final = (RECORDING, *CLOSED_STATUSES, "recovered")
 
 ROOT_ATTRIBUTES: Final = (
     "format",

@@ -19,6 +19,7 @@ from leactl.quantities import ChannelSpec
 from leactl.runfile import layout, seal
 from leactl.runfile.checks import faults_of_streams, faults_of_table, whole_rows
 from leactl.runfile.opening import open_run_file, reading
+from leactl.runfile.summary import RECORDING
 from leactl.yamlfile import shown
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ class Run:
         self.path = path
         self.attributes = layout.attributes(file)
         self.setup = layout.attributes(file["setup"]) if "setup" in file else {}
-        self.unfinished = live or self.status == layout.RECORDING
+        self.unfinished = live or self.status == RECORDING
         self._file = file
         self._streams = file.get("streams", {})
         self.condemned: dict[str, str] = {}  # by `stream/name`: why whoever reads the channel is refused

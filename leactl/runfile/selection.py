@@ -1,14 +1,15 @@
 """Choose and order runs of a list by what they are of, when they were made and what they were run with."""
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, date, datetime, timedelta
+from datetime import datetime
 from typing import Any
 
 from leactl import yamlfile
 from leactl.errors import InputError
-from leactl.runfile import layout
-from leactl.runfile.catalog import Summary
+from leactl.runfile.expression import Test, moment_of, span_of, test_of
+from leactl.runfile.summary import STATUSES, Summary
 
 KEYS = ("file", "created", "duration", "status", "protocol", "actuator", "condition", "bench", "operator")
 ATTRIBUTES = (*KEYS, "run_id", "seed")  # of a run, where no parameter has the name
@@ -25,6 +26,7 @@ class Selection:
     since: datetime | None = None
     until: datetime | None = None  # not included
     where: Mapping[str, Sequence[Any]] = field(default_factory=dict)  # of parameters and attributes, what will do
+    tests: Sequence[Test] = ()  # expressions, all of which a run has to pass
 
     @property
     def empty(self) -> bool:
@@ -37,14 +39,13 @@ class Selection:
             getattr(self, name) in ("", getattr(run, name)) for name in ("protocol", "actuator", "condition", "status")
         )
         values = all(_value(run, name) in wanted for name, wanted in self.where.items())
-        return not run.fault and texts and values and self._in_time(run.created)
+        known = not run.fault and texts and values and self._in_time(run.created)
+        return known and all(test(run) for test in self.tests)
 
     def _in_time(self, created: str) -> bool:
         if self.since is None and self.until is None:
             return True
-        try:
-            moment = _utc(datetime.fromisoformat(created))
-        except ValueError:
+        if (moment := moment_of(created)) is None:
             return False
         return (self.since is None or moment >= self.since) and (self.until is None or moment < self.until)
 
@@ -67,14 +68,19 @@ def selection_of(
     InputError : one line for each word that no run could fit.
     """
     faults: list[str] = []
-    if status and status not in layout.STATUSES:
-        faults.append(f"--status {status}: one of {', '.join(layout.STATUSES)} was expected")
+    if status and status not in STATUSES:
+        faults.append(f"--status {status}: one of {', '.join(STATUSES)} was expected")
     asked: dict[str, Sequence[Any]] = {}
-    known = [*sorted({name for run in runs for name in run.parameters} - {*ATTRIBUTES}), *ATTRIBUTES]
+    tests: list[Test] = []
+    parameters = parameters_of(runs)
+    known = [*sorted(parameters - {*ATTRIBUTES}), *ATTRIBUTES]
     for word in where:
-        name, equals, text = word.partition("=")
-        if not (name and equals):
-            faults.append(f"--where {word}: NAME=VALUE was expected")
+        name, _, text = word.partition("=")
+        if not is_pair(word):
+            try:
+                tests.append(test_of(word, parameters))
+            except InputError as fault:
+                faults += fault.faults
         elif name not in known:
             faults.append(f"--where {word}: no run has a parameter '{name}'; known: {', '.join(known)}")
         else:
@@ -82,7 +88,18 @@ def selection_of(
     first, last = _moment("--since", since, 0, faults), _moment("--until", until, 1, faults)
     if faults:
         raise InputError(faults)
-    return Selection(protocol, actuator, condition, status, first, last, asked)
+    return Selection(protocol, actuator, condition, status, first, last, asked, tuple(tests))
+
+
+def is_pair(word: str) -> bool:
+    """Whether a word is NAME=VALUE, the short form of NAME == VALUE for a name that needs no quotes."""
+    name, equals, text = word.partition("=")
+    return bool(name and equals) and not text.startswith("=") and not re.search(r"[!<>()'\"\s]", name)
+
+
+def parameters_of(runs: Iterable[Summary]) -> set[str]:
+    """Names of the parameters that any run has."""
+    return {name for _, parameters in _alike(runs) for name in parameters}
 
 
 def ordered(runs: Iterable[Summary], key: str) -> list[Summary]:
@@ -104,12 +121,17 @@ def ordered(runs: Iterable[Summary], key: str) -> list[Summary]:
 def differing(runs: Iterable[Summary]) -> set[tuple[str, str]]:
     """Protocols with those of their parameters that are not the same in all their runs."""
     seen: dict[tuple[str, str], list[Any]] = {}
-    for run in runs:
-        for name, value in run.parameters.items():
-            values = seen.setdefault((run.protocol, name), [])
+    for protocol, parameters in _alike(runs):
+        for name, value in parameters.items():
+            values = seen.setdefault((protocol, name), [])
             if value not in values[:2]:  # two tell that it differs
                 values.append(value)
     return {key for key, values in seen.items() if len(values) > 1}
+
+
+def _alike(runs: Iterable[Summary]) -> Iterable[tuple[str, Mapping[str, Any]]]:
+    """Protocols with parameters, once for all runs that share the mapping, as those of an index do."""
+    return {(run.protocol, id(run.parameters)): (run.protocol, run.parameters) for run in runs}.values()
 
 
 def _value(run: Summary, name: str) -> Any:
@@ -135,19 +157,12 @@ def _values(word: str, text: str, faults: list[str]) -> Sequence[Any]:
     return (value, *value) if len(value) == 1 else (value,)
 
 
-def _moment(option: str, text: str, days_more: int, faults: list[str]) -> datetime | None:
-    """The moment that a date or a date with a time stands for."""
+def _moment(option: str, text: str, end: int, faults: list[str]) -> datetime | None:
+    """The moment that a date or a date with a time stands for; with `end` 1 the first after it."""
     if not text:
         return None
     try:
-        if len(text) == len("2026-01-31"):
-            day = date.fromisoformat(text) + timedelta(days=days_more)
-            return datetime(day.year, day.month, day.day, tzinfo=UTC)
-        return _utc(datetime.fromisoformat(text))
-    except (ValueError, OverflowError):
+        return span_of(text)[end]
+    except ValueError:
         faults.append(f"{option} {text}: a date as 2026-01-31 or 2026-01-31T13:00 was expected")
         return None
-
-
-def _utc(moment: datetime) -> datetime:
-    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)

@@ -27,6 +27,7 @@ from leactl.runfile.description import RunInfo, faults_of, new_run_id
 from leactl.runfile.publish import NotWritten, move_without_overwriting, refuse_existing, replacement
 from leactl.runfile.repack import as_text, one_line, repack, text_bytes
 from leactl.runfile.space import reserve, trim
+from leactl.runfile.summary import CLOSED_STATUSES, RECORDING
 
 __all__ = ["RecordingFailed", "RunInfo", "RunWriter", "new_run_id"]
 
@@ -123,8 +124,8 @@ class RunWriter:
 
     def close(self, status: str, reason: str = "") -> None:
         """Write what is left, repack compressed with checksums, and replace the live file in one step."""
-        if status not in layout.CLOSED_STATUSES:
-            raise ValueError(f"status {status!r} is none of {', '.join(layout.CLOSED_STATUSES)}")
+        if status not in CLOSED_STATUSES:
+            raise ValueError(f"status {status!r} is none of {', '.join(CLOSED_STATUSES)}")
         with self._disk:
             if self._fault:
                 raise self._ended()
@@ -316,7 +317,7 @@ def root_value(name: str, info: RunInfo) -> Any:
     start: dict[str, Any] = {
         "format": layout.FORMAT,
         "format_version": layout.VERSION,
-        "status": layout.RECORDING,
+        "status": RECORDING,
         "status_reason": "",
         "simulated": int(info.simulated),
     }

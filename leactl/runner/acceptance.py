@@ -29,7 +29,8 @@ def check_analysis(plan: Plan, name: str) -> None:
     ------
     InputError : one line a fault with file, line and column.
     """
-    from leactl.analysis.analyze import asked_in, is_known, names, results_of
+    from leactl.analysis.analyze import is_known, names, results_of
+    from leactl.runfile.catalog import asked_in
 
     asked = asked_in(plan.text)
     limits = {n: limit for n, limit in enumerate(plan.acceptance) if isinstance(limit, Acceptance)}

@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 
 from leactl.quantities import ChannelSpec
-from leactl.runfile.catalog import list_runs
+from leactl.runfile.run_index import list_runs
 from leactl.runfile.writer import RunWriter
 from tests.benchmarks.rounds import compare
 from tests.benchmarks.test_recording import CHANNELS

@@ -12,9 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leactl.quantities import ChannelSpec
-from leactl.runfile.catalog import Summary, run_files
+from leactl.runfile.catalog import run_files
 from leactl.runfile.description import RunInfo
 from leactl.runfile.selection import ordered, selection_of
+from leactl.runfile.summary import Summary
 from leactl.runfile.writer import RunWriter
 
 from .terminal import COMMAND, leactl
@@ -87,6 +88,10 @@ def names(sweep, *words):
         (["--where", "status=stopped"], ["0005"]),
         (["--where", "protocol=coast-down", "--where", "bench=emulated", "--where", "duration=540"], ["0006"]),
         (["--where", "file=copy.h5"], ["copy"]),
+        (["--where", "hold_s >= 7.5 and experiment == 'friction' and condition == 'loaded'"], ["0004", "0005"]),
+        (["--where", "hold_s > 7", "--where", "status != 'stopped'", "--where", "hold_s < 10"], ["0003", "0004"]),
+        (["--where", "created == '2026-11-14' or like(file, 'copy*')"], ["0004", "copy"]),
+        (["--where", "direction is not None and rows == 2 and duration > 60"], ["0006"]),
         (["--since", "2026-11-14", "--until", "2026-11-15"], ["0004", "0005"]),
         (["--since", "2026-11-14T10:00", "--until", "2026-11-15T11:00+01:00"], ["0004"]),
         (["--sort", "hold_s", "--condition", "design"], ["0001", "0006", "copy", "0003", "0002"]),
@@ -138,7 +143,11 @@ def test_rows_fit_a_terminal_of_80_columns(sweep):
     ("words", "message"),
     [
         (["--where", "hold=6"], "--where hold=6: no run has a parameter 'hold'; known: direction, hold_s, label"),
-        (["--where", "hold_s"], "--where hold_s: NAME=VALUE was expected"),
+        (["--where", "hold_s"], "--where hold_s: hold_s stands where one of comparisons of names with values"),
+        (
+            ["--where", "hold_s > 7 and conditon == 'x'"],
+            "conditon == 'x': no run has 'conditon'; did you mean 'condition'",
+        ),
         (["--status", "done"], "--status done: one of recording, complete, stopped"),
         (["--since", "yesterday"], "--since yesterday: a date as 2026-01-31 or 2026-01-31T13:00 was expected"),
         (["--until", "2026-02-30"], "--until 2026-02-30: a date as"),
@@ -167,7 +176,7 @@ moments = st.datetimes(datetime(2000, 1, 1), datetime(2100, 1, 1), timezones=st.
 
 @given(created=moments, day=st.dates(datetime(2000, 1, 2).date(), datetime(2099, 1, 1).date()))
 def test_days_are_whole_and_of_utc(created, day):
-    run = Summary(None, 0, created=created.isoformat())
+    run = Summary(None, "", 0, created=created.isoformat())
     assert selection_of([run], since=str(day)).fits(run) == (created.date() >= day)
     assert selection_of([run], until=str(day)).fits(run) == (created.date() <= day)
 
@@ -179,7 +188,9 @@ values = (
 
 @given(st.lists(values, min_size=1))
 def test_any_parameter_gives_an_order_with_its_lack_last(given_values):
-    runs = [Summary(None, place, parameters={"p": v} if v is not None else {}) for place, v in enumerate(given_values)]
+    runs = [
+        Summary(None, "", place, parameters={"p": v} if v is not None else {}) for place, v in enumerate(given_values)
+    ]
     if all(v is None for v in given_values):
         return
     order = ordered(runs, "p")

@@ -16,9 +16,9 @@ import h5py
 import yaml
 
 from leactl.bench import benchfile
-from leactl.runfile import layout
 from leactl.runfile.integrity import recover, verify
 from leactl.runfile.reader import Run
+from leactl.runfile.summary import RECORDING
 from tests.cli.terminal import COMMAND
 from tests.driver.transports import ROOT, can_place
 from tests.kills import stuck
@@ -217,7 +217,7 @@ def is_closed(folder: Path) -> bool:
     """Whether a run's file is finished; HDF5 opens none for reading alone that is still written."""
     for path in folder.glob("*.h5"):
         with suppress(OSError), h5py.File(path, "r") as file:
-            return bool(file.attrs["status"] != layout.RECORDING)
+            return bool(file.attrs["status"] != RECORDING)
     return False
 
 

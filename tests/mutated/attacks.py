@@ -14,6 +14,7 @@ import numpy as np
 
 from leactl.runfile import layout
 from leactl.runfile.heaps import HEAD, HEADER, OBJECT
+from leactl.runfile.summary import RECORDING
 from tests.runfile.specimen import unseal
 
 OF_SCALES = ("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST")  # HDF5's own
@@ -413,7 +414,7 @@ def attack(title, base, path, outside, sealed=False, unfinished=False):
                 del dataset.attrs["sha256"]
         act(file, outside)
         if unfinished:
-            file.attrs["status"] = layout.RECORDING
+            file.attrs["status"] = RECORDING
     if patch := getattr(act, "patch", None):
         patch(path)
     return path

@@ -14,6 +14,7 @@ import h5py
 import pytest
 
 from leactl.runfile import layout
+from leactl.runfile.summary import RECORDING
 from tests.analysis.short_runs import short_run
 from tests.mutated.child import MOST_MB, outcome
 from tests.mutated.run_mutations import OF_BYTES, OF_TREE
@@ -60,7 +61,7 @@ def as_of_other_makers(rng, file):
     for _, dataset in list(layout.datasets(file)):
         del dataset.attrs["sha256"]
     if rng.random() < 0.25:
-        file.attrs["status"] = layout.RECORDING
+        file.attrs["status"] = RECORDING
 
 
 def spoiled_bytes(rng, number, sound, path):

@@ -9,7 +9,6 @@ import pytest
 
 from leactl.errors import InputError
 from leactl.runfile import layout, opening, tree
-from leactl.runfile.catalog import list_runs
 from leactl.runfile.heaps import HEAD, MOST_BYTES, longest_text
 from leactl.runfile.integrity import altered, recover, verify
 from leactl.runfile.live import (
@@ -23,6 +22,7 @@ from leactl.runfile.live import (
 )
 from leactl.runfile.packing import DEFLATE_AT_MOST, chunks, unpacked
 from leactl.runfile.reader import Run
+from leactl.runfile.run_index import list_runs
 from leactl.runfile.writer import RunWriter
 from tests.cli.terminal import leactl
 from tests.mutated.child import outcome

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from leactl.errors import InputError
-from leactl.runfile.catalog import list_runs
 from leactl.runfile.integrity import annotate, recover, verify
 from leactl.runfile.reader import Run
+from leactl.runfile.run_index import list_runs
 from leactl.runfile.writer import RunWriter
 
 from .specimen import STREAMS, info

@@ -1,0 +1,53 @@
+"""What a list knows of a run: plain values, without HDF5, so that they can be kept, sent and asked about."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+RECORDING: Final = "recording"
+CLOSED_STATUSES: Final = ("complete", "stopped", "tripped", "failed")
+STATUSES: Final = (RECORDING, *CLOSED_STATUSES, "recovered")
+
+
+class Summary(NamedTuple):
+    """One run of a folder; where `fault` is not empty, only `folder`, `file` and `size` are known."""
+
+    folder: Path
+    file: str  # its name in the folder
+    size: int  # bytes
+    run_id: str = ""
+    protocol: str = ""
+    experiment: str = ""  # what its protocol asks to be analysed as, else the protocol's name
+    actuator: str = ""
+    condition: str = ""
+    bench: str = ""
+    operator: str = ""
+    mechanical: str = ""
+    simulated: int = 0  # 1 where the bench was emulated
+    software: str = ""
+    status: str = ""
+    status_reason: str = ""
+    created: str = ""
+    seed: int | None = None  # of an emulated bench, where the file has it
+    duration: float = 0.0  # s, up to the last stamp of any stream
+    rows: int = 0  # of its longest stream
+    fault: str = ""
+    parameters: Mapping[str, Any] = {}  # of the protocol, with the values that were used
+    tags: tuple[str, ...] = ()
+
+    @property
+    def path(self) -> Path:
+        """The run file."""
+        return self.folder / self.file
+
+    def as_json(self) -> dict[str, Any]:
+        """Everything that is known of it."""
+        known = self._asdict()
+        del known["folder"]
+        changed = {"parameters": dict(self.parameters), "tags": list(self.tags)}
+        return {"path": str(self.path)} | known | changed
+
+
+def is_run_name(name: str) -> bool:
+    """Whether a file is taken for a run by its name."""
+    return name.endswith((".h5", ".h5.partial")) and not name.startswith(".")
