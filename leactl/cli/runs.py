@@ -107,7 +107,7 @@ def index_runs(
 
 @app.command(
     "tag",
-    epilog=examples("runs tag RUN.h5 paper", "runs tag RUN.h5 paper --remove", "runs list --where \"'paper' in tags\""),
+    epilog=examples("runs tag RUN.h5 paper", "runs tag runs paper --remove"),
 )
 def tag_runs(
     runs: list[Path] = typer.Argument(..., metavar="RUN...", help="Run files, or folders of them."),
