@@ -2,9 +2,9 @@
 
 import inspect
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from leactl.analysis.estimate import Covariance, Estimate, Grid, Plot, Result
 from leactl.analysis.quality.gate import doubts_of
 from leactl.analysis.registry import GENERIC, Experiment, load, names
 from leactl.errors import InputError
+from leactl.processes import Workers
 from leactl.runfile import integrity
 from leactl.runfile.catalog import asked_in
 from leactl.runfile.reader import Run
@@ -59,6 +60,45 @@ def experiment_of(run: Run) -> str:
     return asked or (protocol if is_known(protocol) else GENERIC)
 
 
+@dataclass(frozen=True)
+class Vetted:
+    """What has to be known of a run before it is analysed together with others."""
+
+    path: Path
+    identity: str  # of two files that are the same run
+    group: tuple[str, str]  # its actuator and its condition
+    experiment: str
+    altered: list[str]  # what is not as it was at its close
+    unread: list[str]  # why its channels cannot be looked at
+    doubts: list[str]
+    condemned: dict[str, str]  # as of `Run.condemned`
+    remarks: list[str]
+
+
+Groups = Sequence[Sequence[Vetted]]  # runs of one actuator under one condition each
+Answers = Callable[[Experiment, Groups, dict[str, Any]], Iterator[Result]]
+
+
+def vet(run: Run, experiment: str) -> Vetted:
+    """Look at a run by itself.
+
+    Parameters
+    ----------
+    experiment : what it is analysed as; what it asks for itself by default.
+    """
+    doubts: list[str] = []
+    unread: list[str] = []
+    altered = integrity.altered(run.path)
+    if not altered:
+        try:
+            doubts = doubts_of(run)
+        except InputError as fault:  # which is the fault of all that it is analysed with
+            unread = fault.faults
+    group = str(run.attributes.get("actuator", "")), str(run.attributes.get("condition", ""))
+    asked = experiment or experiment_of(run)
+    return Vetted(run.path, identity_of(run), group, asked, altered, unread, doubts, run.condemned, remarks_on(run))
+
+
 def analyze_runs(paths: Sequence[Path | str], experiment: str = "", **options: Any) -> Result:
     """Analyse runs of one experiment: one set of results for each actuator and condition, repeats combined.
 
@@ -73,38 +113,62 @@ def analyze_runs(paths: Sequence[Path | str], experiment: str = "", **options: A
         twice, or cannot answer.
     """
     with ExitStack() as opened:
-        runs = [opened.enter_context(Run.open(path)) for path in paths]
-        if not runs:
-            raise InputError("no run to analyse; give one run file or more")
-        refuse_repeated(runs)
-        refuse_altered(runs)
-        doubts = [note for run in runs for note in doubts_of(run)]
-        asked = {run.path: experiment or experiment_of(run) for run in runs}
-        first = asked[runs[0].path]
-        for run in runs[1:]:
-            if asked[run.path] != first:
-                raise InputError(
-                    f"{run.path}: its analysis is '{asked[run.path]}', that of {runs[0].path} is '{first}'; "
-                    "give runs of one experiment"
-                )
-        analysis = analysis_of(first, str(runs[0].path))
-        given = {name: value for name, value in options.items() if value is not None}
-        refuse_unknown(analysis, given)
-        groups: dict[tuple[str, str], list[Run]] = {}
-        for run in runs:
-            key = str(run.attributes.get("actuator", "")), str(run.attributes.get("condition", ""))
-            groups.setdefault(key, []).append(run)
-        with opened_by(doubts):
-            answers = {key: analysis.answer(members, **given) for key, members in groups.items()}
-        return combined(first, runs, answers, doubts)
+        runs = {run.path: run for run in [opened.enter_context(Run.open(path)) for path in paths]}
+
+        def answers(
+            analysis: Experiment, groups: Sequence[Sequence[Vetted]], given: dict[str, Any]
+        ) -> Iterator[Result]:
+            yield from (analysis.answer([runs[one.path] for one in members], **given) for members in groups)
+
+        return analyzed([vet(runs[Path(path)], experiment) for path in paths], answers, options)
 
 
-def analyze_each(paths: Sequence[Path], experiment: str = "", **options: Any) -> tuple[list[Result], list[str]]:
+def analyzed(vetted: Sequence[Vetted], answers: Answers, options: Mapping[str, Any]) -> Result:
+    """The answer of runs that were looked at one by one.
+
+    Parameters
+    ----------
+    answers : gives that of each group of runs.
+
+    Raises
+    ------
+    InputError : as of `analyze_runs`.
+    """
+    if not vetted:
+        raise InputError("no run to analyse; give one run file or more")
+    refuse_the_same((one.identity, one.path) for one in vetted)
+    integrity.refuse_findings([finding for one in vetted for finding in one.altered])
+    if unread := next((one.unread for one in vetted if one.unread), []):
+        raise InputError(unread)
+    first = vetted[0]
+    for one in vetted:
+        if one.experiment != first.experiment:
+            raise InputError(
+                f"{one.path}: its analysis is '{one.experiment}', that of {first.path} is '{first.experiment}'; "
+                "give runs of one experiment"
+            )
+    analysis = analysis_of(first.experiment, str(first.path))
+    given = {name: value for name, value in options.items() if value is not None}
+    refuse_unknown(analysis, given)
+    groups: dict[tuple[str, str], list[Vetted]] = {}
+    for one in vetted:
+        groups.setdefault(one.group, []).append(one)
+    doubts = [note for one in vetted for note in one.doubts]
+    with opened_by(doubts):
+        found = dict(zip(groups, answers(analysis, list(groups.values()), given), strict=True))
+    return combined(first.experiment, vetted, found, doubts)
+
+
+def analyze_each(
+    paths: Sequence[Path], experiment: str = "", processes: int = 1, **options: Any
+) -> tuple[list[Result], list[str]]:
     """Analyse runs experiment by experiment, in the order in which each first appears.
 
     Parameters
     ----------
     experiment, options : as of `analyze_runs`; of several experiments each gets the options that it takes.
+    processes : how many look at runs, and then answer for actuators and conditions, at a time; the answer does not
+        depend on it.
 
     Returns
     -------
@@ -114,24 +178,50 @@ def analyze_each(paths: Sequence[Path], experiment: str = "", **options: Any) ->
     ------
     InputError : the runs are of one experiment, which cannot be analysed, or an option that none of several takes.
     """
-    groups, faults = by_experiment(paths, experiment)
-    if faults and not groups:  # and so nothing that an option could be for
-        return [], faults
-    if len(groups) == 1 and not faults:
-        return [analyze_runs(paths, experiment, **options)], []
-    given = {name: value for name, value in options.items() if value is not None}
-    results: list[Result] = []
-    taken: set[str] = set()
-    for name, members in groups.items():
-        try:
-            own = {key: given[key] for key in options_of(analysis_of(name, str(members[0]))) if key in given}
-            taken |= own.keys()
-            results.append(analyze_runs(members, name, **own))
-        except InputError as fault:
-            faults += fault.faults
-    if untaken := [key for key in given if key not in taken]:
-        raise InputError([f"--set {key}: none of {', '.join(groups)} takes it" for key in untaken])
-    return results, faults
+    with Workers(processes) as workers:
+        experiments: dict[str, list[Vetted]] = {}
+        faults: list[str] = []
+        for done in workers.in_order(_vetted, [(path, experiment) for path in paths]):
+            faults += done.faults
+            if not done.faults:
+                experiments.setdefault(done.value().experiment, []).append(done.value())
+
+        def answers(
+            analysis: Experiment, groups: Sequence[Sequence[Vetted]], given: dict[str, Any]
+        ) -> Iterator[Result]:
+            jobs = [(analysis.name, [(one.path, one.condemned) for one in members], given) for members in groups]
+            yield from (done.value() for done in workers.in_order(_answer, jobs))
+
+        if faults and not experiments:  # and so nothing that an option could be for
+            return [], faults
+        if len(experiments) == 1 and not faults:
+            return [analyzed(members, answers, options) for members in experiments.values()], []
+        given = {name: value for name, value in options.items() if value is not None}
+        results: list[Result] = []
+        taken: set[str] = set()
+        for name, members in experiments.items():
+            try:
+                own = {key: given[key] for key in options_of(analysis_of(name, str(members[0].path))) if key in given}
+                taken |= own.keys()
+                results.append(analyzed(members, answers, own))
+            except InputError as fault:
+                faults += fault.faults
+        if untaken := [key for key in given if key not in taken]:
+            raise InputError([f"--set {key}: none of {', '.join(experiments)} takes it" for key in untaken])
+        return results, faults
+
+
+def _vetted(path: Path, experiment: str) -> Vetted:
+    with Run.open(path) as run:
+        return vet(run, experiment)
+
+
+def _answer(experiment: str, members: Sequence[tuple[Path, dict[str, str]]], given: dict[str, Any]) -> Result:
+    with ExitStack() as opened:
+        runs = [opened.enter_context(Run.open(path)) for path, _ in members]
+        for run, (_, condemned) in zip(runs, members, strict=True):
+            run.condemned = condemned
+        return load(experiment).answer(runs, **given)
 
 
 def by_experiment(paths: Sequence[Path], experiment: str = "") -> tuple[dict[str, list[Path]], list[str]]:
@@ -184,14 +274,14 @@ def numbers(settings: Sequence[str], **given: float | None) -> dict[str, float]:
 
 
 def combined(
-    experiment: str, runs: Sequence[Run], answers: dict[tuple[str, str], Result], doubts: Sequence[str] = ()
+    experiment: str, vetted: Sequence[Vetted], answers: dict[tuple[str, str], Result], doubts: Sequence[str] = ()
 ) -> Result:
     """One answer from that of each group, doubts of their channels first; notes say whose they are if of several."""
     results: list[Estimate] = []
     plots: list[Plot] = []
     covariances: list[Covariance] = []
     grids: list[Grid] = []
-    notes = [*doubts, *(note for run in runs for note in remarks_on(run))]
+    notes = [*doubts, *(note for one in vetted for note in one.remarks)]
     shared = set.intersection(*(set(answer.notes) for answer in answers.values()))
     notes += [note for note in next(iter(answers.values())).notes if note in shared]
     for (actuator, condition), answer in answers.items():
@@ -201,7 +291,7 @@ def combined(
         covariances += [replace(item, actuator=actuator, condition=condition) for item in answer.covariances]
         grids += [replace(item, actuator=actuator, condition=condition) for item in answer.grids]
         notes += [whose + note for note in answer.notes if note not in shared]
-    paths = tuple(str(run.path) for run in runs)
+    paths = tuple(str(one.path) for one in vetted)
     return Result(
         experiment, paths, tuple(results), tuple(dict.fromkeys(notes)), tuple(plots), tuple(covariances), tuple(grids)
     )
@@ -218,12 +308,21 @@ def remarks_on(run: Run) -> list[str]:
 
 def refuse_repeated(runs: Sequence[Run]) -> None:
     """Refuse a run that is there twice, under one path or two: it would count as a repeat of itself."""
+    refuse_the_same((identity_of(run), run.path) for run in runs)
+
+
+def refuse_the_same(runs: Iterable[tuple[str, Path]]) -> None:
+    """Refuse files that are the same by what they go by."""
     seen: dict[str, Path] = {}
-    for run in runs:
-        identity = str(run.attributes.get("run_id", "")) or str(run.path.resolve())
+    for identity, path in runs:
         if identity in seen:
-            raise InputError(f"{run.path}: the same run as {seen[identity]}; give each run once")
-        seen[identity] = run.path
+            raise InputError(f"{path}: the same run as {seen[identity]}; give each run once")
+        seen[identity] = path
+
+
+def identity_of(run: Run) -> str:
+    """What tells whether two files are the same run."""
+    return str(run.attributes.get("run_id", "")) or str(run.path.resolve())
 
 
 def refuse_altered(runs: Sequence[Run]) -> None:

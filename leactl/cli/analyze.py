@@ -28,6 +28,9 @@ def analyze(
     torque_constant_std: float | None = typer.Option(
         None, metavar="N*m/A", help="Its standard uncertainty, to be part of those of the results.", callback=finite
     ),
+    processes: int = typer.Option(
+        1, "--processes", min=1, help="How many runs are looked at at a time; the answer is the same."
+    ),
     settings: list[str] = typer.Option(
         [], "--set", metavar="NAME=NUMBER", help="What an analysis may be told, such as camera_gain_std=0.01."
     ),
@@ -42,7 +45,7 @@ def analyze(
     asked = GENERIC if experiment == "generic" else experiment
     folders = [path for path in runs if path.is_dir()]
     files = [file for path in runs for file in (run_files([path]) if path in folders else [path])]
-    results, faults = analyze_each(files, asked, channel=channel or None, **told)
+    results, faults = analyze_each(files, asked, processes, channel=channel or None, **told)
     if faults and not (results and folders):  # of files that were named, all count or none
         raise InputError(faults)
     if as_json and len(results) == 1 and not faults:

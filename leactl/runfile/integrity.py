@@ -98,7 +98,12 @@ def refuse_altered(paths: Iterable[Path]) -> None:
     ------
     InputError : a line for each value, name or attribute that is another one.
     """
-    if findings := [finding for path in paths for finding in altered(path)]:
+    refuse_findings([finding for path in paths for finding in altered(path)])
+
+
+def refuse_findings(findings: Sequence[str]) -> None:
+    """Refuse what `altered` tells of runs."""
+    if findings:
         raise InputError([f"{finding}; nothing is worked out from it" for finding in findings])
 
 

@@ -94,9 +94,11 @@ def test_several_processes_give_the_same_answers_as_one(runs):
     chosen = "--actuator", "LEA-1", "--condition", "design", "--json"
     (runs / "spoilt.h5").write_bytes(next(runs.glob("*.h5")).read_bytes()[:5000])
     try:
-        for words in (("verify", runs), ("verify", runs, "--json")):
-            alone, together = leactl("runs", *words), leactl("runs", *words, "--processes", 2)
+        analyze = "analyze", runs, "--set", "torque_constant=0.49", "--json"
+        for words in (("runs", "verify", runs), ("runs", "verify", runs, "--json"), analyze):
+            alone, together = leactl(*words), leactl(*words, "--processes", 2)
             assert (together.returncode, together.stdout, together.stderr) == (2, alone.stdout, alone.stderr)
+            assert len(together.stdout) > 1000
     finally:
         (runs / "spoilt.h5").unlink()
     alone, together = followed(runs, *chosen), followed(runs, *chosen, "--processes", 2)
