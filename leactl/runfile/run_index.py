@@ -37,6 +37,7 @@ YOUNG_NS: Final = 2 * 10**9
 DIGITS: Final = 64  # of a SHA-256
 BATCH: Final = 32  # runs that are read at a time, some 0.2 s
 TOLD_EVERY: Final = 10 * BATCH
+MANY: Final = 1000  # files, which take some seconds to open
 
 KNOWN: Final = Summary._fields[1:-1]  # all but the folder, which is where the index is asked about, and the tags
 TYPES: Final = {int: "INTEGER", int | None: "INTEGER", float: "REAL"}  # else TEXT
@@ -196,6 +197,8 @@ def list_runs(directory: Path, index: Path | None = None, remark: Tell = silent)
     else:
         catalogue = Catalogue(directory)
         catalogue.refresh()
+        if catalogue.read >= MANY:
+            remark(f"{catalogue.read} files opened; leactl runs index {directory} makes the next list quick")
     return with_tags(directory, catalogue.runs, remark)
 
 

@@ -258,6 +258,13 @@ def test_an_index_takes_the_place_of_no_other_file(folder, tmp_path):
         update(tmp_path / "nowhere")
 
 
+def test_a_list_of_many_files_names_the_index(folder, monkeypatch):
+    monkeypatch.setattr("leactl.runfile.run_index.MANY", 10)
+    remarks = []
+    list_runs(folder, remark=remarks.append)
+    assert remarks == [f"10 files opened; leactl runs index {folder} makes the next list quick"]
+
+
 def test_a_stop_keeps_what_was_read(folder, opened, monkeypatch):
     run = min(folder.glob("2026*.h5"))
     for number in range(2 * BATCH):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from leactl.analysis.analyze import analyze_runs
+from leactl.analysis.analyze import analyze_each, analyze_runs
 from leactl.analysis.anova.values import of_runs
 from leactl.analysis.quality.gate import doubts_of
 from leactl.errors import InputError
@@ -32,6 +32,19 @@ def test_a_current_that_is_not_its_demand_is_no_friction(tmp_path, corruption):
     path = Bench(tmp_path).friction(noise=NOISE)
     with pytest.raises(InputError, match=r"q_axis_current of test \(d\)"):
         analyze_runs([spoiled(path, tmp_path, "q_axis_current", corruption)])
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_run_that_is_looked_at_elsewhere_is_refused_alike(tmp_path, processes):
+    sound = Bench(tmp_path).friction(noise=NOISE)
+    path = spoiled(sound, tmp_path, "q_axis_current", turned)
+    with pytest.raises(InputError) as here:
+        analyze_runs([path])
+    with pytest.raises(InputError) as there:
+        analyze_each([path], processes=processes)
+    assert there.value.faults == here.value.faults
+    (found,), faults = analyze_each([sound], processes=processes)
+    assert (found.as_json(), faults) == (analyze_runs([sound]).as_json(), [])
 
 
 @pytest.mark.parametrize("corruption", [zero, constant])
