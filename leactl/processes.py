@@ -22,6 +22,7 @@ from leactl.errors import InputError, LeactlError
 Job = tuple[Any, ...]
 Progress = Callable[[str], None]
 Value = TypeVar("Value")
+FEWEST_JOBS = 2  # for which a worker is started
 
 
 @dataclass(frozen=True)
@@ -44,21 +45,18 @@ class Done(Generic[Value]):
 
 
 class Workers:
-    """Processes that do jobs while the block lasts; with one process the jobs are done in this one.
+    """Processes that do jobs while the block lasts; one process is this one, which needs no block.
 
     Raises
     ------
     LeactlError : a worker was ended from outside.
     """
 
-    def __init__(self, processes: int) -> None:
+    def __init__(self, processes: int = 1) -> None:
         self._processes = processes
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> Self:
-        if self._processes > 1:
-            # fresh interpreters: a fork would carry the threads of libraries along
-            self._pool = ProcessPoolExecutor(self._processes, get_context("spawn"), _prepare)
         return self
 
     def __exit__(
@@ -68,31 +66,37 @@ class Workers:
             self._pool.shutdown(wait=True, cancel_futures=True)
 
     def in_order(self, work: Callable[..., Value], jobs: Sequence[Job]) -> Iterator[Done[Value]]:
-        """What comes of each job, in the order of the jobs; in one process each is done when it is asked for."""
-        if self._pool is None:
-            yield from (_tried(work, job) for job in jobs)
+        """What comes of each job, in the order of the jobs; in this process each is done when it is asked for."""
+        if self._are_done_here(jobs):
+            yield from (tried(work, job) for job in jobs)
             return
         with _named_where_a_worker_ends():
-            for future in self._submitted(self._pool, work, jobs):
+            for future in self._submitted(work, jobs):
                 yield future.result()
 
     def as_done(self, work: Callable[..., Value], jobs: Sequence[Job]) -> Iterator[Done[Value]]:
         """What comes of each job, as soon as it is there."""
-        if self._pool is None:
-            yield from (_tried(work, job) for job in jobs)
+        if self._are_done_here(jobs):
+            yield from (tried(work, job) for job in jobs)
             return
         with _named_where_a_worker_ends():
-            for future in as_completed(self._submitted(self._pool, work, jobs)):
+            for future in as_completed(self._submitted(work, jobs)):
                 yield future.result()
 
-    @staticmethod
-    def _submitted(
-        pool: ProcessPoolExecutor, work: Callable[..., Value], jobs: Sequence[Job]
-    ) -> list[Future[Done[Value]]]:
-        return [pool.submit(_tried, work, job) for job in jobs]
+    def _are_done_here(self, jobs: Sequence[Job]) -> bool:
+        return self._processes == 1 or (self._pool is None and len(jobs) < FEWEST_JOBS)
+
+    def _submitted(self, work: Callable[..., Value], jobs: Sequence[Job]) -> list[Future[Done[Value]]]:
+        if self._pool is None:
+            # fresh interpreters: a fork would carry the threads of libraries along
+            self._pool = ProcessPoolExecutor(self._processes, get_context("spawn"), _prepare)
+        return [self._pool.submit(tried, work, job) for job in jobs]
 
 
-def each(work: Callable[..., None], jobs: Sequence[Job], processes: int, verb: str, progress: Progress) -> None:
+HERE = Workers()
+
+
+def each(work: Callable[..., None], jobs: Sequence[Job], workers: Workers, verb: str, progress: Progress) -> None:
     """Do every job; each writes its own result, so that one that fails or a stop costs no other.
 
     The time that is left is told after each.
@@ -102,16 +106,16 @@ def each(work: Callable[..., None], jobs: Sequence[Job], processes: int, verb: s
     InputError : jobs whose input cannot be used, all of them at the end.
     """
     began, faults = time.monotonic(), []
-    with Workers(processes) as workers:
-        for done, outcome in enumerate(workers.as_done(work, jobs), start=1):
-            faults += outcome.faults
-            left = (time.monotonic() - began) / done * (len(jobs) - done)
-            progress(f"{done} of {len(jobs)} {verb}, about {left / 60:.1f} min left")
+    for count, done in enumerate(workers.as_done(work, jobs), start=1):
+        faults += done.faults
+        left = (time.monotonic() - began) / count * (len(jobs) - count)
+        progress(f"{count} of {len(jobs)} {verb}, about {left / 60:.1f} min left")
     if faults:
         raise InputError(faults)
 
 
-def _tried(work: Callable[..., Value], job: Job) -> Done[Value]:
+def tried(work: Callable[..., Value], job: Job) -> Done[Value]:
+    """Do a job."""
     try:
         return Done(work(*job), [])
     except InputError as error:  # as lines: pickled, an error of several lines would be an error of one

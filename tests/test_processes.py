@@ -51,15 +51,15 @@ def test_results_keep_the_order_of_their_jobs_and_faults_their_lines(processes):
 
 def test_faults_of_all_jobs_come_at_the_end_in_whole_lines():
     told = []
-    with pytest.raises(InputError) as refused:
-        each(told_apart, [("job",), ("bad-1",), ("bad-2",)], 2, "done", told.append)
+    with pytest.raises(InputError) as refused, Workers(2) as workers:
+        each(told_apart, [("job",), ("bad-1",), ("bad-2",)], workers, "done", told.append)
     assert sorted(refused.value.faults) == ["bad-1: first", "bad-1: second", "bad-2: first", "bad-2: second"]
     assert len(told) == 3
 
 
 def test_a_worker_that_is_ended_from_outside_is_told_in_one_line():
     with pytest.raises(LeactlError, match="ended from outside") as told, Workers(2) as workers:
-        list(workers.in_order(killed, [(signal.SIGKILL,)]))
+        list(workers.in_order(killed, [(signal.SIGKILL,)] * 2))
     assert "\n" not in str(told.value)
 
 

@@ -12,7 +12,7 @@ from leactl.analysis.estimate import Covariance, Estimate, Grid, Plot, Result
 from leactl.analysis.quality.gate import doubts_of
 from leactl.analysis.registry import GENERIC, Experiment, load, names
 from leactl.errors import InputError
-from leactl.processes import Workers
+from leactl.processes import HERE, Workers
 from leactl.runfile import integrity
 from leactl.runfile.catalog import asked_in
 from leactl.runfile.reader import Run
@@ -160,15 +160,14 @@ def analyzed(vetted: Sequence[Vetted], answers: Answers, options: Mapping[str, A
 
 
 def analyze_each(
-    paths: Sequence[Path], experiment: str = "", processes: int = 1, **options: Any
+    paths: Sequence[Path], experiment: str = "", workers: Workers = HERE, **options: Any
 ) -> tuple[list[Result], list[str]]:
     """Analyse runs experiment by experiment, in the order in which each first appears.
 
     Parameters
     ----------
     experiment, options : as of `analyze_runs`; of several experiments each gets the options that it takes.
-    processes : how many look at runs, and then answer for actuators and conditions, at a time; the answer does not
-        depend on it.
+    workers : who looks at the runs, and then answers for each actuator and condition; the answer does not depend on it.
 
     Returns
     -------
@@ -178,37 +177,34 @@ def analyze_each(
     ------
     InputError : the runs are of one experiment, which cannot be analysed, or an option that none of several takes.
     """
-    with Workers(processes) as workers:
-        experiments: dict[str, list[Vetted]] = {}
-        faults: list[str] = []
-        for done in workers.in_order(_vetted, [(path, experiment) for path in paths]):
-            faults += done.faults
-            if not done.faults:
-                experiments.setdefault(done.value().experiment, []).append(done.value())
+    experiments: dict[str, list[Vetted]] = {}
+    faults: list[str] = []
+    for done in workers.in_order(_vetted, [(path, experiment) for path in paths]):
+        faults += done.faults
+        if not done.faults:
+            experiments.setdefault(done.value().experiment, []).append(done.value())
 
-        def answers(
-            analysis: Experiment, groups: Sequence[Sequence[Vetted]], given: dict[str, Any]
-        ) -> Iterator[Result]:
-            jobs = [(analysis.name, [(one.path, one.condemned) for one in members], given) for members in groups]
-            yield from (done.value() for done in workers.in_order(_answer, jobs))
+    def answers(analysis: Experiment, groups: Sequence[Sequence[Vetted]], given: dict[str, Any]) -> Iterator[Result]:
+        jobs = [(analysis.name, [(one.path, one.condemned) for one in members], given) for members in groups]
+        yield from (done.value() for done in workers.in_order(_answer, jobs))
 
-        if faults and not experiments:  # and so nothing that an option could be for
-            return [], faults
-        if len(experiments) == 1 and not faults:
-            return [analyzed(members, answers, options) for members in experiments.values()], []
-        given = {name: value for name, value in options.items() if value is not None}
-        results: list[Result] = []
-        taken: set[str] = set()
-        for name, members in experiments.items():
-            try:
-                own = {key: given[key] for key in options_of(analysis_of(name, str(members[0].path))) if key in given}
-                taken |= own.keys()
-                results.append(analyzed(members, answers, own))
-            except InputError as fault:
-                faults += fault.faults
-        if untaken := [key for key in given if key not in taken]:
-            raise InputError([f"--set {key}: none of {', '.join(experiments)} takes it" for key in untaken])
-        return results, faults
+    if faults and not experiments:  # and so nothing that an option could be for
+        return [], faults
+    if len(experiments) == 1 and not faults:
+        return [analyzed(members, answers, options) for members in experiments.values()], []
+    given = {name: value for name, value in options.items() if value is not None}
+    results: list[Result] = []
+    taken: set[str] = set()
+    for name, members in experiments.items():
+        try:
+            own = {key: given[key] for key in options_of(analysis_of(name, str(members[0].path))) if key in given}
+            taken |= own.keys()
+            results.append(analyzed(members, answers, own))
+        except InputError as fault:
+            faults += fault.faults
+    if untaken := [key for key in given if key not in taken]:
+        raise InputError([f"--set {key}: none of {', '.join(experiments)} takes it" for key in untaken])
+    return results, faults
 
 
 def _vetted(path: Path, experiment: str) -> Vetted:

@@ -13,7 +13,7 @@ from leactl.analysis.estimate import Estimate, listed
 from leactl.analysis.registry import load
 from leactl.analysis.statistics.control_chart import ControlChart, control_chart
 from leactl.errors import InputError
-from leactl.processes import Workers
+from leactl.processes import HERE, Workers
 from leactl.runfile.reader import Run
 
 Tell = Callable[[str], None]
@@ -62,7 +62,7 @@ def trend(
     condition: str = "",
     baseline: int | None = None,
     tell: Tell = lambda _: None,
-    processes: int = 1,
+    workers: Workers = HERE,
     **options: Any,
 ) -> Trend:
     """Follow a result from run to run.
@@ -72,16 +72,15 @@ def trend(
     actuator, condition : only runs with this label; there has to be one of each.
     baseline : how many of the first values the limits rest on; by default all.
     tell : is told each run as it is analysed.
-    processes : how many runs are looked at at a time; the answer does not depend on it.
+    workers : who looks at the runs; the answer does not depend on it.
     options : for the analyses, as of `analyze_runs`.
 
     Raises
     ------
     InputError : no run has the result, runs of several actuators or conditions have it, or no analysis takes an option.
     """
-    with Workers(processes) as workers:
-        group, runs = _runs_with(workers, paths, result, (actuator, condition))
-        points, left_out = _points(workers, runs, result, options, tell)
+    group, runs = _runs_with(workers, paths, result, (actuator, condition))
+    points, left_out = _points(workers, runs, result, options, tell)
     chart = control_chart(np.array([point.value.value for point in points]), baseline)
     return Trend(result, points[0].value.units, *group, tuple(points), chart, tuple(left_out))
 

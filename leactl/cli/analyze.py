@@ -31,6 +31,9 @@ def analyze(
     processes: int = typer.Option(
         1, "--processes", min=1, help="How many runs are looked at at a time; the answer is the same."
     ),
+    scheduler: str = typer.Option(
+        "", "--scheduler", metavar="ADDRESS", help="Let the workers of this Dask scheduler do it."
+    ),
     settings: list[str] = typer.Option(
         [], "--set", metavar="NAME=NUMBER", help="What an analysis may be told, such as camera_gain_std=0.01."
     ),
@@ -40,12 +43,14 @@ def analyze(
     from leactl.analysis.estimate import FORMAT, VERSION
     from leactl.errors import InputError
     from leactl.runfile.catalog import run_files
+    from leactl.scheduler import workers_of
 
     told = numbers(settings, torque_constant=torque_constant, torque_constant_std=torque_constant_std)
     asked = GENERIC if experiment == "generic" else experiment
     folders = [path for path in runs if path.is_dir()]
     files = [file for path in runs for file in (run_files([path]) if path in folders else [path])]
-    results, faults = analyze_each(files, asked, processes, channel=channel or None, **told)
+    with workers_of(processes, scheduler) as workers:
+        results, faults = analyze_each(files, asked, workers, channel=channel or None, **told)
     if faults and not (results and folders):  # of files that were named, all count or none
         raise InputError(faults)
     if as_json and len(results) == 1 and not faults:

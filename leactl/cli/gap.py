@@ -254,6 +254,9 @@ def score_blind(
     out: Path | None = typer.Option(None, "--out", help="Write the report, a .md."),
     answers: list[Path] = typer.Option([], "--answers", help="Folder of answers; by default CASES-answers."),
     processes: int = typer.Option(1, "--processes", min=1, help="How many cases are diagnosed at a time."),
+    scheduler: str = typer.Option(
+        "", "--scheduler", metavar="ADDRESS", help="Let the workers of this Dask scheduler do it."
+    ),
     as_json: bool = AS_JSON,
 ) -> None:
     """Diagnose every case, then open the key and say how often the diagnosis was right; a stop keeps what is done."""
@@ -265,6 +268,7 @@ def score_blind(
     from leactl.report.blind import markdown
     from leactl.report.steps import Steps
     from leactl.runfile.publish import new_file, refuse_existing
+    from leactl.scheduler import workers_of
 
     if out is not None:
         refuse_existing(out)
@@ -273,8 +277,8 @@ def score_blind(
     sets = Cases.side_by_side(cases, key, answers)
     if out in [part.answers for part in sets]:
         raise InputError(f"--out {out}: is the folder that the answers go to; the name of a file was expected")
-    with Steps() as step:
-        marks = check(sets, read_key, processes, step)
+    with Steps() as step, workers_of(processes, scheduler) as workers:
+        marks = check(sets, read_key, workers, step)
     found = score(marks)
     options = " ".join(f"--cases {part.runs.name} --key {part.key.name}" for part in sets)
     command = f"leactl gap blind score {options}"

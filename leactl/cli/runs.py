@@ -17,6 +17,7 @@ app = group_of_commands()
 AUTO = "auto"  # in place of a mapping file
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 PROCESSES = typer.Option(1, "--processes", min=1, help="How many runs are looked at at a time; the answer is the same.")
+SCHEDULER = typer.Option("", "--scheduler", metavar="ADDRESS", help="Let the workers of this Dask scheduler do it.")
 INDEX = typer.Option(None, "--index", metavar="FILE", help="The index; by default .leactl-index.sqlite in the folder.")
 
 
@@ -88,12 +89,13 @@ def index_runs(
     as_json: bool = AS_JSON,
 ) -> None:
     """Make the index of a directory or bring it up to date: only files that are new or changed are opened."""
+    from leactl.processes import Workers
     from leactl.report.run_list import run_list
     from leactl.report.steps import Steps
     from leactl.runfile.run_index import update
 
-    with Steps() as step:
-        path, catalogue = update(directory, index, remark, processes, step)
+    with Steps() as step, Workers(processes) as workers:
+        path, catalogue = update(directory, index, remark, workers, step)
     faulty = [run for run in catalogue.runs if run.fault]
     if as_json:
         body = {"index": str(path), "files": len(catalogue.rows), "read": catalogue.read, "gone": catalogue.gone}
@@ -142,6 +144,7 @@ def trend(
         [], "--set", metavar="NAME=NUMBER", help="What the analysis may be told, such as torque_constant=0.49."
     ),
     processes: int = PROCESSES,
+    scheduler: str = SCHEDULER,
     as_json: bool = AS_JSON,
 ) -> None:
     """Follow a result from run to run, with control limits: has this actuator changed?"""
@@ -151,11 +154,12 @@ def trend(
     from leactl.report.terminal import encoding_of_stdout
     from leactl.report.trend import trend_text
     from leactl.runfile.catalog import run_files
+    from leactl.scheduler import workers_of
 
     told = numbers(settings)
-    with Steps() as step:
+    with Steps() as step, workers_of(processes, scheduler) as workers:
         paths = run_files(runs or [Path("runs")])
-        found = follow(paths, result, actuator, condition, baseline, step, processes, **told)
+        found = follow(paths, result, actuator, condition, baseline, step, workers, **told)
     typer.echo(json.dumps(found.as_json(), allow_nan=False) if as_json else trend_text(found, encoding_of_stdout()))
 
 
@@ -220,16 +224,17 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
 def verify(
     runs: list[Path] = typer.Argument(..., metavar="RUN...", help="Run files, or folders of them."),
     processes: int = PROCESSES,
+    scheduler: str = SCHEDULER,
     as_json: bool = AS_JSON,
 ) -> None:
     """Check that runs are whole and as they were closed: values, names and attributes."""
-    from leactl.processes import Workers
     from leactl.runfile.catalog import run_files
     from leactl.runfile.integrity import examine
+    from leactl.scheduler import workers_of
 
     paths = run_files(runs)
     examined = []
-    with Workers(processes) as workers:
+    with workers_of(processes, scheduler) as workers:
         for done in workers.in_order(examine, [(path,) for path in paths]):
             answer = done.value()
             examined.append(answer)

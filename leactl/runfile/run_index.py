@@ -19,7 +19,7 @@ from secrets import token_hex
 from typing import Any, Final, NamedTuple, get_type_hints
 
 from leactl.errors import InputError
-from leactl.processes import Workers
+from leactl.processes import HERE, Workers
 from leactl.regular import open_regular
 from leactl.runfile.publish import NotWritten, replacement
 from leactl.runfile.summary import RECORDING, Summary, is_run_name
@@ -91,7 +91,7 @@ class Catalogue:
         """The runs, oldest first as their names sort."""
         return [row.run for row in self.rows.values()]
 
-    def refresh(self, processes: int = 1, tell: Tell = silent) -> None:
+    def refresh(self, workers: Workers = HERE, tell: Tell = silent) -> None:
         """Open the files that are new or not what they were, and forget those that are gone.
 
         Where a stop ends it, what was read until then stays.
@@ -112,14 +112,13 @@ class Catalogue:
         batches = [due[at : at + BATCH] for at in range(0, len(due), BATCH)]
         jobs = [(self.directory, batch) for batch in batches]
         try:
-            with Workers(processes if len(batches) > 1 else 1) as workers:
-                for done in workers.in_order(_summaries, jobs):
-                    for run in done.value():
-                        stamp = stamps[run.file] if settled(run, stamps[run.file], began) else UNSETTLED
-                        self.rows[run.file] = Indexed(stamp, run)
-                        self.read += 1
-                    if self.read % TOLD_EVERY == 0:
-                        tell(f"{self.read} of {len(due)} files read")
+            for done in workers.in_order(_summaries, jobs):
+                for run in done.value():
+                    stamp = stamps[run.file] if settled(run, stamps[run.file], began) else UNSETTLED
+                    self.rows[run.file] = Indexed(stamp, run)
+                    self.read += 1
+                if self.read % TOLD_EVERY == 0:
+                    tell(f"{self.read} of {len(due)} files read")
         finally:
             self.rows = {name: self.rows[name] for name in stamps if name in self.rows}
             self.changed = self.changed or self.rows != known
@@ -203,14 +202,14 @@ def list_runs(directory: Path, index: Path | None = None, remark: Tell = silent)
 
 
 def update(
-    directory: Path, index: Path | None = None, remark: Tell = silent, processes: int = 1, tell: Tell = silent
+    directory: Path, index: Path | None = None, remark: Tell = silent, workers: Workers = HERE, tell: Tell = silent
 ) -> tuple[Path, Catalogue]:
     """Make the index of a folder, or bring it up to date; a stop keeps what was read until then.
 
     Parameters
     ----------
     index, remark : as of `list_runs`.
-    processes : how many read runs at a time.
+    workers : who reads the runs.
     tell : is told how many runs are read.
 
     Returns
@@ -228,7 +227,7 @@ def update(
         if not catalogue.rows:  # minutes of reading may follow
             save(catalogue, path)
         try:
-            catalogue.refresh(processes, tell)
+            catalogue.refresh(workers, tell)
         finally:
             if catalogue.changed:
                 save(catalogue, path)

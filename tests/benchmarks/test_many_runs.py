@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from leactl import run_protocol
+from leactl.processes import Workers
 from leactl.quantities import ChannelSpec
 from leactl.runfile.description import RunInfo
 from leactl.runfile.run_index import NAME, list_runs, update
@@ -77,7 +78,8 @@ def test_ten_thousand_runs_are_indexed_and_asked(tmp_path, figure):
     small_runs(tmp_path, RUNS)
     cores = os.cpu_count() or 1
     began, cpu_began = time.monotonic(), all_cpu_s()
-    _, catalogue = update(tmp_path, processes=cores)
+    with Workers(cores) as workers:
+        _, catalogue = update(tmp_path, workers=workers)
     wall, cpu = time.monotonic() - began, all_cpu_s() - cpu_began
     assert (catalogue.read, len(catalogue.runs)) == (RUNS, RUNS)
     runs = list_runs(tmp_path, remark=pytest.fail)

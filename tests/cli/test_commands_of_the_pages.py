@@ -42,6 +42,7 @@ ELSEWHERE = {
     "driver replay": ("tests/runner/test_wire_traces.py", '"driver", "replay"'),
     "bench recording": ("tests/driver/test_elmo_serial_wire.py", '"bench", "recording"'),
     "runs trend torque_constant": ("tests/analysis/test_trend.py", '"runs", "trend"'),
+    "runs verify runs --scheduler": ("tests/test_scheduler.py", '"--scheduler", address'),
     "runs import": ("tests/runfile/test_import_faults.py", '"runs", "import"'),
     "runs attach": ("tests/runfile/test_attach.py", '"attach"'),
     "analyze runs/*efficiency": ("tests/analysis/test_efficiency.py", "efficiency"),

@@ -20,6 +20,7 @@ from leactl.gap.blind import check as checking
 from leactl.gap.blind.marks import Departure, Mark, mark
 from leactl.gap.blind.score import Share, calibration, score
 from leactl.gap.blind.truth import Truth
+from leactl.processes import HERE
 from tests.gap.emulated_cases import emulated_cases
 
 
@@ -71,7 +72,7 @@ def test_what_is_answered_is_not_done_again(cases, scored, monkeypatch):
     monkeypatch.setattr("leactl.gap.blind.answers.diagnose", again)
     monkeypatch.setattr("leactl.gap.blind.check.measure", again)
     entries = json.loads((cases / "key" / "key.json").read_text())
-    marks = checking.check([sets_of(cases)], lambda *_: entries, 1, lambda _: None)
+    marks = checking.check([sets_of(cases)], lambda *_: entries, HERE, lambda _: None)
     assert [m.first for m in marks] == [entries["cases"][m.name]["effects"][0] for m in marks]
 
 
@@ -106,7 +107,7 @@ def test_a_key_is_opened_after_the_last_answer_only(tmp_path, monkeypatch):
         return {"cases": {}}
 
     with pytest.raises(InputError, match="no such case"):
-        checking.check([sets_of(tmp_path)], read_key, 1, lambda _: None)
+        checking.check([sets_of(tmp_path)], read_key, HERE, lambda _: None)
     assert order == ["case-1", "case-2", "key"]
 
 
@@ -123,7 +124,7 @@ def test_a_case_that_cannot_be_read_is_told_after_all_others(tmp_path, monkeypat
 
     monkeypatch.setattr("leactl.gap.blind.answers.answer", answer)
     with pytest.raises(InputError, match="case-1: broken"):
-        checking.check([checking.Cases(tmp_path, tmp_path, tmp_path / "a")], lambda *_: {}, 1, lambda _: None)
+        checking.check([checking.Cases(tmp_path, tmp_path, tmp_path / "a")], lambda *_: {}, HERE, lambda _: None)
     assert done == ["case-2", "case-3"]
 
 
@@ -135,12 +136,13 @@ def half_a_second(out):
 STOPPED = """
 import sys
 from pathlib import Path
-from leactl.processes import each
+from leactl.processes import Workers, each
 from tests.gap.test_blind_score import half_a_second
 
 if __name__ == "__main__":
     jobs = [(Path(sys.argv[1]) / str(number),) for number in range(400)]
-    each(half_a_second, jobs, 2, "done", lambda step: print(step, flush=True))
+    with Workers(2) as workers:
+        each(half_a_second, jobs, workers, "done", lambda step: print(step, flush=True))
 """
 
 
@@ -166,7 +168,7 @@ def test_a_stop_keeps_what_is_done_and_ends_soon(tmp_path):
 
 def test_a_folder_without_cases_is_an_error(tmp_path):
     with pytest.raises(InputError, match="no case in it"):
-        checking.check([checking.Cases(tmp_path, tmp_path, tmp_path / "a")], lambda *_: {}, 1, lambda _: None)
+        checking.check([checking.Cases(tmp_path, tmp_path, tmp_path / "a")], lambda *_: {}, HERE, lambda _: None)
 
 
 def answer_of(*causes, verdict="effect", where=(), shrinkage=(), parameters=()):

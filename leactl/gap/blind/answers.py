@@ -7,7 +7,7 @@ from typing import Any
 
 from leactl.errors import InputError
 from leactl.gap.diagnose import diagnose, read_case
-from leactl.processes import Progress, each
+from leactl.processes import Progress, Workers, each
 from leactl.runfile.publish import replacement
 
 MODEL = "nominal.yaml"
@@ -26,7 +26,7 @@ def case_names(cases: Path) -> list[str]:
     return names
 
 
-def answer_all(cases: Path, answers: Path, processes: int, progress: Progress) -> list[str]:
+def answer_all(cases: Path, answers: Path, workers: Workers, progress: Progress) -> list[str]:
     """Diagnose the cases that have no answer yet; gives the names of all.
 
     The last run of every kind is held out, as `leactl gap diagnose` does where nobody names one.
@@ -38,7 +38,7 @@ def answer_all(cases: Path, answers: Path, processes: int, progress: Progress) -
     names = case_names(cases)
     answers.mkdir(parents=True, exist_ok=True)
     jobs = [(cases / name, answers / f"{name}.json") for name in names if not (answers / f"{name}.json").exists()]
-    each(answer, jobs, processes, "diagnosed", progress)
+    each(answer, jobs, workers, "diagnosed", progress)
     return names
 
 

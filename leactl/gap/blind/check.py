@@ -9,7 +9,7 @@ from leactl.errors import InputError
 from leactl.gap.blind.answers import answer_all, case_names, read
 from leactl.gap.blind.marks import Mark, mark
 from leactl.gap.blind.truth import Truth, measure
-from leactl.processes import Progress, each
+from leactl.processes import Progress, Workers, each
 
 OpenKey = Callable[[], Mapping[str, Any]]
 ReadKey = Callable[[Path, Path], Mapping[str, Any]]
@@ -41,7 +41,7 @@ class Cases:
         return [cls(*folders) for folders in zip(runs, keys, beside, strict=True)]
 
 
-def check(sets: Sequence[Cases], read_key: ReadKey, processes: int, progress: Progress) -> list[Mark]:
+def check(sets: Sequence[Cases], read_key: ReadKey, workers: Workers, progress: Progress) -> list[Mark]:
     """Diagnose every case of every set, and only then open the keys and mark the answers.
 
     Parameters
@@ -53,15 +53,15 @@ def check(sets: Sequence[Cases], read_key: ReadKey, processes: int, progress: Pr
     InputError : cases that cannot be diagnosed, or a key that is not theirs.
     """
     for part in sets:
-        answer_all(part.runs, part.answers, processes, progress)
+        answer_all(part.runs, part.answers, workers, progress)
     marks: list[Mark] = []
     for part in sets:
         prefix = f"{part.runs.name}/" if len(sets) > 1 else ""
-        marks += marks_of(part, prefix, read_key(part.key, part.runs)["cases"], processes, progress)
+        marks += marks_of(part, prefix, read_key(part.key, part.runs)["cases"], workers, progress)
     return marks
 
 
-def marks_of(part: Cases, prefix: str, entries: Mapping[str, Any], processes: int, progress: Progress) -> list[Mark]:
+def marks_of(part: Cases, prefix: str, entries: Mapping[str, Any], workers: Workers, progress: Progress) -> list[Mark]:
     """Mark the answers of one set against the entries of its key."""
     names = case_names(part.runs)
     missing = [f"{part.runs / name}: the key has no such case" for name in names if name not in entries]
@@ -71,6 +71,6 @@ def marks_of(part: Cases, prefix: str, entries: Mapping[str, Any], processes: in
     told.mkdir(exist_ok=True)
     left = [name for name in names if not (told / f"{name}.json").exists()]
     jobs = [(part.runs / name, entries[name], told / f"{name}.json") for name in left]
-    each(measure, jobs, processes, "told the truth", progress)
+    each(measure, jobs, workers, "told the truth", progress)
     given, measured = read(part.answers, names), read(told, names)
     return [mark(f"{prefix}{name}", Truth.of(entries[name]), given[name], measured[name]) for name in names]

@@ -7,6 +7,7 @@ from leactl.analysis.analyze import analyze_each, analyze_runs
 from leactl.analysis.anova.values import of_runs
 from leactl.analysis.quality.gate import doubts_of
 from leactl.errors import InputError
+from leactl.processes import Workers
 from leactl.runfile.reader import Run
 from tests.analysis.control_runs import step_run
 from tests.analysis.corrupted import constant, frozen, rewritten, thousandfold, turned, zero
@@ -36,15 +37,17 @@ def test_a_current_that_is_not_its_demand_is_no_friction(tmp_path, corruption):
 
 @pytest.mark.parametrize("processes", [1, 2])
 def test_a_run_that_is_looked_at_elsewhere_is_refused_alike(tmp_path, processes):
-    sound = Bench(tmp_path).friction(noise=NOISE)
+    bench = Bench(tmp_path)
+    sound, other = bench.friction(noise=NOISE), bench.friction(noise=NOISE)
     path = spoiled(sound, tmp_path, "q_axis_current", turned)
-    with pytest.raises(InputError) as here:
-        analyze_runs([path])
-    with pytest.raises(InputError) as there:
-        analyze_each([path], processes=processes)
+    with pytest.raises(InputError, match=r"q_axis_current of test \(d\)") as here:
+        analyze_runs([path, other])
+    with Workers(processes) as workers:
+        with pytest.raises(InputError) as there:
+            analyze_each([path, other], workers=workers)
+        (found,), faults = analyze_each([sound, other], workers=workers)
     assert there.value.faults == here.value.faults
-    (found,), faults = analyze_each([sound], processes=processes)
-    assert (found.as_json(), faults) == (analyze_runs([sound]).as_json(), [])
+    assert (found.as_json(), faults) == (analyze_runs([sound, other]).as_json(), [])
 
 
 @pytest.mark.parametrize("corruption", [zero, constant])

@@ -1,0 +1,137 @@
+"""Jobs by a Dask scheduler and two workers, all of them processes: the same answers, also where a worker is lost."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from leactl import run_protocol
+from leactl.errors import InputError, LeactlError
+from leactl.processes import Workers
+from leactl.scheduler import ScheduledWorkers
+from tests.cli.terminal import COMMAND, leactl
+from tests.test_processes import NAMES, told_apart
+
+pytestmark = pytest.mark.long  # half a minute
+DASK = [sys.executable, "-m", "dask"]
+
+
+def started(words, told):
+    """A process of Dask, once it has told what is waited for, and what that is."""
+    environment = os.environ | {"PYTHONPATH": str(Path.cwd()), "OPENBLAS_NUM_THREADS": "1"}
+    process = subprocess.Popen([*DASK, *words], stderr=subprocess.PIPE, text=True, env=environment)
+    assert process.stderr is not None
+    for line in process.stderr:
+        if found := re.search(told, line):
+            return process, found[1]
+    raise AssertionError(f"{words}: ended with {process.wait()}")
+
+
+@pytest.fixture
+def cluster():
+    """The address of a scheduler with as many workers as are asked for, and their processes."""
+    with ExitStack() as stack:
+
+        def begin(*words, told):
+            process, found = started(words, told)
+            stack.enter_context(process)
+            stack.callback(process.kill)
+            return process, found
+
+        def make(workers, *options):
+            here = "--host", "127.0.0.1", "--no-dashboard"
+            _, address = begin("scheduler", *here, "--port", "0", told=r"Scheduler at:\s+(tcp://\S+)")
+            given = options or ("--nthreads", "1")
+            words = "worker", address, "--no-nanny", "--no-dashboard", *given
+            return address, [begin(*words, told=r"Registered to:\s+(tcp://\S+)")[0] for _ in range(workers)]
+
+        yield make
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("LEACTL_STATE", str(folder / "state"))
+        for seed in range(1, 7):
+            settings = {"trials": 1, "hold_s": 2, "settle_s": 1, "seed": seed}
+            run_protocol("friction", settings=settings, condition="design", out=folder / "runs")
+    return folder / "runs"
+
+
+def ends_its_worker_once(name, folder):
+    try:
+        (folder / "ended").touch(exist_ok=False)
+    except FileExistsError:
+        return name
+    os.kill(os.getpid(), signal.SIGKILL)
+    raise AssertionError
+
+
+def ends_its_worker(name):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_results_keep_their_order_and_a_lost_worker_costs_none(cluster, tmp_path):
+    address, processes = cluster(2)
+    with ScheduledWorkers(address) as workers:
+        found = list(workers.in_order(told_apart, [(name,) for name in NAMES]))
+        lost = list(workers.in_order(ends_its_worker_once, [(name, tmp_path) for name in NAMES]))
+        done = list(workers.as_done(ends_its_worker_once, [(name, tmp_path) for name in NAMES]))
+    with Workers() as workers:
+        here = list(workers.in_order(told_apart, [(name,) for name in NAMES]))
+    assert [one.faults for one in found] == [one.faults for one in here]
+    assert [one.value()[0] for one in found if not one.faults] == [one.value()[0] for one in here if not one.faults]
+    assert [one.value() for one in lost] == NAMES
+    assert sorted(one.value() for one in done) == sorted(NAMES)
+    assert sorted(process.poll() is None for process in processes) == [False, True]
+
+
+def test_commands_answer_alike_while_a_worker_is_lost(cluster, runs, monkeypatch):
+    address, (first, _) = cluster(2)
+    monkeypatch.chdir(runs.parent)  # paths are those of the command's folder
+    trend = "runs", "trend", "coulomb_friction", runs.name, "--set", "torque_constant=0.49", "--json"
+    for words in (("runs", "verify", runs.name), ("analyze", runs.name, "--set", "torque_constant=0.49", "--json")):
+        alone, there = leactl(*words), leactl(*words, "--scheduler", address)
+        assert (there.returncode, there.stdout) == (0, alone.stdout)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([*COMMAND, *trend, "--scheduler", address], **pipes) as process:
+        process.stderr.readline()  # the first run is waited for
+        first.kill()
+        answer, _ = process.communicate(timeout=120)
+    assert (process.returncode, answer) == (0, leactl(*trend).stdout)
+
+
+def test_what_cannot_do_the_work_is_told_in_one_line(cluster, runs):
+    verify = "runs", "verify", runs
+    done = leactl(*verify, "--scheduler", "tcp://127.0.0.1:9")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "--scheduler tcp://127.0.0.1:9: cannot be reached: " in done.stderr
+    for address in ("nonsense://x:1", "localhost", "tcp://:5", "tcp://a b:5", "tcp://localhost"):
+        done = leactl(*verify, "--scheduler", address)
+        assert done.stderr.endswith(f"--scheduler {address}: an address such as tcp://192.168.0.5:8786 was expected\n")
+    done = leactl(*verify, "--scheduler", "tcp://127.0.0.1:9", "--processes", 2)
+    assert done.stderr.endswith("give one of both\n")
+    address, _ = cluster(0)
+    assert "has no worker; dask worker" in leactl(*verify, "--scheduler", address).stderr
+    address, _ = cluster(1, "--nthreads", "2")
+    done = leactl(*verify, "--scheduler", address)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "2 threads; --nthreads 1 was expected" in done.stderr
+
+
+def test_a_job_that_ends_every_worker_is_told(cluster):
+    address, _ = cluster(4)
+    with pytest.raises(LeactlError, match="has ended one worker after the other"), ScheduledWorkers(address) as workers:
+        list(workers.in_order(ends_its_worker, [("job",)]))
+
+
+def test_without_dask_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(InputError, match=r"pip install 'leactl\[dask\]'"), ScheduledWorkers("tcp://127.0.0.1:9"):
+        pass
