@@ -40,9 +40,16 @@ TOLD_EVERY: Final = 10 * BATCH
 MANY: Final = 1000  # files, which take some seconds to open
 
 KNOWN: Final = Summary._fields[1:-1]  # all but the folder, which is where the index is asked about, and the tags
-TYPES: Final = {int: "INTEGER", int | None: "INTEGER", float: "REAL"}  # else TEXT
 STAMP: Final = ("mtime_ns", "ctime_ns", "inode")
-
+TYPES: Final = {
+    **{name: {float: "REAL", int: "INTEGER"}.get(kind, "TEXT") for name, kind in get_type_hints(Summary).items()},
+    **dict.fromkeys(("seed", *STAMP), "INTEGER"),
+}
+# SQLite holds any type in any column
+MISTYPED: Final = " OR ".join(
+    f"typeof({name}) NOT IN ('{TYPES[name].lower()}'{', ' + repr('null') if name == 'seed' else ''})"
+    for name in (*KNOWN, *STAMP)
+)
 
 Tell = Callable[[str], None]
 
@@ -98,6 +105,7 @@ class Catalogue:
 
         Parameters
         ----------
+        workers : who opens them.
         tell : is told how many are read.
 
         Raises
@@ -122,7 +130,8 @@ class Catalogue:
         finally:
             self.rows = {name: self.rows[name] for name in stamps if name in self.rows}
             self.changed = self.changed or self.rows != known
-            self.behind = {name: row.run for name, row in known.items()} != {run.file: run for run in self.runs}
+            before, now = ([rows[name].run for name in sorted(rows)] for rows in (known, self.rows))
+            self.behind = self.changed and before != now
 
 
 def settled(run: Summary, stamp: FileStamp, read_ns: int) -> bool:
@@ -301,8 +310,10 @@ def read(path: Path, directory: Path) -> dict[str, Indexed]:
             (digest,) = base.execute("SELECT sha256 FROM digest").fetchone()
             if not isinstance(digest, str) or len(digest) != DIGITS or digest_of(data, digest) != digest:
                 raise Unusable("is damaged")
+            if base.execute(f"SELECT EXISTS (SELECT * FROM runs WHERE {MISTYPED})").fetchone() != (0,):
+                raise Unusable("is damaged")
             return rows_of(base.execute("SELECT * FROM runs"), directory)
-        except (sqlite3.Error, TypeError, ValueError):
+        except (sqlite3.Error, TypeError, ValueError, RecursionError):
             raise Unusable("is damaged") from None
 
 
@@ -313,7 +324,7 @@ def rows_of(records: Iterable[tuple[Any, ...]], directory: Path) -> dict[str, In
     for record in records:
         *known, text, mtime_ns, ctime_ns, inode = record
         if text not in parameters:
-            parameters[text] = json.loads(text)
+            parameters[text] = dict(json.loads(text))
         run = Summary._make([directory, *known, parameters[text], ()])
         if run.fault:
             run = run._replace(fault=f"{run.path}: {run.fault}")
@@ -356,10 +367,8 @@ def record_of(row: Indexed) -> tuple[Any, ...]:
 
 def tables() -> list[str]:
     """How the tables are made."""
-    hints = get_type_hints(Summary)
-    columns = [f"{name} {TYPES.get(hints[name], 'TEXT')}" for name in KNOWN]
-    columns += [f"{name} INTEGER" for name in STAMP]
-    return [f"CREATE TABLE runs ({', '.join(columns)})", "CREATE TABLE digest (sha256 TEXT)"]
+    columns = ", ".join(f"{name} {TYPES[name]}" for name in (*KNOWN, *STAMP))
+    return [f"CREATE TABLE runs ({columns})", "CREATE TABLE digest (sha256 TEXT)"]
 
 
 def digest_of(data: bytes, stored: str) -> str:

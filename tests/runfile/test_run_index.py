@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from leactl.errors import InputError
 from leactl.runfile import catalog
-from leactl.runfile.run_index import BATCH, NAME, YOUNG_NS, list_runs, read, update
+from leactl.runfile.run_index import BATCH, NAME, YOUNG_NS, digest_of, list_runs, read, update
 from leactl.runfile.selection import ordered
 from leactl.runfile.summary import RECORDING, Summary
 from tests.cli.terminal import COMMAND, leactl
@@ -197,6 +197,30 @@ def test_an_index_of_another_make_is_told_and_made_anew(folder, statements, why)
     remarks = []
     assert list_runs(folder, remark=remarks.append) == scanned(folder)
     assert remarks == [f"{folder / NAME}: {why}; made anew from the files"]
+    assert list_runs(folder, remark=pytest.fail) == scanned(folder)
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        f"UPDATE runs SET parameters = '{'[' * 100_000}'",
+        "UPDATE runs SET parameters = NULL",
+        "UPDATE runs SET parameters = '5', created = x'ff', duration = 'long', rows = 'many'",
+        "UPDATE runs SET file = x'ff', fault = 5",
+        "UPDATE runs SET file = NULL",
+        "UPDATE runs SET status = CAST(x'ff' AS TEXT)",
+        "UPDATE runs SET protocol = 'another', size = size + 1",
+    ],
+)
+def test_an_index_that_was_made_to_mislead_is_believed_in_nothing(folder, statement):
+    update(folder)
+    changed(folder, statement)
+    path = folder / NAME
+    with closing(sqlite3.connect(path)) as base:
+        ((digest,),) = base.execute("SELECT sha256 FROM digest").fetchall()
+    data = path.read_bytes()
+    path.write_bytes(data.replace(digest.encode(), digest_of(data, digest).encode()))
+    assert list_runs(folder) == scanned(folder)
     assert list_runs(folder, remark=pytest.fail) == scanned(folder)
 
 
