@@ -130,8 +130,8 @@ class Catalogue:
         finally:
             self.rows = {name: self.rows[name] for name in stamps if name in self.rows}
             self.changed = self.changed or self.rows != known
-            before, now = ([rows[name].run for name in sorted(rows)] for rows in (known, self.rows))
-            self.behind = self.changed and before != now
+            if self.changed:
+                self.behind = {name: row.run for name, row in known.items()} != {run.file: run for run in self.runs}
 
 
 def settled(run: Summary, stamp: FileStamp, read_ns: int) -> bool:
