@@ -1,9 +1,8 @@
 """Tags: words by which people find runs again, in a file beside the runs, whose own files stay as they are.
 
-A tag is no finding about a run, as a note is, and changes often; docs/decisions/0016 says why it is in no run file.
+A tag is no finding about a run, as a note is, and changes often; docs/decisions/0018 says why it is in no run file.
 """
 
-import fcntl
 import json
 import os
 import re
@@ -127,8 +126,13 @@ def read_tags(directory: Path) -> TagFile:
 def held(folder: Path) -> Iterator[None]:
     """Keep other processes from changing the tags of a folder while the block lasts, where it can be locked.
 
-    Some network folders cannot: of two changes at once the later one stays there.
+    Some network folders cannot, nor can systems without POSIX: of two changes at once the later one stays there.
     """
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         with suppress(OSError):
