@@ -7,6 +7,7 @@ scheduler can do anything there.
 
 import logging
 import os
+import platform
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -123,9 +124,7 @@ def _tried_in(directory: Path, work: Callable[..., Value], job: Job) -> Done[Val
     try:
         os.chdir(directory)  # in which the paths of the job begin
     except OSError as fault:
-        raise InputError(
-            f"{directory}: cannot be entered by a worker on {os.uname().nodename}: {fault.strerror}"
-        ) from None
+        raise InputError(f"{directory}: cannot be entered by a worker on {platform.node()}: {fault.strerror}") from None
     return tried(work, job)
 
 

@@ -9,6 +9,8 @@ from leactl.effects.plant import Plant
 from leactl.effects.shapes import rate_limited
 from leactl.model.nominal import Model
 
+ROUNDING = 1e-9
+
 
 class CommandSlewLimit(Effect):
     """A drive that follows no faster than a fixed rate."""
@@ -28,7 +30,10 @@ class CommandSlewLimit(Effect):
         most = form[0] * signals.interval
         ends = rate_limited(signals.command, most, flows)
         moved = np.diff(ends, prepend=ends[0] if flows is None else flows)
-        means = ends - 0.5 * moved * np.minimum(np.abs(moved) / most, 1.0)  # a ramp ends within its interval
+        part = np.minimum(np.abs(moved) / most, 1.0)  # of an interval, that its ramp takes
+        # a step that is done within its interval is no sign of a limit: stamps may be that far off
+        held = part > 1.0 - ROUNDING
+        means = ends - np.where(held | np.append(False, held[:-1]), 0.5 * moved * part, 0.0)
         return {"current_following": {"strength": signals.looped(means) - signals.following}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:

@@ -40,6 +40,7 @@ TIE = 1e-6  # of a gain, by which the unusual one of two effects with the same c
 RIVAL_FORM_ERROR = 0.005  # of a gain, standard deviation of the difference of two forms that are both nearly right
 UNSHOWN = 0.05  # prior odds of a spring whose rest no run comes by against an effect that pulls one way by its nature
 FORM_ERROR = 0.03  # share of what a set explains, in squares, that its own forms may miss; 17 % of the amplitude
+ERROR_ELSEWHERE = 0.01  # the same over variables in which none of it acts
 BEYOND = 2.0  # times the largest size of an effect's definition: a geared servo has half more than benches of one stage
 INTERVAL = 1.96  # standard deviations on either side that hold 95 %
 SHAPE = (0.3, 3.0)  # how much of a shape may be there: the grid's neighbours are that far apart
@@ -304,18 +305,35 @@ class Beside:
         self.normal = evidence.normal()
         self._wider = [*hypothesis, *overtones]
         self._fit = self.normal.fit(self._wider) if overtones else fit
-        self._gone = taken_by_rows(self.normal, self.normal.fit(), fit)
-        self._miss = LOOSE_ERROR if any(library()[name].explains < LOOSE for name, _ in hypothesis) else FORM_ERROR
+        self._gone = {name: self._taken_by(fit, hypothesis, index) for index, (name, _) in enumerate(hypothesis)}
 
     def outlasts_forms(self, candidate: Candidate) -> bool:
         """Whether an effect takes away more, in rows and from priors, than the forms of the set may miss."""
         larger = self.normal.fit([*self._wider, candidate])
         further = by_equation(self.normal, taken_by_rows(self.normal, self._fit, larger))
         total = self._fit.misfit - larger.misfit
-        for equation, gone in by_equation(self.normal, self._gone).items():
-            missed = self._miss * max(gone, 0.0)
-            total -= min(max(further[equation], -missed), missed)
+        for equation, gained in further.items():
+            missed = sum(form_error(name, candidate[0]) * max(gone[equation], 0.0) for name, gone in self._gone.items())
+            total -= min(max(gained, -missed), missed)
         return total > ENTRY**2
+
+    def _taken_by(self, fit: Fit, hypothesis: Sequence[Candidate], index: int) -> dict[str, float]:
+        """What one member of the set takes from each equation beyond the others."""
+        others = [*hypothesis[:index], *hypothesis[index + 1 :]]
+        return by_equation(self.normal, taken_by_rows(self.normal, self.normal.fit(others), fit))
+
+
+def form_error(effect: str, other: str) -> float:
+    """Share of what an effect explains, in squares, that its form may miss where another effect would explain it.
+
+    A form is wrong above all over the variables in which its effect acts. A wave over the angle is wrong by its
+    overtones, and what is no wave by none.
+    """
+    if library()[effect].explains < LOOSE:
+        return LOOSE_ERROR
+    one, two = (set(effect_definition(name).acts_over) for name in (effect, other))
+    waves = {library()[name].orders[1] > 0 for name in (effect, other)}
+    return FORM_ERROR if one & two and len(waves) == 1 else ERROR_ELSEWHERE
 
 
 def overtones_of(hypothesis: Sequence[Candidate]) -> list[Candidate]:
@@ -395,8 +413,10 @@ def refined(evidence: Evidence, others: list[Candidate], name: str, form: Form, 
     ratios : of neighbours on the grid of each of these numbers; a step is a third of them, on a logarithmic scale, then
         a third of that, until neighbours explain the runs alike.
     """
-    for part in FINER:
-        for _ in range(MOVES):
+    # a share of another shape would lead away from the whole one, which is found by its share
+    scaled = library()[name].shaped and library()[name].whole(form, 0.5) != form
+    for part in FINER[:2] if scaled else FINER:
+        for _ in range(1 if scaled else MOVES):
             steps = product(*((ratio**-part, 1.0, ratio**part) if ratio > 1.0 else (1.0,) for ratio in ratios))
             tried = [(name, (*map(mul, form, step), *form[len(step) :])) for step in steps]
             evidence.add(tried)
@@ -406,7 +426,7 @@ def refined(evidence: Evidence, others: list[Candidate], name: str, form: Form, 
             if form == before:
                 break
         gains = [item.gain for item in known]
-        if max(gains, default=0.0) - min(gains, default=0.0) < ALIKE:
+        if len(known) == len(tried) and max(gains) - min(gains) < ALIKE:
             break
     return form
 
