@@ -128,6 +128,7 @@ class Effect:
     refined: ClassVar[int] = 1  # and for how many of a form's numbers, the first first
     shaped: ClassVar[bool] = False  # whether its coefficient is the share of a shape that is whole at one
     delays: ClassVar[bool] = False  # whether it is a delay and nothing else, which wrong stamps are too
+    multiplies: ClassVar[bool] = False  # whether what it does to a channel goes with parameters that are calibrated
     explains: ClassVar[float] = 0.82  # share of what it does to the channels it touches that its columns must explain
     periodic: ClassVar[str] = ""  # the place whose column repeats over the angle, where orders are searched for
     orders: ClassVar[tuple[int, int]] = (0, 0)  # of a wave over the angle, first number of its form; that are tried

@@ -149,8 +149,15 @@ def both(record: Record, s: Signals) -> Equation | None:
     acceleration = slope(measured, s.interval)
     load_drive = constant * smooth(load_current)
     inertia = (model.rotor_inertia or 0.0) * acceleration
-    damping = (model.viscous_damping or 0.0) * measured
-    friction = (model.coulomb_friction or 0.0) * smooth(sharp_senses(middle(load_velocity), noise_of(load_velocity)))
+    viscous, coulomb = (
+        of_load if of_load is not None else of_rotor or 0.0
+        for of_load, of_rotor in (
+            (model.load.viscous_damping, model.viscous_damping),
+            (model.load.coulomb_friction, model.coulomb_friction),
+        )
+    )
+    damping = viscous * measured
+    friction = coulomb * smooth(sharp_senses(middle(load_velocity), noise_of(load_velocity)))
     resisted = sum(c for name, c in calibration.items() if name != "torque_constant")
     left = drive + load_drive - resisted - inertia - damping - friction
     calibration = dict(calibration)

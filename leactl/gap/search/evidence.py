@@ -165,9 +165,12 @@ class Evidence:
         self.stack = stack(self._rows(), self.priors)
         self.weigh_as_usual()
 
-    def on(self, records: Sequence[Record], hypothesis: Sequence[Candidate]) -> "Evidence":
-        """Evidence of other runs for some effects, with what is known of the model and of sound machines from these."""
-        other = Evidence(records, self.model, only=hypothesis, kept=self.kept, on_time=self.on_time)
+    def on(self, records: Sequence[Record], hypothesis: Sequence[Candidate], model: Model | None = None) -> "Evidence":
+        """Evidence of other runs for some effects, with what is known of the model and of sound machines from these.
+
+        model : in the place of this one, where its columns are to be made of other parameters.
+        """
+        other = Evidence(records, model or self.model, only=hypothesis, kept=self.kept, on_time=self.on_time)
         if self.null is not None:
             other.compare_with(self.null)
         other.forms, other.by_form, other.worth_knowing = self.forms, self.by_form, self.worth_knowing
