@@ -8,7 +8,7 @@ not read.
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
@@ -76,6 +76,7 @@ class WireTrace:
         self._depth: dict[str, int] = {}
         self._can_log: Any = None
         self._flushed = -math.inf
+        self.fault = ""  # why lines are missing from here on
         self.now: Callable[[], float] = lambda: 0.0  # the bench's clock, once there is one
         for taken in {path, self.path}:
             refuse_existing(taken)
@@ -93,18 +94,36 @@ class WireTrace:
         return self
 
     def __exit__(self, *_exception: object) -> None:
-        self._files.close()
+        with self._never_in_the_way():
+            self._files.close()
 
     def write(self, owner: str, kind: str, text: str) -> None:
         """Add a line."""
-        now = self.now()
-        self._text.write(f"{now!r} {owner} {kind} {text}\n")  # to the last bit: drivers compare times
-        if now - self._flushed >= FLUSH_S:
-            self._flushed = now
-            self._text.flush()
+        if self.fault:
+            return
+        with self._never_in_the_way():
+            now = self.now()
+            self._text.write(f"{now!r} {owner} {kind} {text}\n")  # to the last bit: drivers compare times
+            if now - self._flushed >= FLUSH_S:
+                self._flushed = now
+                self._text.flush()
 
     def frame(self, owner: str, kind: str, message: "can.Message") -> None:
         """Add a CAN frame."""
+        if not self.fault:
+            with self._never_in_the_way():
+                self._add_frame(owner, kind, message)
+
+    @contextmanager
+    def _never_in_the_way(self) -> Iterator[None]:
+        """A trace that takes no more, as on a full disk, is told and never stands between a stop and its drive."""
+        try:
+            yield
+        except Exception as error:  # noqa: BLE001 (nothing in a trace is worth a run)
+            reason = " ".join(str(error).split()) or type(error).__name__
+            self.fault = f"{self.path}: nothing more was written: {reason}"
+
+    def _add_frame(self, owner: str, kind: str, message: "can.Message") -> None:
         if self._can_log is None:
             self.write(owner, kind, frame_text(message))
             return
@@ -129,7 +148,8 @@ class WireTrace:
         def call(*arguments: Any) -> Any:
             if self._depth.get(owner, 0):
                 return function(*arguments)
-            self.write(owner, CALLED, f"{name} {json.dumps(arguments)}")
+            with self._never_in_the_way():
+                self.write(owner, CALLED, f"{name} {json.dumps(arguments)}")
             self._depth[owner] = 1
             try:
                 result = function(*arguments)
@@ -138,7 +158,9 @@ class WireTrace:
                 raise
             finally:
                 self._depth[owner] = 0
-            self.write(owner, ENDED, outcome_text(result if name != "end_cycle" else function.__self__.values))  # type: ignore[attr-defined]
+            with self._never_in_the_way():
+                values = function.__self__.values if name == "end_cycle" else result  # type: ignore[attr-defined]
+                self.write(owner, ENDED, outcome_text(values))
             return result
 
         return call

@@ -20,9 +20,11 @@ class _Still:
         self.panel, self.watch, self.stuck_s = panel, watch, stuck_s
         self.value, self.began, self.ends = math.nan, -math.inf, -math.inf
         self.stood_at = math.nan  # the angle when it began
+        self.looked = -math.inf  # when others were looked at last
         self.others: list[Sequence[float]] = []
         self.alone = True  # so far: no other channel has moved
-        place = {other.channel.quantity: other.index for other in panel.watches}
+        role = watch.channel.role
+        place = {other.channel.quantity: other.index for other in panel.watches if other.channel.role == role}
         quantity = watch.channel.quantity
         self.velocity = place.get("velocity") if quantity == "angle" else None
         self.angle = place.get("angle") if quantity == "velocity" else None
@@ -46,7 +48,7 @@ class Stuck:
     """Trips on a channel that repeats one value through a whole stretch of its `stuck_s` while any other moves.
 
     A shaft at rest repeats its angle and its velocity: each of the two is stuck only while the other tells of motion. A
-    drive out of operation may repeat a current of exactly 0.
+    drive out of operation may repeat a current of exactly 0: that time does not count, and what was before it does.
     Stretches follow one another, so that it takes between one and two of them; a channel that has moved once costs
     nothing until its next.
     """
@@ -91,6 +93,7 @@ class Stuck:
                         " others moved: stuck"
                     )
                 item.value, item.began, item.ends = item.panel.values[item.watch.index], now, now + item.stuck_s
+                item.looked = now
                 item.stood_at = math.nan if item.angle is None else item.panel.values[item.angle]
                 item.alone = True
                 item.others = [tuple(panel.values) for panel in self._panels]
@@ -99,9 +102,11 @@ class Stuck:
         self._next = min(item.ends for item in self._channels)
 
     def _is_judged(self, item: _Still, now: float) -> bool:
-        """Look at what others do meanwhile; False where shaft or drive rests, so that this stretch tells nothing."""
+        """Look at what others do meanwhile; False where the shaft rests, so that this stretch tells nothing."""
+        since, item.looked = now - item.looked, now
         if item.is_off():
-            return False
+            item.ends += since
+            return True
         turns = item.turns(now)
         item.alone = item.alone and not (self._others_moved(item) if turns is None else turns)
         return turns is not False

@@ -2,6 +2,8 @@
 
 import json
 import math
+from contextlib import suppress
+from pathlib import Path
 
 import can
 import pytest
@@ -12,7 +14,7 @@ from leactl_plugins.elmo_serial.driver import ElmoSerial
 
 from leactl.bench import benchfile
 from leactl.bench.wire_replay import replay
-from leactl.bench.wire_trace import HEAD, KINDS, read_trace
+from leactl.bench.wire_trace import HEAD, KINDS, WireTrace, read_trace
 from leactl.errors import InputError
 from tests.cli.terminal import leactl
 
@@ -171,3 +173,19 @@ def test_any_text_is_read_or_refused(tmp_path_factory, text):
         return
     assert len(lines) == text.count("\n")
     assert all(math.isfinite(line.time) and line.kind in KINDS for line in lines)
+
+
+def test_a_trace_on_a_full_disk_stands_in_no_drive_s_way(tmp_path):
+    called = []
+    # what the full disk did not take is refused once more at its close
+    with (
+        WireTrace(tmp_path / "run.trace") as trace,
+        suppress(OSError),
+        Path("/dev/full").open("w", buffering=1) as full,
+    ):
+        trace._text.close()
+        trace._text = full
+        assert trace.called("drive", "safe_state", lambda: called.append(1) or "safe")() == "safe"
+        trace.write("drive", "<", "nothing more")
+        assert called == [1]
+        assert "nothing more was written: [Errno 28]" in trace.fault

@@ -221,6 +221,16 @@ def test_a_current_of_none_is_stuck_only_in_operation(make):
     assert trips_after(rig, "test q_axis_current has been exactly 0 A for 0.2 s", 1, waving(rig)) <= 0.62
 
 
+def test_a_dead_current_is_stuck_although_its_drive_is_off_now_and_then(make):
+    rig = make("q_axis_current: {stuck_s: 0.2}")
+    with pytest.raises(SafetyTrip, match="test q_axis_current has been exactly 0 A"):
+        for _ in range(8):
+            rig.engage()
+            rig.run(0.15, waving(rig))
+            rig.supervisor.release("test")
+            rig.run(0.02, waving(rig))
+
+
 def turning(rig, cycle):
     """The shaft turns at about 0.5 rad/s."""
     rig.shaft.angle, rig.shaft.velocity = 5e-4 * cycle, 0.5 + 1e-3 * (cycle % 3)

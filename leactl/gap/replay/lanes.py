@@ -111,6 +111,7 @@ def stepped(lanes: Lanes, start: State) -> Motion:
     # at a step's start, half a step late, back-EMF would make an axis lighter and throw a light one to and fro
     braking = servo.torque_constant * servo.emf / servo.resistance if servo is not None else np.zeros(count)
     decay, gain = _answer(lanes.damping + lanes.emf_damping + braking, lanes.inertia, h)
+    free = _answer(lanes.damping + lanes.emf_damping, lanes.inertia, h)  # where a servo is off, no current brakes
     load_decay, load_gain = _answer(lanes.load_damping, lanes.load_inertia, h)
     stiffness = resonant_stiffness(lanes)
     yielding = 2.0 * lanes.damping_ratio * np.sqrt(stiffness / (1.0 / lanes.inertia + 1.0 / lanes.load_inertia))
@@ -147,23 +148,28 @@ def stepped(lanes: Lanes, start: State) -> Motion:
         elif hanging:
             np.multiply(lanes.gravity, np.sin(angle - lanes.hanging), out=torque)
         np.subtract(drive, torque, out=push)
+        at_once, at_length, hold = decay, gain, held
         if servo is not None:
-            push += braking * velocity  # a current has its back-EMF in it, and so has the decay of a step
+            idle = np.isnan(servo.reference[index])
+            push += np.where(idle, 0.0, braking * velocity)  # a current has its back-EMF in it, and so has the decay
+            if idle.any():
+                at_once, at_length = np.where(idle, free[0], decay), np.where(idle, free[1], gain)
+                hold = at_length * lanes.friction
         out.torque[index] = torque
         out.angle[index] = angle
-        level = held
+        level = hold
         if groups:
             if lanes.friction_share is not None:
                 more = lanes.friction_share[index]
-                level = held * more
+                level = hold * more
                 push -= (more - 1.0) * lanes.damping * velocity
             elif any(group.rubs for group in groups):
-                level = held.copy()
+                level = hold.copy()
             made = drive - lanes.emf_damping * velocity if fed else drive
             for group in groups:
                 group.drive(made, made if hanging else torque)
-        np.multiply(velocity, decay, out=ahead)
-        push *= gain
+        np.multiply(velocity, at_once, out=ahead)
+        push *= at_length
         ahead += push
         for group in groups:
             group.rub(level)

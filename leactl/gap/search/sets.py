@@ -422,7 +422,11 @@ def refined(evidence: Evidence, others: list[Candidate], name: str, form: Form, 
             evidence.add(tried)
             normal, base = evidence.normal(), evidence.stack.columns_of(others)
             known = [item for one in tried if (item := finding(evidence, normal, base, one)) is not None]
-            before, form = form, max(known, key=lambda item: item.gain).candidate[1] if known else form
+            before = form
+            best = max(known, key=lambda item: item.gain, default=None)
+            here = next((item.gain for item in known if item.candidate[1] == form), -math.inf)
+            if best is not None and best.gain > here + SAME:
+                form = best.candidate[1]
             if form == before:
                 break
         gains = [item.gain for item in known]
