@@ -68,12 +68,22 @@ def _uploaded(bench: Bench, name: str) -> OwnRecording:
     assert isinstance(device, RecordingDevice)
     bench.open()
     try:
-        return device.recorded()
+        recording = device.recorded()
+    except BaseException as error:
+        if unsafe := _let_go(bench, name):
+            error.add_note(unsafe)
+        raise
+    if unsafe := _let_go(bench, name):
+        raise DeviceError(unsafe)
+    return recording
+
+
+def _let_go(bench: Bench, name: str) -> str:
+    """Make the device safe and close it; gives what could not be confirmed of it."""
+    try:
+        return doubt(make_safe([bench.drivers[name]]))
     finally:
-        unsafe = doubt(make_safe([device]))
         bench.close()
-        if unsafe:
-            raise DeviceError(unsafe)
 
 
 def _table(recording: OwnRecording) -> str:
