@@ -9,7 +9,7 @@ from leactl.effects.plant import Plant
 from leactl.effects.shapes import rate_limited
 from leactl.model.nominal import Model
 
-ROUNDING = 1e-9
+ROUNDING = 1e-9  # of an interval
 
 
 class CommandSlewLimit(Effect):
@@ -17,23 +17,25 @@ class CommandSlewLimit(Effect):
 
     name = "command_slew_limit"
     one_sided = True
-    explains = 0.75  # when within an interval a setpoint comes is not known
+    explains = 0.75  # the moment within an interval at which a command comes is not known
     shaped = True
     forms = ((0.0015,), (0.004,), (0.012,), (0.03,), (0.07,))
     form_scales = ("highest rate",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """What the limit before the loop takes from the model's current."""
+        """The change of the model's current by a limit of its command before the current loop."""
         if signals.command is None or signals.following is None:
             return {}
-        flows = None if signals.current is None else float(signals.current[0])  # a run may begin on the way
+        initial = None if signals.current is None else float(signals.current[0])  # a run may begin during a ramp
         most = form[0] * signals.interval
-        ends = rate_limited(signals.command, most, flows)
-        moved = np.diff(ends, prepend=ends[0] if flows is None else flows)
-        part = np.minimum(np.abs(moved) / most, 1.0)  # of an interval, that its ramp takes
-        # a step that is done within its interval is no sign of a limit: stamps may be that far off
-        held = part > 1.0 - ROUNDING
-        means = ends - np.where(held | np.append(False, held[:-1]), 0.5 * moved * part, 0.0)
+        ends = rate_limited(signals.command, most, initial)
+        change = np.diff(ends, prepend=ends[0] if initial is None else initial)
+        ramp = np.minimum(np.abs(change) / most, 1.0)  # share of each interval
+        # averaged in intervals limited throughout, and in the one after, where the ramp ends; a ramp within one
+        # interval counts as a step, for stamps may be wrong by that much
+        limited = ramp > 1.0 - ROUNDING
+        averaged = limited | np.append(False, limited[:-1])
+        means = ends - np.where(averaged, 0.5 * change * ramp, 0.0)
         return {"current_following": {"strength": signals.looped(means) - signals.following}}
 
     def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:

@@ -29,7 +29,7 @@ EXCHANGES = 4
 MOVES = 4  # of a form, at each of some steps:
 FINER = (1 / 3, 1 / 9, 1 / 27, 1 / 81)  # of the grid's ratio, on a logarithmic scale
 ALIKE = 2.0  # weighted squares, by which forms may differ that nothing tells apart
-USUAL_LAST = (2, 0)  # rounds of weighing: by what a set leaves over, then as usual
+NOISE_ROUNDS = (2, 0)  # times that the noise is taken from what a set leaves over; 0 keeps the usual noise
 SHORTLIST = 4
 USUAL_SPREAD = 2.0  # of a sound machine's noise, by which the next one may differ
 WHOLE_ROUNDS = 2
@@ -278,62 +278,71 @@ def step(evidence: Evidence, hypothesis: Sequence[Candidate]) -> Candidate | Non
 def shortlist(evidence: Evidence, hypothesis: Sequence[Candidate]) -> list[Candidate]:
     """The effects worth fitting beside a set."""
     listed: list[Candidate] = []
-    for rounds in USUAL_LAST:
-        beside = Beside(evidence, hypothesis, rounds)
+    for rounds in NOISE_ROUNDS:
+        test = CandidateTest(evidence, hypothesis, rounds)
         ranked = [
             item.candidate
-            for item in best_of_each(evidence, beside.normal, hypothesis)
-            if item.height > ENTRY and beside.outlasts_forms(item.candidate)
+            for item in best_of_each(evidence, test.normal, hypothesis)
+            if item.height > ENTRY and test.exceeds_form_error(item.candidate)
         ]
         listed += [candidate for candidate in ranked[:SHORTLIST] if candidate not in listed]
     return listed
 
 
-class Beside:
-    """A set as some weights see it, and what an effect beside it takes away but for what the set's own forms miss.
+class CandidateTest:
+    """Tests whether a further effect lowers the misfit by more than the forms of a set could, which are inexact.
 
-    The form of a law is right to within a share of what it explains; in which rows it misses most, nobody can say. So
-    that share of what the set explains in all rows of an equation is no sign of a further effect there. Nor is what
-    overtones of the set's waves take away: no machine's wave is a pure sine.
+    A form explains its effect to within a share (`form_error`); nobody can say in which rows it is wrong. So that share
+    of the misfit that a member removes from an equation is allowed for in all rows of the equation. Waves of a set are
+    joined by their overtones first: no machine's wave is a pure sine.
     """
 
     def __init__(self, evidence: Evidence, hypothesis: Sequence[Candidate], rounds: int) -> None:
-        self._evidence = evidence
+        """Fit the set; the noise of `evidence` is that of this fit from here on.
+
+        rounds : as `NOISE_ROUNDS` has them.
+        """
         overtones = overtones_of(hypothesis)
         evidence.add(overtones)
         fit = evidence.settle(hypothesis, rounds)
         self.normal = evidence.normal()
         self._wider = [*hypothesis, *overtones]
         self._fit = self.normal.fit(self._wider) if overtones else fit
-        self._gone = {name: self._taken_by(fit, hypothesis, index) for index, (name, _) in enumerate(hypothesis)}
+        self._reductions = {name: self._reduction_by(fit, hypothesis, k) for k, (name, _) in enumerate(hypothesis)}
 
-    def outlasts_forms(self, candidate: Candidate) -> bool:
-        """Whether an effect takes away more, in rows and from priors, than the forms of the set may miss."""
+    def exceeds_form_error(self, candidate: Candidate) -> bool:
+        """Whether a candidate lowers the misfit by more than the errors of the set's forms could, by `ENTRY` squared.
+
+        In each equation a change up to the allowance counts as none, whichever its sign; what the priors of the
+        parameters cost counts in full.
+        """
         larger = self.normal.fit([*self._wider, candidate])
-        further = by_equation(self.normal, taken_by_rows(self.normal, self._fit, larger))
-        total = self._fit.misfit - larger.misfit
-        for equation, gained in further.items():
-            missed = sum(form_error(name, candidate[0]) * max(gone[equation], 0.0) for name, gone in self._gone.items())
-            total -= min(max(gained, -missed), missed)
-        return total > ENTRY**2
+        reduction = self._fit.misfit - larger.misfit
+        for equation, change in by_equation(self.normal, reduction_by_rows(self.normal, self._fit, larger)).items():
+            allowance = sum(
+                form_error(name, candidate[0]) * max(of_member[equation], 0.0)
+                for name, of_member in self._reductions.items()
+            )
+            reduction -= min(max(change, -allowance), allowance)
+        return reduction > ENTRY**2
 
-    def _taken_by(self, fit: Fit, hypothesis: Sequence[Candidate], index: int) -> dict[str, float]:
-        """What one member of the set takes from each equation beyond the others."""
+    def _reduction_by(self, fit: Fit, hypothesis: Sequence[Candidate], index: int) -> dict[str, float]:
+        """By how much one member lowers the misfit of each equation beside the others."""
         others = [*hypothesis[:index], *hypothesis[index + 1 :]]
-        return by_equation(self.normal, taken_by_rows(self.normal, self.normal.fit(others), fit))
+        return by_equation(self.normal, reduction_by_rows(self.normal, self.normal.fit(others), fit))
 
 
 def form_error(effect: str, other: str) -> float:
-    """Share of what an effect explains, in squares, that its form may miss where another effect would explain it.
+    """Share of the misfit removed by an effect that another could remove because the first one's form is inexact.
 
-    A form is wrong above all over the variables in which its effect acts. A wave over the angle is wrong by its
-    overtones, and what is no wave by none.
+    `LOOSE_ERROR` for an effect whose columns are known to be loose; `FORM_ERROR` for two effects that act over a common
+    variable and are both waves over the angle or neither; else `ERROR_ELSEWHERE`.
     """
     if library()[effect].explains < LOOSE:
         return LOOSE_ERROR
-    one, two = (set(effect_definition(name).acts_over) for name in (effect, other))
-    waves = {library()[name].orders[1] > 0 for name in (effect, other)}
-    return FORM_ERROR if one & two and len(waves) == 1 else ERROR_ELSEWHERE
+    first, second = (set(effect_definition(name).acts_over) for name in (effect, other))
+    both_or_neither_wave = (library()[effect].orders[1] > 0) == (library()[other].orders[1] > 0)
+    return FORM_ERROR if first & second and both_or_neither_wave else ERROR_ELSEWHERE
 
 
 def overtones_of(hypothesis: Sequence[Candidate]) -> list[Candidate]:
@@ -354,8 +363,8 @@ def by_equation(normal: Normal, amounts: Sequence[float]) -> dict[str, float]:
     return sums
 
 
-def taken_by_rows(normal: Normal, before: Fit, after: Fit) -> list[float]:
-    """Weighted squares that one fit leaves less than another in each rows; below zero where it leaves more."""
+def reduction_by_rows(normal: Normal, before: Fit, after: Fit) -> list[float]:
+    """By how much the misfit of each rows is lower with one fit than with another; negative where it is higher."""
     return [
         normal.weights[k] * len(rows.left_over) * (normal.residual(before, k) ** 2 - normal.residual(after, k) ** 2)
         for k, rows in enumerate(normal.stack.rows)
@@ -389,74 +398,77 @@ def exchange(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]
 
 
 def refine(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
-    """Find the non-linear parameters of each member between the grid's values."""
+    """Find the non-linear parameters of each member between the grid's values and a little beyond."""
     for index, (name, form) in enumerate(hypothesis):
         effect = library()[name]
         if not form or effect.periodic or not effect.continuous:
             continue
         others = hypothesis[:index] + hypothesis[index + 1 :]
-        grids = [tried_at(place, form, evidence.forms.get(name, [])) for place in range(effect.refined)]
+        grids = [grid_values(place, form, evidence.forms.get(name, [])) for place in range(effect.refined)]
         ratios = [max((b / a for a, b in pairwise(grid)), default=1.0) for grid in grids]
         hypothesis[index] = (name, refined(evidence, others, name, form, ratios))
     return hypothesis
 
 
-def tried_at(place: int, form: Form, forms: Sequence[Form]) -> list[float]:
-    """Numbers that stand at a place of the forms that are tried, in those that go on as one does if there are such."""
+def grid_values(place: int, form: Form, forms: Sequence[Form]) -> list[float]:
+    """Values of one parameter of a form on the grid, in ascending order.
+
+    Only grid forms count whose later parameters equal those of `form`; where there are none, all of them.
+    """
     alike = {other[place] for other in forms if other[place + 1 :] == form[place + 1 :]}
     return sorted(alike or {other[place] for other in forms})
 
 
 def refined(evidence: Evidence, others: list[Candidate], name: str, form: Form, ratios: Sequence[float]) -> Form:
-    """The best form near one: its first numbers are moved together, for what one gains may be what another loses.
+    """Search for a better form near one.
 
-    ratios : of neighbours on the grid of each of these numbers; a step is a third of them, on a logarithmic scale, then
-        a third of that, until neighbours explain the runs alike.
+    Every combination of one step down, none or one step up is tried for the first parameters together, since they can
+    compensate each other. Steps become finer (`FINER`); the search ends where all trials explain the runs alike.
+
+    ratios : the largest ratio of neighbouring grid values of each of these parameters.
     """
-    # a share of another shape would lead away from the whole one, which is found by its share
-    scaled = library()[name].shaped and library()[name].whole(form, 0.5) != form
-    for part in FINER[:2] if scaled else FINER:
-        for _ in range(1 if scaled else MOVES):
+    # a fitted strength below one stands for another form of such an effect (`whole`), which `make_whole` goes to at
+    # once: larger moves would go to a longer delay of which a share is there
+    strength_is_form = library()[name].shaped and library()[name].whole(form, 0.5) != form
+    for part in FINER[:2] if strength_is_form else FINER:
+        for _ in range(1 if strength_is_form else MOVES):
             steps = product(*((ratio**-part, 1.0, ratio**part) if ratio > 1.0 else (1.0,) for ratio in ratios))
             tried = [(name, (*map(mul, form, step), *form[len(step) :])) for step in steps]
             evidence.add(tried)
             normal, base = evidence.normal(), evidence.stack.columns_of(others)
-            known = [item for one in tried if (item := finding(evidence, normal, base, one)) is not None]
-            before = form
-            best = max(known, key=lambda item: item.gain, default=None)
-            here = next((item.gain for item in known if item.candidate[1] == form), -math.inf)
-            if best is not None and best.gain > here + SAME:
-                form = best.candidate[1]
-            if form == before:
+            possible = [item for one in tried if (item := finding(evidence, normal, base, one)) is not None]
+            gains = {item.candidate[1]: item.gain for item in possible}
+            best = max(gains, key=lambda tried_form: gains[tried_form], default=form)
+            if gains.get(best, -math.inf) <= gains.get(form, -math.inf) + SAME:
                 break
-        gains = [item.gain for item in known]
-        if len(known) == len(tried) and max(gains) - min(gains) < ALIKE:
+            form = best
+        if len(possible) == len(tried) and max(gains.values()) - min(gains.values()) < ALIKE:
             break
     return form
 
 
 def prune(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
-    """Leave out members that do not stand once the others are there."""
+    """Remove members that do not pass the tests of entry beside the others, one at a time, the lowest first."""
     while hypothesis:
         evidence.settle(hypothesis)
         normal = evidence.normal()
         members = [member(evidence, normal, hypothesis, k) for k in range(len(hypothesis))]
         heights = [item.height if item is not None else 0.0 for item in members]
-        weakest = int(np.argmin(heights))
-        if heights[weakest] <= ENTRY:
-            hypothesis = hypothesis[:weakest] + hypothesis[weakest + 1 :]
-            continue
-        missed = next((k for k in np.argsort(heights) if not stands_beside(evidence, hypothesis, int(k))), None)
-        if missed is None:
+        lowest_first = [int(k) for k in np.argsort(heights, kind="stable")]
+        if heights[lowest_first[0]] <= ENTRY:
+            unsupported: int | None = lowest_first[0]
+        else:
+            unsupported = next((k for k in lowest_first if not stands_beside(evidence, hypothesis, k)), None)
+        if unsupported is None:
             break
-        hypothesis = hypothesis[:missed] + hypothesis[missed + 1 :]
+        hypothesis = hypothesis[:unsupported] + hypothesis[unsupported + 1 :]
     return hypothesis
 
 
 def stands_beside(evidence: Evidence, hypothesis: Sequence[Candidate], index: int) -> bool:
-    """Whether a member takes away more than the forms of the others may miss, by either weights."""
+    """Whether a member lowers the misfit by more than the form errors of the others could, under either noise."""
     others = [*hypothesis[:index], *hypothesis[index + 1 :]]
-    return any(Beside(evidence, others, rounds).outlasts_forms(hypothesis[index]) for rounds in USUAL_LAST)
+    return any(CandidateTest(evidence, others, n).exceeds_form_error(hypothesis[index]) for n in NOISE_ROUNDS)
 
 
 def member(evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], index: int) -> Finding | None:
@@ -474,7 +486,7 @@ def describe(evidence: Evidence, hypothesis: list[Candidate]) -> Found:
     members, rivals, moved = [], [], []
     for index in range(len(hypothesis)):
         others = hypothesis[:index] + hypothesis[index + 1 :]
-        moved.append([abs(amount) for amount in taken_by_rows(normal, normal.fit(others), fit)])
+        moved.append([abs(amount) for amount in reduction_by_rows(normal, normal.fit(others), fit)])
         found = finding(evidence, normal, evidence.stack.columns_of(others), hypothesis[index], whole=True)
         if found is None:  # brought to its whole form it has no place beside the others
             return describe(evidence, others)
@@ -518,7 +530,7 @@ def taken_and_left(evidence: Evidence, hypothesis: Sequence[Candidate]) -> tuple
     evidence.weigh_as_usual()
     normal = evidence.normal()
     before, after = normal.fit(), normal.fit([*hypothesis, *overtones])
-    taken = [max(amount, 0.0) for amount in taken_by_rows(normal, before, after)]
+    taken = [max(amount, 0.0) for amount in reduction_by_rows(normal, before, after)]
     left = [
         max(normal.weights[k] * normal.residual(after, k) ** 2 - USUAL_SPREAD, 0.0) * len(rows.left_over)
         for k, rows in enumerate(normal.stack.rows)
