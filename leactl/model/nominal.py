@@ -48,6 +48,17 @@ class LoadModel(Block):
     viscous_damping: NotNegative | None = None  # N*m*s/rad, of the load actuator; by default the test actuator's
     coulomb_friction: NotNegative | None = None  # N*m, the same
 
+    def frictions(self, viscous: float | None, coulomb: float | None) -> tuple[float, float]:
+        """Viscous damping [N*m*s/rad] and Coulomb friction [N*m] of the load actuator.
+
+        Parameters
+        ----------
+        viscous, coulomb : of the test actuator: the load's where it has none of its own, 0 where neither has.
+        """
+        own = (self.viscous_damping, viscous), (self.coulomb_friction, coulomb)
+        damping, friction = (of_test or 0.0 if of_load is None else of_load for of_load, of_test in own)
+        return damping, friction
+
     @model_validator(mode="after")
     def _of_its_type(self) -> "LoadModel":
         if self.type != "arm" and self.zero_angle:

@@ -1,11 +1,12 @@
-"""Columns of locked runs against what a rotor that sticks does on paper."""
+"""Columns of locked and coupled runs against what rotors that stick and rub do on paper."""
 
 import numpy as np
 import pytest
 
 from leactl.effects.load_dependent_friction import stuck
+from leactl.gap.equations import equations
 from leactl.gap.signals.derived import fast_signals
-from tests.gap.synthetic import CONSTANT, FRICTION, model, record
+from tests.gap.synthetic import CONSTANT, DAMPING, FRICTION, model, record
 
 SHARE = 0.15
 
@@ -69,3 +70,17 @@ def test_what_a_current_does_between_two_instants_comes_from_its_reference():
     of_means = fast_signals(run, model(), None)
     np.testing.assert_allclose(signals.following, ends, atol=1e-6)
     np.testing.assert_allclose(signals.current[10:-10], of_means.current[10:-10], atol=0.02)
+
+
+def test_two_coupled_rotors_rub_as_the_model_says_of_each():
+    turning = 3.0 * np.sin(0.02 * np.arange(1000))
+    channels = {("velocity", "load"): turning, ("angle", "test"): np.cumsum(turning) * 1e-3}
+    run = record("coupled", reference=1.0, fast=channels)
+
+    def load_columns(**load):
+        [both] = [one for one in equations(run, model(load=load)) if one.name == "both_torque"]
+        return [both.calibration[f"load.{name}"] for name in ("viscous_damping", "coulomb_friction")]
+
+    alike, other = load_columns(), load_columns(viscous_damping=2.0 * DAMPING, coulomb_friction=0.0)
+    np.testing.assert_allclose(other[0], 2.0 * alike[0])
+    assert np.any(alike[1]) and not np.any(other[1])

@@ -143,8 +143,11 @@ def test_a_servo_beyond_its_voltage_runs_at_the_speed_of_its_back_emf():
     assert np.diff(job.fast["angle", "test"])[-1] / 5e-3 == pytest.approx(10.0 / CONSTANT, rel=1e-3)
 
 
-def test_a_pendulum_let_go_swings_with_its_own_period():
-    job = servo(np.zeros(2000), 0.05, enabled=np.zeros(2000), rotor_inertia=1e-6)
+@pytest.mark.parametrize("mass", [0.5, 0.001])
+def test_a_pendulum_let_go_swings_with_its_own_period(mass):
+    """A servo that is off brakes nothing, however light its axis."""
+    load = {"type": "pendulum", "mass": mass, "length": 0.2}
+    job = servo(np.zeros(2000), 0.05, enabled=np.zeros(2000), rotor_inertia=1e-9, load=load)
     angle = job.fast["angle", "test"][2:]
     crossings = np.flatnonzero((angle[1:] > 0) & (angle[:-1] <= 0))
     period = 5e-3 * np.mean(np.diff(crossings))

@@ -149,13 +149,7 @@ def both(record: Record, s: Signals) -> Equation | None:
     acceleration = slope(measured, s.interval)
     load_drive = constant * smooth(load_current)
     inertia = (model.rotor_inertia or 0.0) * acceleration
-    viscous, coulomb = (
-        of_load if of_load is not None else of_rotor or 0.0
-        for of_load, of_rotor in (
-            (model.load.viscous_damping, model.viscous_damping),
-            (model.load.coulomb_friction, model.coulomb_friction),
-        )
-    )
+    viscous, coulomb = model.load.frictions(model.viscous_damping, model.coulomb_friction)
     damping = viscous * measured
     friction = coulomb * smooth(sharp_senses(middle(load_velocity), noise_of(load_velocity)))
     resisted = sum(c for name, c in calibration.items() if name != "torque_constant")

@@ -250,15 +250,15 @@ def constants_of(job: Job) -> dict[str, float]:
     model, record = job.plant.model, job.record
     load, fed = load_of(record, model), fed_by_voltage(record, model)
     inertia = (model.rotor_inertia or 0.0) + load.inertia
-    damping, friction = model.viscous_damping or 0.0, model.coulomb_friction or 0.0
+    load_damping, load_friction = load.frictions(model.viscous_damping, model.coulomb_friction)
     found = {
         "inertia": inertia,
-        "damping": damping,
+        "damping": model.viscous_damping or 0.0,
         "emf_damping": fed.damping if fed is not None else 0.0,
-        "friction": friction,
+        "friction": model.coulomb_friction or 0.0,
         "load_inertia": np.inf if record.mechanical == "locked" else model.rotor_inertia or 0.0,
-        "load_damping": load.viscous_damping if load.viscous_damping is not None else damping,
-        "load_friction": load.coulomb_friction if load.coulomb_friction is not None else friction,
+        "load_damping": load_damping,
+        "load_friction": load_friction,
         "stiffness": 0.0 if record.mechanical == "free" else job.plant.stiffness or 0.0,
         "damping_ratio": SHAFT_DAMPING,
         "gravity": load.level_torque,
