@@ -13,38 +13,38 @@ KNEE = 0.3 - 0.5 * np.cos(3.0 * T)
 KNEE_SPEED = 1.5 * np.sin(3.0 * T)
 EFFORT = 0.4 * np.sign(HIP_SPEED) + 0.1 * HIP_SPEED
 
-JOINT_STATE = """\
+HEADER = """\
+{0}
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+{0}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+""".format("=" * 80)
+JOINT_STATE = (
+    """\
 std_msgs/Header header
 string[] name
 float64[] position
 float64[] velocity
 float64[] effort
-{0}
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-{0}
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-""".format("=" * 80)
-DRIVE_STATE = """\
+"""
+    + HEADER
+)
+DRIVE_STATE = (
+    """\
 std_msgs/Header header
 rig_msgs/Motor motor
-{0}
+{}
 MSG: rig_msgs/Motor
 float32[4] phase
 float64 bus_voltage
 bool enabled
-{0}
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-{0}
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
 """.format("=" * 80)
+    + HEADER
+)
 
 
 def types():
