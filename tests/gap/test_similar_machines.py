@@ -114,12 +114,16 @@ def test_a_drawn_machine_of_another_size_gets_the_same_answer(cases, before, cha
     assert compared(cases, before, change, size=SIZES[change]) >= SAME
 
 
-QUARTER = "38 of 45 stay: faint effects end in the noise, reversals in few samples; one machine is given a delay"
+AT_A_QUARTER = 38 / 45  # of the answers, measured: less is a step back
+QUARTER = "38 of 45 stay: two effects end in the noise, and three machines are given a delay in five cases"
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("divide", [2, pytest.param(4, marks=pytest.mark.xfail(reason=QUARTER))])
-def test_a_drawn_machine_at_a_lower_rate_gets_the_same_answer(cases, before, divide):
+@pytest.mark.parametrize(("divide", "least"), [(2, SAME), (4, AT_A_QUARTER)])
+def test_a_drawn_machine_at_a_lower_rate_gets_the_same_answer(cases, before, divide, least):
     slow = [not {*told["effects"], *told["unlisted"]} & BEYOND_HALF_THE_RATE for _, told in cases]
     kept, answers = ([one for one, keep in zip(row, slow, strict=True) if keep] for row in (cases, before))
-    assert compared(kept, answers, f"every {divide} samples", divide=divide) >= SAME
+    share = compared(kept, answers, f"every {divide} samples", divide=divide)
+    assert share >= least
+    if share < SAME:
+        pytest.xfail(QUARTER)
