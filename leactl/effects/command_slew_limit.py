@@ -31,8 +31,8 @@ class CommandSlewLimit(Effect):
         ends = rate_limited(signals.command, most, initial)
         change = np.diff(ends, prepend=ends[0] if initial is None else initial)
         ramp = np.minimum(np.abs(change) / most, 1.0)  # share of each interval
-        # averaged in intervals limited throughout, and in the one after, where the ramp ends; a ramp within one
-        # interval counts as a step, for stamps may be wrong by that much
+        # the mean of an interval stands for its end where the limit acts throughout it, and in the next, where the ramp
+        # ends; a ramp within one interval counts as a step, for stamps may be wrong by an interval
         limited = ramp > 1.0 - ROUNDING
         averaged = limited | np.append(False, limited[:-1])
         means = ends - np.where(averaged, 0.5 * change * ramp, 0.0)
@@ -52,5 +52,5 @@ class CommandSlewLimit(Effect):
         plant.command.append(lambda values, interval: rate_limited(values, rate * interval))
 
     def whole(self, form: Form, strength: float) -> Form:
-        """The rate itself: half of a limit is no limit at another rate."""
+        """The rate as it is: a limit of half the strength is not a limit at another rate."""
         return form

@@ -28,7 +28,7 @@ class SavedRecording(NamedTuple):
 
 
 def save_recording(name_or_path: str, device: str, target: Path, elsewhere: Sequence[str] = ()) -> SavedRecording:
-    """Upload what the recorder of a bench's device holds, with the device off, and save it; no other is touched.
+    """Switch a bench's device off, upload what its recorder holds, and save that; no other device is touched.
 
     Parameters
     ----------
@@ -39,7 +39,8 @@ def save_recording(name_or_path: str, device: str, target: Path, elsewhere: Sequ
     Raises
     ------
     InputError : no such device, none with a recorder, a bench without buses of this machine, or a name that is taken.
-    DeviceError : a run holds the bench, or the recorder holds nothing; nothing was written.
+    DeviceError : a run holds the bench, the recorder holds nothing, or the device is not confirmed safe after it;
+        nothing was written.
     """
     refuse_existing(target)
     file, devices, _document = load_checked(name_or_path)
@@ -63,7 +64,7 @@ def save_recording(name_or_path: str, device: str, target: Path, elsewhere: Sequ
 
 
 def _uploaded(bench: Bench, name: str) -> OwnRecording:
-    """Open the device, which makes it off, upload, and let it go."""
+    """Open the device, which switches it off, upload its recording, make it safe again and close it."""
     device = bench.drivers[name]
     assert isinstance(device, RecordingDevice)
     bench.open()

@@ -7,10 +7,10 @@ from leactl.safety.interlocks import Interlocks, VelocityDisagreement
 from leactl.safety.thermal.turning import Rotor
 from leactl.safety.watching import Panel, Trip, Watch
 
-TEMPERATURE_STUCK_S = 600.0  # a temperature without a word on it: at a thousandth of a kelvin none stands still so long
+TEMPERATURE_STUCK_S = 600.0  # of a temperature without `stuck_s`: resolved to 1 mK, none stays the same so long
 TURNING_RAD_S = 0.1  # far above the noise of a velocity: below, nothing is said of an angle or a velocity that stands
 APART_CYCLES = 3  # that a torque and a current which stand side by side may have been measured apart
-OTHERS_EVERY = 16  # cycles in which others are looked at: that they move at all shows soon enough
+OTHERS_EVERY = 16  # cycles from one look at the other channels to the next: that they move shows soon
 
 
 class _Still:
@@ -31,7 +31,7 @@ class _Still:
         self.enabled = place.get("drive_enabled") if quantity == "q_axis_current" else None
 
     def is_off(self) -> bool:
-        """Whether it is the current of a drive out of operation, which may tell none without measuring any."""
+        """Whether it is the current of a drive out of operation, which may report 0 without measuring a current."""
         return self.enabled is not None and self.value == 0.0 and self.panel.values[self.enabled] == 0.0
 
     def turns(self, now: float) -> bool | None:
@@ -47,10 +47,10 @@ class _Still:
 class Stuck:
     """Trips on a channel that repeats one value through a whole stretch of its `stuck_s` while any other moves.
 
-    A shaft at rest repeats its angle and its velocity: each of the two is stuck only while the other tells of motion. A
-    drive out of operation may repeat a current of exactly 0: that time does not count, and what was before it does.
-    Stretches follow one another, so that it takes between one and two of them; a channel that has moved once costs
-    nothing until its next.
+    A shaft at rest repeats its angle and its velocity: a look at which the other of the two shows no motion discards
+    the whole stretch. A drive out of operation may repeat a current of exactly 0: that time lengthens the stretch.
+    Stretches follow one another, so that a channel that freezes trips one to two of them later. One that changes is not
+    compared again until its next stretch begins.
     """
 
     def __init__(self, panels: Sequence[Panel], interlocks: Interlocks) -> None:
@@ -79,10 +79,10 @@ class Stuck:
         if not self._looks % OTHERS_EVERY:
             self._still = [item for item in self._still if self._is_judged(item, now)]
         if now >= self._next:
-            self._turn(now)
+            self._begin_stretches(now)
         self.due = -math.inf if self._still else self._next
 
-    def _turn(self, now: float) -> None:
+    def _begin_stretches(self, now: float) -> None:
         """End the stretches that are over, and begin the next."""
         for item in self._channels:
             if now >= item.ends and item.panel.values:
@@ -102,7 +102,7 @@ class Stuck:
         self._next = min(item.ends for item in self._channels)
 
     def _is_judged(self, item: _Still, now: float) -> bool:
-        """Look at what others do meanwhile; False where the shaft rests, so that this stretch tells nothing."""
+        """Look at what others do meanwhile; False where no motion shows, so that this stretch tells nothing."""
         since, item.looked = now - item.looked, now
         if item.is_off():
             item.ends += since
