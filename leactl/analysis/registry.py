@@ -84,6 +84,7 @@ def names() -> list[str]:
     return sorted({*shipped(), *foreign()})
 
 
+@cache
 def foreign() -> dict[str, EntryPoint]:
     """Entry points of other packages by name; a shipped name stays with the shipped experiment."""
     return {point.name: point for point in entry_points(group=GROUP) if point.name not in shipped()}

@@ -1,6 +1,7 @@
 """Finds driver plug-ins by entry point `leactl.drivers`; one that does not load is reported and harms nothing."""
 
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING
 
@@ -22,9 +23,15 @@ class Registered:
     error: str = ""
 
 
+@cache
+def points() -> tuple[EntryPoint, ...]:
+    """Entry points of all drivers; each look at what is installed takes 3 ms, and a run asks for every device."""
+    return tuple(entry_points(group=GROUP))
+
+
 def names() -> list[str]:
     """Names of all registered drivers, without importing any."""
-    return sorted({point.name for point in entry_points(group=GROUP)})
+    return sorted({point.name for point in points()})
 
 
 def find(name: str) -> Registered:
@@ -34,10 +41,10 @@ def find(name: str) -> Registered:
     ------
     InputError : no plug-in of this name is registered.
     """
-    points = [point for point in entry_points(group=GROUP) if point.name == name]
-    if not points:
+    matching = [point for point in points() if point.name == name]
+    if not matching:
         raise InputError(f"driver '{name}' is not registered; known: {', '.join(names()) or 'none'}")
-    return _load(points[0])
+    return _load(matching[0])
 
 
 def load(name: str) -> "type[Driver]":

@@ -12,7 +12,7 @@ COMMAND = [sys.executable, "-c", "from leactl.cli.main import main; main()"]
 
 def leactl(*arguments, input=None, **environment):
     words = [str(argument) for argument in arguments]
-    forked = warm.run(words, environment or None) if input is None else None
+    forked = warm.run(words, environment or None, input)
     return forked or interpreted(*words, input=input, **environment)
 
 

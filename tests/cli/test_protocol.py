@@ -239,10 +239,10 @@ def test_ctrl_c_while_a_file_is_read_ends_as_stopped_by_a_person():
     with subprocess.Popen(command, **streams) as running:
         running.stdin.write(more_than_a_pipe_holds)  # returns once the command reads
         running.stdin.flush()
-        for _ in range(5):  # one that comes just before the read is waiting is seen with the next
+        for _ in range(50):  # one that comes just before the read is waiting is seen with the next
             running.send_signal(signal.SIGINT)
             with contextlib.suppress(subprocess.TimeoutExpired):
-                running.wait(timeout=10)
+                running.wait(timeout=1)
                 break
         out, error = running.stdout.read().decode(), running.stderr.read().decode()
     assert (running.returncode, out, error) == (4, "", "leactl: stopped\n")

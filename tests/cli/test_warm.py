@@ -60,3 +60,21 @@ def test_what_an_interpreter_reads_at_its_start_takes_one_of_its_own(monkeypatch
     assert warm.run(["--version"]) is not None
     monkeypatch.setenv(name, "C")
     assert warm.run(["--version"]) is None
+
+
+def test_an_environment_that_is_asked_for_often_has_a_warm_process_too(monkeypatch):
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii:backslashreplace")
+    words = ["motor", "show", "lea"]
+    first = [warm.run(words) for _ in range(warm.WORTH_ITS_IMPORTS - 1)]
+    assert set(first) == {None}
+    assert forked(words) == of_its_own(words)
+    monkeypatch.setenv("PYTHONPATH", "elsewhere")
+    assert [warm.run(words) for _ in range(warm.WORTH_ITS_IMPORTS)] == [None] * warm.WORTH_ITS_IMPORTS
+
+
+def test_input_is_read_to_its_end():
+    words = ["protocol", "check", "-"]
+    for text in ("name: [", "", "name: x\n"):
+        own = subprocess.run([*COMMAND, *words], input=text, capture_output=True, text=True, check=False)
+        done = warm.run(words, input=text)
+        assert (done.returncode, done.stdout, done.stderr) == (own.returncode, own.stdout, own.stderr)

@@ -6,37 +6,53 @@ environment and ends as an interpreter does; it differs from `python -c` in noth
 
 import atexit
 import gc
+import importlib
 import json
 import os
+import pkgutil
 import socket
 import subprocess
 import sys
 import threading
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 
+import leactl
+
 ROOT = Path(__file__).parents[2]
 SERVE = "from tests.cli.warm import end, serve; serve(); from leactl.cli.main import main; end(main)"
-IMPORTED = (
-    "leactl.cli.main",  # before any other, since it asks for matrix products in one thread: no thread outlives a fork
-    *("canopen", "h5py", "pydantic", "rich.progress", "scipy.linalg", "scipy.optimize", "scipy.signal", "yaml"),
-    *("leactl.analysis.analyze", "leactl.cli.bench", "leactl.cli.protocol", "leactl.cli.runs"),
-    *("leactl.emulation.bench.emulated_bench", "leactl.protocol.protocolfile", "leactl.runner.session"),
-)
+BESIDE = ("canopen", "h5py", "rich.progress", "scipy.ndimage", "scipy.optimize", "scipy.signal", "scipy.stats", "yaml")
 AT_START = ("LANG", "LC_", "PYTHON", "TZ", "FORCE_COLOR")  # what an interpreter and its imports read of the environment
 MESSAGE = 1 << 20  # bytes, of arguments and environment
+PIPE = 1 << 16  # bytes that a pipe takes before they are read
+WORTH_ITS_IMPORTS = 3  # commands; a warm process takes a core as long as two or three interpreters
+
+
+def import_all():
+    """Import leactl whole, but modules for packages that are not installed here."""
+    for module in pkgutil.walk_packages(leactl.__path__, "leactl."):
+        if module.name.endswith("__main__"):
+            continue
+        try:
+            importlib.import_module(module.name)
+        except ModuleNotFoundError as missing:  # an extra's package
+            if (missing.name or "").startswith("leactl"):
+                raise
 
 
 def at_start(environment):
     return {name: value for name, value in environment.items() if name.startswith(AT_START)}
 
 
-class Warm:
-    """The process that forks, and the socket over which it is asked."""
+USUAL = tuple(sorted(at_start(os.environ).items()))
 
-    def __init__(self):
-        self.environment = at_start(os.environ)
+
+class Warm:
+    """The process that forks, with this environment at its start, and the socket over which it is asked."""
+
+    def __init__(self, environment):
         self.socket, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with other:
             self.process = subprocess.Popen(
@@ -46,6 +62,7 @@ class Warm:
                 stderr=subprocess.PIPE,
                 pass_fds=[other.fileno()],
                 cwd=ROOT,
+                env={name: os.environ[name] for name in os.environ.keys() - at_start(os.environ)} | environment,
             )
         atexit.register(self.close)
 
@@ -53,13 +70,14 @@ class Warm:
         self.socket.close()
         self.process.communicate()
 
-    def run(self, arguments, environment):
-        """Exit status, output and errors of a command in this folder."""
+    def run(self, arguments, environment, input=None):
+        """Exit status, output and errors of a command in this folder; without input it has this process's own."""
         pipes = [os.pipe() for _ in range(2)]
+        given = 0 if input is None else holding(input)
         asked = json.dumps([arguments, os.getcwd(), environment]).encode()
-        socket.send_fds(self.socket, [asked], [0, *(write for _, write in pipes)])
-        for _, write in pipes:
-            os.close(write)
+        socket.send_fds(self.socket, [asked], [given, *(write for _, write in pipes)])
+        for descriptor in (*(write for _, write in pipes), *([given] if given else [])):
+            os.close(descriptor)
         with ThreadPoolExecutor(1) as beside, open(pipes[0][0]) as out, open(pipes[1][0]) as error:
             errors = beside.submit(error.read)
             output = out.read()
@@ -67,22 +85,44 @@ class Warm:
         return subprocess.CompletedProcess(arguments, status, output, errors.result())
 
 
+def holding(text):
+    """Descriptor of the reading end of a pipe that holds a text."""
+    content = text.encode()
+    if len(content) > PIPE:
+        raise ValueError(f"{len(content)} bytes of input: a pipe holds {PIPE}")
+    reading, writing = os.pipe()
+    with open(writing, "wb") as file:
+        file.write(content)
+    return reading
+
+
+_asked = Counter()
+
+
 @cache
-def _warm():
-    return Warm()
+def _warm(environment):
+    return Warm(dict(environment))
 
 
-def run(arguments, environment=None):
-    """Run a command, or give None where an interpreter would have to start in another environment."""
+def run(arguments, environment=None, input=None):
+    """Run a command, or give None where few commands had the same environment at their start: for an interpreter."""
     environment = dict(os.environ) if environment is None else environment
-    warm = _warm()
-    return warm.run(arguments, environment) if at_start(environment) == warm.environment else None
+    first = tuple(sorted(at_start(environment).items()))
+    _asked[first] += 1
+    # packages in a folder of a test may change between commands, and a warm process would not see it
+    others = environment.get("PYTHONPATH") != dict(USUAL).get("PYTHONPATH")
+    if first != USUAL and (others or _asked[first] < WORTH_ITS_IMPORTS):
+        return None
+    return _warm(first).run(arguments, environment, input)
 
 
 def serve():
     """Fork for each command that is asked for; returns in the forked processes alone."""
-    for name in IMPORTED:
-        __import__(name)
+    # before any other, since it asks for matrix products in one thread: no thread outlives a fork
+    importlib.import_module("leactl.cli.main")
+    import_all()
+    for name in BESIDE:
+        importlib.import_module(name)
     gc.freeze()  # or a collection in a forked process writes to, and so copies, all that it shares
     connection = socket.socket(fileno=int(sys.argv[1]))
     while True:

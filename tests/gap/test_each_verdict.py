@@ -6,42 +6,47 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leactl.joints.files import write_run
-from leactl.joints.machine import draw_machine, nominal_text
+from leactl.joints.machine import draw_machine
 from leactl.joints.make import draw_runs
-from leactl.joints.stepped import simulate
 from tests.cli.terminal import leactl
+from tests.gap.drawn_machines import write_cases
 
 LOGGED = ("current", "angle", "current_reference", "velocity")
 
 
-def answer(folder, effects, exact=False):
-    """What the command says of a machine with these effects, whose model is off or exact."""
+VERDICTS = [  # with the effects of the machine, and whether its model file is exact
+    ("none", [], True),
+    ("calibration", [], False),
+    ("effect", ["quadratic_drag"], False),
+    ("unknown", ["push_in_time"], False),
+]
+
+
+def drawn(effects, exact):
+    """A machine whose model file is off or exact, and runs with these effects."""
     machine = draw_machine(np.random.default_rng([2, 0]), "geared_joint")
     machine = replace(machine, channels=LOGGED, sampling=True, rate=500.0, seconds=6.0)
     runs = draw_runs(np.random.default_rng([2, 1]), machine, effects, "strong")
     true = runs[0].specimen.true_base()
     of_the_rotor = {name: value for name, value in true.items() if name != "back_emf_constant"}
-    nominal = replace(machine, **of_the_rotor) if exact else machine  # whose back-EMF constant is its torque constant
-    (folder / "nominal.yaml").write_text(nominal_text(nominal), encoding="utf-8")
-    for run, signals in zip(runs, simulate(runs), strict=True):
-        write_run(folder, "case", run, signals)
+    # whose back-EMF constant is its torque constant
+    return replace(machine, **of_the_rotor) if exact else machine, runs
+
+
+@pytest.fixture(scope="module")
+def cases(tmp_path_factory):
+    """Folder with the case of each verdict."""
+    folder = tmp_path_factory.mktemp("verdicts")
+    write_cases(folder, {verdict: drawn(effects, exact) for verdict, effects, exact in VERDICTS})
+    return folder
+
+
+@pytest.mark.parametrize(("verdict", "effects"), [item[:2] for item in VERDICTS])
+def test_each_verdict_is_reached(cases, verdict, effects):
+    folder = cases / verdict
     done = leactl("gap", "diagnose", *sorted(folder.glob("*.h5")), "--model", folder / "nominal.yaml", "--json")
     assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
-
-
-@pytest.mark.parametrize(
-    ("verdict", "effects", "exact"),
-    [
-        ("none", [], True),
-        ("calibration", [], False),
-        ("effect", ["quadratic_drag"], False),
-        ("unknown", ["push_in_time"], False),
-    ],
-)
-def test_each_verdict_is_reached(tmp_path, verdict, effects, exact):
-    found = answer(tmp_path, effects, exact)
+    found = json.loads(done.stdout)
     assert found["verdict"] == verdict, found["notes"]
     assert [cause["effect"] for cause in found["causes"] if cause["probability"] >= 0.5] == (
         effects if verdict == "effect" else []

@@ -6,18 +6,39 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from leactl.gap.diagnose import Case, diagnose, split
+from leactl.gap.diagnose import Case, diagnose
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.parameters import calibrated
-from leactl.gap.signals.record import read_record
-from leactl.joints.files import write_run
-from leactl.joints.machine import draw_machine, nominal_text
+from leactl.joints.machine import draw_machine
 from leactl.joints.make import draw_runs
-from leactl.joints.stepped import simulate
-from leactl.model.nominal import read_model
+from tests.gap.drawn_machines import case_of, write_cases
 
 ANGLE, VELOCITY = ("angle", "test"), ("velocity", "test")
 LOGGED = ("current", "angle", "current_reference", "velocity")
+JOINTS = [  # an effect, and the kind of machine that has it
+    ("joint_elasticity", "exoskeleton"),
+    ("gear_backlash", "geared_joint"),
+    ("gear_backlash", "heavy_axis"),
+    ("torque_limit", "geared_joint"),
+    ("power_foldback", "wheel_motor"),
+    ("position_spring", "spindle"),
+]
+ONE_WAY = [6, 3]  # seeds
+SHARES = [  # an effect, its parameter, the kind of machine, and how near the parameter is to the truth
+    ("asymmetric_friction", "asymmetry", "gimbal_motor", 0.03),
+    ("position_dependent_friction", "amplitude", "exoskeleton", 0.05),
+    ("friction_run_in", "excess", "spindle", 0.1),
+]
+COARSE = {"rate": 1000.0, "count": 2.0 * np.pi / 16384}  # which hides a slow acceleration in its steps at that rate
+DRAWN = {  # kind of machine, effects, seed, strength and what else is changed, by what a test calls the case
+    **{f"{name} of {kind}": (kind, [name], 3, "plain", {}) for name, kind in JOINTS},
+    **{f"one way {seed}": ("heavy_axis", ["asymmetric_friction"], seed, "faint", {}) for seed in ONE_WAY},
+    **{f"share of {name}": (kind, [name], 4, "plain", {}) for name, _, kind, _ in SHARES},
+    "gear": ("geared_joint", [], 5, "plain", {}),
+    "sound": ("drone_motor", [], 8, "plain", {}),
+    "coarse": ("heavy_axis", [], 6, "plain", COARSE),
+    "coarse with presliding": ("heavy_axis", ["presliding"], 6, "strong", COARSE),
+}
 NUMBERS = {  # a parameter of each effect, and how near it is to the truth
     "joint_elasticity": ("frequency", 0.15),
     "gear_backlash": ("play", 0.2),
@@ -27,35 +48,29 @@ NUMBERS = {  # a parameter of each effect, and how near it is to the truth
 }
 
 
-def drawn_case(folder, kind, effects, seed, strength="plain", **changes):
-    """Runs of a drawn machine with the channels that show an effect of its drive, and what is true of it."""
+def drawn(kind, effects, seed, strength, changes):
+    """A drawn machine with the channels that show an effect of its drive, and its runs."""
     machine = draw_machine(np.random.default_rng([seed, 0]), kind)
     machine = replace(machine, **{"channels": LOGGED, "sampling": True, "rate": 500.0, "seconds": 12.0, **changes})
-    runs = draw_runs(np.random.default_rng([seed, 1]), machine, effects, strength)
-    (folder / "nominal.yaml").write_text(nominal_text(machine), encoding="utf-8")
-    for run, signals in zip(runs, simulate(runs), strict=True):
-        write_run(folder, "case", run, signals)
-    records = [read_record(path) for path in sorted(folder.glob("*.h5"))]
-    return Case(read_model(folder / "nominal.yaml")[0], *split(records)), runs[0]
+    return machine, draw_runs(np.random.default_rng([seed, 1]), machine, effects, strength)
+
+
+@pytest.fixture(scope="module")
+def drawn_case(tmp_path_factory):
+    """Gives the case of a name, and a run that has what is true of it."""
+    folder = tmp_path_factory.mktemp("drawn")
+    cases = {name: drawn(*words) for name, words in DRAWN.items()}
+    write_cases(folder, cases)
+    return lambda name: (case_of(folder / name), cases[name][1][0])
 
 
 def named(found):
     return [cause.effect for cause in found.causes if cause.probability >= 0.5]
 
 
-@pytest.mark.parametrize(
-    ("name", "kind"),
-    [
-        ("joint_elasticity", "exoskeleton"),
-        ("gear_backlash", "geared_joint"),
-        ("gear_backlash", "heavy_axis"),
-        ("torque_limit", "geared_joint"),
-        ("power_foldback", "wheel_motor"),
-        ("position_spring", "spindle"),
-    ],
-)
-def test_what_a_joint_has_is_named_with_its_size(tmp_path, name, kind):
-    case, run = drawn_case(tmp_path, kind, [name], seed=3)
+@pytest.mark.parametrize(("name", "kind"), JOINTS)
+def test_what_a_joint_has_is_named_with_its_size(drawn_case, name, kind):
+    case, run = drawn_case(f"{name} of {kind}")
     found = diagnose(case)
     assert named(found) == [name]
     parameter, near = NUMBERS[name]
@@ -63,17 +78,17 @@ def test_what_a_joint_has_is_named_with_its_size(tmp_path, name, kind):
     assert told[parameter] == pytest.approx(run.parameter(name, parameter), rel=near)
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("heavy_axis", 6), ("heavy_axis", 3)])
-def test_a_torque_that_pulls_one_way_is_no_spring_whose_rest_no_run_comes_by(tmp_path, kind, seed):
-    case, _ = drawn_case(tmp_path, kind, ["asymmetric_friction"], seed, "faint")
+@pytest.mark.parametrize("seed", ONE_WAY)
+def test_a_torque_that_pulls_one_way_is_no_spring_whose_rest_no_run_comes_by(drawn_case, seed):
+    case, _ = drawn_case(f"one way {seed}")
     classes = [{cause.effect, *cause.indistinguishable_from} for cause in diagnose(case).causes]
     assert classes
     for of_one in classes:
         assert of_one == {"asymmetric_friction", "current_sensor_offset"} or "asymmetric_friction" not in of_one
 
 
-def test_a_gear_s_error_is_told_at_its_order(tmp_path):
-    case, _ = drawn_case(tmp_path, "geared_joint", [], seed=5)
+def test_a_gear_s_error_is_told_at_its_order(drawn_case):
+    case, _ = drawn_case("gear")
     ratio, amplitude = 18.0, 0.004
     filtered = case.model.bench.velocity_filter_bandwidth
     wrong = [uneven(record, ratio, amplitude, filtered) for record in (*case.fitted, *case.held_out)]
@@ -96,23 +111,16 @@ def uneven(record, order, amplitude, bandwidth):
     return replace(record, fast=replace(record.fast, values=record.fast.values | changed))
 
 
-def test_a_sound_machine_has_none_of_them(tmp_path):
-    case, _ = drawn_case(tmp_path, "drone_motor", [], seed=8)
+def test_a_sound_machine_has_none_of_them(drawn_case):
+    case, _ = drawn_case("sound")
     found = diagnose(case)
     assert found.verdict in ("none", "calibration")
     assert named(found) == []
 
 
-@pytest.mark.parametrize(
-    ("name", "parameter", "kind", "near"),
-    [
-        ("asymmetric_friction", "asymmetry", "gimbal_motor", 0.03),
-        ("position_dependent_friction", "amplitude", "exoskeleton", 0.05),
-        ("friction_run_in", "excess", "spindle", 0.1),
-    ],
-)
-def test_a_share_of_friction_is_told_of_the_friction_that_was_fitted(tmp_path, name, parameter, kind, near):
-    case, run = drawn_case(tmp_path, kind, [name], seed=4)
+@pytest.mark.parametrize(("name", "parameter", "kind", "near"), SHARES)
+def test_a_share_of_friction_is_told_of_the_friction_that_was_fitted(drawn_case, name, parameter, kind, near):
+    case, run = drawn_case(f"share of {name}")
     friction = run.specimen.coulomb_friction / case.model.coulomb_friction
     assert abs(friction - 1.0) > 2.0 * near, "the model file's friction has to be off by more than what is asked for"
     cause = next(cause for cause in diagnose(case).causes if cause.effect == name)
@@ -120,17 +128,14 @@ def test_a_share_of_friction_is_told_of_the_friction_that_was_fitted(tmp_path, n
     assert told[parameter] == pytest.approx(run.parameter(name, parameter), rel=near)
 
 
-COARSE = {"rate": 1000.0, "count": 2.0 * np.pi / 16384}  # which hides a slow acceleration in its steps at that rate
-
-
-def test_an_inertia_is_told_by_an_encoder_whose_steps_hide_the_acceleration(tmp_path):
-    case, run = drawn_case(tmp_path, "heavy_axis", [], 6, **COARSE)
+def test_an_inertia_is_told_by_an_encoder_whose_steps_hide_the_acceleration(drawn_case):
+    case, run = drawn_case("coarse")
     evidence = Evidence(case.fitted, case.model)
     told = {item.parameter: item.fitted for item in calibrated(evidence, evidence.settle([]))}
     ratio = run.specimen.rotor_inertia / run.specimen.torque_constant
     assert told["rotor_inertia"] / told["torque_constant"] == pytest.approx(ratio, rel=0.01)
 
 
-def test_an_effect_is_named_beside_such_an_encoder(tmp_path):
-    case, _ = drawn_case(tmp_path, "heavy_axis", ["presliding"], 6, "strong", **COARSE)
+def test_an_effect_is_named_beside_such_an_encoder(drawn_case):
+    case, _ = drawn_case("coarse with presliding")
     assert named(diagnose(case)) == ["presliding"]

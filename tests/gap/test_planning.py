@@ -19,6 +19,7 @@ from leactl.vocabulary.effect import effect_definition, effect_names
 from tests.gap.synthetic import model
 
 SEPARATING = [name for name in protocolfile.names() if protocolfile.load(name).separates]
+SLOW = "separate-heat"  # eleven seconds; the others take one to two
 
 
 def seen_in(name, noise=None):
@@ -34,7 +35,9 @@ def model_file(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize("name", SEPARATING)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long) if name == SLOW else name for name in SEPARATING]
+)
 def test_a_separating_protocol_tells_apart_what_it_says(name):
     found, named = seen_in(name), protocolfile.load(name).separates
     assert len(named) > 1

@@ -9,15 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.effects.contract import Signals
-from leactl.gap.diagnose import Case, diagnose, split
+from leactl.gap.diagnose import diagnose
 from leactl.gap.signals.derived import fast_signals
-from leactl.gap.signals.record import Record, read_record
 from leactl.gap.signals.smoothing import smooth
-from leactl.joints.files import write_run
-from leactl.joints.machine import draw_machine, nominal_text
+from leactl.joints.machine import draw_machine
 from leactl.joints.make import draw_runs
-from leactl.joints.stepped import simulate
-from leactl.model.nominal import Model, read_model
+from leactl.model.nominal import Model
+from tests.gap.drawn_machines import case_of, write_cases
 from tests.gap.synthetic import clocked, record
 
 COUNT, INTERVAL_S, FINE = 400, 2.5e-3, 64
@@ -53,24 +51,32 @@ def test_a_run_without_an_angle_has_no_waves():
         Signals("free", np.arange(9.0), Model(name="m"), 1.0).waves(1.0)
 
 
-@pytest.mark.parametrize(("effect", "near"), [("cogging", 0.05), ("unbalance", 0.05)])
-def test_on_a_rotor_that_turns_fast_for_its_samples_a_wave_is_named_alone_and_with_its_size(tmp_path, effect, near):
+NEAR = 0.05  # of the truth
+WAVES = ("cogging", "unbalance")
+
+
+@pytest.fixture(scope="module")
+def fast_rotors(tmp_path_factory):
+    """Gives the case of a fast rotor with an effect, and a run that has what is true of it."""
     machine = draw_machine(np.random.default_rng(5), "drone_motor")
     machine = replace(
         machine, channels=("current", "angle", "current_reference"), sampling=True, rate=400.0, seconds=12.0
     )
-    runs = draw_runs(np.random.default_rng(1), machine, [effect], "plain")
-    (tmp_path / "nominal.yaml").write_text(nominal_text(machine), encoding="utf-8")
-    for run, signals in zip(runs, simulate(runs), strict=True):
-        write_run(tmp_path, "case", run, signals)
-    records: list[Record] = [read_record(path) for path in sorted(tmp_path.glob("*.h5"))]
-    found = diagnose(Case(read_model(tmp_path / "nominal.yaml")[0], *split(records)))
+    cases = {effect: (machine, draw_runs(np.random.default_rng(1), machine, [effect], "plain")) for effect in WAVES}
+    folder = tmp_path_factory.mktemp("fast")
+    write_cases(folder, cases)
+    return lambda effect: (case_of(folder / effect), cases[effect][1][0])
+
+
+@pytest.mark.parametrize("effect", WAVES)
+def test_on_a_rotor_that_turns_fast_for_its_samples_a_wave_is_named_alone_and_with_its_size(fast_rotors, effect):
+    case, run = fast_rotors(effect)
+    found = diagnose(case)
     one_class = {effect, *found.causes[0].indistinguishable_from}
     assert {cause.effect for cause in found.causes if cause.probability >= 0.5} == one_class
     assert one_class <= {effect, "gravity_load"}
     own = next(cause for cause in found.causes if cause.effect == effect)
-    ratio = {item.parameter: item.fitted for item in found.calibration}["torque_constant"] / runs[
-        0
-    ].specimen.torque_constant
+    fitted = {item.parameter: item.fitted for item in found.calibration}
+    ratio = fitted["torque_constant"] / run.specimen.torque_constant
     told = {item.name: item.value for item in own.parameters}["amplitude"]
-    assert told == pytest.approx(runs[0].parameter(effect, "amplitude") * ratio, rel=near)
+    assert told == pytest.approx(run.parameter(effect, "amplitude") * ratio, rel=NEAR)

@@ -44,6 +44,7 @@ def held_at(plant, guard_of, fault=None):
     return hottest([History(plant, [course])])[0][0], course
 
 
+@pytest.mark.long
 def test_few_trials_lose_no_winding_no_drive_and_no_file():
     told = tried(FEW, FEW.numbers)
     assert [item["number"] for item in told] == list(FEW.numbers)

@@ -183,6 +183,7 @@ def test_an_optimiser_that_is_not_installed_says_how_it_is(monkeypatch):
         hunt("test", LEA, SETTINGS, 20.0, "true", 0.0, optimiser="cma")
 
 
+@pytest.mark.long
 def test_cma_finds_a_guard_that_stops_late():
     proposals = OPTIMISERS["cma"](GENES + len(PARAMETERS) + 1, np.random.default_rng(1))
     one, peaks = attempted(next(proposals), LEA, SETTINGS, 100.0, "true", StopsLate), []

@@ -280,11 +280,8 @@ class Evidence:
 
     def columns(self, candidate: Candidate) -> npt.NDArray[np.intp]:
         """Where the columns of one form of an effect stand; empty where no run shows it."""
-        found = [
-            place
-            for name, place in self.stack.place.items()
-            if name[0] == "effect" and (name[1], name[2]) == (candidate[0], repr(candidate[1]))
-        ]
+        form = ("effect", candidate[0], repr(candidate[1]))
+        found = [place for name, place in self.stack.place.items() if name[:3] == form]
         return np.asarray(sorted(found), np.intp)
 
     def coefficient(self, place: int) -> str:
