@@ -245,7 +245,7 @@ def test_of_thousands_of_mutated_answers_none_gives_a_row_that_its_bytes_do_not_
             row = bench.cycle()
         except LeactlError:  # a mode or a fault that reads as one, an answer that stays away for too long
             bench.drive._heard_until = math.inf
-            bench.drive.shown = 0
+            bench.drive.reported_mode = 0
             exchange.second_controller = False
             row = list(bench.drive.values)
         rows.append(row)
@@ -311,11 +311,12 @@ def maker():
 
 
 def test_the_maker_reads_the_drivers_frames_as_they_were_meant(maker):
-    bench = MoteusBench()
+    bench = MoteusBench(supply_period_s=60.0)
     bench.drive.open()
     bench.cycle()
     for mode, value in ((Mode.CURRENT, 3.0), (Mode.VELOCITY, -2.0), (Mode.ANGLE, 1.5)):
         bench.engage(mode)
+        bench.cycle()
         bench.drive.command(value)
         bench.cycle()
         seen = maker.parse_registers(bench.commands()[-1])

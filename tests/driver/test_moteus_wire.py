@@ -10,6 +10,7 @@ from leactl_plugins.moteus_can.registers import TORQUE_FACTOR, Register
 
 from leactl.driver.contract import Identity, Mode
 from leactl.driver.far_end import FdFrame
+from leactl.driver.stopping import make_safe
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 
 from .failing import Shaft
@@ -48,11 +49,14 @@ def floats(data, at, count):
     return struct.unpack_from(f"<{count}f", data, at)
 
 
-def test_a_torque_is_position_mode_with_its_loops_switched_off(moteus_bench):
-    moteus_bench.engage(Mode.CURRENT)
-    moteus_bench.drive.command(4.9)
-    moteus_bench.cycle()
-    sent = moteus_bench.commands()[-1]
+def test_a_torque_is_position_mode_with_its_loops_switched_off(make_moteus):
+    bench = make_moteus(supply_period_s=60)  # seldom: one question in a while has it in place of the time-out
+    bench.drive.open()
+    bench.engage(Mode.CURRENT)
+    bench.cycle()
+    bench.drive.command(4.9)
+    bench.cycle()
+    sent = bench.commands()[-1]
     assert sent[:6] == HOME_POSITION
     position, velocity, torque, kp, kd, most = floats(sent, 6, 6)
     assert math.isnan(position)
@@ -65,8 +69,8 @@ def test_a_torque_is_position_mode_with_its_loops_switched_off(moteus_bench):
     assert sent[47:49] == bytes.fromhex("0d10")  # the number of the question
     assert sent[53:] == QUESTION
     assert len(sent) == 64
-    assert moteus_bench.shaft.following == ("current", pytest.approx(4.9, rel=1e-6))
-    assert moteus_bench.cycle()[3] == pytest.approx(4.9, rel=1e-6)
+    assert bench.shaft.following == ("current", pytest.approx(4.9, rel=1e-6))
+    assert bench.cycle()[3] == pytest.approx(4.9, rel=1e-6)
 
 
 def test_a_velocity_goes_on_from_where_the_shaft_is_in_revolutions_a_second(moteus_bench):
@@ -180,7 +184,10 @@ def test_a_safe_controller_gets_its_own_time_out_mode_back(moteus_bench):
 
 def test_a_time_out_mode_that_cannot_be_set_refuses_the_start(make_moteus):
     bench = make_moteus()
-    told, bench.far._told = bench.far._told, lambda words: "OK" if words[1] == "set" else told(words)
+    answer_to, bench.far._answer_to = (
+        bench.far._answer_to,
+        lambda words: "OK" if words[1] == "set" else answer_to(words),
+    )
     with pytest.raises(DeviceError, match=r"drive: servo.timeout_mode is 12 although 0 was written \('OK'\)"):
         bench.drive.open()
 
@@ -195,15 +202,26 @@ def test_a_time_out_that_a_dead_host_has_left_is_cleared(make_moteus):
 # -- faults ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_fault_is_told_in_the_makers_words_and_latches_until_a_stop(moteus_bench):
+def test_a_fault_is_told_in_the_makers_words_and_stays_when_it_is_made_safe(moteus_bench):
     moteus_bench.engage(Mode.CURRENT)
     moteus_bench.far.fault(0x3210)
     with pytest.raises(DeviceFault, match=r"drive: over voltage \(code 34\)"):
         moteus_bench.cycles(0.1)
     assert moteus_bench.shaft.following[0] == "off"
-    assert moteus_bench.far.mode == 1
-    assert moteus_bench.drive.safe_state(1.0).safe
-    assert (moteus_bench.far.mode, moteus_bench.far.fault_code) == (0, 0)
+    for _ in range(2):  # it has no power, and to stop it would clear what it has to say
+        assert make_safe([moteus_bench.drive]) == {"drive": (True, "in fault, without power: over voltage (code 34)")}
+        assert moteus_bench.far.mode == 1
+    moteus_bench.far.mode = 10  # another host has cleared it and gone on
+    moteus_bench.shaft.following = ("velocity", 1.0)
+    assert moteus_bench.drive.safe_state(1.0) == (True, "stopped")
+    assert moteus_bench.shaft.following[0] == "off"
+
+
+def test_a_fault_that_nobody_has_heard_of_yet_is_told_where_a_stop_clears_it(moteus_bench):
+    moteus_bench.engage(Mode.CURRENT)
+    moteus_bench.far.fault(0x3210)
+    assert moteus_bench.drive.safe_state(1.0) == (True, "stopped; it was in fault: over voltage (code 34)")
+    assert moteus_bench.far.mode == 0
 
 
 def test_a_fault_while_the_drive_is_off_is_told_and_not_cleared(moteus_bench):
@@ -217,9 +235,11 @@ def test_a_fault_while_the_drive_is_off_is_told_and_not_cleared(moteus_bench):
 def test_a_fault_that_is_met_is_refused_and_stays_unless_it_is_to_be_cleared(make_moteus):
     bench = make_moteus()
     bench.far.fault(0x2340)
-    with pytest.raises(DeviceFault, match=r"motor driver fault \(code 33\); reset_fault_at_start: true clears it"):
-        bench.drive.open()
-    assert bench.far.mode == 1
+    for _ in range(2):
+        with pytest.raises(DeviceFault, match=r"motor driver fault \(code 33\); reset_fault_at_start: true clears it"):
+            bench.drive.open()
+        assert make_safe([bench.drive])["drive"].safe  # as a bench does that cannot be opened
+        assert bench.far.mode == 1
     willing = make_moteus(reset_fault_at_start=True)
     willing.far.fault(0x2340)
     willing.drive.open()
@@ -515,7 +535,19 @@ def test_bus_voltage_and_temperature_come_at_their_own_pace(moteus_bench):
     moteus_bench.cycles(1.0)
     rows = moteus_bench.drive.take()
     assert 4 <= len(rows) <= 6
-    assert rows[0].values == [pytest.approx(29.6), pytest.approx(32.0)]
+    assert rows[0].values == (pytest.approx(29.6), pytest.approx(32.0))
+
+
+def test_a_supply_that_is_asked_for_in_every_cycle_leaves_every_second_one_to_the_time_out(make_moteus):
+    bench = make_moteus(supply_period_s=0.05)
+    bench.drive.open()
+    bench.engage(Mode.CURRENT)
+    bench.drive.take()
+    for _ in range(20):
+        bench.drive._with_supply = True
+        bench.cycle()
+    assert len(bench.drive.take()) == 10
+    assert bench.drive.engaged
 
 
 def test_a_firmware_that_refuses_a_register_is_told(moteus_bench):

@@ -31,8 +31,8 @@ class Configuration:
 
     def __init__(self, name: str, port: CanPort, host: int, node: int, timeout_s: float) -> None:
         self._name, self._port, self._timeout_s = name, port, timeout_s
-        self._told = identifier(host, node)  # no answer is asked for
-        self._polled = identifier(host | FROM_HOST, node)
+        self._unanswered = identifier(host, node)
+        self._answered = identifier(host | FROM_HOST, node)
         self._came = [False]
         self._text = b""
 
@@ -73,7 +73,7 @@ class Configuration:
             until = self._port.clock.now() + self._timeout_s
             while self._poll(until):
                 pass
-            self._port.send_fd(self._told, padded(text_to_device(CHANNEL, f"{line}\n".encode("ascii"))))
+            self._port.send_fd(self._unanswered, padded(text_to_device(CHANNEL, f"{line}\n".encode("ascii"))))
             answer = b""
             while self._port.clock.now() < until:
                 part = self._poll(until)
@@ -89,5 +89,5 @@ class Configuration:
     def _poll(self, until: float) -> bytes | None:
         """Text that waits in the controller; None where the poll is not answered."""
         self._came[0] = False
-        self._port.send_fd(self._polled, padded(poll_for_text(CHANNEL, MOST_TEXT)))
+        self._port.send_fd(self._answered, padded(poll_for_text(CHANNEL, MOST_TEXT)))
         return self._text if self._port.pump_until(self._came, until) else None

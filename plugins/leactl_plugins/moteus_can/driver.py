@@ -13,14 +13,14 @@ from typing import Any, ClassVar
 
 from leactl.driver.can_port import CanPort
 from leactl.driver.clock import Clock
-from leactl.driver.contract import Confirmation, Driver, Identity, Mode, Row, StreamSpec, drive_channels
+from leactl.driver.contract import SAFE_STATE_S, Confirmation, Driver, Identity, Mode, Row, StreamSpec, drive_channels
 from leactl.driver.far_end import CanEmulator, Physics
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.moteus_can import configuration as conf
 from leactl_plugins.moteus_can.configuration import Configuration
 from leactl_plugins.moteus_can.exchange import Exchange, query
-from leactl_plugins.moteus_can.multiplex import FROM_HOST, Resolution, identifier, padded, parse, read, write
+from leactl_plugins.moteus_can.multiplex import FROM_HOST, Resolution, identifier, parse, write
 from leactl_plugins.moteus_can.registers import (
     MAP_VERSION,
     TORQUE_FACTOR,
@@ -60,8 +60,18 @@ WHO = query(
     (Register.MODEL_NUMBER, 3, Resolution.INT32),  # with the versions of firmware and register map
     (Register.SERIAL_NUMBER, 3, Resolution.INT32),
 )
-SUPPLY_QUESTION = padded(read(Register.VOLTAGE, 2))
-SUPPLY_ANSWERED = frozenset((Register.VOLTAGE, Register.TEMPERATURE))
+WITH_SUPPLY = query(  # in place of the time-out: a frame holds no more beside a command
+    (Register.MODE, 1, Resolution.INT8),
+    (Register.POSITION, 4, Resolution.FLOAT),
+    (Register.FAULT, 1, Resolution.INT8),
+    (Register.VOLTAGE, 2, Resolution.FLOAT),  # with the temperature
+)
+REFUSED = {
+    conf.VOLTAGE_MODE: "currents would be volts",
+    conf.FIXED_VOLTAGE: "neither encoder nor current loop would be used",
+    conf.BEMF_FEEDFORWARD: "the controller refuses it without a limit of acceleration, and none is sent",
+}
+"""Parameters that must be 0, and why."""
 
 
 class MoteusCan(Driver):
@@ -87,13 +97,14 @@ class MoteusCan(Driver):
         self._exchange = Exchange(port, self._to)
         self._answer: dict[int, float] = {}  # the last one
         self._heard_until = -math.inf
-        self.shown: int | None = None  # the mode that it has told since it was last told one
+        self.reported_mode: int | None = None  # since the mode to follow changed last; None until it reports one
         self.fault = 0
-        self._timeout_shown = NAN
+        self._reported_timeout = NAN
         self._turns = NAN  # where the shaft is
         self._supply_due = -math.inf
+        self._with_supply = self._had_supply = False  # the next question, and the last one
         self._rows: list[Row] = []
-        self._limited, self._told_limited = 0, 0
+        self._limited, self._reported_limit = 0, 0
         self._quiet_until = -math.inf
         self._supervised = False  # since the last command, so that the next one may be sent
         self._mode, self._reference, self._value = Mode.OFF, ANGLE, 0.0
@@ -107,37 +118,52 @@ class MoteusCan(Driver):
     def safe_state(self, deadline_s: float) -> Confirmation:
         """Stop the controller, from any state, over a fresh connection if need be; never raises.
 
-        Confirmed is what it tells in an answer to a frame that told it to stop, or to one after it.
+        Confirmed is what it reports in an answer to a frame that told it to stop, or to a later one. A controller in
+        fault has no power at its output, and a stop would clear the fault: one that is known to be in fault is asked.
         """
+        return self._stop(deadline_s, self.reported_mode == OperatingMode.FAULT)
+
+    def _stop(self, deadline_s: float, in_fault: bool) -> Confirmation:
         self._follow(Mode.OFF)
         until = self._clock.now() + deadline_s
-        trouble = "no time was left"
+        trouble, cleared = "no time was left", ""
         while self._clock.now() < until:
             try:
                 self._connect()
-                heard = self._exchange.is_answered(STOP, STATUS, min(until, self._clock.now() + 0.25))
+                command = b"" if in_fault else STOP
+                answered = self._exchange.is_answered(command, STATUS, min(until, self._clock.now() + 0.25))
             except DeviceError as error:
-                heard, trouble = False, str(error)
+                answered, trouble = False, str(error)
                 self._clock.sleep_until(min(until, self._clock.now() + 0.01))
             else:
-                trouble = f"mode {self.shown}" if heard else "no answer"
-            if heard and self.shown == OperatingMode.STOPPED:
-                self._safe = True
-                return Confirmation(True, "stopped")
-            if heard:
-                self._clock.sleep_until(min(until, self._clock.now() + 0.001))  # its loop takes the command up
-            else:
+                trouble = f"mode {self.reported_mode}" if answered else "no answer"
+            if not answered:
                 with suppress(DeviceError):
                     self._port.reopen()
+                continue
+            if self.reported_mode == OperatingMode.STOPPED or (in_fault and self.reported_mode == OperatingMode.FAULT):
+                self._safe = True
+                return Confirmation(
+                    True, f"in fault, without power: {fault_text(self.fault)}" if in_fault else f"stopped{cleared}"
+                )
+            if self.reported_mode == OperatingMode.FAULT:
+                cleared = f"; it was in fault: {fault_text(self.fault)}"
+            in_fault = False
+            self._clock.sleep_until(min(until, self._clock.now() + 0.001))  # its loop takes the command up
         return Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble}")
 
     def stop_now(self) -> None:
-        """Send what stops the controller, and wait for nothing; over a fresh connection if need be."""
+        """Send what stops the controller, and wait for nothing; over a fresh connection if need be.
+
+        One that has reported a fault has no power at its output, and is left in fault.
+        """
+        in_fault = self.reported_mode == OperatingMode.FAULT
         self._follow(Mode.OFF)
+        self.reported_mode = int(OperatingMode.FAULT) if in_fault else None
         for _ in range(2):
             try:
                 self._connect()
-                self._exchange.ask(STOP, STATUS)
+                self._exchange.ask(b"" if in_fault else STOP, STATUS)
             except DeviceError:
                 if not self._connected:
                     return  # no bus to reach it by, which `safe_state` will tell
@@ -158,11 +184,11 @@ class MoteusCan(Driver):
         self._safe, self._timeout_mode_as_met = False, None
         self._exchange.begin()
         self._meet()
-        if self.shown == OperatingMode.FAULT and not self.settings.reset_fault_at_start:
+        if self.reported_mode == OperatingMode.FAULT and not self.settings.reset_fault_at_start:
             raise DeviceFault(
                 f"{self.name}: {fault_text(self.fault)}; reset_fault_at_start: true clears it when its cause is gone"
             )
-        confirmation = self.safe_state(1.0)
+        confirmation = self._stop(SAFE_STATE_S, in_fault=False)
         if not confirmation.safe:
             raise DeviceError(f"{self.name}: the controller does not stop: {confirmation.detail}")
         self._safe = False
@@ -221,8 +247,8 @@ class MoteusCan(Driver):
         return (
             self._mode is not Mode.OFF
             and self._seen_stopped
-            and self.shown == OperatingMode.POSITION
-            and abs(self._timeout_shown - self.settings.host_silence_s) <= conf.NEAR
+            and self.reported_mode == OperatingMode.POSITION
+            and abs(self._reported_timeout - self.settings.host_silence_s) <= conf.NEAR
         )
 
     def engage(self, mode: Mode) -> None:
@@ -268,15 +294,16 @@ class MoteusCan(Driver):
 
         A command is what keeps the controller going: none is sent that no supervised cycle came before.
         """
-        following = self._mode is not Mode.OFF and self._seen_stopped
-        told = b""
-        if not following:
-            # a fault is told first: to stop would clear it
-            told = b"" if self.shown in (OperatingMode.STOPPED, OperatingMode.FAULT) else STOP
-        elif self._supervised:
-            told = self._demand()
-        self._supervised = False
-        self._exchange.ask(told, STATUS)
+        command = b""
+        if self._mode is not Mode.OFF and self._seen_stopped:
+            command = self._demand() if self._supervised else b""
+        elif self.reported_mode not in (OperatingMode.STOPPED, OperatingMode.FAULT):  # a stop would clear a fault
+            command = STOP
+        # every second question at the most, so that the time-out is reported as well
+        with_supply = self._with_supply and not self._had_supply and (self._mode is Mode.OFF or self.engaged)
+        self._supervised, self._had_supply = False, with_supply
+        self._with_supply = self._with_supply and not with_supply
+        self._exchange.ask(command, WITH_SUPPLY if with_supply else STATUS)
 
     def end_cycle(self, deadline: float) -> None:
         """Collect the readings; NaN where they did not come.
@@ -314,7 +341,7 @@ class MoteusCan(Driver):
         now = self._clock.now()
         if now >= self._supply_due:
             self._supply_due = now + self.settings.supply_period_s
-            self._port.send_fd(self._to, SUPPLY_QUESTION)
+            self._with_supply = True
 
     def take(self) -> list[Row]:
         """Bus voltages and temperatures that have come in since the last call."""
@@ -323,18 +350,18 @@ class MoteusCan(Driver):
 
     def notices(self) -> list[str]:
         """A line for irregular and unreadable answers, for what limits the output, and for a full bus."""
-        told, now = [], self._clock.now()
+        lines, now = [], self._clock.now()
         if now >= self._quiet_until or self._mode is Mode.OFF:
-            told += self._exchange.notices()
-            if self._limited != self._told_limited:
-                self._told_limited = self._limited
-                told.append(
+            lines += self._exchange.notices()
+            if self._limited != self._reported_limit:
+                self._reported_limit = self._limited
+                lines.append(
                     f"the output is limited by {limit_text(self._limited)}"
                     if self._limited
                     else "nothing limits the output any more"
                 )
-            self._quiet_until = now + QUIET_S if told else self._quiet_until
-        return told + self._port.notices()
+            self._quiet_until = now + QUIET_S if lines else self._quiet_until
+        return lines + self._port.notices()
 
     # -- on the way into operation -----------------------------------------------------------------------------------
 
@@ -343,7 +370,7 @@ class MoteusCan(Driver):
         self._mode, self._value = mode, 0.0
         self._reference = FOLLOWED.get(mode, ANGLE)
         self._enable_by, self._supervised = math.inf, False
-        self._seen_stopped, self.shown, self._timeout_shown = False, None, NAN
+        self._seen_stopped, self.reported_mode, self._reported_timeout = False, None, NAN
 
     def _demand(self) -> bytes:
         """The command of the mode; until the controller is in operation the angle is where the shaft is."""
@@ -368,7 +395,7 @@ class MoteusCan(Driver):
     def _judge(self, now: float, engaged: bool) -> None:
         """Say what keeps the drive out of operation, where it should be in it."""
         self._expect_one_controller()
-        if self.shown == OperatingMode.FAULT:
+        if self.reported_mode == OperatingMode.FAULT:
             raise DeviceFault(f"{self.name}: {fault_text(self.fault)}")
         if now > self._heard_until:
             raise NoAnswer(
@@ -377,16 +404,16 @@ class MoteusCan(Driver):
             )
         if self._mode is Mode.OFF or engaged:
             return
-        shown = f"mode {self.shown}, commands valid for {self._timeout_shown:g} s"
-        if self._seen_stopped and self.shown == OperatingMode.TIMEOUT:
+        state = f"mode {self.reported_mode}, commands valid for {self._reported_timeout:g} s"
+        if self._seen_stopped and self.reported_mode == OperatingMode.TIMEOUT:
             raise DeviceFault(
-                f"{self.name}: no command came for {self.settings.watchdog_ms} ms and it has stopped by itself: {shown}"
+                f"{self.name}: no command came for {self.settings.watchdog_ms} ms and it has stopped by itself: {state}"
             )
         if self._enable_by == -math.inf:
-            raise DeviceFault(f"{self.name}: left operation by itself: {shown}")
+            raise DeviceFault(f"{self.name}: left operation by itself: {state}")
         if now > self._enable_by:
             where = "" if abs(self._turns) <= FARTHEST_TURNS else f"; the shaft is at {self._turns:g} turns"
-            raise NoAnswer(f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {shown}{where}")
+            raise NoAnswer(f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {state}{where}")
 
     def _hold_torque_against_current(self, answer: Mapping[int, float]) -> None:
         """Refuse a controller whose own torque per ampere is another than that by which currents are sent.
@@ -427,8 +454,8 @@ class MoteusCan(Driver):
                 f"{self.name}: node {self.settings.node} does not tell who it is; number, power, bit rates of 1 and"
                 " 5 Mbit/s, a bus with options: {fd: true}?"
             )
-        model, firmware, registers = (int(self._answer[Register.MODEL_NUMBER + place]) for place in range(3))
-        words = [int(self._answer[Register.SERIAL_NUMBER + place]) for place in range(3)]
+        model, firmware, registers = (int(self._answer[Register.MODEL_NUMBER + word]) for word in range(3))
+        words = [int(self._answer[Register.SERIAL_NUMBER + word]) for word in range(3)]
         serial = base64.b64encode(struct.pack(">3i", *words)).decode("ascii")
         version = ".".join(str(firmware >> shift & 0xFF) for shift in (16, 8, 0))
         self._identity = Identity(f"moteus, model 0x{model:04X}", serial, version)
@@ -454,22 +481,26 @@ class MoteusCan(Driver):
         DeviceError : the controller is not calibrated, is set up to be driven otherwise, or differs.
         """
         get = self._configuration.read
-        for switch in (conf.VOLTAGE_MODE, conf.FIXED_VOLTAGE, conf.BEMF_FEEDFORWARD):
-            if (held := get(switch)) != 0.0:
-                raise DeviceError(f"{self.name}: {switch} is {held:g}; 0 was expected: its currents would be none")
-        kv, ratio = get(conf.KV), get(conf.RATIO)
-        for parameter, held in ((conf.KV, kv), (conf.RATIO, ratio)):
-            if not (math.isfinite(held) and held > 0.0):
-                raise DeviceError(f"{self.name}: {parameter} is {held:g}; more than 0 was expected: calibrate it first")
-        constant, most = TORQUE_FACTOR / kv, get(conf.MAX_CURRENT)
-        for given, held, what in (
-            (self.settings.torque_constant_Nm_per_A, constant, "torque_constant_Nm_per_A"),
-            (self.settings.max_current_A, most, "max_current_A"),
+        for parameter, reason in REFUSED.items():
+            if (value := get(parameter)) != 0.0:
+                raise DeviceError(f"{self.name}: {parameter} is {value:g}; 0 was expected: {reason}")
+        positive = {
+            parameter: get(parameter) for parameter in (conf.KV, conf.RATIO, conf.MAX_CURRENT, conf.MAX_VELOCITY)
+        }
+        for parameter, value in positive.items():
+            if not (math.isfinite(value) and value > 0.0):
+                raise DeviceError(
+                    f"{self.name}: {parameter} is {value:g}; more than 0 was expected: calibrate it first"
+                )
+        constant, most = TORQUE_FACTOR / positive[conf.KV], positive[conf.MAX_CURRENT]
+        for setting, expected, value in (
+            ("torque_constant_Nm_per_A", self.settings.torque_constant_Nm_per_A, constant),
+            ("max_current_A", self.settings.max_current_A, most),
         ):
-            if given is not None and not abs(held - given) <= GIVEN_NEAR * given:
-                raise DeviceError(f"{self.name}: holds {held:.5g} for {what}; the bench file says {given:g}")
-        self._torque_per_ampere = self.settings.sign * constant / ratio * AMPLITUDE
-        self._most_current, self._most_turns_s = most / AMPLITUDE, get(conf.MAX_VELOCITY)
+            if expected is not None and not abs(value - expected) <= GIVEN_NEAR * expected:
+                raise DeviceError(f"{self.name}: holds {value:.5g} for {setting}; the bench file says {expected:g}")
+        self._torque_per_ampere = self.settings.sign * constant / positive[conf.RATIO] * AMPLITUDE
+        self._most_current, self._most_turns_s = most / AMPLITUDE, positive[conf.MAX_VELOCITY]
         low, high = get(conf.POSITION_MIN), get(conf.POSITION_MAX)
         self._lowest_turns = max(-FARTHEST_TURNS, low) if math.isfinite(low) else -FARTHEST_TURNS
         self._highest_turns = min(FARTHEST_TURNS, high) if math.isfinite(high) else FARTHEST_TURNS
@@ -485,18 +516,18 @@ class MoteusCan(Driver):
             return
         if reply.text is not None and not reply.values:
             self._configuration.on_text(reply.text)
-        elif reply.values.keys() == SUPPLY_ANSWERED and not reply.errors:
-            supply = [reply.values[register] for register in (Register.VOLTAGE, Register.TEMPERATURE)]
-            self._rows.append(Row(f"{self.name}_supply", self._clock.now(), supply))
         elif self._exchange.takes(reply, frame):
             self._take_answer(reply.values)
 
     def _take_answer(self, values: dict[int, float]) -> None:
         self._answer = values
         self._heard_until = self._clock.now() + self.settings.host_silence_s
-        self.shown, self.fault = int(values[Register.MODE]), int(values[Register.FAULT])
-        self._timeout_shown = values.get(Register.COMMAND_TIMEOUT, NAN)
+        self.reported_mode, self.fault = int(values[Register.MODE]), int(values[Register.FAULT])
+        self._reported_timeout = values.get(Register.COMMAND_TIMEOUT, self._reported_timeout)
         self._turns = values.get(Register.POSITION, NAN)
-        if self.shown == OperatingMode.STOPPED:
+        if Register.VOLTAGE in values:
+            supply = (values[Register.VOLTAGE], values[Register.TEMPERATURE])
+            self._rows.append(Row(f"{self.name}_supply", self._clock.now(), supply))
+        if self.reported_mode == OperatingMode.STOPPED:
             self._seen_stopped = True
-        self._limited = 0 if self.shown == OperatingMode.FAULT else self.fault
+        self._limited = 0 if self.reported_mode == OperatingMode.FAULT else self.fault

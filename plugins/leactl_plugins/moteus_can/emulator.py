@@ -148,58 +148,58 @@ class MoteusEmulator:
 
     def _heed(self, data: bytes) -> bytes:
         """Do what the subframes say, in order; the answer, as far as the frame could be read."""
-        answer, place = bytearray(), 0
+        answer, offset = bytearray(), 0
         try:
-            while place < len(data) and len(answer) <= LENGTHS[-1] - KEPT_FREE:
-                kind, place = data[place], place + 1
+            while offset < len(data) and len(answer) <= LENGTHS[-1] - KEPT_FREE:
+                kind, offset = data[offset], offset + 1
                 if kind < 0x20:
-                    place = self._registers(kind, data, place, answer)
+                    offset = self._registers(kind, data, offset, answer)
                 elif kind in (0x40, 0x42):
-                    place = self._tunnel(kind, data, place, answer)
+                    offset = self._tunnel(kind, data, offset, answer)
                 elif kind != 0x50:
                     break
         except (IndexError, struct.error):
             return bytes(answer)
         return bytes(answer)
 
-    def _tunnel(self, kind: int, data: bytes, place: int, answer: bytearray) -> int:
+    def _tunnel(self, kind: int, data: bytes, offset: int, answer: bytearray) -> int:
         """Take text, or be polled for it; where no answer is asked for, none is given away."""
-        channel, place = _varuint(data, place)
-        count, place = _varuint(data, place)
+        channel, offset = _varuint(data, offset)
+        count, offset = _varuint(data, offset)
         most = LENGTHS[-1] - KEPT_FREE
         if kind == 0x40:
-            if place + count > len(data):
+            if offset + count > len(data):
                 raise IndexError
-            self._read_text(data[place : place + count])
-            place += count
+            self._read_text(data[offset : offset + count])
+            offset += count
         else:
             most = min(count, most)
         if self._is_asked:
             part, self._text = self._text[:most], self._text[most:]
             answer += bytes((0x41, channel, len(part))) + part
-        return place
+        return offset
 
-    def _registers(self, kind: int, data: bytes, place: int, answer: bytearray) -> int:
+    def _registers(self, kind: int, data: bytes, offset: int, answer: bytearray) -> int:
         """Write or read registers of one subframe; what is not known ends the reading of a frame."""
         resolution, count, head = kind >> 2 & 3, kind & 3, b""
         if not count:
-            count, place = _varuint(data, place)
+            count, offset = _varuint(data, offset)
             head = _varuint_of(count)
-        register, place = _varuint(data, place)
+        register, offset = _varuint(data, offset)
         layout = LAYOUTS[resolution]
         if kind < 0x10:
             for each in range(register, register + count):
-                (raw,) = layout.unpack_from(data, place)
-                place += layout.size
+                (raw,) = layout.unpack_from(data, offset)
+                offset += layout.size
                 if error := self._write(each, _physical(each, resolution, raw)):
                     answer += bytes((0x30,)) + _varuint_of(each) + bytes((error,))
-            return place
+            return offset
         if not self._is_asked:
-            return place
+            return offset
         head = bytes((kind + 0x10,)) + head + _varuint_of(register)
         if len(answer) + len(head) + count * layout.size > LENGTHS[-1]:
             answer += bytes((0x31,)) + _varuint_of(register) + bytes((NO_ROOM,))
-            return place
+            return offset
         values = b""
         for each in range(register, register + count):
             value = self._read(each, resolution)
@@ -208,7 +208,7 @@ class MoteusEmulator:
                 raise IndexError
             values += layout.pack(_coded(each, resolution, value))
         answer += head + values
-        return place
+        return offset
 
     def _write(self, register: int, value: float) -> int:
         if register == Register.MODE:
@@ -282,11 +282,11 @@ class MoteusEmulator:
 
     def _drive(self) -> None:
         """Have the machine follow the command, cut to the limits with the code of the one that cuts."""
-        held, self.fault_code = self._commanded, 0
-        position, velocity = held[Register.COMMAND_POSITION], held[Register.COMMAND_VELOCITY]
+        commanded, self.fault_code = self._commanded, 0
+        position, velocity = commanded[Register.COMMAND_POSITION], commanded[Register.COMMAND_VELOCITY]
         if self.mode == OperatingMode.CURRENT:
-            self._machine.command("current", self._limited(held[Register.COMMAND_Q_CURRENT]) / TO_AMPLITUDE)
-        elif held[Register.COMMAND_KP_SCALE] == 0.0 and held[Register.COMMAND_KD_SCALE] == 0.0:
+            self._machine.command("current", self._limited(commanded[Register.COMMAND_Q_CURRENT]) / TO_AMPLITUDE)
+        elif commanded[Register.COMMAND_KP_SCALE] == 0.0 and commanded[Register.COMMAND_KD_SCALE] == 0.0:
             self._machine.command("current", self._current() / TO_AMPLITUDE)
         elif math.isnan(position):
             most = self.parameters["servo.max_velocity"]
@@ -331,9 +331,9 @@ class MoteusEmulator:
         *lines, self._line = (self._line + text).replace(b"\r", b"\n").split(b"\n")
         for line in lines:
             if line.strip():
-                self._text += self._told(line.decode("ascii", "replace").split()).encode("ascii") + b"\r\n"
+                self._text += self._answer_to(line.decode("ascii", "replace").split()).encode("ascii") + b"\r\n"
 
-    def _told(self, words: list[str]) -> str:
+    def _answer_to(self, words: list[str]) -> str:
         if len(words) < 3 or words[0] != "conf" or words[1] not in ("get", "set"):
             return "ERR unknown command"
         if words[2] not in self.parameters:
@@ -370,13 +370,13 @@ class MoteusEmulator:
         self._fail(FAULT_OF_CLASS.get(code >> 8, MOTOR_DRIVER))
 
 
-def _varuint(data: bytes, place: int) -> tuple[int, int]:
+def _varuint(data: bytes, offset: int) -> tuple[int, int]:
     number = 0
     for shift in range(0, 35, 7):
-        number |= (data[place] & 0x7F) << shift
-        place += 1
-        if not data[place - 1] & 0x80:
-            return number, place
+        number |= (data[offset] & 0x7F) << shift
+        offset += 1
+        if not data[offset - 1] & 0x80:
+            return number, offset
     raise IndexError
 
 

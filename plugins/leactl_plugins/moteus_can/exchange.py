@@ -46,11 +46,11 @@ class Exchange:
 
     def begin(self) -> None:
         """Count from nothing again."""
-        self.irregular, self._irregular_told = Irregular(), Irregular()
-        self.unreadable, self._unreadable_told, self._last_unreadable = 0, 0, ""
+        self.irregular, self._irregular_reported = Irregular(), Irregular()
+        self.unreadable, self._unreadable_reported, self._last_unreadable = 0, 0, ""
         self.second_controller = False
 
-    def ask(self, told: bytes, asked: RegisterQuery) -> None:
+    def ask(self, command: bytes, asked: RegisterQuery) -> None:
         """Send a command, which may be none, and a question; does not wait.
 
         Raises
@@ -63,11 +63,11 @@ class Exchange:
         if len(self._unanswered) > LATEST:
             del self._unanswered[next(iter(self._unanswered))]
         number = write(NUMBER, [float(self._number)])  # behind the mode, which resets what was written before it
-        self._port.send_fd(self._identifier, padded(told + number + asked.subframes))
+        self._port.send_fd(self._identifier, padded(command + number + asked.subframes))
 
-    def is_answered(self, told: bytes, asked: RegisterQuery, until: float) -> bool:
+    def is_answered(self, command: bytes, asked: RegisterQuery, until: float) -> bool:
         """Send a command and a question, and wait for the answer until this moment."""
-        self.ask(told, asked)
+        self.ask(command, asked)
         return self._port.pump_until(self.came, until)
 
     def give_up(self) -> None:
@@ -96,14 +96,14 @@ class Exchange:
 
     def notices(self) -> list[str]:
         """A line for what was counted since the last call: irregular answers, unreadable ones."""
-        told = []
-        if self.irregular != self._irregular_told:
-            self._irregular_told = replace(self.irregular)
-            told.append(str(self.irregular))
-        if self.unreadable != self._unreadable_told:
-            self._unreadable_told = self.unreadable
-            told.append(f"{self.unreadable} answers could not be used; the last one {self._last_unreadable}")
-        return told
+        lines = []
+        if self.irregular != self._irregular_reported:
+            self._irregular_reported = replace(self.irregular)
+            lines.append(str(self.irregular))
+        if self.unreadable != self._unreadable_reported:
+            self._unreadable_reported = self.unreadable
+            lines.append(f"{self.unreadable} answers could not be used; the last one {self._last_unreadable}")
+        return lines
 
     def _take_another(self, number: float, data: bytes) -> None:
         """Count an answer to an earlier question, or to none.

@@ -64,7 +64,7 @@ def write(register: int, values: Sequence[float], resolution: Resolution = Resol
     ------
     ValueError : a value that the resolution cannot express; nothing is clipped.
     """
-    packed = [_packed(register + place, value, resolution) for place, value in enumerate(values)]
+    packed = [_packed(register + number, value, resolution) for number, value in enumerate(values)]
     return _head(WRITE, register, len(values), resolution) + b"".join(packed)
 
 
@@ -130,46 +130,46 @@ def parse(data: bytes) -> Reply:
     values: dict[int, float] = {}
     errors: dict[int, int] = {}
     text: bytes | None = None
-    place, end = 0, len(data)
+    offset, end = 0, len(data)
     try:
-        while place < end:
-            kind, place = data[place], place + 1
+        while offset < end:
+            kind, offset = data[offset], offset + 1
             if kind == NOP:
                 continue
             if kind & 0xF0 == REPLY:
-                place = _take_values(kind, data, place, values)
+                offset = _take_values(kind, data, offset, values)
             elif kind in (READ_ERROR, WRITE_ERROR):
-                register, place = _take_varuint(data, place)
-                errors[register], place = _take_varuint(data, place)
+                register, offset = _take_varuint(data, offset)
+                errors[register], offset = _take_varuint(data, offset)
             elif kind == TEXT_TO_HOST and text is None:
-                _channel, place = _take_varuint(data, place)  # one is used
-                count, place = _take_varuint(data, place)
-                text, place = data[place : place + count], place + count
+                _channel, offset = _take_varuint(data, offset)  # one is used
+                count, offset = _take_varuint(data, offset)
+                text, offset = data[offset : offset + count], offset + count
             else:
-                raise ValueError(f"has 0x{kind:02X} at byte {place - 1}, where a controller's subframe was expected")
+                raise ValueError(f"has 0x{kind:02X} at byte {offset - 1}, where a controller's subframe was expected")
     except (IndexError, struct.error):
-        place = end + 1
-    if place > end:
+        offset = end + 1
+    if offset > end:
         raise ValueError(f"ends within a subframe, at byte {end}")
     return Reply(values, errors, text)
 
 
-def _take_values(kind: int, data: bytes, place: int, values: dict[int, float]) -> int:
+def _take_values(kind: int, data: bytes, offset: int, values: dict[int, float]) -> int:
     """Take a subframe of values from the byte behind its first one; gives the byte behind it."""
     resolution, count = kind >> 2 & 3, kind & 3
     if not count:
-        count, place = _take_varuint(data, place)
-    register, place = _take_varuint(data, place)
+        count, offset = _take_varuint(data, offset)
+    register, offset = _take_varuint(data, offset)
     if not count:
-        raise ValueError(f"has no register in the subframe before byte {place}")
+        raise ValueError(f"has no register in the subframe before byte {offset}")
     layout = LAYOUTS[resolution]
     for each in range(register, register + count):
         if each in values:
             raise ValueError(f"tells register 0x{each:03X} twice")
-        (value,) = layout.unpack_from(data, place)
+        (value,) = layout.unpack_from(data, offset)
         values[each] = _value(each, value, resolution)
-        place += layout.size
-    return place
+        offset += layout.size
+    return offset
 
 
 def _value(register: int, value: float, resolution: int) -> float:
@@ -186,12 +186,12 @@ def _value(register: int, value: float, resolution: int) -> float:
     return math.nan if value == NAN_CODES[resolution] else value * scales[resolution]
 
 
-def _take_varuint(data: bytes, place: int) -> tuple[int, int]:
+def _take_varuint(data: bytes, offset: int) -> tuple[int, int]:
     """A number and the byte behind it."""
     number = 0
     for count in range(MOST_OF_A_VARUINT):
-        byte = data[place + count]
+        byte = data[offset + count]
         number |= (byte & 0x7F) << 7 * count
         if not byte & 0x80:
-            return number, place + count + 1
-    raise ValueError(f"has a number of more than {MOST_OF_A_VARUINT} bytes before byte {place + MOST_OF_A_VARUINT}")
+            return number, offset + count + 1
+    raise ValueError(f"has a number of more than {MOST_OF_A_VARUINT} bytes before byte {offset + MOST_OF_A_VARUINT}")
