@@ -220,7 +220,7 @@ class _CanSide:
         if text is None:
             return None
         identifier, data, marks = [*text.split(" "), "", ""][:3]
-        if data and set(data) <= set("xer"):
+        if data and set(data) <= set("xerFB"):
             data, marks = "", data
         return can.Message(
             timestamp=self._wire.now(),
@@ -229,6 +229,8 @@ class _CanSide:
             is_extended_id="x" in marks,
             is_error_frame="e" in marks,
             is_remote_frame="r" in marks,
+            is_fd="F" in marks,
+            bitrate_switch="B" in marks,
         )
 
     def shutdown(self) -> None:

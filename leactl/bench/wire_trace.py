@@ -136,6 +136,8 @@ class WireTrace:
                 is_extended_id=message.is_extended_id,
                 is_error_frame=message.is_error_frame,
                 is_remote_frame=message.is_remote_frame,
+                is_fd=message.is_fd,
+                bitrate_switch=message.bitrate_switch,
                 data=message.data,
                 channel=owner,
                 is_rx=kind == HEARD,
@@ -169,7 +171,8 @@ class WireTrace:
 def frame_text(message: "can.Message") -> str:
     """A CAN frame as a line has it: identifier and data in hex; what is no plain frame of 11 bits is marked."""
     marks = ("x" if message.is_extended_id else "") + ("e" if message.is_error_frame else "")
-    marks += "r" if message.is_remote_frame else ""
+    marks += ("r" if message.is_remote_frame else "") + ("F" if message.is_fd else "")
+    marks += "B" if message.bitrate_switch else ""
     return f"{message.arbitration_id:03x} {bytes(message.data).hex()} {marks}".rstrip(" ")
 
 

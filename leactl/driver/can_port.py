@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from leactl.driver.clock import Clock
+from leactl.driver.far_end import LAST_OF_11_BITS
 from leactl.driver.retries import Retries
 from leactl.errors import DeviceError, NoBus
 
@@ -17,6 +18,10 @@ SYNC_ID = 0x080
 NMT_ID = 0x000
 LATE_S = 0.01
 FULL_S = 0.002  # that a frame may wait for room: some 15 frames at 1 Mbit/s, and less than any cycle can spare twice
+FD_NEEDS = (
+    "a CAN-FD frame needs options: {fd: true} of the bus in the bench file, and on Linux: ip link set CHANNEL up type"
+    " can bitrate 1000000 dbitrate 5000000 fd on"
+)
 BUS_OFF = 0x40  # class of an error frame (linux/can/error.h)
 
 
@@ -36,6 +41,7 @@ class CanPort:
         self.name = name
         self.bus: can.BusABC | None = None
         self._listeners: dict[int, Listener] = {}
+        self._fd_listeners: dict[int, Listener] = {}
         self._sent: dict[int, can.Message] = {}
         self._users = 0
         self.full = Retries()
@@ -87,8 +93,15 @@ class CanPort:
         else:
             self._listeners[identifier] = listener
 
+    def listen_fd(self, identifier: int, listener: Listener | None) -> None:
+        """Route CAN-FD frames of this identifier, of 11 or 29 bits; None ends it."""
+        if listener is None:
+            self._fd_listeners.pop(identifier, None)
+        else:
+            self._fd_listeners[identifier] = listener
+
     def send(self, identifier: int, data: bytes) -> None:
-        """Send one frame.
+        """Send one classic frame with an 11-bit identifier.
 
         Raises
         ------
@@ -102,6 +115,28 @@ class CanPort:
             # the bus may still hold the one before
             message = self._message(arbitration_id=identifier, data=data, is_extended_id=False)
             self._sent[identifier] = message
+        try:
+            bus.send(message)
+        except (OSError, ValueError, _can_error()) as error:
+            self._send_again(message, error)
+
+    def send_fd(self, identifier: int, data: bytes) -> None:
+        """Send one CAN-FD frame whose data goes at the faster rate; the identifier has 29 bits where 11 are too few.
+
+        Raises
+        ------
+        DeviceError : the bus is closed, full or gone, or carries classic frames only.
+        """
+        bus = self.bus
+        if bus is None:
+            raise DeviceError(f"bus '{self.name}': not open")
+        message = self._message(
+            arbitration_id=identifier,
+            data=data,
+            is_extended_id=identifier > LAST_OF_11_BITS,
+            is_fd=True,
+            bitrate_switch=True,
+        )
         try:
             bus.send(message)
         except (OSError, ValueError, _can_error()) as error:
@@ -124,7 +159,8 @@ class CanPort:
                 error = again
             else:
                 return
-        raise DeviceError(f"bus '{self.name}': cannot send 0x{message.arbitration_id:03X}: {error}") from None
+        needs = f"; {FD_NEEDS}" if message.is_fd and errno.EINVAL in _numbers(error) else ""
+        raise DeviceError(f"bus '{self.name}': cannot send 0x{message.arbitration_id:03X}: {error}{needs}") from None
 
     def notices(self) -> list[str]:
         """What the bus has done since the last call and a reader of the run should know, a line each."""
@@ -166,6 +202,10 @@ class CanPort:
                         f"bus '{self.name}': the controller has left the bus (bus-off): too many of its frames failed;"
                         " look at cable, termination and bit rate, then: leactl doctor"
                     )
+            elif message.is_fd:
+                listener = self._fd_listeners.get(message.arbitration_id)
+                if listener is not None:
+                    listener(message.data, message.timestamp)
             elif not (message.is_extended_id or message.is_remote_frame):
                 listener = listeners.get(message.arbitration_id)
                 if listener is not None:
@@ -188,7 +228,12 @@ class CanPort:
 
 def _is_full(error: Exception) -> bool:
     """Whether an interface had no room for a frame."""
-    return errno.ENOBUFS in (getattr(error, "error_code", None), getattr(error, "errno", None))
+    return errno.ENOBUFS in _numbers(error)
+
+
+def _numbers(error: Exception) -> tuple[int | None, int | None]:
+    """The numbers of a failure, by python-can and by the system."""
+    return getattr(error, "error_code", None), getattr(error, "errno", None)
 
 
 def _can_error() -> type[Exception]:

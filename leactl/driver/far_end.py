@@ -15,11 +15,20 @@ if TYPE_CHECKING:
 PAIRS = ("phase_voltage_ab", "phase_voltage_bc", "phase_voltage_ca")
 
 
+LAST_OF_11_BITS = 0x7FF
+
+
 class Frame(NamedTuple):
-    """A CAN frame with an 11-bit identifier."""
+    """A CAN frame; a classic one with an 11-bit identifier where its class says nothing else."""
 
     identifier: int
     data: bytes
+
+
+class FdFrame(Frame):
+    """A CAN-FD frame whose data goes at the faster rate; an identifier above `LAST_OF_11_BITS` has 29 bits."""
+
+    __slots__ = ()
 
 
 class Machine(Protocol):

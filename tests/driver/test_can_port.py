@@ -114,3 +114,43 @@ def test_a_controller_that_has_left_the_bus_is_told(port, monkeypatch, identifie
             port.pump_until([False], 0.0)
     else:
         assert not port.pump_until([False], 0.0)
+
+
+def test_a_can_fd_frame_has_its_faster_rate_and_29_bits_where_11_are_too_few(port):
+    for identifier in (0x100, 0x7FF, 0x800, 0x8001):
+        port.send_fd(identifier, bytes(64))
+    given = [(message.is_fd, message.bitrate_switch, message.is_extended_id) for message in port.bus.given]
+    assert given == [(True, True, False), (True, True, False), (True, True, True), (True, True, True)]
+    assert all(message.dlc == 64 for message in port.bus.given)
+
+
+def test_classic_and_fd_frames_of_one_identifier_go_to_their_own_listeners(port, monkeypatch):
+    heard = []
+    port.listen(0x123, lambda data, _stamp: heard.append(("classic", bytes(data))))
+    port.listen_fd(0x123, lambda data, _stamp: heard.append(("fd", bytes(data))))
+    port.listen_fd(0x1234, lambda data, _stamp: heard.append(("long", bytes(data))))
+    frames = [
+        can.Message(arbitration_id=0x123, is_extended_id=False, data=b"\x01"),
+        can.Message(arbitration_id=0x123, is_extended_id=False, is_fd=True, data=bytes(12)),
+        can.Message(arbitration_id=0x123, is_extended_id=True, is_fd=True, data=b"\x03"),
+        can.Message(arbitration_id=0x123, is_extended_id=True, data=b"\x04"),  # of nobody here
+        can.Message(arbitration_id=0x1234, is_extended_id=True, is_fd=True, data=b"\x05"),
+    ]
+    monkeypatch.setattr(port.bus, "recv", lambda timeout=None: frames.pop(0) if frames else None)
+    port.take_waiting()
+    assert heard == [("classic", b"\x01"), ("fd", bytes(12)), ("fd", b"\x03"), ("long", b"\x05")]
+    port.listen_fd(0x1234, None)
+    frames.append(can.Message(arbitration_id=0x1234, is_fd=True, data=b"\x06"))
+    port.take_waiting()
+    assert len(heard) == 4
+
+
+def test_a_bus_of_classic_frames_says_what_can_fd_needs(port, monkeypatch):
+    def classic_only(message, timeout=None):
+        raise can.CanOperationError("Failed to transmit: Invalid argument", errno.EINVAL)
+
+    monkeypatch.setattr(port.bus, "send", classic_only)
+    with pytest.raises(DeviceError, match=r"cannot send 0x8001: .*; a CAN-FD frame needs options: \{fd: true\}"):
+        port.send_fd(0x8001, b"")
+    with pytest.raises(DeviceError, match=r"cannot send 0x201: [^;]*$"):
+        port.send(0x201, b"")

@@ -12,6 +12,7 @@ TOLD = {
     "elmo_can": Identity("Gold DC Whistle, hardware 1.0", "1", "Whistle 01.01.16.00 08Mar2018G"),
     "elmo_serial": Identity("Elmo Whistle", "1", "1.01.12.00 08Mar2018"),
     "odrive_can": Identity("ODrive 5.2.0", "", "0.6.11"),
+    "moteus_can": Identity("moteus, model 0x0120", "AE4AMzA0UREgNjY2", "1.1.14"),
     "ni_daq": Identity("NI USB-6218", "1A2B3C4", ""),
     "scpi_supply": Identity("HEWLETT-PACKARD E3634A", "MY123", "1.7-5.0-1.0"),
 }
@@ -19,6 +20,7 @@ DEVICES = {
     "elmo_can": "bus: can0, role: test, settings: {node: 1, counts_per_turn: 40000}",
     "elmo_serial": "bus: line, role: test, settings: {counts_per_turn: 40000}",
     "odrive_can": "bus: can0, role: test, settings: {node: 1, endpoints: emulated}",
+    "moteus_can": "bus: can0, role: test, settings: {node: 1}",
     "ads1115": "bus: i2c1, role: bench, settings: {inputs: [{name: torque, quantity: torque, role: test, pins: A0-A1,"
     " range_V: 6.144, scale_per_V: 3.0}]}",
     "ni_daq": "role: bench, settings: {library: emulated, inputs: [{name: ab, quantity: phase_voltage_ab, role: test,"

@@ -150,3 +150,36 @@ def test_a_host_that_never_pauses_does_not_hold_up_the_bench_s_time():
     real = Restless()
     CanBridge("here", real, CanWire(EmulatedClock())).carry()
     assert real.taken > 0
+
+
+class Kept:
+    """A real bus with these frames of a host; what is sent to it is kept."""
+
+    def __init__(self, *frames):
+        self.frames, self.sent = list(frames), []
+
+    def recv(self, timeout=None):
+        return self.frames.pop(0) if self.frames else None
+
+    def send(self, msg, timeout=None):
+        self.sent.append(msg)
+
+
+class Echo:
+    """A device that answers a frame of either kind with one of that kind."""
+
+    due = float("inf")
+
+    def receive(self, frame, now):
+        return [type(frame)(frame.identifier + 1, frame.data)]
+
+
+def test_can_fd_frames_pass_to_the_far_ends_and_back_as_such():
+    wire = CanWire(EmulatedClock())
+    wire.attach(Echo())
+    long = can.Message(arbitration_id=0x8001, data=bytes(range(64)), is_fd=True, bitrate_switch=True)
+    short = can.Message(arbitration_id=0x7FE, data=b"\x07", is_extended_id=False)
+    real = Kept(long, short)
+    CanBridge("here", real, wire).carry()
+    sent = [(m.arbitration_id, m.is_extended_id, m.is_fd, m.bitrate_switch, bytes(m.data)) for m in real.sent]
+    assert sent == [(0x8002, True, True, True, bytes(range(64))), (0x7FF, False, False, False, b"\x07")]

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from leactl_plugins.elmo_serial.driver import ElmoSerial
 
 from leactl.bench import benchfile
-from leactl.bench.wire_replay import replay
-from leactl.bench.wire_trace import HEAD, KINDS, WireTrace, read_trace
+from leactl.bench.wire_replay import ReplayWiring, replay
+from leactl.bench.wire_trace import HEAD, KINDS, TraceLine, WireTrace, frame_text, read_trace
 from leactl.errors import InputError
 from tests.cli.terminal import leactl
 
@@ -189,3 +189,14 @@ def test_a_trace_on_a_full_disk_stands_in_no_drive_s_way(tmp_path):
         trace.write("drive", "<", "nothing more")
         assert called == [1]
         assert "nothing more was written: [Errno 28]" in trace.fault
+
+
+@pytest.mark.parametrize("form", [{}, {"is_fd": True}, {"is_fd": True, "bitrate_switch": True}])
+@pytest.mark.parametrize(("identifier", "extended"), [(0x101, False), (0x8001, True)])
+@pytest.mark.parametrize("data", [b"", b"\xfb", b"\x01\x50" * 6])
+def test_the_kind_of_a_frame_is_kept_in_its_line(form, identifier, extended, data):
+    frame = can.Message(arbitration_id=identifier, is_extended_id=extended, data=data, **form)
+    wiring = ReplayWiring([TraceLine(2, 0.0, "can0", "<", frame_text(frame))], ["can0"])
+    wiring.call_ends = 3
+    heard = wiring.can("can0", None)().recv(0.0)
+    assert heard.equals(frame, timestamp_delta=None, check_direction=False)

@@ -12,7 +12,7 @@ from functools import partial
 
 import can
 
-from leactl.driver.far_end import CanEmulator, Frame, I2cEmulator
+from leactl.driver.far_end import LAST_OF_11_BITS, CanEmulator, FdFrame, Frame, I2cEmulator
 from leactl.driver.i2c_port import swapped
 from leactl.emulation.clock import EmulatedClock
 
@@ -22,6 +22,15 @@ STOPS_PER_S = 8000  # at most 0.125 ms late for a device, and few of the plant's
 
 Passes = Callable[[Frame, CanEmulator | None], float | None]
 """How much later a frame of this device, or of a host (None), arrives [s]; None where it is lost."""
+
+
+def message_of(frame: Frame, timestamp: float = 0.0) -> can.Message:
+    """A frame of an emulator as python-can has it."""
+    identifier, data = frame
+    if isinstance(frame, FdFrame):
+        extended = identifier > LAST_OF_11_BITS
+        return can.Message(timestamp, identifier, extended, data=data, is_fd=True, bitrate_switch=True)
+    return can.Message(timestamp, identifier, False, data=data)
 
 
 class CanWire:
@@ -115,7 +124,8 @@ class EmulatedCanBus(can.BusABC):
         """Send a frame; the devices have answered when this returns."""
         if self._wire.off:
             raise can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS)
-        self._wire.from_host(Frame(msg.arbitration_id, bytes(msg.data)), self)
+        kind = FdFrame if msg.is_fd else Frame
+        self._wire.from_host(kind(msg.arbitration_id, bytes(msg.data)), self)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Take the oldest frame; where there is none, let emulated time pass until one comes or `timeout` is over."""
@@ -126,8 +136,7 @@ class EmulatedCanBus(can.BusABC):
                 clock.sleep_until(min(until, clock.now() + TICK_S))
         if not arrived:
             return None
-        identifier, data = arrived.popleft()
-        return can.Message(clock.now(), identifier, False, data=data)
+        return message_of(arrived.popleft(), clock.now())
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         return self.recv(timeout), True

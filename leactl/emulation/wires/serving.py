@@ -19,7 +19,7 @@ from leactl.driver.far_end import StoreKeeper
 from leactl.driver.i2c_port import SmBus, swapped
 from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.emulation.clock import EmulatedClock
-from leactl.emulation.wires.buses import CanWire, EmulatedCanBus
+from leactl.emulation.wires.buses import CanWire, EmulatedCanBus, message_of
 from leactl.emulation.wires.pseudo_terminal import PseudoTerminal
 from leactl.emulation.wires.serial import EmulatedSerialLine, SerialWire
 from leactl.emulation.wires.slcan import SlcanAdapter
@@ -79,7 +79,7 @@ class CanBridge:
             message = self.real.recv(0.0)
             if message is None:
                 break
-            if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
+            if message.is_fd or not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
                 with suppress(can.CanOperationError):  # the emulated bus is off: what the host has sent is lost
                     self._inner.send(message)
                 self._answer()
@@ -87,8 +87,7 @@ class CanBridge:
 
     def _answer(self) -> None:
         while self._inner.arrived:
-            identifier, data = self._inner.arrived.popleft()
-            self.real.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+            self.real.send(message_of(self._inner.arrived.popleft()))
 
     def close(self) -> None:
         """Let both sides go."""

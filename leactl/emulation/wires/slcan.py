@@ -32,8 +32,8 @@ class SlcanAdapter:
         return self._frames.pop(0) if self._frames else None
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Give a frame to the client; a closed channel and a full line lose it, as a real adapter does."""
-        if self._open:
+        """Give a classic frame to the client; a closed channel and a full line lose it, as a real adapter does."""
+        if self._open and not msg.is_fd:
             self._terminal.write(b"t%03X%d%s\r" % (msg.arbitration_id, msg.dlc, bytes(msg.data).hex().upper().encode()))
 
     def shutdown(self) -> None:

@@ -1,0 +1,93 @@
+"""A controller's parameters by their names: `conf get` and `conf set` of its diagnostic text.
+
+Source: mjbots, `docs/protocol/diagnostic.md` and `docs/reference/configuration.md` of the moteus repository. What is
+set here is held in the controller's memory alone, and lost when it is switched off: `conf write` is never sent.
+"""
+
+from leactl.driver.can_port import CanPort
+from leactl.errors import DeviceError, NoAnswer
+from leactl_plugins.moteus_can.multiplex import FROM_HOST, identifier, padded, poll_for_text, text_to_device
+
+TIMEOUT_MODE = "servo.timeout_mode"  # what is done once a command has run out
+TIMEOUT_STOPPED = 0  # the power stage is switched off
+KV = "motor.Kv"  # rpm/V
+RATIO = "motor_position.rotor_to_output_ratio"  # turns of the output per turn of the rotor
+MAX_CURRENT = "servo.max_current_A"  # amplitude
+MAX_VELOCITY = "servo.max_velocity"  # revolutions/s; torque is taken away above it
+POSITION_MIN, POSITION_MAX = "servopos.position_min", "servopos.position_max"  # revolutions; NaN: none
+VOLTAGE_MODE = "servo.voltage_mode_control"  # currents are volts in disguise
+FIXED_VOLTAGE = "servo.fixed_voltage_mode"  # no encoder, no current loop
+BEMF_FEEDFORWARD = "servo.bemf_feedforward"  # refused by the firmware without a limit of acceleration
+
+CHANNEL = 1
+MOST_TEXT = 48  # bytes an answer
+TRIES = 3  # of one question or one write: a frame may get lost
+AGAIN_S = 0.002  # before text that is not there yet is polled for again
+NEAR = 1e-6  # of a value, for the controller's single precision
+
+
+class Configuration:
+    """The parameters of one controller."""
+
+    def __init__(self, name: str, port: CanPort, host: int, node: int, timeout_s: float) -> None:
+        self._name, self._port, self._timeout_s = name, port, timeout_s
+        self._unanswered = identifier(host, node)
+        self._answered = identifier(host | FROM_HOST, node)
+        self._came = [False]
+        self._text = b""
+
+    def on_text(self, text: bytes) -> None:
+        """Take what a poll has brought, nothing included."""
+        self._text, self._came[0] = text, True
+
+    def read(self, parameter: str) -> float:
+        """Ask for a parameter's value; a switch is 0 or 1.
+
+        Raises
+        ------
+        DeviceError : the controller does not have it; `NoAnswer` where it does not answer.
+        """
+        answer = self._ask(f"conf get {parameter}")
+        try:
+            return float(answer)
+        except ValueError:
+            raise DeviceError(
+                f"{self._name}: {parameter} was answered '{answer[:40]}'; a number was expected: firmware too old?"
+            ) from None
+
+    def write(self, parameter: str, value: float) -> None:
+        """Set a parameter and see that the controller keeps it.
+
+        Raises
+        ------
+        DeviceError : it does not; `NoAnswer` where it does not answer.
+        """
+        answer = self._ask(f"conf set {parameter} {value:g}")
+        kept = self.read(parameter)
+        if not abs(kept - value) <= NEAR * abs(value):
+            raise DeviceError(f"{self._name}: {parameter} is {kept:g} although {value:g} was written ('{answer[:40]}')")
+
+    def _ask(self, line: str) -> str:
+        """Send a line and wait for the first line of what comes; what an earlier host has left is thrown away."""
+        for _ in range(TRIES):
+            until = self._port.clock.now() + self._timeout_s
+            while self._poll(until):
+                pass
+            self._port.send_fd(self._unanswered, padded(text_to_device(CHANNEL, f"{line}\n".encode("ascii"))))
+            answer = b""
+            while self._port.clock.now() < until:
+                part = self._poll(until)
+                if part is None:
+                    break
+                answer += part
+                if b"\n" in answer:
+                    return answer.partition(b"\n")[0].strip().decode("ascii", "replace")
+                if not part:
+                    self._port.clock.sleep_until(min(until, self._port.clock.now() + AGAIN_S))
+        raise NoAnswer(f"{self._name}: '{line}' was not answered in {TRIES} times {self._timeout_s:g} s")
+
+    def _poll(self, until: float) -> bytes | None:
+        """Text that waits in the controller; None where the poll is not answered."""
+        self._came[0] = False
+        self._port.send_fd(self._answered, padded(poll_for_text(CHANNEL, MOST_TEXT)))
+        return self._text if self._port.pump_until(self._came, until) else None

@@ -1,0 +1,533 @@
+"""mjbots moteus controllers over CAN-FD: one frame a cycle that commands and asks, one that answers.
+
+All modes are the controller's position mode with some of its parts switched off: a command runs out by itself there
+alone. The README of this plug-in lists the sources, and what only a real controller can show.
+"""
+
+import base64
+import math
+import struct
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any, ClassVar
+
+from leactl.driver.can_port import CanPort
+from leactl.driver.clock import Clock
+from leactl.driver.contract import SAFE_STATE_S, Confirmation, Driver, Identity, Mode, Row, StreamSpec, drive_channels
+from leactl.driver.far_end import CanEmulator, Physics
+from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
+from leactl.quantities import ChannelSpec
+from leactl_plugins.moteus_can import configuration as conf
+from leactl_plugins.moteus_can.configuration import Configuration
+from leactl_plugins.moteus_can.exchange import Exchange, query
+from leactl_plugins.moteus_can.multiplex import FROM_HOST, Resolution, identifier, parse, write
+from leactl_plugins.moteus_can.registers import (
+    MAP_VERSION,
+    TORQUE_FACTOR,
+    OperatingMode,
+    Register,
+    fault_text,
+    limit_text,
+)
+from leactl_plugins.moteus_can.settings import HOST, MoteusSettings
+
+CURRENT, VELOCITY, ANGLE = range(3)  # where the reference of what a mode sets stands among `values`
+FOLLOWED = {Mode.CURRENT: CURRENT, Mode.VELOCITY: VELOCITY, Mode.ANGLE: ANGLE}
+AMPLITUDE = math.sqrt(2.0 / 3.0)  # of a phase current, per ampere of the power-invariant q axis
+TURN = 2.0 * math.pi
+FARTHEST_TURNS = 1024.0  # single precision tells positions 0.4 mrad apart there
+ENABLE_TIME_S = 2.0
+TRIES = 3  # of one question: a frame may get lost
+SECOND_ANSWER_S = 0.01  # within which another controller of the same number has answered too
+QUIET_S = 1.0  # at most one notice of a kind in this time
+TORQUE_SHOWS_A = 1.0  # of amplitude, above which torque and current are held against each other
+TORQUE_SAMPLES = 50
+TORQUE_NEAR = 0.05  # of their ratio; a wrong factor or gear is further off
+GIVEN_NEAR = 0.01  # of a value that the bench file gives as well
+NAN = math.nan
+
+STOP = write(Register.MODE, [OperatingMode.STOPPED], Resolution.INT8)
+FOLLOW_POSITION = write(Register.MODE, [OperatingMode.POSITION], Resolution.INT8)
+STATUS = query(
+    (Register.MODE, 1, Resolution.INT8),
+    (Register.POSITION, 4, Resolution.FLOAT),  # with velocity, torque and q-axis current
+    (Register.FAULT, 1, Resolution.INT8),
+    (Register.COMMAND_TIMEOUT, 1, Resolution.FLOAT),
+)
+WHO = query(
+    (Register.MODE, 1, Resolution.INT8),
+    (Register.FAULT, 1, Resolution.INT8),
+    (Register.MODEL_NUMBER, 3, Resolution.INT32),  # with the versions of firmware and register map
+    (Register.SERIAL_NUMBER, 3, Resolution.INT32),
+)
+WITH_SUPPLY = query(  # in place of the time-out: a frame holds no more beside a command
+    (Register.MODE, 1, Resolution.INT8),
+    (Register.POSITION, 4, Resolution.FLOAT),
+    (Register.FAULT, 1, Resolution.INT8),
+    (Register.VOLTAGE, 2, Resolution.FLOAT),  # with the temperature
+)
+REFUSED = {
+    conf.VOLTAGE_MODE: "currents would be volts",
+    conf.FIXED_VOLTAGE: "neither encoder nor current loop would be used",
+    conf.BEMF_FEEDFORWARD: "the controller refuses it without a limit of acceleration, and none is sent",
+}
+"""Parameters that must be 0, and why."""
+
+
+class MoteusCan(Driver):
+    """One controller, commanded and asked for its readings in one frame every cycle."""
+
+    Settings = MoteusSettings
+    transport = "can"
+    summary = "mjbots moteus r4, c1, n1 or x1 over CAN-FD (register map 5)"
+    example: ClassVar[Mapping[str, Any]] = {"node": 3}
+
+    def __init__(self, name: str, role: str, settings: MoteusSettings, port: CanPort, clock: Clock) -> None:
+        self.name, self.role, self.settings = name, role, settings
+        self._port, self._clock = port, clock
+        self._to, self._from = identifier(HOST | FROM_HOST, settings.node), identifier(settings.node, HOST)
+        self._configuration = Configuration(name, port, HOST, settings.node, settings.answer_timeout_s)
+        self._connected = False
+        self._turn = settings.sign * TURN  # rad per revolution of the controller
+        self._torque_per_ampere = self._most_current = self._most_turns_s = NAN
+        self._lowest_turns, self._highest_turns = -FARTHEST_TURNS, FARTHEST_TURNS
+        self._identity = Identity()
+        self._timeout_mode_as_met: float | None = None  # given back at the end
+        self._safe = False  # it has confirmed so, and nothing was asked of it since
+        self._exchange = Exchange(port, self._to)
+        self._answer: dict[int, float] = {}  # the last one
+        self._heard_until = -math.inf
+        self.reported_mode: int | None = None  # since the mode to follow changed last; None until it reports one
+        self.fault = 0
+        self._reported_timeout = NAN
+        self._turns = NAN  # where the shaft is
+        self._supply_due = -math.inf
+        self._with_supply = self._had_supply = False  # the next question, and the last one
+        self._rows: list[Row] = []
+        self._limited, self._reported_limit = 0, 0
+        self._quiet_until = -math.inf
+        self._supervised = False  # since the last command, so that the next one may be sent
+        self._mode, self._reference, self._value = Mode.OFF, ANGLE, 0.0
+        self._seen_stopped = False
+        self._enable_by = math.inf
+        self._currents = self._torques = 0.0  # sums, for the torque per ampere that the controller shows
+        self._samples = 0
+        self._followed = [NAN, NAN, NAN]  # current, velocity and angle in force since the readings were asked for last
+        self.values = [NAN] * len(self.loop_channels)
+
+    def safe_state(self, deadline_s: float) -> Confirmation:
+        """Stop the controller, from any state, over a fresh connection if need be; never raises.
+
+        Confirmed is what it reports in an answer to a frame that told it to stop, or to a later one. A controller in
+        fault has no power at its output, and a stop would clear the fault: one that is known to be in fault is asked.
+        """
+        return self._stop(deadline_s, self.reported_mode == OperatingMode.FAULT)
+
+    def _stop(self, deadline_s: float, in_fault: bool) -> Confirmation:
+        self._follow(Mode.OFF)
+        until = self._clock.now() + deadline_s
+        trouble, cleared = "no time was left", ""
+        while self._clock.now() < until:
+            try:
+                self._connect()
+                command = b"" if in_fault else STOP
+                answered = self._exchange.is_answered(command, STATUS, min(until, self._clock.now() + 0.25))
+            except DeviceError as error:
+                answered, trouble = False, str(error)
+                self._clock.sleep_until(min(until, self._clock.now() + 0.01))
+            else:
+                trouble = f"mode {self.reported_mode}" if answered else "no answer"
+            if not answered:
+                with suppress(DeviceError):
+                    self._port.reopen()
+                continue
+            if self.reported_mode == OperatingMode.STOPPED or (in_fault and self.reported_mode == OperatingMode.FAULT):
+                self._safe = True
+                return Confirmation(
+                    True, f"in fault, without power: {fault_text(self.fault)}" if in_fault else f"stopped{cleared}"
+                )
+            if self.reported_mode == OperatingMode.FAULT:
+                cleared = f"; it was in fault: {fault_text(self.fault)}"
+            in_fault = False
+            self._clock.sleep_until(min(until, self._clock.now() + 0.001))  # its loop takes the command up
+        return Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble}")
+
+    def stop_now(self) -> None:
+        """Send what stops the controller, and wait for nothing; over a fresh connection if need be.
+
+        One that has reported a fault has no power at its output, and is left in fault.
+        """
+        in_fault = self.reported_mode == OperatingMode.FAULT
+        self._follow(Mode.OFF)
+        self.reported_mode = int(OperatingMode.FAULT) if in_fault else None
+        for _ in range(2):
+            try:
+                self._connect()
+                self._exchange.ask(b"" if in_fault else STOP, STATUS)
+            except DeviceError:
+                if not self._connected:
+                    return  # no bus to reach it by, which `safe_state` will tell
+                with suppress(DeviceError):
+                    self._port.reopen()
+            else:
+                return
+
+    def open(self) -> None:
+        """Meet the controller, look at its faults, stop it, read its scales, and set what it does on a time-out.
+
+        Raises
+        ------
+        DeviceError : it is absent, has another register map, shares its number, or holds a setting that cannot be
+            driven or that the bench file says otherwise; `DeviceFault` where it is in fault.
+        """
+        self._connect()
+        self._safe, self._timeout_mode_as_met = False, None
+        self._exchange.begin()
+        self._meet()
+        if self.reported_mode == OperatingMode.FAULT and not self.settings.reset_fault_at_start:
+            raise DeviceFault(
+                f"{self.name}: {fault_text(self.fault)}; reset_fault_at_start: true clears it when its cause is gone"
+            )
+        confirmation = self._stop(SAFE_STATE_S, in_fault=False)
+        if not confirmation.safe:
+            raise DeviceError(f"{self.name}: the controller does not stop: {confirmation.detail}")
+        self._safe = False
+        self._read_scales()
+        met = self._configuration.read(conf.TIMEOUT_MODE)
+        if met != conf.TIMEOUT_STOPPED:
+            self._configuration.write(conf.TIMEOUT_MODE, conf.TIMEOUT_STOPPED)
+            self._timeout_mode_as_met = met
+        self._heard_until = self._clock.now() + self.settings.host_silence_s
+
+    def close(self) -> None:
+        """Stop listening and let the bus go; a controller that is safe gets its own time-out mode back."""
+        if self._connected:
+            if self._safe and self._timeout_mode_as_met is not None:
+                with suppress(DeviceError):  # it is safe, which is what counts
+                    self._configuration.write(conf.TIMEOUT_MODE, self._timeout_mode_as_met)
+            self._connected = False
+            self._port.listen_fd(self._from, None)
+            self._port.close()
+
+    @classmethod
+    def far_end(cls, settings: MoteusSettings, role: str, physics: Physics) -> CanEmulator:
+        """A controller of this number that turns the bench's machine."""
+        from leactl_plugins.moteus_can.emulator import MoteusEmulator
+
+        return MoteusEmulator(
+            settings.node,
+            physics.machine(role),
+            torque_constant=settings.torque_constant_Nm_per_A,
+            max_current=settings.max_current_A,
+        )
+
+    def identity(self) -> Identity:
+        """Model number, serial number as `moteus_tool --info` prints it, and firmware, as told when it was opened."""
+        return self._identity
+
+    # -- one cycle ---------------------------------------------------------------------------------------------------
+
+    @property
+    def loop_channels(self) -> tuple[ChannelSpec, ...]:
+        """Channels of `values`: the references in force until the readings were asked for, and the readings."""
+        return drive_channels(self.role, self.name)
+
+    @property
+    def streams(self) -> tuple[StreamSpec, ...]:
+        """The bus voltage and the board's temperature, asked for at their own pace."""
+        channels = (
+            ChannelSpec("vbus", "bus_voltage", self.role, self.name, "DC link voltage"),
+            ChannelSpec("drive_temperature", "drive_temperature", self.role, self.name, "temperature of the board"),
+        )
+        return (StreamSpec(f"{self.name}_supply", channels),)
+
+    @property
+    def engaged(self) -> bool:
+        """True where the controller has told that it follows commands, each of which runs out in the time asked for."""
+        return (
+            self._mode is not Mode.OFF
+            and self._seen_stopped
+            and self.reported_mode == OperatingMode.POSITION
+            and abs(self._reported_timeout - self.settings.host_silence_s) <= conf.NEAR
+        )
+
+    def engage(self, mode: Mode) -> None:
+        """Begin to enter operation in this mode with zero demand; angle holds where the shaft is.
+
+        Raises
+        ------
+        InputError : the drive has no such mode.
+        """
+        if mode not in FOLLOWED:
+            raise InputError(f"{self.name}: mode '{mode}' is none that a moteus follows: {', '.join(FOLLOWED)}")
+        self._follow(mode)
+        self._safe = False
+        self._enable_by = self._clock.now() + ENABLE_TIME_S
+
+    def release(self) -> None:
+        """Begin to leave operation; no current flows once the drive has left it."""
+        self._follow(Mode.OFF)
+
+    def command(self, value: float) -> None:
+        """Set the demand of the engaged mode (A, rad/s or rad) for the next cycle.
+
+        Raises
+        ------
+        InputError : not finite, or beyond what the controller lets through: it would cut it.
+        """
+        if self._reference == CURRENT:
+            low, high, units, where = -self._most_current, self._most_current, "A", conf.MAX_CURRENT
+        elif self._reference == VELOCITY:
+            most = TURN * self._most_turns_s
+            low, high, units, where = -most, most, "rad/s", conf.MAX_VELOCITY
+        else:
+            low, high = sorted((self._lowest_turns * self._turn, self._highest_turns * self._turn))
+            units, where = "rad", f"{conf.POSITION_MIN}, {conf.POSITION_MAX} and single precision"
+        if not low <= value <= high:
+            raise InputError(
+                f"{self.name}: a demand of {value:g} {units} is outside {low:g} to {high:g} {units} ({where})"
+            )
+        self._value = value
+
+    def begin_cycle(self) -> None:
+        """Send this cycle's command, and ask for the readings in the same frame.
+
+        A command is what keeps the controller going: none is sent that no supervised cycle came before.
+        """
+        command = b""
+        if self._mode is not Mode.OFF and self._seen_stopped:
+            command = self._demand() if self._supervised else b""
+        elif self.reported_mode not in (OperatingMode.STOPPED, OperatingMode.FAULT):  # a stop would clear a fault
+            command = STOP
+        # every second question at the most, so that the time-out is reported as well
+        with_supply = self._with_supply and not self._had_supply and (self._mode is Mode.OFF or self.engaged)
+        self._supervised, self._had_supply = False, with_supply
+        self._with_supply = self._with_supply and not with_supply
+        self._exchange.ask(command, WITH_SUPPLY if with_supply else STATUS)
+
+    def end_cycle(self, deadline: float) -> None:
+        """Collect the readings; NaN where they did not come.
+
+        Raises
+        ------
+        DeviceFault : the controller has a fault, its command has run out, or it left operation by itself.
+        NoAnswer : its answers stayed away, or it did not enter operation in time.
+        """
+        values = self.values
+        came = self._port.pump_until(self._exchange.came, deadline)
+        values[0], values[1], values[2] = self._followed
+        self._followed = [NAN, NAN, NAN]
+        if self._mode is not Mode.OFF:
+            self._followed[self._reference] = self._value
+        now, engaged = self._clock.now(), self.engaged
+        if came:
+            answer = self._answer
+            values[3] = self.settings.sign * answer[Register.Q_CURRENT] / AMPLITUDE
+            values[4] = answer[Register.VELOCITY] * self._turn
+            values[5] = answer[Register.POSITION] * self._turn
+            values[6] = 1.0 if engaged else 0.0
+        else:
+            self._exchange.give_up()
+            values[3:7] = [NAN] * 4
+        if engaged:
+            self._enable_by = -math.inf  # from here on, leaving operation is the controller's own doing
+            if came:
+                self._hold_torque_against_current(self._answer)
+        self._judge(now, engaged)
+
+    def feed(self) -> None:
+        """Let the next command be sent, which is valid for the time of the watchdog; ask for the supply at its pace."""
+        self._supervised = True
+        now = self._clock.now()
+        if now >= self._supply_due:
+            self._supply_due = now + self.settings.supply_period_s
+            self._with_supply = True
+
+    def take(self) -> list[Row]:
+        """Bus voltages and temperatures that have come in since the last call."""
+        rows, self._rows = self._rows, []
+        return rows
+
+    def notices(self) -> list[str]:
+        """A line for irregular and unreadable answers, for what limits the output, and for a full bus."""
+        lines, now = [], self._clock.now()
+        if now >= self._quiet_until or self._mode is Mode.OFF:
+            lines += self._exchange.notices()
+            if self._limited != self._reported_limit:
+                self._reported_limit = self._limited
+                lines.append(
+                    f"the output is limited by {limit_text(self._limited)}"
+                    if self._limited
+                    else "nothing limits the output any more"
+                )
+            self._quiet_until = now + QUIET_S if lines else self._quiet_until
+        return lines + self._port.notices()
+
+    # -- on the way into operation -----------------------------------------------------------------------------------
+
+    def _follow(self, mode: Mode) -> None:
+        """Turn to a mode, with no demand; what the controller has shown so far is of the mode before."""
+        self._mode, self._value = mode, 0.0
+        self._reference = FOLLOWED.get(mode, ANGLE)
+        self._enable_by, self._supervised = math.inf, False
+        self._seen_stopped, self.reported_mode, self._reported_timeout = False, None, NAN
+
+    def _demand(self) -> bytes:
+        """The command of the mode; until the controller is in operation the angle is where the shaft is."""
+        if self._reference == ANGLE and not self.engaged:
+            if not abs(self._turns) <= FARTHEST_TURNS:
+                return b""  # until it is known where the shaft is
+            self._value = self._turns * self._turn
+        position, velocity, torque, loop = NAN, 0.0, 0.0, 1.0
+        if self._reference == CURRENT:
+            torque, loop = self._value * self._torque_per_ampere, 0.0
+        elif self._reference == VELOCITY:
+            velocity = self._value / self._turn
+        else:
+            position = self._value / self._turn
+        return (
+            FOLLOW_POSITION
+            + write(Register.COMMAND_POSITION, [position, velocity, torque, loop, loop, NAN])
+            + write(Register.COMMAND_TIMEOUT, [self.settings.host_silence_s, -1.0, -1.0])  # no limits of a profile
+            + write(Register.COMMAND_ILIMIT_SCALE, [loop], Resolution.INT8)
+        )
+
+    def _judge(self, now: float, engaged: bool) -> None:
+        """Say what keeps the drive out of operation, where it should be in it."""
+        self._expect_one_controller()
+        if self.reported_mode == OperatingMode.FAULT:
+            raise DeviceFault(f"{self.name}: {fault_text(self.fault)}")
+        if now > self._heard_until:
+            raise NoAnswer(
+                f"{self.name}: no answer of node {self.settings.node} in its own cycle for"
+                f" {self.settings.host_silence_s:.3f} s; {self._exchange.irregular.late} came later"
+            )
+        if self._mode is Mode.OFF or engaged:
+            return
+        state = f"mode {self.reported_mode}, commands valid for {self._reported_timeout:g} s"
+        if self._seen_stopped and self.reported_mode == OperatingMode.TIMEOUT:
+            raise DeviceFault(
+                f"{self.name}: no command came for {self.settings.watchdog_ms} ms and it has stopped by itself: {state}"
+            )
+        if self._enable_by == -math.inf:
+            raise DeviceFault(f"{self.name}: left operation by itself: {state}")
+        if now > self._enable_by:
+            where = "" if abs(self._turns) <= FARTHEST_TURNS else f"; the shaft is at {self._turns:g} turns"
+            raise NoAnswer(f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {state}{where}")
+
+    def _hold_torque_against_current(self, answer: Mapping[int, float]) -> None:
+        """Refuse a controller whose own torque per ampere is another than that by which currents are sent.
+
+        It works its torque out of its current: what it shows is the factor that it divides demands by.
+        """
+        current, torque = answer[Register.Q_CURRENT], answer[Register.TORQUE]
+        if not abs(current) >= TORQUE_SHOWS_A:
+            return
+        self._currents += abs(current)
+        self._torques += math.copysign(1.0, current) * torque
+        self._samples += 1
+        if self._samples < TORQUE_SAMPLES:
+            return
+        shown, used = self._torques / self._currents, abs(self._torque_per_ampere) / AMPLITUDE
+        self._currents, self._torques, self._samples = 0.0, 0.0, 0
+        if abs(shown - used) > TORQUE_NEAR * used:
+            raise DeviceError(
+                f"{self.name}: shows {shown:.4g} N*m per A of amplitude at its output, {used:.4g} was expected of"
+                f" {conf.KV} and {conf.RATIO}: are its motor.rotation_ values set?"
+            )
+
+    # -- set-up ------------------------------------------------------------------------------------------------------
+
+    def _connect(self) -> None:
+        if not self._connected:
+            self._port.open()
+            self._connected = True
+            self._port.listen_fd(self._from, self._on_frame)
+        elif self._port.bus is None:
+            self._port.reopen()
+
+    def _meet(self) -> None:
+        """See that one controller of this number is there and has the register map that is known here."""
+        now = self._clock.now
+        if not any(self._exchange.is_answered(b"", WHO, now() + self.settings.answer_timeout_s) for _ in range(TRIES)):
+            raise NoAnswer(
+                f"{self.name}: node {self.settings.node} does not tell who it is; number, power, bit rates of 1 and"
+                " 5 Mbit/s, a bus with options: {fd: true}?"
+            )
+        model, firmware, registers = (int(self._answer[Register.MODEL_NUMBER + word]) for word in range(3))
+        words = [int(self._answer[Register.SERIAL_NUMBER + word]) for word in range(3)]
+        serial = base64.b64encode(struct.pack(">3i", *words)).decode("ascii")
+        version = ".".join(str(firmware >> shift & 0xFF) for shift in (16, 8, 0))
+        self._identity = Identity(f"moteus, model 0x{model:04X}", serial, version)
+        if registers != MAP_VERSION:
+            raise DeviceError(
+                f"{self.name}: firmware {version} has register map {registers}; {MAP_VERSION} was expected"
+            )
+        self._port.pump_until((False,), now() + SECOND_ANSWER_S)
+        self._expect_one_controller()
+
+    def _expect_one_controller(self) -> None:
+        if self._exchange.second_controller:
+            raise DeviceError(
+                f"{self.name}: two controllers answer as node {self.settings.node}; connect one of them alone and give"
+                " it another id.id"
+            )
+
+    def _read_scales(self) -> None:
+        """Read what demands are converted and bounded by, and hold it against the bench file.
+
+        Raises
+        ------
+        DeviceError : the controller is not calibrated, is set up to be driven otherwise, or differs.
+        """
+        get = self._configuration.read
+        for parameter, reason in REFUSED.items():
+            if (value := get(parameter)) != 0.0:
+                raise DeviceError(f"{self.name}: {parameter} is {value:g}; 0 was expected: {reason}")
+        positive = {
+            parameter: get(parameter) for parameter in (conf.KV, conf.RATIO, conf.MAX_CURRENT, conf.MAX_VELOCITY)
+        }
+        for parameter, value in positive.items():
+            if not (math.isfinite(value) and value > 0.0):
+                raise DeviceError(
+                    f"{self.name}: {parameter} is {value:g}; more than 0 was expected: calibrate it first"
+                )
+        constant, most = TORQUE_FACTOR / positive[conf.KV], positive[conf.MAX_CURRENT]
+        for setting, expected, value in (
+            ("torque_constant_Nm_per_A", self.settings.torque_constant_Nm_per_A, constant),
+            ("max_current_A", self.settings.max_current_A, most),
+        ):
+            if expected is not None and not abs(value - expected) <= GIVEN_NEAR * expected:
+                raise DeviceError(f"{self.name}: holds {value:.5g} for {setting}; the bench file says {expected:g}")
+        self._torque_per_ampere = self.settings.sign * constant / positive[conf.RATIO] * AMPLITUDE
+        self._most_current, self._most_turns_s = most / AMPLITUDE, positive[conf.MAX_VELOCITY]
+        low, high = get(conf.POSITION_MIN), get(conf.POSITION_MAX)
+        self._lowest_turns = max(-FARTHEST_TURNS, low) if math.isfinite(low) else -FARTHEST_TURNS
+        self._highest_turns = min(FARTHEST_TURNS, high) if math.isfinite(high) else FARTHEST_TURNS
+
+    # -- frames ------------------------------------------------------------------------------------------------------
+
+    def _on_frame(self, data: bytearray, _timestamp: float) -> None:
+        frame = bytes(data)
+        try:
+            reply = parse(frame)
+        except ValueError as error:
+            self._exchange.leave_out(str(error))
+            return
+        if reply.text is not None and not reply.values:
+            self._configuration.on_text(reply.text)
+        elif self._exchange.takes(reply, frame):
+            self._take_answer(reply.values)
+
+    def _take_answer(self, values: dict[int, float]) -> None:
+        self._answer = values
+        self._heard_until = self._clock.now() + self.settings.host_silence_s
+        self.reported_mode, self.fault = int(values[Register.MODE]), int(values[Register.FAULT])
+        self._reported_timeout = values.get(Register.COMMAND_TIMEOUT, self._reported_timeout)
+        self._turns = values.get(Register.POSITION, NAN)
+        if Register.VOLTAGE in values:
+            supply = (values[Register.VOLTAGE], values[Register.TEMPERATURE])
+            self._rows.append(Row(f"{self.name}_supply", self._clock.now(), supply))
+        if self.reported_mode == OperatingMode.STOPPED:
+            self._seen_stopped = True
+        self._limited = 0 if self.reported_mode == OperatingMode.FAULT else self.fault

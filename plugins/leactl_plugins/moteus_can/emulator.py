@@ -1,0 +1,405 @@
+"""The far end of a moteus controller's wire: registers, position mode, time-outs, faults, limits and the text tunnel.
+
+Frames in, frames out; it shares with the driver the numbers and scales of registers, and takes frames apart by itself,
+as the firmware does: a frame whose rest cannot be read is heeded as far as it could be. Modes and limits follow the
+maker's `fw/bldc_servo_control.h`, of which stopped, current and position can be commanded here; an answer tells the
+state before the command of its own frame.
+"""
+
+import base64
+import math
+import struct
+from binascii import Error as NotBase64
+
+from leactl.driver.far_end import FdFrame, Frame, Machine
+from leactl_plugins.moteus_can.registers import MAP_VERSION, MODES, SCALES, TORQUE_FACTOR, OperatingMode, Register
+
+TO_AMPLITUDE, TURN = math.sqrt(2.0 / 3.0), 2.0 * math.pi
+LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
+LAYOUTS = (struct.Struct("<b"), struct.Struct("<h"), struct.Struct("<i"), struct.Struct("<f"))
+LOWEST = (-128, -32768, -2147483648)
+KEPT_FREE = 23  # of an answer, before a further subframe is looked at
+ENABLING_S = 0.004  # for the gate driver and the offsets of the current sensors
+UNKNOWN_REGISTER, NOT_WRITEABLE, NO_ROOM, NO_MODE = 1, 2, 2, 3
+OVER_VOLTAGE, OVER_TEMPERATURE, OUTSIDE_LIMIT, UNDER_VOLTAGE, MOTOR_DRIVER = 34, 38, 39, 40, 33
+LIMIT_VELOCITY, LIMIT_CURRENT, LIMIT_TEMPERATURE, LIMIT_TORQUE = 96, 99, 100, 102
+LOWEST_BUS_V = 4.0
+FAULT_OF_CLASS = {0x31: OVER_VOLTAGE, 0x32: OVER_VOLTAGE, 0x41: OVER_TEMPERATURE, 0x42: OVER_TEMPERATURE}
+"""Fault by the upper byte of a code of CiA 301; every other is one of the motor driver."""
+
+COMMANDS = {  # what each register holds after the mode was written
+    Register.PWM_PHASE_A: 0.0,
+    Register.COMMAND_Q_CURRENT: 0.0,
+    Register.COMMAND_POSITION: 0.0,
+    Register.COMMAND_VELOCITY: 0.0,
+    Register.COMMAND_FEEDFORWARD_TORQUE: 0.0,
+    Register.COMMAND_KP_SCALE: 1.0,
+    Register.COMMAND_KD_SCALE: 1.0,
+    Register.COMMAND_MAX_TORQUE: math.nan,
+    Register.COMMAND_TIMEOUT: 0.0,
+    Register.COMMAND_VELOCITY_LIMIT: math.nan,
+    Register.COMMAND_ACCEL_LIMIT: math.nan,
+    Register.COMMAND_ILIMIT_SCALE: 1.0,
+}
+ON_THE_WAY = (2, 3, 4)  # from stopped to the mode that was commanded
+FOLLOWED = (OperatingMode.CURRENT, OperatingMode.POSITION)  # of the modes that a controller can be told
+
+
+class MoteusEmulator:
+    """One controller at a number, turning a machine."""
+
+    def __init__(
+        self, node: int, machine: Machine, *, torque_constant: float | None = None, max_current: float | None = None
+    ) -> None:
+        self.node, self._machine = node, machine
+        self.words = [0x004E0032 + node, 0x30345111, 0x20363636]
+        self.map_version, self.firmware, self.model = MAP_VERSION, 0x01010E, 0x0120
+        self.temperature = 32.0  # degC, of the board
+        self.frozen = False
+        self.parameters: dict[str, float] = {
+            "servo.timeout_mode": OperatingMode.ZERO_VELOCITY,
+            "servo.default_timeout_s": 0.1,
+            "servo.timeout_max_torque_Nm": 5.0,
+            "servo.max_current_A": 100.0 if max_current is None else max_current,
+            "servo.derate_current_A": -20.0,
+            "servo.max_velocity": 500.0,
+            "servo.max_voltage": 56.0,
+            "servo.fault_temperature": 75.0,
+            "servo.temperature_margin": 25.0,
+            "servo.voltage_mode_control": 0,
+            "servo.fixed_voltage_mode": 0,
+            "servo.bemf_feedforward": 0.0,
+            "servopos.position_min": math.nan,
+            "servopos.position_max": math.nan,
+            "motor.Kv": TORQUE_FACTOR / (0.6 if torque_constant is None else torque_constant),
+            "motor_position.rotor_to_output_ratio": 1.0,
+        }
+        self.mode, self.fault_code = int(OperatingMode.STOPPED), 0
+        self._commanded = dict(COMMANDS)
+        self._wanted = int(OperatingMode.STOPPED)  # mode of the last command
+        self._expires = self._enabled_at = math.inf
+        self._wrote_mode = self._is_asked = False  # by the frame at hand
+        self._sensed = (0.0, 0.0, 0.0)  # for it: current, velocity and angle of one moment
+        self._line, self._text = b"", b""
+
+    # -- time --------------------------------------------------------------------------------------------------------
+
+    @property
+    def due(self) -> float:
+        """When the command runs out, or the way into operation ends."""
+        runs_out = self._expires if self.mode == OperatingMode.POSITION else math.inf
+        return math.inf if self.frozen else min(runs_out, self._enabled_at)
+
+    def tick(self, now: float) -> list[Frame]:
+        """Do what time brings; a controller sends nothing by itself."""
+        if self.frozen:
+            return []
+        if now >= self._enabled_at:
+            self._enabled_at = math.inf
+            if self.mode in ON_THE_WAY:
+                self._enter()
+        if self.mode == OperatingMode.POSITION and now >= self._expires:  # of no other mode the commands run out
+            self.mode = int(OperatingMode.TIMEOUT)
+            self._run_out()
+        self._look_for_faults()
+        return []
+
+    def _run_out(self) -> None:
+        """Do what `servo.timeout_mode` says; only a stop leads out of it."""
+        if self.parameters["servo.timeout_mode"] in (OperatingMode.ZERO_VELOCITY, OperatingMode.POSITION):
+            self._machine.command("velocity", 0.0)
+        else:
+            self._machine.command("off", 0.0)
+
+    def _look_for_faults(self) -> None:
+        if self.mode in (OperatingMode.STOPPED, OperatingMode.FAULT):
+            return
+        voltage = self._machine.bus_voltage
+        if voltage > self.parameters["servo.max_voltage"]:
+            self._fail(OVER_VOLTAGE)
+        elif voltage < LOWEST_BUS_V:
+            self._fail(UNDER_VOLTAGE)
+        elif self.temperature > self.parameters["servo.fault_temperature"]:
+            self._fail(OVER_TEMPERATURE)
+
+    def _fail(self, code: int) -> None:
+        self.mode, self.fault_code = int(OperatingMode.FAULT), code
+        self._enabled_at = self._expires = math.inf
+        self._machine.command("off", 0.0)
+
+    # -- frames ------------------------------------------------------------------------------------------------------
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        """Take one frame from the bus and answer it."""
+        source, destination = frame.identifier >> 8 & 0xFF, frame.identifier & 0xFF
+        if self.frozen or not isinstance(frame, FdFrame) or destination not in (self.node, 0x7F):
+            return []
+        self.tick(now)
+        self._wrote_mode = False
+        self._is_asked = bool(source & 0x80)
+        self._sensed = self._machine.read()
+        answer = self._heed(frame.data)
+        if self._wrote_mode:
+            self._take_command(now)
+        if not self._is_asked:
+            return []
+        length = next((length for length in LENGTHS if length >= len(answer)), LENGTHS[-1])
+        return [FdFrame(self.node << 8 | source & 0x7F, answer.ljust(length, b"\x50"))]
+
+    def _heed(self, data: bytes) -> bytes:
+        """Do what the subframes say, in order; the answer, as far as the frame could be read."""
+        answer, offset = bytearray(), 0
+        try:
+            while offset < len(data) and len(answer) <= LENGTHS[-1] - KEPT_FREE:
+                kind, offset = data[offset], offset + 1
+                if kind < 0x20:
+                    offset = self._registers(kind, data, offset, answer)
+                elif kind in (0x40, 0x42):
+                    offset = self._tunnel(kind, data, offset, answer)
+                elif kind != 0x50:
+                    break
+        except (IndexError, struct.error):
+            return bytes(answer)
+        return bytes(answer)
+
+    def _tunnel(self, kind: int, data: bytes, offset: int, answer: bytearray) -> int:
+        """Take text, or be polled for it; where no answer is asked for, none is given away."""
+        channel, offset = _varuint(data, offset)
+        count, offset = _varuint(data, offset)
+        most = LENGTHS[-1] - KEPT_FREE
+        if kind == 0x40:
+            if offset + count > len(data):
+                raise IndexError
+            self._read_text(data[offset : offset + count])
+            offset += count
+        else:
+            most = min(count, most)
+        if self._is_asked:
+            part, self._text = self._text[:most], self._text[most:]
+            answer += bytes((0x41, channel, len(part))) + part
+        return offset
+
+    def _registers(self, kind: int, data: bytes, offset: int, answer: bytearray) -> int:
+        """Write or read registers of one subframe; what is not known ends the reading of a frame."""
+        resolution, count, head = kind >> 2 & 3, kind & 3, b""
+        if not count:
+            count, offset = _varuint(data, offset)
+            head = _varuint_of(count)
+        register, offset = _varuint(data, offset)
+        layout = LAYOUTS[resolution]
+        if kind < 0x10:
+            for each in range(register, register + count):
+                (raw,) = layout.unpack_from(data, offset)
+                offset += layout.size
+                if error := self._write(each, _physical(each, resolution, raw)):
+                    answer += bytes((0x30,)) + _varuint_of(each) + bytes((error,))
+            return offset
+        if not self._is_asked:
+            return offset
+        head = bytes((kind + 0x10,)) + head + _varuint_of(register)
+        if len(answer) + len(head) + count * layout.size > LENGTHS[-1]:
+            answer += bytes((0x31,)) + _varuint_of(register) + bytes((NO_ROOM,))
+            return offset
+        values = b""
+        for each in range(register, register + count):
+            value = self._read(each, resolution)
+            if value is None:
+                answer += bytes((0x31,)) + _varuint_of(each) + bytes((UNKNOWN_REGISTER,))
+                raise IndexError
+            values += layout.pack(_coded(each, resolution, value))
+        answer += head + values
+        return offset
+
+    def _write(self, register: int, value: float) -> int:
+        if register == Register.MODE:
+            if not 0 <= value < len(MODES):
+                return NO_MODE
+            self._wrote_mode, self._wanted = True, int(value)
+            self._commanded = dict(COMMANDS)
+        elif register in COMMANDS:
+            self._commanded[Register(register)] = value
+        else:
+            return UNKNOWN_REGISTER if self._read(register, 2) is None else NOT_WRITEABLE
+        return 0
+
+    def _read(self, register: int, resolution: int) -> float | None:
+        if register in COMMANDS:
+            return self._commanded[Register(register)]
+        if register in (Register.POSITION, Register.VELOCITY, Register.TORQUE, Register.Q_CURRENT):
+            current, velocity, angle = self._sensed
+            amplitude = current * TO_AMPLITUDE
+            flows = self.mode in (*FOLLOWED, OperatingMode.TIMEOUT)
+            return {
+                Register.POSITION: angle / TURN,
+                Register.VELOCITY: velocity / TURN,
+                Register.TORQUE: amplitude * self._torque_constant if flows else 0.0,
+                Register.Q_CURRENT: amplitude,
+            }[Register(register)]
+        if register == Register.VOLTAGE:
+            return self._machine.bus_voltage
+        plain: dict[int, float] = {
+            Register.MODE: self.mode,
+            Register.FAULT: self.fault_code,
+            Register.TEMPERATURE: self.temperature,
+        }
+        whole: dict[int, int] = dict(
+            zip(range(Register.SERIAL_NUMBER, Register.SERIAL_NUMBER + 3), self.words, strict=True)
+        ) | {
+            Register.MODEL_NUMBER: self.model,
+            Register.FIRMWARE_VERSION: self.firmware,
+            Register.REGISTER_MAP_VERSION: self.map_version,
+        }
+        if register in whole:
+            return whole[register] if resolution == 2 else None
+        return plain.get(register)
+
+    # -- commands ----------------------------------------------------------------------------------------------------
+
+    def _take_command(self, now: float) -> None:
+        """Change the mode as the firmware does: a fault and a time-out are left by a stop alone."""
+        if self._wanted == OperatingMode.STOPPED:
+            self.mode, self.fault_code = int(OperatingMode.STOPPED), 0
+            self._expires = self._enabled_at = math.inf
+            self._machine.command("off", 0.0)
+        elif self._wanted in FOLLOWED and self.mode not in (OperatingMode.FAULT, OperatingMode.TIMEOUT):
+            timeout = self._commanded[Register.COMMAND_TIMEOUT] or self.parameters["servo.default_timeout_s"]
+            self._expires = math.inf if math.isnan(timeout) else now + timeout
+            if self.mode == OperatingMode.STOPPED:
+                self.mode, self._enabled_at = ON_THE_WAY[0], now + ENABLING_S
+            elif self.mode in FOLLOWED:
+                self._enter()
+
+    def _enter(self) -> None:
+        """Follow the command; a position mode that begins outside its bounds is a fault."""
+        turns = self._machine.read()[2] / TURN
+        low, high = self.parameters["servopos.position_min"], self.parameters["servopos.position_max"]
+        begins = self.mode != OperatingMode.POSITION == self._wanted
+        if begins and (turns < low or turns > high):
+            self._fail(OUTSIDE_LIMIT)
+            return
+        self.mode = self._wanted
+        self._drive()
+
+    def _drive(self) -> None:
+        """Have the machine follow the command, cut to the limits with the code of the one that cuts."""
+        commanded, self.fault_code = self._commanded, 0
+        position, velocity = commanded[Register.COMMAND_POSITION], commanded[Register.COMMAND_VELOCITY]
+        if self.mode == OperatingMode.CURRENT:
+            self._machine.command("current", self._limited(commanded[Register.COMMAND_Q_CURRENT]) / TO_AMPLITUDE)
+        elif commanded[Register.COMMAND_KP_SCALE] == 0.0 and commanded[Register.COMMAND_KD_SCALE] == 0.0:
+            self._machine.command("current", self._current() / TO_AMPLITUDE)
+        elif math.isnan(position):
+            most = self.parameters["servo.max_velocity"]
+            if abs(velocity) > most:
+                self.fault_code = LIMIT_VELOCITY
+            velocity = 0.0 if math.isnan(velocity) else max(-most, min(most, velocity))
+            self._machine.command("velocity", velocity * TURN)
+        else:
+            low, high = self.parameters["servopos.position_min"], self.parameters["servopos.position_max"]
+            position = low if position < low else high if position > high else position
+            self._machine.command("angle", position * TURN)
+
+    def _current(self) -> float:
+        """The amplitude that the torque asked for leads to."""
+        torque = self._commanded[Register.COMMAND_FEEDFORWARD_TORQUE]
+        most = self._commanded[Register.COMMAND_MAX_TORQUE]
+        if abs(torque) > most:
+            torque, self.fault_code = math.copysign(most, torque), LIMIT_TORQUE
+        return self._limited(torque / self._torque_constant)
+
+    def _limited(self, current: float) -> float:
+        """An amplitude within what configuration and temperature allow."""
+        most, code = self.parameters["servo.max_current_A"], LIMIT_CURRENT
+        margin = self.parameters["servo.temperature_margin"]
+        hot = (self.temperature - self.parameters["servo.fault_temperature"] + margin) / margin
+        if hot > 0.0:
+            code = LIMIT_TEMPERATURE
+            most = max(0.0, min(most, most + hot * (self.parameters["servo.derate_current_A"] - most)))
+        if abs(current) <= most:
+            return current
+        self.fault_code = code
+        return math.copysign(most, current)
+
+    @property
+    def _torque_constant(self) -> float:
+        """N*m at the output per ampere of amplitude."""
+        return TORQUE_FACTOR / self.parameters["motor.Kv"] / self.parameters["motor_position.rotor_to_output_ratio"]
+
+    # -- text --------------------------------------------------------------------------------------------------------
+
+    def _read_text(self, text: bytes) -> None:
+        *lines, self._line = (self._line + text).replace(b"\r", b"\n").split(b"\n")
+        for line in lines:
+            if line.strip():
+                self._text += self._answer_to(line.decode("ascii", "replace").split()).encode("ascii") + b"\r\n"
+
+    def _answer_to(self, words: list[str]) -> str:
+        if len(words) < 3 or words[0] != "conf" or words[1] not in ("get", "set"):
+            return "ERR unknown command"
+        if words[2] not in self.parameters:
+            return "ERR error reading" if words[1] == "get" else "ERR error setting"
+        if words[1] == "get":
+            value = self.parameters[words[2]]
+            return f"{value}" if isinstance(value, int) else f"{value:.8f}"
+        try:
+            self.parameters[words[2]] = float(words[3])
+        except (IndexError, ValueError):
+            return "ERR error setting"
+        return "OK"
+
+    @property
+    def serial_number(self) -> str:
+        """As `moteus_tool --info` prints it."""
+        return base64.b64encode(struct.pack(">3I", *self.words)).decode("ascii")
+
+    @serial_number.setter
+    def serial_number(self, text: str) -> None:
+        try:
+            self.words = list(struct.unpack(">3I", base64.b64decode(text, validate=True)))
+        except (NotBase64, struct.error):
+            return  # three words hold no other
+
+    # -- faults inside the drive -------------------------------------------------------------------------------------
+
+    def freeze(self, frozen: bool) -> None:
+        """Hear nothing, answer nothing and go on with the last demand, or come back to life."""
+        self.frozen = frozen
+
+    def fault(self, code: int) -> None:
+        """Take the power away with the maker's code that is nearest to this one of CiA 301."""
+        self._fail(FAULT_OF_CLASS.get(code >> 8, MOTOR_DRIVER))
+
+
+def _varuint(data: bytes, offset: int) -> tuple[int, int]:
+    number = 0
+    for shift in range(0, 35, 7):
+        number |= (data[offset] & 0x7F) << shift
+        offset += 1
+        if not data[offset - 1] & 0x80:
+            return number, offset
+    raise IndexError
+
+
+def _varuint_of(number: int) -> bytes:
+    low = bytes((number & 0x7F | (0x80 if number > 0x7F else 0),))
+    return low + _varuint_of(number >> 7) if number > 0x7F else low
+
+
+def _physical(register: int, resolution: int, raw: float) -> float:
+    scales = SCALES.get(register)
+    if resolution == 3 or scales is None:
+        return raw
+    return math.nan if raw == LOWEST[resolution] else raw * scales[resolution]
+
+
+def _coded(register: int, resolution: int, value: float) -> float:
+    """A value as it is sent: clipped, not rounded, with the lowest code for NaN, as the firmware does."""
+    if resolution == 3:
+        return value
+    highest = -LOWEST[resolution] - 1
+    if register not in SCALES:
+        wrapped = int(value) & (2 * highest + 1)
+        return wrapped - 2 * (highest + 1) if wrapped > highest else wrapped
+    if math.isnan(value):
+        return LOWEST[resolution]
+    return int(max(-highest, min(highest, value / SCALES[register][resolution])))

@@ -1,0 +1,136 @@
+"""Numbered questions to one controller: which of them an answer belongs to, and what came otherwise.
+
+Each question writes its number into a register that the controller heeds in PWM mode alone, and reads it back in the
+same frame: an answer carries the number of its question, whatever was lost or late before it.
+"""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+from leactl.driver.answers import Irregular
+from leactl.driver.can_port import CanPort
+from leactl_plugins.moteus_can.multiplex import Reply, Resolution, padded, read, write
+from leactl_plugins.moteus_can.registers import MODES, Register
+
+NUMBER = Register.PWM_PHASE_A
+LAST_NUMBER = 1 << 23  # whole numbers up to here are exact in single precision
+LATEST = 64  # questions whose answers may still come
+WIDEST_TURNS = 32768.0  # beyond which the controller counts no position
+
+
+class RegisterQuery(NamedTuple):
+    """What is asked for: subframes, and the registers that an answer has to hold, each once."""
+
+    subframes: bytes
+    registers: frozenset[int]
+
+
+def query(*parts: tuple[Register, int, Resolution]) -> RegisterQuery:
+    """Ask for registers: the first of each part, how many from it on, and how they are to be sent."""
+    registers = {each for first, count, _ in parts for each in range(first, first + count)}
+    asked = read(NUMBER) + b"".join(read(*part) for part in parts)
+    return RegisterQuery(asked, frozenset((NUMBER, *registers)))
+
+
+class Exchange:
+    """The questions to one controller, and its answers."""
+
+    def __init__(self, port: CanPort, identifier: int) -> None:
+        self._port, self._identifier = port, identifier
+        self._number, self._registers = 0, frozenset[int]()
+        self._unanswered: dict[float, bool] = {}  # whether a cycle has given the answer up
+        self._answered, self._answered_by = 0, b""
+        self.came = [False]  # the answer to the last question
+        self.begin()
+
+    def begin(self) -> None:
+        """Count from nothing again."""
+        self.irregular, self._irregular_reported = Irregular(), Irregular()
+        self.unreadable, self._unreadable_reported, self._last_unreadable = 0, 0, ""
+        self.second_controller = False
+
+    def ask(self, command: bytes, asked: RegisterQuery) -> None:
+        """Send a command, which may be none, and a question; does not wait.
+
+        Raises
+        ------
+        DeviceError : the bus is closed, full or gone, or carries classic frames only.
+        """
+        self._number = self._number % LAST_NUMBER + 1
+        self._registers, self.came[0] = asked.registers, False
+        self._unanswered[self._number] = False
+        if len(self._unanswered) > LATEST:
+            del self._unanswered[next(iter(self._unanswered))]
+        number = write(NUMBER, [float(self._number)])  # behind the mode, which resets what was written before it
+        self._port.send_fd(self._identifier, padded(command + number + asked.subframes))
+
+    def is_answered(self, command: bytes, asked: RegisterQuery, until: float) -> bool:
+        """Send a command and a question, and wait for the answer until this moment."""
+        self.ask(command, asked)
+        return self._port.pump_until(self.came, until)
+
+    def give_up(self) -> None:
+        """Count the answer to the last question as lost, until it comes after all."""
+        self.irregular.lost += 1
+        self._unanswered[self._number] = True
+
+    def takes(self, reply: Reply, data: bytes) -> bool:
+        """Whether a reply is the answer to the last question; it is counted where it is not."""
+        number = reply.values.get(NUMBER, math.nan)
+        if self.came[0] or number != self._number:
+            self._take_another(number, data)
+            return False
+        if fault := self._fault_of(reply):
+            self.leave_out(fault)
+            return False
+        self._answered, self._answered_by = self._number, data
+        self._unanswered.pop(self._number, None)
+        self.came[0] = True
+        return True
+
+    def leave_out(self, fault: str) -> None:
+        """Count a frame that cannot be trusted."""
+        self.unreadable += 1
+        self._last_unreadable = fault
+
+    def notices(self) -> list[str]:
+        """A line for what was counted since the last call: irregular answers, unreadable ones."""
+        lines = []
+        if self.irregular != self._irregular_reported:
+            self._irregular_reported = replace(self.irregular)
+            lines.append(str(self.irregular))
+        if self.unreadable != self._unreadable_reported:
+            self._unreadable_reported = self.unreadable
+            lines.append(f"{self.unreadable} answers could not be used; the last one {self._last_unreadable}")
+        return lines
+
+    def _take_another(self, number: float, data: bytes) -> None:
+        """Count an answer to an earlier question, or to none.
+
+        A controller's frame may come twice; another frame with the same number is of another controller.
+        """
+        given_up = self._unanswered.pop(number, None)
+        if given_up:
+            self.irregular.late += 1
+            self.irregular.lost -= 1
+        elif given_up is None:
+            self.irregular.surplus += 1
+            if number == self._answered and data != self._answered_by:
+                self.second_controller = True
+
+    def _fault_of(self, reply: Reply) -> str:
+        """Why a reply cannot be the answer although it has the number; empty where it can."""
+        values = reply.values
+        if reply.errors:
+            refused = ", ".join(f"0x{register:03X} (error {code})" for register, code in reply.errors.items())
+            return f"refuses the registers {refused}"
+        if values.keys() != self._registers:
+            return f"holds {len(values)} registers where {len(self._registers)} were asked for"
+        mode, fault = values[Register.MODE], values[Register.FAULT]
+        if mode not in MODES or fault < 0:
+            return f"holds mode {mode:g} and fault {fault:g}"
+        turns = abs(values.get(Register.POSITION, 0.0))
+        if turns > WIDEST_TURNS or any(math.isinf(value) for value in values.values()):
+            return "holds a value that no controller can have"
+        return ""

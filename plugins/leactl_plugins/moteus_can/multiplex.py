@@ -1,0 +1,197 @@
+"""Frames of mjbots' multiplex protocol, from the host's side: subframes that write, read and answer registers.
+
+Source: mjbots, `docs/protocol/can.md` of the moteus repository and `mjlib/multiplex/format.h`.
+"""
+
+import math
+import struct
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import NamedTuple
+
+from leactl_plugins.moteus_can.registers import KNOWN, SCALES
+
+WRITE, READ, REPLY = 0x00, 0x10, 0x20  # the resolution is in bits 2 and 3, a number up to 3 in bits 0 and 1
+WRITE_ERROR, READ_ERROR = 0x30, 0x31
+TEXT_TO_DEVICE, TEXT_TO_HOST, POLL_FOR_TEXT = 0x40, 0x41, 0x42
+NOP = 0x50
+LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # of a CAN-FD frame
+MOST_BYTES = LENGTHS[-1]
+MOST_OF_A_VARUINT = 5  # bytes
+FROM_HOST = 0x80  # in the source, where an answer is asked for
+
+
+class Resolution(IntEnum):
+    """How a register's value is sent."""
+
+    INT8 = 0
+    INT16 = 1
+    INT32 = 2
+    FLOAT = 3
+
+
+LAYOUTS = tuple(struct.Struct(form) for form in ("<b", "<h", "<i", "<f"))  # by resolution
+NAN_CODES = (-128, -32768, -2147483648)  # of a physical value, by resolution
+
+
+class Reply(NamedTuple):
+    """What one frame of a controller says."""
+
+    values: dict[int, float]  # by register, in the maker's units; NaN where the controller says that it has none
+    errors: dict[int, int]  # by register, the code with which it was refused
+    text: bytes | None = None  # of the tunnel; None where the frame has none
+
+
+def identifier(source: int, destination: int) -> int:
+    """Identifier of a frame."""
+    return source << 8 | destination
+
+
+def varuint(number: int) -> bytes:
+    """A whole number from 0, seven bits a byte, the least significant first."""
+    out = bytearray()
+    while number > 0x7F:
+        out.append(number & 0x7F | 0x80)
+        number >>= 7
+    out.append(number)
+    return bytes(out)
+
+
+def write(register: int, values: Sequence[float], resolution: Resolution = Resolution.FLOAT) -> bytes:
+    """A subframe that writes registers from this one on, physical values in the maker's units.
+
+    Raises
+    ------
+    ValueError : a value that the resolution cannot express; nothing is clipped.
+    """
+    packed = [_packed(register + number, value, resolution) for number, value in enumerate(values)]
+    return _head(WRITE, register, len(values), resolution) + b"".join(packed)
+
+
+def read(register: int, count: int = 1, resolution: Resolution = Resolution.FLOAT) -> bytes:
+    """A subframe that asks for so many registers from this one on."""
+    return _head(READ, register, count, resolution)
+
+
+def text_to_device(channel: int, text: bytes) -> bytes:
+    """A frame that hands text to the controller's tunnel."""
+    return bytes((TEXT_TO_DEVICE,)) + varuint(channel) + varuint(len(text)) + text
+
+
+def poll_for_text(channel: int, most: int) -> bytes:
+    """A frame that asks the controller's tunnel for so many bytes at the most."""
+    return bytes((POLL_FOR_TEXT,)) + varuint(channel) + varuint(most)
+
+
+def padded(subframes: bytes) -> bytes:
+    """Subframes as a frame of a length that CAN-FD has.
+
+    Raises
+    ------
+    ValueError : more than 64 bytes.
+    """
+    if len(subframes) > MOST_BYTES:
+        raise ValueError(f"{len(subframes)} bytes; {MOST_BYTES} at the most were expected")
+    length = next(length for length in LENGTHS if length >= len(subframes))
+    return subframes.ljust(length, bytes((NOP,)))
+
+
+def _head(kind: int, register: int, count: int, resolution: Resolution) -> bytes:
+    if 0 < count <= 3:
+        return bytes((kind | resolution << 2 | count,)) + varuint(register)
+    return bytes((kind | resolution << 2,)) + varuint(count) + varuint(register)
+
+
+def _packed(register: int, value: float, resolution: Resolution) -> bytes:
+    if resolution is Resolution.FLOAT:
+        try:
+            return LAYOUTS[resolution].pack(value)
+        except OverflowError:
+            raise ValueError(f"register 0x{register:03X}: {value:g} is beyond single precision") from None
+    highest = (1 << 8 * LAYOUTS[resolution].size - 1) - 1
+    scales = SCALES.get(register)
+    if math.isnan(value) and scales:
+        return LAYOUTS[resolution].pack(-highest - 1)
+    counts = value / scales[resolution] if scales else value
+    lowest = -highest if scales else -highest - 1  # the lowest code is that of NaN
+    if not lowest - 0.5 < counts < highest + 0.5:
+        raise ValueError(f"register 0x{register:03X}: {value:g} does not fit into {resolution.name.lower()}")
+    return LAYOUTS[resolution].pack(round(counts))
+
+
+def parse(data: bytes) -> Reply:
+    """Take a controller's frame apart.
+
+    Raises
+    ------
+    ValueError : it is no frame of a controller, or tells a register twice, one of unknown scale, or a part of a whole
+        number; nothing of it can be trusted then.
+    """
+    values: dict[int, float] = {}
+    errors: dict[int, int] = {}
+    text: bytes | None = None
+    offset, end = 0, len(data)
+    try:
+        while offset < end:
+            kind, offset = data[offset], offset + 1
+            if kind == NOP:
+                continue
+            if kind & 0xF0 == REPLY:
+                offset = _take_values(kind, data, offset, values)
+            elif kind in (READ_ERROR, WRITE_ERROR):
+                register, offset = _take_varuint(data, offset)
+                errors[register], offset = _take_varuint(data, offset)
+            elif kind == TEXT_TO_HOST and text is None:
+                _channel, offset = _take_varuint(data, offset)  # one is used
+                count, offset = _take_varuint(data, offset)
+                text, offset = data[offset : offset + count], offset + count
+            else:
+                raise ValueError(f"has 0x{kind:02X} at byte {offset - 1}, where a controller's subframe was expected")
+    except (IndexError, struct.error):
+        offset = end + 1
+    if offset > end:
+        raise ValueError(f"ends within a subframe, at byte {end}")
+    return Reply(values, errors, text)
+
+
+def _take_values(kind: int, data: bytes, offset: int, values: dict[int, float]) -> int:
+    """Take a subframe of values from the byte behind its first one; gives the byte behind it."""
+    resolution, count = kind >> 2 & 3, kind & 3
+    if not count:
+        count, offset = _take_varuint(data, offset)
+    register, offset = _take_varuint(data, offset)
+    if not count:
+        raise ValueError(f"has no register in the subframe before byte {offset}")
+    layout = LAYOUTS[resolution]
+    for each in range(register, register + count):
+        if each in values:
+            raise ValueError(f"tells register 0x{each:03X} twice")
+        (value,) = layout.unpack_from(data, offset)
+        values[each] = _value(each, value, resolution)
+        offset += layout.size
+    return offset
+
+
+def _value(register: int, value: float, resolution: int) -> float:
+    """The physical value or the whole number that a register's code stands for."""
+    if register not in KNOWN:
+        raise ValueError(f"tells register 0x{register:03X}, whose scale is not known here")
+    scales = SCALES.get(register)
+    if scales is None:
+        if not float(value).is_integer():
+            raise ValueError(f"tells {value:g} for register 0x{register:03X}, which holds whole numbers")
+        return float(value)
+    if resolution == Resolution.FLOAT:
+        return value
+    return math.nan if value == NAN_CODES[resolution] else value * scales[resolution]
+
+
+def _take_varuint(data: bytes, offset: int) -> tuple[int, int]:
+    """A number and the byte behind it."""
+    number = 0
+    for count in range(MOST_OF_A_VARUINT):
+        byte = data[offset + count]
+        number |= (byte & 0x7F) << 7 * count
+        if not byte & 0x80:
+            return number, offset + count + 1
+    raise ValueError(f"has a number of more than {MOST_OF_A_VARUINT} bytes before byte {offset + MOST_OF_A_VARUINT}")
