@@ -1,7 +1,7 @@
 """Effects outside the vocabulary, for cases whose honest answer is `unknown`; no diagnosis may name them.
 
-Each file defines one subclass of `Effect` with `drawn`, which makes one of a size between hardly seen (0) and plain to
-see (1).
+Each file defines one subclass of `PlantEffect` with `drawn`, which makes one of a size between hardly seen (0) and
+plain to see (1).
 """
 
 import importlib
