@@ -38,9 +38,9 @@ class JointElasticity(Effect):
         behind = swung(signals.acceleration, form[0], form[1], signals.interval)
         return {"drag": {"share": inertia * (behind - signals.acceleration)}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """The load's share of the inertia, the frequency of its swing, and how that is damped."""
-        return {"share": min(found["share"], HIGHEST), "frequency": form[0], "damping_ratio": form[1]}
+        return {"share": min(coefficients["share"], HIGHEST), "frequency": form[0], "damping_ratio": form[1]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A second inertia behind a spring."""
