@@ -17,14 +17,14 @@ __all__ = ["PlantEffect", "known_effects", "make_effect"]
 
 def known_effects() -> dict[str, type[PlantEffect]]:
     """Every effect by the name of its module."""
-    found: dict[str, type[PlantEffect]] = {}
+    effects: dict[str, type[PlantEffect]] = {}
     for entry in pkgutil.iter_modules(__path__):
         module = importlib.import_module(f"{__name__}.{entry.name}")
         for thing in vars(module).values():
             own = isinstance(thing, type) and thing.__module__ == module.__name__
             if own and issubclass(thing, PlantEffect) and thing is not PlantEffect:
-                found[entry.name] = thing
-    return found
+                effects[entry.name] = thing
+    return effects
 
 
 def make_effect(name: str, parameters: Mapping[str, Any] | None = None) -> PlantEffect:
