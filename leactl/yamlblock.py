@@ -57,7 +57,7 @@ class Block(BaseModel):
         free = [key for key in known if key not in given]
         close = {key: get_close_matches(str(key)[:LONGEST_GUESS], free, n=1) for key in unknown}
         guessed = {key: cls.guesses[key] for key in unknown if key in cls.guesses}
-        return {key: found[0] for key, found in close.items() if found} | guessed
+        return {key: candidates[0] for key, candidates in close.items() if candidates} | guessed
 
     @classmethod
     def _reworded(cls, item: Any, meant: Mapping[str, str]) -> InitErrorDetails:

@@ -21,18 +21,18 @@ def library() -> dict[str, Effect]:
     ------
     InputError : an effect has a form and no definition, or a definition and no form; the missing file is named.
     """
-    found: dict[str, Effect] = {}
+    effects: dict[str, Effect] = {}
     modules = [f"{__name__}.{entry.name}" for entry in pkgutil.iter_modules(__path__)]
     for name in (*modules, *modules_of_others().values()):
         module = importlib.import_module(name)
         for thing in vars(module).values():
             own = isinstance(thing, type) and thing.__module__ == module.__name__
             if own and issubclass(thing, Effect) and hasattr(thing, "name"):
-                found[thing.name] = thing()
+                effects[thing.name] = thing()
     known = set(effect_names())
-    undefined = [f"{definition_file(name)}: is missing; it defines effect {name}" for name in set(found) - known]
-    homes = {name: modules_of_others().get(name, f"leactl/effects/{name}.py") for name in known - set(found)}
+    undefined = [f"{definition_file(name)}: is missing; it defines effect {name}" for name in set(effects) - known]
+    homes = {name: modules_of_others().get(name, f"leactl/effects/{name}.py") for name in known - set(effects)}
     unformed = [f"{home}: no class of effect {name} is there" for name, home in homes.items()]
     if undefined or unformed:
         raise InputError(sorted(undefined + unformed))
-    return dict(sorted(found.items()))
+    return dict(sorted(effects.items()))

@@ -25,9 +25,9 @@ class AmbientDrift(Effect):
             "winding_heat": {"change": share / network.winding_ambient_resistance},
         }
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Change in two hours, and power."""
-        return {"change": found["change"], "shape": form[0]}
+        return {"change": coefficients["change"], "shape": form[0]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Ambient that moves with a power of time."""

@@ -21,9 +21,9 @@ class AsymmetricFriction(Effect):
             return {}
         return {"drag": {"asymmetry": signals.model.coulomb_friction * np.abs(signals.sliding)}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Half the difference over the mean."""
-        return {"asymmetry": found["asymmetry"]}
+        return {"asymmetry": coefficients["asymmetry"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A factor with the direction."""

@@ -30,9 +30,9 @@ class Backlash(Effect):
         flank = 0.5 * np.tanh(signals.torque / form[0])
         return {"twist": {"width" if signals.mechanical == "locked" else "crossed": flank}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Whole width, of locked runs where there are any."""
-        return {"width": found.get("width", found.get("crossed", 0.0))}
+        return {"width": coefficients.get("width", coefficients.get("crossed", 0.0))}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Play in series with the shaft."""

@@ -19,9 +19,9 @@ class BusSag(Effect):
             return {}
         return {"bus_voltage": {"resistance": -signals.voltage * signals.current / signals.bus_voltage}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Source resistance."""
-        return {"resistance": found["resistance"]}
+        return {"resistance": coefficients["resistance"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A resistance of the source."""

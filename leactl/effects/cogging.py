@@ -29,10 +29,10 @@ class Cogging(Effect):
             waves |= {f"cos{further}": -cosine, f"sin{further}": -sine}
         return {"drag": waves}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Amplitude, order and phase of the first order; further ones are further entries of a model file."""
-        amplitude = math.hypot(found["cos"], found["sin"])
-        return {"amplitude": amplitude, "order": form[0], "phase": math.atan2(found["cos"], found["sin"])}
+        amplitude = math.hypot(coefficients["cos"], coefficients["sin"])
+        return {"amplitude": amplitude, "order": form[0], "phase": math.atan2(coefficients["cos"], coefficients["sin"])}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A torque over the angle."""

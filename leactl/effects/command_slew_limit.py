@@ -38,13 +38,13 @@ class CommandSlewLimit(Effect):
         means = ends - np.where(averaged, 0.5 * change * ramp, 0.0)
         return {"current_following": {"strength": signals.looped(means) - signals.following}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Rate."""
         return {"rate": form[0]}
 
-    def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
+    def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
         """How much of the limit is there."""
-        return abs(found["strength"])
+        return abs(coefficients["strength"])
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A reference that is followed at a limited rate."""

@@ -163,14 +163,14 @@ class Effect:
         """
         return True
 
-    def is_distinct(self, found: Mapping[str, float], visited: tuple[float, float]) -> bool:
+    def is_distinct(self, coefficients: Mapping[str, float], visited: tuple[float, float]) -> bool:
         """Whether runs show with these coefficients what tells it from a constant torque.
 
         visited : rad, lowest and highest angle of the runs.
         """
         return True
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """The parameters of the definition from fitted coefficients."""
         raise NotImplementedError
 
@@ -178,6 +178,6 @@ class Effect:
         """The form at which a shape that was found at some strength would be whole."""
         return (form[0] * strength, *form[1:])
 
-    def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
+    def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
         """How large the effect is, in units of its leading parameter; zero where it is absent."""
-        return abs(next(iter(self.parameters(form, found, model).values())))
+        return abs(next(iter(self.parameters(form, coefficients, model).values())))

@@ -21,13 +21,13 @@ class CurrentSensorGain(Effect):
             return {"winding_heat": {"excess": -2.0 * heat}}
         return {}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Gain."""
-        return {"gain": 1.0 / max(1.0 - found["excess"], 1e-3)}
+        return {"gain": 1.0 / max(1.0 - coefficients["excess"], 1e-3)}
 
-    def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
+    def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
         """Relative error."""
-        return abs(found["excess"])
+        return abs(coefficients["excess"])
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A sensor whose reading the loop regulates."""

@@ -21,9 +21,9 @@ class CurrentSensorOffset(Effect):
         more = signals.extra.get("heat_per_ampere")
         return {"winding_heat": {"offset": -more}} if more is not None else {}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Offset."""
-        return {"offset": found["offset"]}
+        return {"offset": coefficients["offset"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A sensor whose reading the loop regulates."""

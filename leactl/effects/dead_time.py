@@ -23,9 +23,9 @@ class DeadTime(Effect):
             return {}
         return {"voltage": {"voltage": np.tanh(signals.current / form[0])}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Voltage and current."""
-        return {"voltage": found["voltage"], "current": form[0]}
+        return {"voltage": coefficients["voltage"], "current": form[0]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A voltage that the drive applies and the winding does not see."""

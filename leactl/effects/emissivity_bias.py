@@ -38,13 +38,13 @@ class EmissivityBias(Effect):
                 terms["line_voltage"] = {"excess": 2.0 * unseen * signals.line_current}
         return terms
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Fraction; the columns are made of the rise that the camera reads, a fraction of the true one."""
-        return {"fraction": 1.0 / max(1.0 - found["excess"], LEAST)}
+        return {"fraction": 1.0 / max(1.0 - coefficients["excess"], LEAST)}
 
-    def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
+    def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
         """Relative error."""
-        return abs(found["excess"])
+        return abs(coefficients["excess"])
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A camera that reads a fraction."""

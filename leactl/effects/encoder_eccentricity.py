@@ -21,10 +21,10 @@ class EncoderEccentricity(Effect):
             return {}
         return {"angle_reading": {"cos": np.cos(signals.angle), "sin": np.sin(signals.angle)}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Amplitude and phase."""
-        amplitude = math.hypot(found["cos"], found["sin"])
-        return {"amplitude": amplitude, "phase": math.atan2(found["cos"], found["sin"])}
+        amplitude = math.hypot(coefficients["cos"], coefficients["sin"])
+        return {"amplitude": amplitude, "phase": math.atan2(coefficients["cos"], coefficients["sin"])}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """An error of the angle, and so of the velocity that is taken from it."""

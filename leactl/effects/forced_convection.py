@@ -27,9 +27,9 @@ class ForcedConvection(Effect):
         leaving = (signals.housing - signals.ambient) / signals.model.thermal.housing_ambient_resistance
         return {"housing_heat": {"coefficient": -leaving * np.abs(signals.velocity)}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Relative growth per speed."""
-        return {"coefficient": found["coefficient"]}
+        return {"coefficient": coefficients["coefficient"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A conductance that grows with speed."""

@@ -26,9 +26,9 @@ class FrictionRunIn(Effect):
         friction = drag(signals.model, signals.velocity, signals.sliding)
         return {"drag": {"excess": friction * np.exp(-signals.time / form[0])}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Excess and time constant."""
-        return {"excess": found["excess"], "time_constant": form[0]}
+        return {"excess": coefficients["excess"], "time_constant": form[0]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Friction that settles over the run."""

@@ -26,9 +26,9 @@ class FrictionTemperature(Effect):
         friction = drag(signals.model, signals.velocity, signals.sliding)
         return {"drag": {"coefficient": friction * signals.housing_rise}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Relative change per kelvin."""
-        return {"coefficient": found["coefficient"]}
+        return {"coefficient": coefficients["coefficient"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Friction that goes with the housing."""

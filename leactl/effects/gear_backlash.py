@@ -61,9 +61,9 @@ class GearBacklash(Effect):
                 rubs = damping * beyond + friction * signals.smoothed(np.sign(load) - np.sign(speed))
                 yield {"drag": {"share": inertia * np.gradient(beyond, signals.interval) + ratio * rubs}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """The play, and the load's share of inertia and of friction."""
-        share = min(found["share"], HIGHEST)
+        share = min(coefficients["share"], HIGHEST)
         return {"share": share, "play": form[0], "friction": min(share * form[1], HIGHEST)}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:

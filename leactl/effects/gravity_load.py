@@ -32,11 +32,11 @@ class GravityLoad(Effect):
         cosine, sine = signals.waves(1.0)
         return {"drag": {"cos": cosine, "sin": sine}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Amplitude and phase."""
         return {
-            "amplitude": math.hypot(found["cos"], found["sin"]),
-            "phase": math.atan2(-found["sin"], found["cos"]),
+            "amplitude": math.hypot(coefficients["cos"], coefficients["sin"]),
+            "phase": math.atan2(-coefficients["sin"], coefficients["cos"]),
         }
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:

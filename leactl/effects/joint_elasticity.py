@@ -15,6 +15,8 @@ from leactl.model.nominal import Model
 
 DAMPED = 0.05  # of critical, as gears and belts have it
 HIGHEST = 0.9  # of the inertia, that a load may have: the motor's rotor is the rest
+DIES_AWAY = 4.0  # time constants, after which two per cent of a swing are left
+FEWEST = 4  # samples for each number of a fit
 
 
 class JointElasticity(Effect):
@@ -36,16 +38,41 @@ class JointElasticity(Effect):
         if signals.mechanical != "free" or signals.acceleration is None or inertia is None:
             return {}
         behind = swung(signals.acceleration, form[0], form[1], signals.interval)
+        behind += swing_at_start(signals, behind, form)
         return {"drag": {"share": inertia * (behind - signals.acceleration)}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """The load's share of the inertia, the frequency of its swing, and how that is damped."""
-        return {"share": min(found["share"], HIGHEST), "frequency": form[0], "damping_ratio": form[1]}
+        return {"share": min(coefficients["share"], HIGHEST), "frequency": form[0], "damping_ratio": form[1]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A second inertia behind a spring."""
         damping = parameters.get("damping_ratio", DAMPED)
         plant.elastic_load = ElasticLoad(parameters["share"], parameters["frequency"], damping)
+
+
+def swing_at_start(signals: Signals, behind: Array, form: Form) -> Array:
+    """What the load's acceleration has beyond `behind` since a run's start, dying away as the load's swing does.
+
+    A run may begin while the load swings, or with a leap within its first sample: no angle before tells of it. Fitted
+    over the time in which it dies away, the run's current being what its torques add up to; nothing where the current
+    is not logged, and where the fit has no load worth the name.
+    """
+    rate = 2.0 * np.pi * form[0]
+    fading, ringing = form[1] * rate, rate * np.sqrt(1.0 - form[1] ** 2)
+    time = np.arange(len(behind)) * signals.interval
+    within = slice(0, int(np.searchsorted(time, DIES_AWAY / fading)))
+    if signals.current is None or signals.acceleration is None or signals.sliding is None or signals.velocity is None:
+        return np.zeros_like(behind)
+    swings = [np.exp(-fading * time) * wave(ringing * time) for wave in (np.cos, np.sin)]
+    columns = [behind, *swings, signals.acceleration, signals.velocity, signals.sliding]
+    table = np.stack([column[within] for column in columns], axis=1)
+    if len(table) < FEWEST * len(columns):
+        return np.zeros_like(behind)
+    load, *begins, rotor, _, _ = np.linalg.lstsq(table, signals.current[within], rcond=None)[0]
+    if load <= JointElasticity.least * abs(load + rotor):
+        return np.zeros_like(behind)
+    return np.asarray((begins[0] * swings[0] + begins[1] * swings[1]) / load, np.float64)
 
 
 def swung(acceleration: Array, frequency: float, damping_ratio: float, interval: float) -> Array:

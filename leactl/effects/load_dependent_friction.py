@@ -34,9 +34,9 @@ class LoadDependentFriction(Effect):
         carried = np.abs(signals.torque) / (1.0 + form[0] * np.sign(signals.torque * signals.velocity))
         return {"drag": {"coefficient": signals.sliding * carried}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Friction per torque."""
-        return {"coefficient": found["coefficient"]}
+        return {"coefficient": coefficients["coefficient"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Coulomb friction in proportion to shaft torque."""

@@ -22,9 +22,9 @@ class MagnetTemperature(Effect):
         rise = signals.winding_rise if form[0] else signals.housing_rise
         return {"torque_factor": {"coefficient": -rise}, "emf_factor": {"coefficient": -rise}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Relative loss per kelvin."""
-        return {"coefficient": found["coefficient"]}
+        return {"coefficient": coefficients["coefficient"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Both constants, with the housing."""

@@ -24,9 +24,9 @@ class NonlinearConvection(Effect):
             "housing_heat": {"coefficient": -rise * np.abs(rise) / signals.model.thermal.housing_ambient_resistance}
         }
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Relative growth per kelvin."""
-        return {"coefficient": found["coefficient"]}
+        return {"coefficient": coefficients["coefficient"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A conductance that grows with the rise."""

@@ -32,10 +32,14 @@ class PositionDependentFriction(Effect):
         cosine, sine = signals.waves(form[0])
         return {"drag": {"cos": sliding * cosine, "sin": sliding * sine}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Amplitude, order and phase."""
-        amplitude = math.hypot(found["cos"], found["sin"])
-        return {"amplitude": amplitude, "order": form[0], "phase": math.atan2(-found["sin"], found["cos"])}
+        amplitude = math.hypot(coefficients["cos"], coefficients["sin"])
+        return {
+            "amplitude": amplitude,
+            "order": form[0],
+            "phase": math.atan2(-coefficients["sin"], coefficients["cos"]),
+        }
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A factor over the angle."""

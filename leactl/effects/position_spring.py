@@ -29,14 +29,14 @@ class PositionSpring(Effect):
         # coefficients go by name: the one that is the effect's size has to come first
         return {"drag": {"pull": signals.angle / np.sqrt(bent), "rest": -(bent**-1.5)}}
 
-    def is_distinct(self, found: Mapping[str, float], visited: tuple[float, float]) -> bool:
+    def is_distinct(self, coefficients: Mapping[str, float], visited: tuple[float, float]) -> bool:
         """A spring that no run takes through its rest pulls one way, as a constant torque does."""
         low, high = visited
-        return low * found["pull"] <= found["rest"] <= high * found["pull"]
+        return low * coefficients["pull"] <= coefficients["rest"] <= high * coefficients["pull"]
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Stiffness, rest and reach."""
-        stiffness, rest = found["pull"], found["rest"]
+        stiffness, rest = coefficients["pull"], coefficients["rest"]
         return {"stiffness": stiffness, "rest_angle": rest / stiffness if stiffness else 0.0, "reach": form[0]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:

@@ -26,13 +26,13 @@ class PowerFoldback(Effect):
         cut = folded_back(signals.following, signals.velocity, form[0] / constant)
         return {"current_following": {"strength": cut - signals.following}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """The largest power."""
         return {"power": form[0]}
 
-    def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
+    def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
         """How much of the limit is there."""
-        return abs(found["strength"])
+        return abs(coefficients["strength"])
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A command that is cut off by the speed that was measured."""

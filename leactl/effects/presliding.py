@@ -33,9 +33,9 @@ class Presliding(Effect):
             return {}
         return {"drag": {"strength": model.coulomb_friction * (bristle(signals.angle, form[0]) - signals.sliding)}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """The displacement, scaled by how much of the column is there."""
-        return {"displacement": form[0] * found["strength"]}
+        return {"displacement": form[0] * coefficients["strength"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Bristles that bend before they slide."""

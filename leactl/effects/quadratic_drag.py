@@ -21,9 +21,9 @@ class QuadraticDrag(Effect):
             return {}
         return {"drag": {"coefficient": signals.velocity * np.abs(signals.velocity)}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Drag per squared speed."""
-        return {"coefficient": found["coefficient"]}
+        return {"coefficient": coefficients["coefficient"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A drag."""

@@ -25,9 +25,9 @@ class ReferenceRateLimit(Effect):
         """Nothing: what a set-point does shows where runs are simulated."""
         return {}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Speed."""
-        return {"speed": found["speed"]}
+        return {"speed": coefficients["speed"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A set-point that goes to its reference no faster than the limits allow."""

@@ -33,9 +33,9 @@ class ResistanceTemperature(Effect):
             terms["winding_heat"] = {"coefficient": signals.extra["heat"] * signals.winding_rise}
         return terms
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Relative change per kelvin."""
-        return {"coefficient": found["coefficient"]}
+        return {"coefficient": coefficients["coefficient"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A coefficient of the resistance."""

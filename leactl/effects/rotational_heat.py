@@ -28,9 +28,9 @@ class RotationalHeat(Effect):
         power = power + (signals.model.coulomb_friction or 0.0) * np.abs(signals.velocity)
         return {"housing_heat": {"fraction": power}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Share."""
-        return {"fraction": found["fraction"]}
+        return {"fraction": coefficients["fraction"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Heat of the housing at a speed."""

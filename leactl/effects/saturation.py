@@ -24,9 +24,9 @@ class Saturation(Effect):
             return {}
         return {"torque_factor": {"loss": -((np.abs(signals.current) / form[1]) ** form[0])}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Loss, how it grows, and the current at which it is told."""
-        return {"loss": found["loss"], "exponent": form[0], "current": form[1]}
+        return {"loss": coefficients["loss"], "exponent": form[0], "current": form[1]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A torque constant that falls with a power of the current, the square by default."""

@@ -23,9 +23,9 @@ class ServoDeadBand(Effect):
         """Nothing: what a controller does to its error shows where runs are simulated."""
         return {}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Band."""
-        return {"band": found["band"]}
+        return {"band": coefficients["band"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Errors within the band count as none."""

@@ -19,14 +19,14 @@ class ShaftCompliance(Effect):
             return {}
         return {"twist": {"excess": signals.torque / signals.model.bench.shaft_stiffness}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Stiffness."""
         assert model.bench.shaft_stiffness is not None
-        return {"stiffness": model.bench.shaft_stiffness / max(1.0 + found["excess"], 1e-3)}
+        return {"stiffness": model.bench.shaft_stiffness / max(1.0 + coefficients["excess"], 1e-3)}
 
-    def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
+    def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
         """Relative softness."""
-        return abs(found["excess"])
+        return abs(coefficients["excess"])
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A softer shaft."""

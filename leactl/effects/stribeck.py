@@ -30,9 +30,9 @@ class Stribeck(Effect):
         fading = np.exp(-((np.abs(signals.velocity) / form[0]) ** form[1]))
         return {"drag": {"ratio": signals.model.coulomb_friction * signals.sliding * fading}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Ratio and speed."""
-        return {"breakaway_ratio": found["ratio"], "stribeck_velocity": form[0], "shape": form[1]}
+        return {"breakaway_ratio": coefficients["ratio"], "stribeck_velocity": form[0], "shape": form[1]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A factor that fades with speed."""

@@ -29,9 +29,9 @@ class ThirdThermalNode(Effect):
             columns[f"start of {signals.run}"] = np.exp(-signals.time / form[0])
         return {"housing_heat": columns}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Capacity and resistance."""
-        conductance = max(found["conductance"], 1e-9)
+        conductance = max(coefficients["conductance"], 1e-9)
         return {"capacitance": form[0] * conductance, "resistance": 1.0 / conductance}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:

@@ -25,9 +25,9 @@ class TimeSkew(Effect):
         late = delayed(signals.calm_torque, form[0], signals.interval)
         return {"torque_reading": {"strength": late - signals.calm_torque}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Delay."""
-        return {"delay": form[0] * found["strength"]}
+        return {"delay": form[0] * coefficients["strength"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A reading of an earlier torque."""

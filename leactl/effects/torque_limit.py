@@ -25,13 +25,13 @@ class TorqueLimit(Effect):
         cut = np.clip(signals.following, -form[0], form[0])
         return {"current_following": {"strength": cut - signals.following}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """The largest current."""
         return {"current": form[0]}
 
-    def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
+    def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
         """How much of the limit is there."""
-        return abs(found["strength"])
+        return abs(coefficients["strength"])
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A command that is cut off."""

@@ -25,10 +25,10 @@ class TorqueRipple(Effect):
         cosine, sine = signals.waves(form[0])
         return {"torque_factor": {"cos": cosine, "sin": sine}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Amplitude, order and phase of the strongest order."""
-        amplitude = math.hypot(found["cos"], found["sin"])
-        return {"amplitude": amplitude, "order": form[0], "phase": math.atan2(found["cos"], found["sin"])}
+        amplitude = math.hypot(coefficients["cos"], coefficients["sin"])
+        return {"amplitude": amplitude, "order": form[0], "phase": math.atan2(coefficients["cos"], coefficients["sin"])}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A relative change over the angle."""

@@ -22,10 +22,10 @@ class TorqueSensorCrosstalk(Effect):
         cosine, sine = signals.waves(1.0)
         return {"torque_reading": {"cos": cosine, "sin": sine}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Amplitude and phase."""
-        amplitude = math.hypot(found["cos"], found["sin"])
-        return {"amplitude": amplitude, "phase": math.atan2(found["cos"], found["sin"])}
+        amplitude = math.hypot(coefficients["cos"], coefficients["sin"])
+        return {"amplitude": amplitude, "phase": math.atan2(coefficients["cos"], coefficients["sin"])}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A reading over the angle."""

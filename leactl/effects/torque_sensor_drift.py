@@ -18,9 +18,9 @@ class TorqueSensorDrift(Effect):
             return {}
         return {"torque_reading": {"rate": signals.time}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Rate."""
-        return {"rate": found["rate"]}
+        return {"rate": coefficients["rate"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A zero that moves."""

@@ -18,13 +18,13 @@ class TorqueSensorGain(Effect):
             return {}
         return {"torque_reading": {"excess": signals.torque}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Gain."""
-        return {"gain": 1.0 + found["excess"]}
+        return {"gain": 1.0 + coefficients["excess"]}
 
-    def size(self, form: Form, found: Mapping[str, float], model: Model) -> float:
+    def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
         """Relative error."""
-        return abs(found["excess"])
+        return abs(coefficients["excess"])
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A factor."""

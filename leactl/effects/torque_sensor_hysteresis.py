@@ -27,9 +27,9 @@ class TorqueSensorHysteresis(Effect):
         behind = (play(signals.torque, form[0] * swing) - signals.torque) / form[0]
         return {"torque_reading": {"width": behind}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Half width over the swing."""
-        return {"width": found["width"]}
+        return {"width": coefficients["width"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A reading that follows with play, a share of the run's swing."""

@@ -24,9 +24,9 @@ class TorqueSensorLag(Effect):
         late = lagged(signals.calm_torque, form[0], signals.interval)
         return {"torque_reading": {"strength": late - signals.calm_torque}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Time constant."""
-        return {"time_constant": form[0] * found["strength"]}
+        return {"time_constant": form[0] * coefficients["strength"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A further lag."""

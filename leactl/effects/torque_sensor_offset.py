@@ -20,9 +20,9 @@ class TorqueSensorOffset(Effect):
             return {}
         return {"torque_reading": {"offset": np.ones_like(signals.time)}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Offset."""
-        return {"offset": found["offset"]}
+        return {"offset": coefficients["offset"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A zero."""

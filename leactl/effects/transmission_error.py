@@ -28,11 +28,11 @@ class TransmissionError(Effect):
         turned = form[0] * signals.model.gear_ratio * signals.angle
         return {"angle_reading": {"cos": np.cos(turned), "sin": np.sin(turned)}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Amplitude, order at the joint, phase."""
-        amplitude = math.hypot(found["cos"], found["sin"])
+        amplitude = math.hypot(coefficients["cos"], coefficients["sin"])
         order = form[0] * model.gear_ratio
-        return {"amplitude": amplitude, "order": order, "phase": math.atan2(found["cos"], found["sin"])}
+        return {"amplitude": amplitude, "order": order, "phase": math.atan2(coefficients["cos"], coefficients["sin"])}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """An error of the angle, and so of the velocity that is taken from it."""

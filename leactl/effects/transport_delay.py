@@ -25,9 +25,9 @@ class TransportDelay(Effect):
         late = delayed(signals.following, form[0], signals.interval)
         return {"current_following": {"strength": late - signals.following}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Delay."""
-        return {"delay": form[0] * found["strength"]}
+        return {"delay": form[0] * coefficients["strength"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A loop that answers late."""

@@ -30,10 +30,10 @@ class Unbalance(Effect):
         cosine, sine = signals.waves(signals.model.gear_ratio)
         return {"drag": {"cos": -cosine, "sin": -sine}}
 
-    def parameters(self, form: Form, found: Mapping[str, float], model: Model) -> dict[str, float]:
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Amplitude and phase."""
-        amplitude = math.hypot(found["cos"], found["sin"])
-        return {"amplitude": amplitude, "phase": math.atan2(found["cos"], found["sin"])}
+        amplitude = math.hypot(coefficients["cos"], coefficients["sin"])
+        return {"amplitude": amplitude, "phase": math.atan2(coefficients["cos"], coefficients["sin"])}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A torque over the angle."""

@@ -281,18 +281,18 @@ class _About:
         )
 
     def _inertia(self) -> float:
-        unit, found = np.zeros(self.model.nv), np.zeros(self.model.nv)
+        unit, torques = np.zeros(self.model.nv), np.zeros(self.model.nv)
         unit[self.dof] = 1.0
-        self.mujoco.mj_mulM(self.model, self.state, found, unit)
-        return float(found[self.dof])
+        self.mujoco.mj_mulM(self.model, self.state, torques, unit)
+        return float(torques[self.dof])
 
     def _damping(self) -> float:
         """Also of what actuators add to the joint's attribute."""
         still = float(self.state.qfrc_passive[self.dof])
         turning = self._at(float(self.state.qpos[self.position]), SLOW)
-        found = (still - float(turning.qfrc_passive[self.dof])) / SLOW
+        damping = (still - float(turning.qfrc_passive[self.dof])) / SLOW
         attribute = float(self.model.dof_damping[self.dof])
-        return attribute if abs(found - attribute) <= 1e-6 * max(attribute, 1e-6) else found
+        return attribute if abs(damping - attribute) <= 1e-6 * max(attribute, 1e-6) else damping
 
     def _weight(self, slides: bool) -> tuple[float, float]:
         """Torque that holds what is moved out level, and the angle at which it hangs."""

@@ -107,9 +107,9 @@ def _unstable(mujoco: Any, state: Any) -> list[Any]:
 
 def rms_of_error(records: Sequence[Record], played: Sequence[Array]) -> list[float]:
     """Root mean square of the angle's error [rad] of each run, where its samples count."""
-    found = []
+    errors = []
     for record, angles in zip(records, played, strict=True):
         assert record.fast is not None
         wrong = (angles - record.fast.values[READ])[record.fast.all_valid(READ, ASKED)]
-        found.append(math.sqrt(float(np.mean(wrong**2))))
-    return found
+        errors.append(math.sqrt(float(np.mean(wrong**2))))
+    return errors

@@ -18,7 +18,7 @@ from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.parameters import calibrated, effect_parameters, with_calibration
 from leactl.gap.search.regression import Candidate, Fit, Rows
 from leactl.gap.search.ringing import Line, ringing
-from leactl.gap.search.sets import Found, search
+from leactl.gap.search.sets import EffectSet, search
 from leactl.gap.search.stamp_fit import LATEST
 from leactl.gap.servo import answer as servo_answer
 from leactl.gap.servo.ladder import climb
@@ -137,13 +137,13 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         return diagnose_effects(case, progress)
     again = Case(case.model, records[: len(case.fitted)], records[len(case.fitted) :])
     try:
-        found = diagnose_effects(again, progress)
+        of_effects = diagnose_effects(again, progress)
     except InputError as error:  # without the channel at fault nothing can be checked: the fault is the answer
         same = {"calibrated": case.model, "augmented": case.model, "traces": (), "profiles": ()}
-        found = Diagnosis("none", 0.0, notes=tuple(error.faults), extra=same)
-    causes = tuple(fault.as_cause() for fault in faults) + found.causes
+        of_effects = Diagnosis("none", 0.0, notes=tuple(error.faults), extra=same)
+    causes = tuple(fault.as_cause() for fault in faults) + of_effects.causes
     notes = tuple(fault.note() for fault in faults)
-    return replace(found, verdict="effect", causes=causes, notes=(*notes, *found.notes))
+    return replace(of_effects, verdict="effect", causes=causes, notes=(*notes, *of_effects.notes))
 
 
 def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
@@ -166,24 +166,24 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     null = measure(case.fitted, case.model)
     compare(evidence, null)
     progress("searching effects")
-    found = confirmed_beside_others(evidence, search(evidence))
+    searched = confirmed_beside_others(evidence, search(evidence))
     progress("trying them on held-out runs")
-    gains = dict(zip(found.hypothesis, held_out_gains(evidence, found.hypothesis, case.held_out), strict=True))
-    judged = judge(evidence, found, {candidate: tried.gain for candidate, tried in gains.items()})
-    heard = [not left_by_form(found, index) for index in range(len(evidence.stack.rows))]
-    lines = ringing(evidence, evidence.settle(found.hypothesis), heard)
-    restless = unrest(evidence, found)
+    gains = dict(zip(searched.hypothesis, held_out_gains(evidence, searched.hypothesis, case.held_out), strict=True))
+    judged = judge(evidence, searched, {candidate: tried.gain for candidate, tried in gains.items()})
+    heard = [not left_by_form(searched, index) for index in range(len(evidence.stack.rows))]
+    lines = ringing(evidence, evidence.settle(searched.hypothesis), heard)
+    restless = unrest(evidence, searched)
     surprise = unexplained(restless, lines)
-    causes = causes_of(evidence, found, judged)
+    causes = causes_of(evidence, searched, judged)
     calibrated_alone = calibrated(evidence, evidence.settle([]))
     members = {item.finding.effect for item in judged}
-    refit: Refit = partial(fitted_again, evidence, found)
+    refit: Refit = partial(fitted_again, evidence, searched)
     by_runs = servo_answer.judged_by_runs(case.model, case.fitted)
     told: tuple[str, ...] = ()
     if by_runs:
         progress("fitting free runs of the servo")
         free = side_by_side(case.fitted, case.model)
-        ladder = climb(free, case.held_out, case.model, found.hypothesis)
+        ladder = climb(free, case.held_out, case.model, searched.hypothesis)
         calibrated_alone = servo_answer.calibration(case.model, ladder.calibrated, {})
         parameters = servo_answer.calibration(case.model, ladder.augmented, ladder.stds)
         causes = servo_answer.causes(ladder, causes, free, with_calibration(case.model, parameters))
@@ -192,14 +192,14 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
         refit = partial(fitted_by_ladder, parameters)
         left_out = [record for record in case.fitted if record not in free]
         told = servo_answer.rig_note(ladder, case.model.load.type == "pendulum", left_out)
-    elif outweighed(evidence, found, restless, lines):
+    elif outweighed(evidence, searched, restless, lines):
         told = tuple(f"not named: {item.finding.effect}; far more is left than it explains" for item in judged)
         causes = tuple(replace(c, probability=c.probability * (1.0 - surprise.probability)) for c in causes)
     named = [cause for cause in causes if cause.probability >= EFFECT and cause.effect in members]
     progress("simulating again")
     kinds = {(record.kind, record.mechanical) for record in case.held_out}
     replayed = [*case.held_out, *(r for r in case.fitted if (r.kind, r.mechanical) not in kinds)]
-    stamps = evidence.stamping(found.fit)
+    stamps = evidence.stamping(searched.fit)
     replayed = [stamped(record, stamps) for record in replayed]
     if by_runs:
         replayed = servo_answer.on_time(replayed, case.model, ladder.late)
@@ -220,16 +220,16 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     notes = unlike(case.fitted, case.held_out) + gathered([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
         notes += ("no kind of run occurs twice: held out are two sixteenths of each run",)
-    calibrates = not applied.calibration_withdrawn and gained(evidence, found)
+    calibrates = not applied.calibration_withdrawn and gained(evidence, searched)
     names = {cause.effect for cause in applied.fitted.causes}
-    standing = [candidate for candidate in found.hypothesis if candidate[0] in names]
+    standing = [candidate for candidate in searched.hypothesis if candidate[0] in names]
     alternatives = [rival.candidate for item in judged for rival, _ in item.rivals]
     causes = pictured(causes, evidence, standing, alternatives, case.held_out)
     causes = pictured_by_replays(causes, applied.fitted.causes, replayed, shrunk.channels)
     left, rest = tuple[str, ...](), None
     if surprise.probability >= UNKNOWN:
         progress("describing what is left")
-        near = nearest_effects(found, judged, applied.refused)
+        near = nearest_effects(searched, judged, applied.refused)
         left = (surprise.note,)
         rest = describe(evidence, standing, surprise.channel, case.held_out, near)
     return Diagnosis(
@@ -263,7 +263,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
 
 
 def outweighed(
-    evidence: Evidence, found: Found, restless: Mapping[Channel, float], lines: Mapping[Channel, Line]
+    evidence: Evidence, result: EffectSet, restless: Mapping[Channel, float], lines: Mapping[Channel, Line]
 ) -> bool:
     """Whether something unexplained leaves so much that what a set of effects explains may be a part of that.
 
@@ -275,13 +275,13 @@ def outweighed(
         rows.equation
         for rows in evidence.stack.rows
         if rows.equation == "lock"
-        or (rows.kind == VOLTAGE and rows.equation == "velocity" and not touched(rows, found.hypothesis))
+        or (rows.kind == VOLTAGE and rows.equation == "velocity" and not touched(rows, result.hypothesis))
     }
     rest = {key: ratio for key, ratio in restless.items() if key[0] not in aside}
     heard = {key: line for key, line in lines.items() if key[0] not in aside}
     taken, left = (
         sum(one for one, rows in zip(amounts, evidence.stack.rows, strict=True) if rows.equation not in aside)
-        for amounts in (found.taken, found.left)
+        for amounts in (result.taken, result.left)
     )
     return unexplained(rest, heard).probability >= UNKNOWN and left > OUTWEIGHED * taken
 
@@ -292,14 +292,14 @@ def touched(rows: Rows, hypothesis: Sequence[Candidate]) -> bool:
     return any(name[0] == "effect" and (name[1], name[2]) in own for name in rows.columns)
 
 
-def fitted_again(evidence: Evidence, found: Found, causes: Sequence[Cause]) -> Fitted:
+def fitted_again(evidence: Evidence, result: EffectSet, causes: Sequence[Cause]) -> Fitted:
     """Some members of the set fitted without the others.
 
     Columns that go with calibrated parameters are made of these, and fitted again (Gauss and Newton): with a camera
     that reads two thirds of a rise, heat flows are 4 % off at first.
     """
     wanted = {cause.effect: cause for cause in causes}
-    hypothesis = [candidate for candidate in found.hypothesis if candidate[0] in wanted]
+    hypothesis = [candidate for candidate in result.hypothesis if candidate[0] in wanted]
     fit = evidence.settle(hypothesis)
     parameters = calibrated(evidence, fit)
     nominal = {item.parameter: item.nominal for item in parameters}
@@ -327,12 +327,12 @@ def borne_out(causes: Sequence[Cause], applied: Applied) -> tuple[Cause, ...]:
     )
 
 
-def causes_of(evidence: Evidence, found: Found, judged: Sequence[Judged]) -> tuple[Cause, ...]:
+def causes_of(evidence: Evidence, result: EffectSet, judged: Sequence[Judged]) -> tuple[Cause, ...]:
     """Members of the set, then their rivals, by probability."""
     total = sum(item.finding.gain for item in judged) or 1.0
     causes: dict[str, Cause] = {}
     for item in judged:
-        parameters = effect_parameters(evidence, found.fit, item.finding.candidate)
+        parameters = effect_parameters(evidence, result.fit, item.finding.candidate)
         plan = separating_experiment(item.finding.effect, item.peers)
         share = item.finding.gain / total
         causes[item.finding.effect] = Cause(
@@ -348,7 +348,7 @@ def causes_of(evidence: Evidence, found: Found, judged: Sequence[Judged]) -> tup
         for rival, probability in item.rivals:
             if probability < NAMED or rival.effect in causes:
                 continue
-            others = [c for c in found.hypothesis if c != item.finding.candidate]
+            others = [c for c in result.hypothesis if c != item.finding.candidate]
             parameters = alone(evidence, others, rival.candidate)
             together = item.probability if rival.effect in item.peers else probability
             peers = tuple(sorted({item.finding.effect, *item.peers} - {rival.effect})) if together > probability else ()
@@ -385,8 +385,8 @@ def verdict(causes: Sequence[Cause], surprise: float, calibrates: bool) -> Verdi
     return "calibration" if calibrates else "none"
 
 
-def gained(evidence: Evidence, found: Found) -> bool:
+def gained(evidence: Evidence, result: EffectSet) -> bool:
     """Whether the parameters of the nominal model explain more by another value than chance does."""
     normal = evidence.normal()
     keep = np.asarray([k for k, n in enumerate(evidence.stack.names) if n[0] == "nuisance"], np.intp)
-    return normal.solve(keep).misfit - found.fit.misfit > CALIBRATED
+    return normal.solve(keep).misfit - result.fit.misfit > CALIBRATED

@@ -50,10 +50,10 @@ def compare_runs(first: Path, second: Path) -> list[Distance]:
     ]
     if faults:
         raise InputError(faults)
-    found = [found for key in common if (found := distance(ours[key], theirs[key])) is not None]
-    if not found:
+    distances = [distances for key in common if (distances := distance(ours[key], theirs[key])) is not None]
+    if not distances:
         raise InputError(f"{second}: no channel in common with {first} for {FEWEST} samples or more")
-    return found
+    return distances
 
 
 def distance(first: Channel, second: Channel) -> Distance | None:
@@ -97,15 +97,15 @@ def _likeness(time: Array, ours: Array, theirs: Array) -> tuple[float | None, fl
 
 
 def _channels(run: Run) -> dict[tuple[str, str, str], Channel]:
-    found = {}
+    channels = {}
     for specs in run.streams.values():
         for spec in specs:
             if spec.quantity:
                 for channel in run.channels(spec.quantity, spec.role):
-                    found[channel.quantity, channel.role, channel.location] = channel
-    return found
+                    channels[channel.quantity, channel.role, channel.location] = channel
+    return channels
 
 
-def as_json(found: list[Distance]) -> dict[str, Any]:
+def as_json(distances: list[Distance]) -> dict[str, Any]:
     """The same for other programs."""
-    return {"channels": [asdict(one) for one in found]}
+    return {"channels": [asdict(one) for one in distances]}

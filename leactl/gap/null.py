@@ -37,8 +37,8 @@ from leactl.gap.search.regression import Candidate
 from leactl.gap.search.ringing import ringing
 from leactl.gap.search.sets import (
     ENTRY,
+    EffectSet,
     Finding,
-    Found,
     by_themselves,
     describe,
     exchange,
@@ -179,7 +179,7 @@ class Shown:
         )
 
 
-def confirmed_beside_others(evidence: Evidence, found: Found, seed: int = 0) -> Found:
+def confirmed_beside_others(evidence: Evidence, result: EffectSet, seed: int = 0) -> EffectSet:
     """Drop the members of a set that also show in a machine which has only the other members.
 
     What equations miss of a large effect (its course within a sample, where friction turns back under it) may look like
@@ -188,13 +188,13 @@ def confirmed_beside_others(evidence: Evidence, found: Found, seed: int = 0) -> 
     the largest gain is not tested.
     """
     random = np.random.default_rng(seed)
-    hypothesis = list(found.hypothesis)
-    for item in sorted(found.members, key=lambda item: item.gain)[:-1]:
+    hypothesis = list(result.hypothesis)
+    for item in sorted(result.members, key=lambda item: item.gain)[:-1]:
         others = [candidate for candidate in hypothesis if candidate != item.candidate]
         if item.size <= ENTRY * math.hypot(item.std, item.floor, size_beside(evidence, others, item, random)):
             hypothesis = others
-    if hypothesis == found.hypothesis:
-        return found
+    if hypothesis == result.hypothesis:
+        return result
     return describe(evidence, refine(evidence, exchange(evidence, hypothesis)))
 
 
@@ -298,18 +298,18 @@ def recorded(job: Job, record: Record, random: np.random.Generator) -> Record | 
 
 def fast_channels(job: Job) -> dict[Key, Array]:
     """Channels of the fast clock that a simulated run makes anew, without noise."""
-    found, values = dict(job.fast), job.clock.values
+    channels, values = dict(job.fast), job.clock.values
     if job.angle is not None:
-        found["angle", "test"] = angle(job)
+        channels["angle", "test"] = angle(job)
     if (flowing := current(job)) is not None:
-        found["q_axis_current", "test"] = flowing
+        channels["q_axis_current", "test"] = flowing
     if (load := values.get(("q_axis_current", "load"))) is not None:
-        found["q_axis_current", "load"] = load  # flows as it was measured
+        channels["q_axis_current", "load"] = load  # flows as it was measured
     if job.pull is not None:
         for key, more in asked_for(job, job.pull).items():
             if key in values:
-                found[key] = values[key] + more
-    return found
+                channels[key] = values[key] + more
+    return channels
 
 
 def asked_for(job: Job, pull: Array) -> dict[Key, Array]:

@@ -104,10 +104,10 @@ def follows(part: Array, place: Groups) -> float:
 
 def best_sign(part: Array, place: Groups, signs: Mapping[str, Array]) -> Along:
     """The sign along which most of an effect's part follows a variable; the plain one where that does as well."""
-    found = [Along("", follows(part, place))]
-    found += [Along(name, follows(part * sign, place)) for name, sign in signs.items()]
-    most = max(one.explained for one in found)
-    return next(one for one in found if one.explained >= ALIKE * most)
+    fits = [Along("", follows(part, place))]
+    fits += [Along(name, follows(part * sign, place)) for name, sign in signs.items()]
+    most = max(one.explained for one in fits)
+    return next(one for one in fits if one.explained >= ALIKE * most)
 
 
 def means(values: Array, place: Groups, groups: Groups, bins: int) -> Means:

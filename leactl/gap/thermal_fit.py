@@ -87,20 +87,20 @@ def thermal_fit(runs: Sequence[Run], motor: Motor) -> ThermalFit:
         why = "; ".join(notes) or "they were seldom read at the same time"
         raise InputError(f"{files}: temperatures and heat never come together for long enough: {why}")
     fit = evidence.settle([])
-    found = {item.parameter: item for item in calibrated(evidence, fit) if item.parameter in FITTED}
-    names = [name for name in FITTED if name in found]
+    fitted = {item.parameter: item for item in calibrated(evidence, fit) if item.parameter in FITTED}
+    names = [name for name in FITTED if name in fitted]
     places = {evidence.stack.names[place]: index for index, place in enumerate(fit.columns)}
     rows = np.array([places["calibration", name] for name in names])
     covariance = fit.covariance[np.ix_(rows, rows)]
     spread = np.sqrt(np.diag(covariance))
     tolerances = {
-        name.removeprefix("thermal."): _rounded(DEVIATIONS * found[name].std / found[name].fitted)
+        name.removeprefix("thermal."): _rounded(DEVIATIONS * fitted[name].std / fitted[name].fitted)
         for name in names
-        if found[name].std / found[name].fitted < TOLD * PRIORS[name]
+        if fitted[name].std / fitted[name].fitted < TOLD * PRIORS[name]
     }
     tolerances["temperature_rise"] = CAMERA_GAIN
     correlation = covariance / np.outer(spread, spread)
-    return ThermalFit(tuple(found[name] for name in names), correlation, tolerances, tuple(notes))
+    return ThermalFit(tuple(fitted[name] for name in names), correlation, tolerances, tuple(notes))
 
 
 def _rounded(tolerance: float) -> float:

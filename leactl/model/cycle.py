@@ -87,8 +87,8 @@ def read_cycle(
             raise InputError(f"{path}: {name} is 0 throughout")
     if columns[2] == "torque_Nm_per_kg":
         if body_mass is None or not 1.0 <= body_mass <= 500.0:
-            found = "none" if body_mass is None else f"{body_mass:g} kg"
-            raise InputError(f"{path}: torque_Nm_per_kg needs --body-mass, from 1 to 500 kg; found {found}")
+            mass = "none" if body_mass is None else f"{body_mass:g} kg"
+            raise InputError(f"{path}: torque_Nm_per_kg needs --body-mass, from 1 to 500 kg; found {mass}")
         torque = torque * body_mass
     if columns[1] == "angle_deg":
         angle = np.radians(angle)

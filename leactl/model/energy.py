@@ -228,13 +228,13 @@ class _Many:
 
 def remarks(motor: MotorSheet, one: Stride) -> list[str]:
     """What a reader of these figures must know of this motor."""
-    found = []
+    lines = []
     if motor.coulomb_friction is None:
-        found.append("its Coulomb friction is not known: losses are at least these")
+        lines.append("its Coulomb friction is not known: losses are at least these")
     if motor.resistance_coefficient is None:
-        found.append("the coefficient of its resistance is not known: heat at the resistance as told")
+        lines.append("the coefficient of its resistance is not known: heat at the resistance as told")
     elif one.winding_temperature is None:
-        found.append("its thermal network is not known: heat at the resistance as told")
+        lines.append("its thermal network is not known: heat at the resistance as told")
     if motor.limits.winding_temperature is None:
-        found.append("it has no limit of the winding's temperature: not judged")
-    return found
+        lines.append("it has no limit of the winding's temperature: not judged")
+    return lines

@@ -66,7 +66,7 @@ def readings(bearings: Bearings, rest_gap: float) -> list[Reading]:
     static = bearings.static_radial_load / bearings.deflection_at_static_load
     told = bearings.told_preload / bearings.told_gap
     beyond = bearings.told_preload / (bearings.told_gap - rest_gap)
-    found = [
+    ways = [
         ("static load, gap is deflection", static, 0.0),
         ("told preload, gap is deflection", told, 0.0),
         ("static load, beyond the gap at rest", static, rest_gap),
@@ -80,7 +80,7 @@ def readings(bearings: Bearings, rest_gap: float) -> list[Reading]:
             stiffness * (bearings.told_gap - rest),
             stiffness * bearings.deflection_at_static_load,
         )
-        for name, stiffness, rest in found
+        for name, stiffness, rest in ways
     ]
 
 
@@ -103,10 +103,10 @@ def most_gap(bearings: Bearings, reading: Reading) -> float:
     return reading.rest_gap + bearings.static_radial_load / reading.stiffness
 
 
-def disagreement(bearings: Bearings, found: Sequence[Reading]) -> dict[str, float]:
+def disagreement(bearings: Bearings, ways: Sequence[Reading]) -> dict[str, float]:
     """By how much each reading misses the point that it was not made from, relative."""
     misses = {}
-    for reading in found:
+    for reading in ways:
         told = reading.at_told_gap / bearings.told_preload - 1.0
         static = reading.at_static_deflection / bearings.static_radial_load - 1.0
         misses[reading.name] = max(told, static, key=abs)

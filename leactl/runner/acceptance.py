@@ -45,7 +45,7 @@ def check_analysis(plan: Plan, name: str) -> None:
         raise InputError(document.fault(("acceptance",), message))
     results = results_of(asked or plan.name)
     misfits = {n: _misfit(limit, asked or plan.name, results) for n, limit in limits.items()}
-    faults = [document.fault(("acceptance", n, found[0]), found[1]) for n, found in misfits.items() if found]
+    faults = [document.fault(("acceptance", n, fault[0]), fault[1]) for n, fault in misfits.items() if fault]
     if faults:
         raise InputError(faults)
 
@@ -102,11 +102,11 @@ def _judged(limit: Acceptance, answer: "Result | InputError") -> tuple[dict[str,
     try:
         if isinstance(answer, InputError):
             raise answer
-        found = answer.find(limit.result)
+        result = answer.find(limit.result)
     except InputError as fault:
         return row, f"{limit.result} is not known, {bounds}: {fault}"
-    factor = _factor(found.units, limit.unit)
-    value, units = (found.value, found.units) if factor is None else (found.value * factor, limit.unit)
+    factor = _factor(result.units, limit.unit)
+    value, units = (result.value, result.units) if factor is None else (result.value * factor, limit.unit)
     row |= {"value": value if math.isfinite(value) else None, "units": units}
     told = f"{limit.result} is {value:.6g} {units}"
     if factor is None:

@@ -96,40 +96,40 @@ def commission(manner: Manner, file: Path) -> Commissioned:
     _refuse_other(asked)
     _refuse_own(file, asked.bench.motors.values())
     shipped = load_motor(asked.bench.motors["test"])[0]
-    found, told = _judged(asked, shipped, None), list(manner.given)
+    judged, told = _judged(asked, shipped, None), list(manner.given)
     if told:
         motor = _narrowed(asked, shipped, told, manner)
-        found = found if found.admitted else _written(asked, motor, told, file)
-    manner.tell(_state(found))
+        judged = judged if judged.admitted else _written(asked, motor, told, file)
+    manner.tell(_state(judged))
     if manner.rehearse:
-        request = asked if found.admitted else _shorter(manner, found)
-        rehearse(_by(request, found.file))
-        found.next_heating_s = _heating(request)
-        return found
-    while not found.admitted and len(told) < manner.most - 1:
-        request = _shorter(manner, found)
-        told.append(_heated(request, found, manner, len(told)))
-        heats = [*found.heats, Heat(told[-1], _heating(request), whole=False)]
-        found = _written(asked, _narrowed(asked, shipped, told, manner), told, file)
-        found.heats = heats
-        manner.tell(_state(found))
-    if not found.admitted:
+        request = asked if judged.admitted else _shorter(manner, judged)
+        rehearse(_by(request, judged.file))
+        judged.next_heating_s = _heating(request)
+        return judged
+    while not judged.admitted and len(told) < manner.most - 1:
+        request = _shorter(manner, judged)
+        told.append(_heated(request, judged, manner, len(told)))
+        heats = [*judged.heats, Heat(told[-1], _heating(request), whole=False)]
+        judged = _written(asked, _narrowed(asked, shipped, told, manner), told, file)
+        judged.heats = heats
+        manner.tell(_state(judged))
+    if not judged.admitted:
         raise InputError(
             f"protocol '{asked.plan.name}' is not admitted after {len(told)} heated runs, with {manner.most} at most:"
-            f" {_state(found)}; lower its current, tell the camera's own accuracy, or allow more --runs"
+            f" {_state(judged)}; lower its current, tell the camera's own accuracy, or allow more --runs"
         )
-    found.heats = [*found.heats, Heat(_heated(asked, found, manner, len(told)), _heating(asked), whole=True)]
-    return found
+    judged.heats = [*judged.heats, Heat(_heated(asked, judged, manner, len(told)), _heating(asked), whole=True)]
+    return judged
 
 
-def _heated(request: Request, found: Commissioned, manner: Manner, before: int) -> Path:
+def _heated(request: Request, judged: Commissioned, manner: Manner, before: int) -> Path:
     """Make one run by the motor file so far.
 
     Raises
     ------
     SafetyTrip, DeviceError, Stopped : it did not come to its end.
     """
-    request = replace(_by(request, found.file), insert_cooldown=True, cold=manner.cold and not found.heats)
+    request = replace(_by(request, judged.file), insert_cooldown=True, cold=manner.cold and not judged.heats)
     outcome = manner.perform(request, f"run {before + 1} of {manner.most} at most: ")
     if outcome.error is not None:
         raise outcome.error
@@ -177,24 +177,24 @@ def _by(request: Request, file: Path | None) -> Request:
     return replace(request, bench=request.bench.model_copy(update={"motors": motors}))
 
 
-def _shorter(manner: Manner, found: Commissioned) -> Request:
+def _shorter(manner: Manner, judged: Commissioned) -> Request:
     """The protocol with as long a heat as is admitted, and a cooling that tells the housing.
 
     Raises
     ------
     InputError : no heat that is long enough.
     """
-    asked, passing = manner.prepare({}), found.forecast.passing
-    seconds = min(_heating(asked), found.longest_s)
+    asked, passing = manner.prepare({}), judged.forecast.passing
+    seconds = min(_heating(asked), judged.longest_s)
     if passing is not None:
         row = max(asked.plan.timeline(), key=lambda one: one.duration_s if one.name == "heating" else 0.0)
         seconds = min(seconds, SHARE * (passing.time_s - row.start_s))
-    network = found.motor.thermal
+    network = judged.motor.thermal
     constant = network.housing_capacitance * (network.housing_ambient_resistance + network.winding_housing_resistance)
     cooling = min(float(asked.plan.parameters[COOLING]), math.ceil(CONSTANTS * constant))
     while seconds >= SHORTEST_S:
         request = manner.prepare({HEATING: f"{math.floor(seconds)}", COOLING: f"{cooling:g}"})
-        if _judged(request, found.motor, found.file).admitted:
+        if _judged(request, judged.motor, judged.file).admitted:
             return request
         seconds *= FALLING
     told = "" if passing is None else f" step '{passing.step}' may take the {passing.role} winding to its limit after"
@@ -225,7 +225,7 @@ def _written(asked: Request, motor: Motor, told: Sequence[Path], file: Path) -> 
         known = _known(asked, file)
         _write(file, motor, asked.actuator, told)
         request = _by(asked, file)
-        Windings(request.bench, request.devices, request.actuator, request.in_process, found=known).keep_as_found()
+        Windings(request.bench, request.devices, request.actuator, request.in_process, recalled=known).keep_as_found()
     found = _judged(asked, load_motor(str(file))[0], file)
     found.longest_s = LONGER * max(_heated_s(path) for path in told)
     return found
@@ -271,10 +271,10 @@ def _write(file: Path, motor: Motor, actuator: str, told: Sequence[Path]) -> Non
         beside.write_text("\n".join([*head, body]), encoding="utf-8")
 
 
-def _state(found: Commissioned) -> str:
-    by = found.file.name if found.file is not None else f"the tolerances of motor '{found.motor.name}'"
-    passing = found.forecast.passing
+def _state(judged: Commissioned) -> str:
+    by = judged.file.name if judged.file is not None else f"the tolerances of motor '{judged.motor.name}'"
+    passing = judged.forecast.passing
     if passing is None:
-        told = f"by {by}: at most {found.forecast.peaks['test']:.1f} degC of {found.limit:.1f}, admitted"
-        return told if found.admitted else f"{told} for heats of up to {found.longest_s:.0f} s"
-    return f"by {by}: up to {found.limit:.1f} degC after {passing.time_s:.0f} s in step '{passing.step}', not admitted"
+        told = f"by {by}: at most {judged.forecast.peaks['test']:.1f} degC of {judged.limit:.1f}, admitted"
+        return told if judged.admitted else f"{told} for heats of up to {judged.longest_s:.0f} s"
+    return f"by {by}: up to {judged.limit:.1f} degC after {passing.time_s:.0f} s in step '{passing.step}', not admitted"

@@ -75,11 +75,11 @@ def endings(plan: Plan, windings: Windings, bench: Bench) -> dict[Levels, Ending
     ------
     InputError : levels that nothing ends; a line each, with the ways out.
     """
-    found = left_on(plan, windings, bench)
-    faults = [_refusal(plan, windings, one) for one in found if one.ended_by is EndedBy.NOTHING]
+    powered = left_on(plan, windings, bench)
+    faults = [_refusal(plan, windings, one) for one in powered if one.ended_by is EndedBy.NOTHING]
     if faults:
         raise InputError(faults)
-    return {(one.role, one.voltage, one.current): Ending(one.trips_at, one.most) for one in found}
+    return {(one.role, one.voltage, one.current): Ending(one.trips_at, one.most) for one in powered}
 
 
 def _judged(

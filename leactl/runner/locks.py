@@ -83,10 +83,10 @@ def alone(place: str, taken: str) -> Iterator[int]:
 
 def _holder(name: bytes) -> str:
     """The process that holds a lock, as the kernel tells it, with its user where that is another one."""
-    found = lock_holders.holder(name)
-    if found is None:  # on its way to the lock, or asked too often
+    holder = lock_holders.holder(name)
+    if holder is None:  # on its way to the lock, or asked too often
         return "process unknown"
-    process, user = found
+    process, user = holder
     if user == os.geteuid():
         return f"process {process}"
     import pwd  # of POSIX alone, as is fcntl

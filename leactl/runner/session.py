@@ -552,8 +552,8 @@ def _introduce(request: Request, windings: Windings, writer: RunWriter, bench: B
         writer.event(0.0, "info", "emulation", f"seed = {seed}")
     for line in unwitnessed(request.plan, bench):
         writer.event(0.0, "info", "windings", line)
-    for role, found in windings.recalled.items():
-        writer.event(0.0, "info", "windings", f"{role} winding: {found.known}, at most {found.nodes[0]:.1f} degC")
+    for role, recalled in windings.recalled.items():
+        writer.event(0.0, "info", "windings", f"{role} winding: {recalled.known}, at most {recalled.nodes[0]:.1f} degC")
 
 
 def _seed(request: Request) -> int | None:

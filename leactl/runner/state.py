@@ -93,7 +93,7 @@ def places() -> list[Place]:
 
 def reachable() -> tuple[list[Place], list[str]]:
     """As `places`, for whoever must go on without those that cannot be; a line for each of these."""
-    found: list[Place] = []
+    reached: list[Place] = []
     faults: list[str] = []
     for shared, directory in ((True, _machine_directory), (False, state_directory)):
         try:
@@ -104,8 +104,8 @@ def reachable() -> tuple[list[Place], list[str]]:
         if os.path.lexists(place.runs) and not place.runs.is_dir():
             faults.append(f"{place.runs}: a directory of runs was expected; what runs there cannot be seen")
         else:
-            found.append(place)
-    return found, faults
+            reached.append(place)
+    return reached, faults
 
 
 def examine() -> "Finding":

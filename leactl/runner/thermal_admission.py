@@ -34,7 +34,7 @@ class Windings:
         actuator: str = "",
         emulated_here: bool = False,
         cold: bool = False,
-        found: Mapping[str, Recalled] | None = None,
+        recalled: Mapping[str, Recalled] | None = None,
     ) -> None:
         """Recall what is known of them.
 
@@ -42,7 +42,7 @@ class Windings:
         ----------
         actuator : label of the one under test; the bench's name and the role stand for one without.
         cold : a person says that nothing has heated them.
-        found : bounds of each role that hold, in place of what is remembered.
+        recalled : bounds of each role that hold, in place of what is remembered.
 
         Raises
         ------
@@ -63,8 +63,8 @@ class Windings:
         if bench.emulated is not None:  # nothing burns that is emulated: what nothing is known of is at ambient
             fresh = {role for role, memory in memories.items() if not memory.known}
             self.recalled |= {role: memories[role].cold() for role in fresh}
-        self.recalled |= found or {}
-        start = {role: found.nodes for role, found in self.recalled.items()}
+        self.recalled |= recalled or {}
+        start = {role: known.nodes for role, known in self.recalled.items()}
         self.guard = ThermalGuard(self.fed, self.settings, start)
         self.keeper = None if emulated_here else Keeper(memories, lambda: self.guard.kept, Moment.now)
 
@@ -121,13 +121,13 @@ class Windings:
         InputError : a winding may pass its limit; with the step, the time, and the wait that would help.
         """
         foresight = self._foresight()
-        found = foresight.forecast(plan)
-        if found.passing is None:
+        forecast = foresight.forecast(plan)
+        if forecast.passing is None:
             return plan
         longer, later = foresight.with_waits(plan)
         if insert_cooldown and later.passing is None:
             return longer
-        at = found.passing
+        at = forecast.passing
         if later.passing is None:
             waits = longer.duration_s - plan.duration_s
             helps = f"--insert-cooldown adds {waits:.0f} s of waiting, which is enough"
@@ -135,8 +135,8 @@ class Windings:
             helps = "no wait helps"
         else:
             helps = "no wait between its steps helps: shorten or lower them"
-        if found.turning_from_hz is not None:
-            helps += f", or raise rate_Hz, {plan.rate_Hz:g} now: {standing(found.turning_from_hz)}"
+        if forecast.turning_from_hz is not None:
+            helps += f", or raise rate_Hz, {plan.rate_Hz:g} now: {standing(forecast.turning_from_hz)}"
         known = "; ".join(f"{role} {one.known}, at most {one.nodes[0]:.0f} degC" for role, one in self.recalled.items())
         raise InputError(
             f"protocol '{plan.name}': step '{at.step}' may take the {at.role} winding to its limit of"
@@ -145,7 +145,7 @@ class Windings:
         )
 
     def _foresight(self) -> Foresight:
-        start = {role: found.nodes for role, found in self.recalled.items()}
+        start = {role: known.nodes for role, known in self.recalled.items()}
         return Foresight(self.fed, self.settings, start)
 
 

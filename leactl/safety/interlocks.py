@@ -284,11 +284,11 @@ class Interlocks(Block):
     def entries(self) -> Iterator[tuple[str, Entry, Place]]:
         """Every entry of a quantity with its place in the block."""
         for quantity in UNITS:
-            found: Entry | tuple[Entry, ...] = getattr(self, quantity, ())
-            if isinstance(found, Entry):
-                yield quantity, found, (quantity,)
+            listed: Entry | tuple[Entry, ...] = getattr(self, quantity, ())
+            if isinstance(listed, Entry):
+                yield quantity, listed, (quantity,)
             else:
-                yield from ((quantity, entry, (quantity, number)) for number, entry in enumerate(found))
+                yield from ((quantity, entry, (quantity, number)) for number, entry in enumerate(listed))
         if self.supply is not None:
             expected, band = self.supply.expected_V, self.supply.band_V
             window = {"trip_low_V": expected - band, "trip_high_V": expected + band, "for_s": self.supply.for_s}

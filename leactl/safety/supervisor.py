@@ -180,7 +180,7 @@ class Supervisor:
         settings = self._interlocks.voltage_disagreement
         if settings is None:
             return []
-        found = []
+        witnesses = []
         for role, guarded in self._axes.items():
             for watch in guarded.panel.watches:
                 if watch.channel.quantity == "q_axis_voltage" and role in self._voltage_needs:
@@ -188,8 +188,8 @@ class Supervisor:
                     by_voltage = ByVoltage(watch.label, settings, constant, partial(self._thermal.resistances, role))
                     account = self._account(role, by_voltage)
                     if account is not None:
-                        found.append(Witnesses(settings.for_s, guarded.panel, watch.index, [account], self.trip))
-        return found
+                        witnesses.append(Witnesses(settings.for_s, guarded.panel, watch.index, [account], self.trip))
+        return witnesses
 
     def _by_angle(self) -> Velocities | None:
         """What holds velocities against angles."""
@@ -412,9 +412,9 @@ class Supervisor:
 
     def take_warnings(self) -> list[str]:
         """What has crossed a warning since the last call, one line a crossing."""
-        found = list(self.warnings)
+        warnings = list(self.warnings)
         self.warnings.clear()
-        return found
+        return warnings
 
     def trip(self, cause: str) -> NoReturn:
         """Latch a trip and end the run; the first cause stays.

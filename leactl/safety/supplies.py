@@ -195,14 +195,14 @@ def at_leads(devices: Iterable[Driver], roles: Iterable[str]) -> dict[str, Power
 
 
 def _at_leads(devices: Iterable[Driver], roles: Iterable[str]) -> dict[str, _Fed]:
-    found: dict[str, _Fed] = {}
+    by_role: dict[str, _Fed] = {}
     roles = tuple(roles)
     for device in devices:
         for stream in device.streams if isinstance(device, PowerSupply) else ():
             for place, channel in enumerate(stream.channels):
                 if channel.quantity == QUANTITY and channel.role in roles:
-                    if channel.role in found:
+                    if channel.role in by_role:
                         raise InputError(f"two supplies at the leads of {channel.role}; one was expected")
                     assert isinstance(device, PowerSupply)
-                    found[channel.role] = _Fed(device, channel.role, stream.name, place)
-    return found
+                    by_role[channel.role] = _Fed(device, channel.role, stream.name, place)
+    return by_role

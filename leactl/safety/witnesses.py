@@ -284,9 +284,9 @@ class Witnesses:
         apart = spread + (float(np.abs(np.diff(squares)).mean()) if len(squares) > 1 else 0.0)
         velocity = fresh[:, VELOCITY]
         before = float(rows[self._kept - 1, VELOCITY]) if self._kept else float(velocity[0])
-        found = account.witness.currents(fresh[:, EVIDENCE], velocity, before, period)
-        low, likely, high = (float(each @ each) / len(fresh) for each in (found.low, found.likely, found.high))
-        with_it = float((found.way * found.low) @ fresh[:, current]) / len(fresh)
+        currents = account.witness.currents(fresh[:, EVIDENCE], velocity, before, period)
+        low, likely, high = (float(each @ each) / len(fresh) for each in (currents.low, currents.likely, currents.high))
+        with_it = float((currents.way * currents.low) @ fresh[:, current]) / len(fresh)
         side = TURNED if with_it < -apart else LESS if low > read + apart else MORE if read > high + apart else AGREES
         changed = False
         if (

@@ -25,5 +25,5 @@ def setup_faults() -> dict[str, FaultDefinition]:
     texts = {
         entry.name: entry.read_text(encoding="utf-8") for entry in folder.iterdir() if entry.name.endswith(".yaml")
     }
-    found = [yamlfile.parse(texts[name], name).validate(FaultDefinition) for name in sorted(texts)]
-    return {one.fault: one for one in found}
+    definitions = [yamlfile.parse(texts[name], name).validate(FaultDefinition) for name in sorted(texts)]
+    return {one.fault: one for one in definitions}

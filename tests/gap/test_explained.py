@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from leactl.gap.search.sets import Finding, Found
+from leactl.gap.search.sets import EffectSet, Finding
 
 TOUCHING = ("effect", "cogging", "(6.0,)", "cos")
 
@@ -17,7 +17,7 @@ def rows(equation, columns=()):
 def found(taken, left, moved):
     candidate = ("cogging", (6.0,))
     member = Finding(candidate, 50.0, 1.0, 0.1, (1.0,), ("cos",), np.eye(1), floor=0.0)
-    return Found([candidate], [member], [[member]], [], None, taken, left, [moved])
+    return EffectSet([candidate], [member], [[member]], [], None, taken, left, [moved])
 
 
 EVIDENCE = SimpleNamespace(stack=SimpleNamespace(rows=[rows("free_torque", [TOUCHING]), rows("voltage")]))

@@ -11,7 +11,7 @@ from typing import Any
 from leactl.bench.benchfile import BenchFile, CheckedDevice
 from leactl.emulation.faults import check_faults
 from leactl.emulation.plant.effects import make_effect
-from leactl.emulation.plant.effects.contract import Effect
+from leactl.emulation.plant.effects.contract import PlantEffect
 from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
 from leactl.errors import InputError
 from leactl.model.motor import load_motor
@@ -34,7 +34,7 @@ def actuator_of(file: BenchFile, role: str, changes: Mapping[str, Any]) -> Actua
     return ActuatorParameters.from_mapping(whole | dict(changes) | {"thermal": whole["thermal"] | dict(thermal)})
 
 
-def effect_of(entry: Mapping[str, Any]) -> Effect:
+def effect_of(entry: Mapping[str, Any]) -> PlantEffect:
     """An effect of the bench file; what a model file says, `{effect: id, parameters: {...}}`, is understood too.
 
     Raises

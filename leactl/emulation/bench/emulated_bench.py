@@ -177,10 +177,10 @@ class EmulatedBench:
         settings, self._streams_of_noise = self._settings, self._streams_of_noise + 1
         chance = np.random.default_rng([self._number, self._streams_of_noise])
         harmonics, noise = settings.back_emf_harmonics, settings.terminal_noise_V
-        found = MotorTerminals(self.rig.actuators[role], harmonics, noise, chance)
-        found.look(self.time.now())
-        self.time.follow(found.look)
-        return found
+        leads = MotorTerminals(self.rig.actuators[role], harmonics, noise, chance)
+        leads.look(self.time.now())
+        self.time.follow(leads.look)
+        return leads
 
     def machine(self, role: str) -> EmulatedMachine:
         """What the drive of this role turns."""

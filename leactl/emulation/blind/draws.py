@@ -13,7 +13,7 @@ from leactl import yamlfile
 from leactl.emulation.blind.bases import Base, draw_base
 from leactl.emulation.blind.programs import DRAWN, RUN_KINDS, SETUPS, heating
 from leactl.emulation.plant.effects import make_effect
-from leactl.emulation.plant.effects.contract import Effect
+from leactl.emulation.plant.effects.contract import PlantEffect
 from leactl.emulation.plant.effects_outside_library import unlisted_effects
 from leactl.emulation.plant.effects_outside_library.drawn import Unlisted
 from leactl.emulation.plant.stepped.lanes import Array, Lane
@@ -32,7 +32,7 @@ class Drawn:
 
     name: str
     strength: str
-    effect: Effect
+    effect: PlantEffect
     parameters: Mapping[str, float]
 
 
@@ -147,7 +147,7 @@ def _draw_run(
     return RunDraw(name, kind, lane, replace(program, velocity_noise=spread.velocity, seed=seed), seed)
 
 
-def _in_this_run(draw: Generator, effect: Effect) -> Effect:
+def _in_this_run(draw: Generator, effect: PlantEffect) -> PlantEffect:
     return effect.afresh(draw) if isinstance(effect, Unlisted) else effect
 
 

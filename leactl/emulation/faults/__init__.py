@@ -24,14 +24,14 @@ def known_faults() -> "dict[str, type[Fault]]":
     """Every fault by the name of its module."""
     from leactl.emulation.faults.contract import Fault
 
-    found: dict[str, type[Fault]] = {}
+    faults: dict[str, type[Fault]] = {}
     for entry in pkgutil.iter_modules(__path__):
         module = importlib.import_module(f"{__name__}.{entry.name}")
         for thing in vars(module).values():
             own = isinstance(thing, type) and thing.__module__ == module.__name__
             if own and issubclass(thing, Fault) and not inspect.isabstract(thing):
-                found[entry.name] = thing
-    return found
+                faults[entry.name] = thing
+    return faults
 
 
 def find_fault(name: str) -> "type[Fault]":

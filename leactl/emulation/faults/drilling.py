@@ -39,17 +39,17 @@ def rehearsals(
     """
     standing = Standing(file, {device.name: device for device in devices})
     chosen = {name: find_fault(name) for name in only} or known_faults()
-    found: list[Rehearsal] = []
+    rehearsed: list[Rehearsal] = []
     left_out: dict[str, str] = {}
     for name, kind in sorted(chosen.items()):
         if kind.not_drilled:
             left_out[name] = kind.not_drilled
             continue
         fitting = [item for drill in kind.drills(file) for item in _fitting(name, kind, drill, standing)]
-        found += fitting
+        rehearsed += fitting
         if not fitting:
             left_out[name] = "no device of this bench that it could happen to"
-    return found, left_out
+    return rehearsed, left_out
 
 
 def _fitting(name: str, kind: type[Fault], drill: Drill, standing: Standing) -> list[Rehearsal]:

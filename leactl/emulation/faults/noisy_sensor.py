@@ -25,8 +25,8 @@ class NoisySensor(OfSensor):
 
     def misfits(self, standing: Standing) -> dict[str, str]:
         """Besides what misfits any sensor, a unit that is not the quantity's."""
-        found, unit = super().misfits(standing), UNITS.get(self.quantity, self.unit)
-        return found if self.unit == unit else found | {"unit": f"{self.quantity} is in {unit}, not in {self.unit}"}
+        faults, unit = super().misfits(standing), UNITS.get(self.quantity, self.unit)
+        return faults if self.unit == unit else faults | {"unit": f"{self.quantity} is in {unit}, not in {self.unit}"}
 
     def reads(self, draw: Draw) -> Callable[[float], float]:
         """The value and a fresh draw."""

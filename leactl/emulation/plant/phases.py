@@ -170,8 +170,8 @@ class PhaseNetwork:
     def _transition(self, duration: float) -> tuple[Array, Array, Array]:
         lost = -np.expm1(-self._rates * duration)
         held = np.divide(lost, self._rates, out=np.full_like(lost, duration), where=self._rates > 0.0)
-        found = (1.0 - lost, held * self._gains, held[PHASES + 1 :] * self._housing_gains)
+        transition = (1.0 - lost, held * self._gains, held[PHASES + 1 :] * self._housing_gains)
         if len(self._transitions) > MOST_TRANSITIONS:
             self._transitions.clear()
-        self._transitions[duration] = found
-        return found
+        self._transitions[duration] = transition
+        return transition

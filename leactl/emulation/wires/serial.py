@@ -48,10 +48,10 @@ class SerialWire:
             way.append((moment, byte))
 
     def _arrived(self, way: "deque[tuple[float, int]]", now: float) -> bytes:
-        found = bytearray()
+        received = bytearray()
         while way and way[0][0] <= now:
-            found.append(way.popleft()[1])
-        return b"" if self.cut else bytes(found)
+            received.append(way.popleft()[1])
+        return b"" if self.cut else bytes(received)
 
     def _pass_time(self, now: float) -> None:
         device = self.device

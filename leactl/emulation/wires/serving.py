@@ -195,7 +195,7 @@ def stub_chips(file: BenchFile, bench: EmulatedBench) -> dict[str, list[StubChip
     InputError : a device's far end cannot keep the registers of a stub.
     DeviceError : the stub refuses.
     """
-    found: dict[str, list[StubChip]] = {}
+    chips: dict[str, list[StubChip]] = {}
     for name, bus in file.buses.items():
         if not isinstance(bus, I2cBus):
             continue
@@ -203,15 +203,15 @@ def stub_chips(file: BenchFile, bench: EmulatedBench) -> dict[str, list[StubChip
             stub = stub_bus(bus.number)
         except OSError as error:
             raise DeviceError(f"bus '{name}': {error}") from None
-        found[name] = []
+        chips[name] = []
         emulated = bench.i2c_buses[name]
         for address, far_end in emulated.devices.items():
             if stub is None:
                 continue
             if not isinstance(far_end, StoreKeeper):
                 raise InputError(f"bus '{name}': the emulator at address 0x{address:02X} cannot stand behind i2c-stub")
-            found[name].append(StubChip(stub, address, far_end, emulated.silent))
-    return found
+            chips[name].append(StubChip(stub, address, far_end, emulated.silent))
+    return chips
 
 
 def serve(clock: EmulatedClock, bridges: Sequence[Bridge], chips: Sequence[StubChip], stop: Callable[[], bool]) -> None:

@@ -153,12 +153,12 @@ def shares_closed(
     at: tuple[str, str, str], answered: Sequence[Document], told: Sequence[Document]
 ) -> tuple[float | None, float | None]:
     """Share of a channel's gap that an answer and the oracle close, both of the gap and floor that the oracle has."""
-    found = next((line for line in answered if place(line) == at), None)
+    answered_line = next((line for line in answered if place(line) == at), None)
     best = next((line for line in told if place(line) == at), None)
-    if found is None or best is None or best["calibrated_rms"] <= GAP * best["floor_rms"]:
+    if answered_line is None or best is None or best["calibrated_rms"] <= GAP * best["floor_rms"]:
         return None, None
     room = best["calibrated_rms"] - best["floor_rms"]
-    shares = [(best["calibrated_rms"] - line["augmented_rms"]) / room for line in (found, best)]
+    shares = [(best["calibrated_rms"] - line["augmented_rms"]) / room for line in (answered_line, best)]
     return shares[0], shares[1]
 
 

@@ -62,12 +62,12 @@ class Truth:
 def measure(case: Path, entry: Mapping[str, Any], out: Path) -> None:
     """Work out what only the key allows, and write it: floors `moved` by channel, `oracle` of shrinkage."""
     truth, read = Truth.of(entry), read_case(runs_of(case), [], case / MODEL)
-    found: dict[str, Any] = {"moved": [], "oracle": []}
+    truths: dict[str, Any] = {"moved": [], "oracle": []}
     if truth.effects:
         tuned, augmented = oracle(read, truth.effects)
-        found["moved"] = [asdict(line) for line in moved(read, truth, tuned)]
-        found["oracle"] = [asdict(line) for line in shrinkage(read.held_out, read.model, tuned, augmented).shrinkage]
-    write(out, found)
+        truths["moved"] = [asdict(line) for line in moved(read, truth, tuned)]
+        truths["oracle"] = [asdict(line) for line in shrinkage(read.held_out, read.model, tuned, augmented).shrinkage]
+    write(out, truths)
 
 
 @dataclass(frozen=True)
@@ -133,8 +133,8 @@ def true_set(evidence: Evidence, effects: Sequence[str]) -> list[Candidate]:
         if library()[name].periodic:
             orders = strongest(evidence.stack, fit, evidence.weights, ORDERS_TRIED)
             evidence.add([one for one in orders if one[0] == name])
-        found = best_of_each(evidence, evidence.normal(), others)
-        hypothesis = [*others, *(one.candidate for one in found if one.effect == name)]
+        best = best_of_each(evidence, evidence.normal(), others)
+        hypothesis = [*others, *(one.candidate for one in best if one.effect == name)]
     hypothesis = refine(evidence, hypothesis)
     evidence.settle(hypothesis)
     normal = evidence.normal()

@@ -28,20 +28,20 @@ FAST = (
 
 def equations(record: Record, model: Model) -> list[Equation]:
     """Every equation that a run has the channels for."""
-    found: list[Equation] = []
+    built: list[Equation] = []
     slow = slow_signals(record, model)
     fast = fast_signals(record, model, slow)
     if fast is not None:
         complete(record, fast)
-        found += [equation for build in FAST if (equation := build(record, fast)) is not None]
+        built += [equation for build in FAST if (equation := build(record, fast)) is not None]
         if (own := axis.axis(record, fast)) is not None:
-            found = [equation for equation in found if equation.name != "free_torque"] + [own]
+            built = [equation for equation in built if equation.name != "free_torque"] + [own]
             note = axis.confounded(record, fast)
             record.notes += [note] if note is not None and note not in record.notes else []
         if fed_by_voltage(record, model) is not None:
             # each test of a voltage is a kind by itself: one run's own noise would let it fit that run and no other
-            found = [replace(equation, kind=VOLTAGE) for equation in found]
+            built = [replace(equation, kind=VOLTAGE) for equation in built]
     if slow is not None and record.slow is not None and not record.slow.aside:
         line = electrical.line_voltage(record, slow)
-        found += ([line] if line is not None else []) + thermal.temperatures(record, slow)
-    return found
+        built += ([line] if line is not None else []) + thermal.temperatures(record, slow)
+    return built

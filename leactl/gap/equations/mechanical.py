@@ -15,6 +15,8 @@ from leactl.gap.signals.stamps import stamp_columns
 Array = npt.NDArray[np.float64]
 SLOW_SHARE = 0.005  # of a run's highest speed, below which it may stand as well
 SWING_REACH = 8.0  # samples
+SLOW_REACH = 4.0  # samples around a slow one that tell nothing of friction: on a shaft its twist turns back there too
+FREE_SLOW_REACH = 0.5  # the same of a free rotor, whose reversals show over which angle friction builds up
 SHARPER, EVENED = ((1.0, 2), (2.0, 4)), (4.0, 8)  # samples, smoothing of rows and their distance
 WIDER = ((8.0, 16), (16.0, 32))
 QUIET = 0.01  # of an acceleration, that its noise may have
@@ -51,7 +53,7 @@ def free(record: Record, s: Signals) -> Equation | None:
     left = drive - sum(c for name, c in calibration.items() if name != "torque_constant")
     calibration["torque_constant"] = -drive
     keys = ("q_axis_current", "test"), ("angle", "test")
-    mask = moving(s, s.velocity, 4.0) & s.resolved & record.fast.all_valid(*keys)
+    mask = moving(s, s.velocity, FREE_SLOW_REACH) & s.resolved & record.fast.all_valid(*keys)
     shared = stamp_columns("free_torque", record.fast, keys, -drive)
     stamp = {"torque_stamp_s": (slope(drive, s.interval), STAMPED * s.interval)}
     stamp |= between_instants(record.fast, s)
@@ -127,7 +129,7 @@ def coupled(record: Record, s: Signals) -> Equation | None:
     places = {name: _negative(place) for name, place in against.items()}
     places["torque_reading"] = lambda c: c
     keys = ("torque", "test"), ("q_axis_current", "test"), ("angle", "test")
-    mask = moving(s, s.velocity, 4.0) & s.resolved & record.fast.all_valid(*keys)
+    mask = moving(s, s.velocity, SLOW_REACH) & s.resolved & record.fast.all_valid(*keys)
     shared = stamp_columns("coupled_torque", record.fast, keys, drive)
     shared |= stamp_columns("torque_channel", record.fast, keys, reading)
     return Equation("coupled_torque", "torque", "test", "N*m", left, s, mask, places, calibration, shared=shared)
@@ -160,7 +162,7 @@ def both(record: Record, s: Signals) -> Equation | None:
     calibration["load.viscous_damping"] = damping
     calibration["load.coulomb_friction"] = friction
     keys = ("q_axis_current", "test"), ("q_axis_current", "load"), ("velocity", "load"), ("angle", "test")
-    mask = moving(s, s.velocity, 4.0) & moving(s, measured, 4.0) & s.resolved & clock.all_valid(*keys)
+    mask = moving(s, s.velocity, SLOW_REACH) & moving(s, measured, SLOW_REACH) & s.resolved & clock.all_valid(*keys)
     return Equation(
         "both_torque",
         "velocity",

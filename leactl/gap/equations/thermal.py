@@ -51,10 +51,10 @@ def temperatures(record: Record, s: Signals) -> list[Equation]:
     heated = thermal.winding_capacitance * in_winding + to_ambient + to_housing
     warmed = thermal.housing_capacitance * in_housing + away - to_housing
     rises = network.answer(heated, warmed, (float(winding[0] - ambient[0]), float(housing[0] - ambient[0])))
-    found = []
+    balances = []
     for node, name in enumerate(("winding", "housing")):
         key = (f"{name}_temperature", "test")
-        found.append(
+        balances.append(
             Equation(
                 name,
                 key[0],
@@ -70,7 +70,7 @@ def temperatures(record: Record, s: Signals) -> list[Equation]:
                 step=1,
             )
         )
-    return found
+    return balances
 
 
 def onwards(values: Array) -> Array:

@@ -47,20 +47,20 @@ def read_noise(given: Sequence[str]) -> dict[str, float]:
     ------
     InputError : no such channel, or no such number; one line each.
     """
-    found, faults = {}, []
+    noise, faults = {}, []
     for item in given:
         name, _, text = item.partition("=")
         try:
-            found[name] = float(text)
+            noise[name] = float(text)
         except ValueError:
-            found[name] = -1.0
+            noise[name] = -1.0
         if name not in usual_noise():
             faults.append(f"--noise {item}: one of {', '.join(usual_noise())} was expected")
-        elif not 0.0 <= found[name] < math.inf:
+        elif not 0.0 <= noise[name] < math.inf:
             faults.append(f"--noise {item}: quantity=std was expected, a number of zero or more")
     if faults:
         raise InputError(faults)
-    return found
+    return noise
 
 
 def advise(model_file: Path, runs: Sequence[Path], protocols: Sequence[str], noise: Mapping[str, float]) -> Advice:
@@ -105,6 +105,6 @@ def experiment(plan: Plan, before: Sequence[Sight], after: Sequence[Sight]) -> E
     return Experiment(plan.name, plan.duration_s, shows, told)
 
 
-def pairs(found: Sequence[Sight]) -> set[tuple[str, str]]:
+def pairs(sights: Sequence[Sight]) -> set[tuple[str, str]]:
     """Pairs of effects that are not told apart."""
-    return {(s.effect, other) for s in found for other in s.alike if s.effect < other}
+    return {(s.effect, other) for s in sights for other in s.alike if s.effect < other}

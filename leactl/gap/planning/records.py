@@ -34,8 +34,8 @@ SERVOS = (Mode.VELOCITY, Mode.ANGLE)
 def usual_noise() -> dict[str, float]:
     """Standard deviation of one sample by quantity."""
     entry = resources.files("leactl.gap.planning") / "noise.yaml"
-    found: dict[str, float] = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data
-    return found
+    by_quantity: dict[str, float] = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data
+    return by_quantity
 
 
 def planned_record(plan: Plan, model: Model, noise: Mapping[str, float]) -> Record:
@@ -191,13 +191,13 @@ def spun(current: Array, rotors: int, interval: float, model: Model) -> Array:
     inertia, damping = rotors * (model.rotor_inertia or 1.0), rotors * (model.viscous_damping or 0.0)
     friction, decay = rotors * (model.coulomb_friction or 0.0), float(np.exp(-damping * interval / inertia))
     reach = (1.0 - decay) / damping if damping else interval / inertia
-    speed, found = 0.0, []
+    speed, speeds = 0.0, []
     for torque in ((model.torque_constant or 0.0) * current).tolist():
         free = decay * speed + reach * torque
         held = reach * friction
         speed = 0.0 if abs(free) <= held else free - (held if free > 0.0 else -held)
-        found.append(speed)
-    return np.asarray(found)
+        speeds.append(speed)
+    return np.asarray(speeds)
 
 
 def twisted(clock: Clocked, stiffness: float) -> dict[Key, Array]:

@@ -45,13 +45,13 @@ class Sight:
 
 def planned_candidates(records: Sequence[Record], model: Model) -> list[Candidate]:
     """Every form of every effect at the scales of some runs; periodic ones at a few orders over their range."""
-    found = every_form(forms_here(records, model))
+    candidates = every_form(forms_here(records, model))
     for effect in library().values():
         if effect.periodic and effect.applies(model):
             low, high = effect.orders
             orders = np.unique(np.rint(np.geomspace(max(low, 1), high / 2.0, ORDERS)))
-            found += [(effect.name, (float(order),)) for order in orders]
-    return found
+            candidates += [(effect.name, (float(order),)) for order in orders]
+    return candidates
 
 
 def evidence_of(records: Sequence[Record], model: Model) -> Evidence:
@@ -73,7 +73,7 @@ def sights(evidence: Evidence, runs: Sequence[str]) -> list[Sight]:
         if needed is not None:
             limits.setdefault(candidate[0], []).append(needed)
     twins = projected.alike({name for name in limits})
-    found = []
+    shown = []
     for name in sorted({effect for effect, _ in evidence.candidates}):
         worth = evidence.worth_knowing.get(name)
         smallest = None
@@ -82,8 +82,8 @@ def sights(evidence: Evidence, runs: Sequence[str]) -> list[Sight]:
             needed = float(np.min(limits[name]) if sized_by_form(name) else np.median(limits[name]))
             smallest = needed if worth is None or needed < NO_BENCH * worth else None
         alike = tuple(sorted(other for pair in twins if name in pair for other in pair if other != name))
-        found.append(Sight(name, smallest, worth, effect_definition(name).worth_knowing.units, alike))
-    return found
+        shown.append(Sight(name, smallest, worth, effect_definition(name).worth_knowing.units, alike))
+    return shown
 
 
 def sized_by_form(name: str) -> bool:
@@ -115,17 +115,17 @@ class Projected:
 
     def block(self, candidate: Candidate) -> list[int]:
         """Where a candidate's columns stand; empty where nothing is left of one of them, or of one beside another."""
-        found = []
+        columns = []
         for column in self.evidence.columns(candidate):
             place = self.place.get(int(column))
             if place is not None and self.kept[place]:
-                found.append(place)
+                columns.append(place)
             elif place is not None or not self.own(int(column)):
                 return []
-        left = self.left[np.ix_(found, found)]
+        left = self.left[np.ix_(columns, columns)]
         scale = np.sqrt(np.diag(left))
-        apart = np.linalg.eigvalsh(left / np.outer(scale, scale)) if found else np.zeros(1)
-        return found if float(apart[0]) > IMITATED else []
+        apart = np.linalg.eigvalsh(left / np.outer(scale, scale)) if columns else np.zeros(1)
+        return columns if float(apart[0]) > IMITATED else []
 
     def own(self, column: int) -> bool:
         """Whether a column belongs to a single run, which need not be among these."""
@@ -163,14 +163,14 @@ class Projected:
         if not rows:
             return set()
         cosines = np.concatenate(rows) @ self.left @ np.concatenate(rows).T
-        found = set()
+        pairs = set()
         for one, other in combinations(sorted(spans), 2):
             # of the smallest angle between the columns of two forms
             table = np.asarray([[np.linalg.norm(cosines[p, q], 2) for q in spans[other]] for p in spans[one]])
             # a small lag is a small delay whatever the experiment: what counts is most of the sizes
             if min(np.mean(table.max(axis=1) > ALIKE), np.mean(table.max(axis=0) > ALIKE)) > 0.5:
-                found.add((one, other))
-        return found
+                pairs.add((one, other))
+        return pairs
 
     def _directions(self, block: list[int]) -> Array:
         """Combinations of all columns, a unit each, that span a candidate beyond what belongs to single runs."""

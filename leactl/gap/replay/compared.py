@@ -48,7 +48,7 @@ class Compared:
 
 def compare(record: Record, jobs: Sequence[Job], disturbed: Job) -> list[Compared]:
     """Every channel that all replays of a run reach."""
-    found = []
+    compared = []
     swung = fast_signals(record, jobs[0].plant.model, None) if record.mechanical == "locked" else None
     for name, clock in (("fast", record.fast), ("slow", record.slow)):
         if clock is None:
@@ -64,8 +64,8 @@ def compare(record: Record, jobs: Sequence[Job], disturbed: Job) -> list[Compare
                 if swung is not None and key[0] in ("velocity", "torque"):
                     keep &= swung.unleapt  # where a rotor sticks that a leap has set swinging, no replay can tell
                 one = _compared(record, clock, key, values, rows, keep, restarts)
-                found += [one] if one is not None else []
-    return found
+                compared += [one] if one is not None else []
+    return compared
 
 
 def measured(clock: Clocked, key: Key) -> Array | None:

@@ -85,9 +85,9 @@ def cut_of(job: Job, kind: str) -> Cut:
         share = spread(share, parts)
     load_drive = None
     if job.record.mechanical == "coupled":
-        found = measured(job, "load")
-        assert found is not None
-        load_drive = (plant.model.torque_constant or 0.0) * found[0]
+        load_current = measured(job, "load")
+        assert load_current is not None
+        load_drive = (plant.model.torque_constant or 0.0) * load_current[0]
     first = 0 if kind == "locked" else reach(job)
     tracked = max(RESTART_S, FORGOTTEN * TRACKED * clock.interval)
     seconds = {"locked": LOCKED_STRETCH_S, "turning": RESTART_S, "tracked": tracked}.get(kind)
@@ -179,12 +179,12 @@ def lanes_of(cuts: Sequence[Cut], picked: Sequence[Index]) -> Lanes:
         return np.concatenate([np.full(len(lanes), v) for v, lanes in zip(values, picked, strict=True)])
 
     def inputs(name: str, default: float) -> Array:
-        found = []
+        columns = []
         for cut, lanes in zip(cuts, picked, strict=True):
             values = getattr(cut, name)
             full = (cut.steps, len(lanes))
-            found.append(cut.cut(values, lanes) if values is not None else np.full(full, default))
-        return np.concatenate(found, axis=1)
+            columns.append(cut.cut(values, lanes) if values is not None else np.full(full, default))
+        return np.concatenate(columns, axis=1)
 
     constants = [constants_of(cut.job) for cut in cuts]
     drive = inputs("drive", 0.0)
@@ -251,7 +251,7 @@ def constants_of(job: Job) -> dict[str, float]:
     load, fed = load_of(record, model), fed_by_voltage(record, model)
     inertia = (model.rotor_inertia or 0.0) + load.inertia
     load_damping, load_friction = load.frictions(model.viscous_damping, model.coulomb_friction)
-    found = {
+    constants = {
         "inertia": inertia,
         "damping": model.viscous_damping or 0.0,
         "emf_damping": fed.damping if fed is not None else 0.0,
@@ -265,16 +265,16 @@ def constants_of(job: Job) -> dict[str, float]:
         "hanging": load.hanging_angle,
     }
     if hangs_apart(job):
-        found |= parted(found, job)
+        constants |= parted(constants, job)
     rate = 1.0 / (TRACKED * job.clock.interval)
-    moved = found["inertia"] + (found["load_inertia"] if two_ended(job) else 0.0)
+    moved = constants["inertia"] + (constants["load_inertia"] if two_ended(job) else 0.0)
     # what a back-EMF brakes follows a spring only if that is strong against it
-    found["tracking"] = moved * rate**2 + found["emf_damping"] * rate if job.tracked else 0.0
-    found["tracking_damping"] = 2.0 * moved * rate if job.tracked else 0.0
+    constants["tracking"] = moved * rate**2 + constants["emf_damping"] * rate if job.tracked else 0.0
+    constants["tracking_damping"] = 2.0 * moved * rate if job.tracked else 0.0
     if job.by_servo:
         assert model.drive is not None
         constant = model.torque_constant or 0.0
-        found |= {
+        constants |= {
             "servo_gain": record.setup.get("drive_gain", model.drive.gain),
             "servo_damping": model.drive.damping,
             "servo_limit": model.drive.voltage_limit,
@@ -282,7 +282,7 @@ def constants_of(job: Job) -> dict[str, float]:
             "torque_constant": constant,
             "emf": model.back_emf_constant or constant,
         }
-    return found
+    return constants
 
 
 def parted(whole: Mapping[str, float], job: Job) -> dict[str, float]:
@@ -293,7 +293,7 @@ def parted(whole: Mapping[str, float], job: Job) -> dict[str, float]:
     spring, gear = job.plant.elastic_load, job.plant.geared_load
     share, rubs = max(spring.share if spring else 0.0, gear.share if gear else 0.0), gear.friction if gear else 0.0
     load = share * whole["inertia"]
-    found = {
+    constants = {
         "inertia": whole["inertia"] - load,
         "damping": (1.0 - rubs) * whole["damping"],
         "friction": (1.0 - rubs) * whole["friction"],
@@ -302,10 +302,10 @@ def parted(whole: Mapping[str, float], job: Job) -> dict[str, float]:
         "load_friction": rubs * whole["friction"],
     }
     if spring is not None:
-        found["stiffness"] = load * (2.0 * np.pi * spring.frequency) ** 2
+        constants["stiffness"] = load * (2.0 * np.pi * spring.frequency) ** 2
         # of the swing of both ends against each other, with the same damper
-        found["damping_ratio"] = spring.damping_ratio / np.sqrt(1.0 - share)
+        constants["damping_ratio"] = spring.damping_ratio / np.sqrt(1.0 - share)
     else:
-        found["stiffness"] = found["inertia"] * share * (TOOTH / job.step) ** 2
-        found["damping_ratio"] = TOOTH_DAMPING
-    return found
+        constants["stiffness"] = constants["inertia"] * share * (TOOTH / job.step) ** 2
+        constants["damping_ratio"] = TOOTH_DAMPING
+    return constants

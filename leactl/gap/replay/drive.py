@@ -40,10 +40,10 @@ def follow(job: Job) -> None:
         reading, mean = restamped(reading, late, job.parts), restamped(mean, late, job.parts)
         reading, mean = where_measured(job, reading, mean)
     else:
-        found = measured(job, "test")
-        if found is None:
+        flowing = measured(job, "test")
+        if flowing is None:
             return
-        reading, mean = found
+        reading, mean = flowing
     enabled = clock.get("drive_enabled")
     on = spread(np.round(enabled), job.parts) if enabled is not None else np.ones_like(reading)
     job.current = on * (reading - plant.current_offset) / plant.current_gain
@@ -62,14 +62,14 @@ def speed_over_steps(job: Job) -> Array | None:
 def where_measured(job: Job, reading: Array, mean: Array) -> tuple[Array, Array]:
     """The measured current where the drive follows no current reference, or its voltage is too low to follow one."""
     unasked = job.clock.unasked("q_axis_current_reference")
-    found, beyond = measured(job, "test"), at_ceiling(job.clock, job.plant.model) & ~unasked
-    if found is None or not (beyond | unasked).any():
+    flowing, beyond = measured(job, "test"), at_ceiling(job.clock, job.plant.model) & ~unasked
+    if flowing is None or not (beyond | unasked).any():
         return reading, mean
     job.at_ceiling = int(beyond.sum())
     near = unasked | (np.convolve(beyond, np.ones(2 * RECOVERS + 1), "same") > 0)
     steps = np.repeat(near[1:], job.parts)
     instants = np.concatenate([steps[:1], steps])
-    return np.where(instants, found[0], reading), np.where(steps, found[1], mean)
+    return np.where(instants, flowing[0], reading), np.where(steps, flowing[1], mean)
 
 
 def asked(job: Job) -> Array:
@@ -122,8 +122,8 @@ def rounding(job: Job) -> Array | float:
     step = quantum_of(job.clock.values["q_axis_current_reference", "test"])
     stands = max(1, round(STANDS_S / job.step))
     total = (len(job.clock.time) - 1) * job.parts
-    found = step * (job.disturbance.random(total // stands + 1) - 0.5)
-    return np.asarray(np.repeat(found, stands)[:total], np.float64)
+    taken = step * (job.disturbance.random(total // stands + 1) - 0.5)
+    return np.asarray(np.repeat(taken, stands)[:total], np.float64)
 
 
 def answered(over: Array, start: float, bandwidth: float | None, step: float) -> tuple[Array, Array]:
@@ -164,5 +164,5 @@ def spread(values: Array, parts: int) -> Array:
 
 def over_samples(means: Array, parts: int) -> Array:
     """Means over sub-steps as means over the interval that ends at each sample."""
-    found = means.reshape(-1, parts).mean(axis=1)
-    return np.concatenate([found[:1], found])
+    over = means.reshape(-1, parts).mean(axis=1)
+    return np.concatenate([over[:1], over])

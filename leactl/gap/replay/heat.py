@@ -113,7 +113,7 @@ class Network:
 
     def _start(self) -> Array:
         """Measured temperatures at the start, the camera's fraction undone; a further body has the housing's."""
-        found = []
+        temperatures = []
         for name in ("winding_temperature", "housing_temperature"):
             values = self.clock.get(name)
             if values is None:
@@ -124,8 +124,8 @@ class Network:
                 noise = noise_of(values) / np.sqrt(len(around))
                 reading += noise * float(self.job.disturbance.standard_normal())
             air = float(self.ambient[0])
-            found.append(air + (reading - air) / self.job.plant.camera_fraction)
-        return np.array([*found, found[1]])
+            temperatures.append(air + (reading - air) / self.job.plant.camera_fraction)
+        return np.array([*temperatures, temperatures[1]])
 
     def keep(self, nodes: Array) -> None:
         """Put temperatures, and what camera and supply read of them, into the job."""

@@ -23,21 +23,21 @@ def read(job: Job) -> None:
     steps = (len(clock.time) - 1) * job.parts
     if job.current is not None and job.current_mean is not None:
         job.current, job.current_mean = job.current[: steps + 1], job.current_mean[:steps]  # a servo's ends later
-    found: dict[str, Array | None] = {}
+    readings: dict[str, Array | None] = {}
     if clock.get("q_axis_current_reference") is not None or job.clock.get("angle_reference") is not None:
         # without the loop's bandwidth a model says nothing of how a current follows its reference
         followed = job.plant.model.bench.current_loop_bandwidth is not None or job.plant.model.drive is not None
         flowing = current(job) if followed else None
         if flowing is not None:  # where nothing was asked for, the measured current is an input
             flowing = np.where(clock.unasked("q_axis_current_reference"), np.nan, flowing)
-        found["q_axis_current"] = flowing
+        readings["q_axis_current"] = flowing
     if job.velocity is not None:
-        found["velocity"] = velocity(job) if clock.get("velocity") is not None else derived_speed(job)
-        found["torque"] = torque(job) if job.record.mechanical in ("locked", "coupled") else None
-        found["angle"] = angle(job) if not job.restarts and job.record.mechanical != "locked" else None
+        readings["velocity"] = velocity(job) if clock.get("velocity") is not None else derived_speed(job)
+        readings["torque"] = torque(job) if job.record.mechanical in ("locked", "coupled") else None
+        readings["angle"] = angle(job) if not job.restarts and job.record.mechanical != "locked" else None
     volts = voltage(job)
-    found["q_axis_voltage"] = volts
-    for name, values in found.items():
+    readings["q_axis_voltage"] = volts
+    for name, values in readings.items():
         if values is not None and (clock.get(name) is not None or name == "velocity"):
             job.fast[name, "test"] = restamped(values, clock.stamping.get(STAMPED_BY.get(name, "")))
     if volts is not None and clock.get("bus_voltage", "bench") is not None and job.plant.model.bench.bus_voltage:

@@ -48,7 +48,7 @@ def read_records(paths: Sequence[Path]) -> dict[Path, list[Record]]:
     """
     faults: list[str] = []
     costs: dict[Path, float] = {}
-    found: dict[Path, list[Record]] = {}
+    by_path: dict[Path, list[Record]] = {}
     for path in paths:
         try:
             refuse_altered([path])
@@ -60,12 +60,12 @@ def read_records(paths: Sequence[Path]) -> dict[Path, list[Record]]:
     for path, cost in costs.items():
         try:
             with Run.open(path) as run:
-                found[path] = [record_of(run, whole(run))] if cost <= share else records_of(run, share)
+                by_path[path] = [record_of(run, whole(run))] if cost <= share else records_of(run, share)
         except InputError as error:
             faults += error.faults
     if faults:
         raise InputError(faults)
-    return found
+    return by_path
 
 
 def fair_share(costs: Sequence[float], most: float) -> float:
@@ -140,21 +140,21 @@ def stretches_of(walk: "Walk", slow: Record | None) -> list[Record]:
     ------
     InputError : none of them can be used.
     """
-    found: list[tuple[Record, Clocked]] = []
+    stretches: list[tuple[Record, Clocked]] = []
     faults: list[str] = []
     for first, stop in walk.windows():
         try:
-            found.append(stretch_of(walk, first, stop, slow))
+            stretches.append(stretch_of(walk, first, stop, slow))
         except InputError as error:
             faults += error.faults
-    if not found:
+    if not stretches:
         raise InputError(list(dict.fromkeys(faults)))
-    clocks = [clock for _, clock in found]
+    clocks = [clock for _, clock in stretches]
     fastest = max((float(np.quantile(speed, TOP)) for clock in clocks for speed in absolute_speeds(clock)), default=0.0)
     counts = {key: max(clock.counts.get(key, 0.0) for clock in clocks) for clock in clocks for key in clock.counts}
     return [
         replace(one, fast=replace(clock, fastest=fastest, counts={key: counts[key] for key in clock.counts}))
-        for one, clock in found
+        for one, clock in stretches
     ]
 
 
@@ -166,12 +166,12 @@ def stretch_of(walk: "Walk", first: int, stop: int, slow: Record | None) -> tupl
     rows = {stream: (row_at(run, stream, since), row_at(run, stream, until) + 1) for stream in run.streams}
     rows[walk.stream] = first, stop
     channels = [run.section(stream, spec, *rows[stream]) for stream, spec in channels_of(run) if is_fast(spec)]
-    found = record_of(run, channels)
-    clock = found.fast
+    record = record_of(run, channels)
+    clock = record.fast
     assert clock is not None  # else nothing were usable
     warm = None if slow is None or slow.slow is None else cut_out(slow.slow, since, until)
-    found = replace(found, slow=warm, stretch=f" from {since - walk.begin:.6g} s")
-    return found, replace(clock, begin=walk.begin)
+    record = replace(record, slow=warm, stretch=f" from {since - walk.begin:.6g} s")
+    return record, replace(clock, begin=walk.begin)
 
 
 def whole(run: Run) -> list[Channel]:
@@ -305,11 +305,11 @@ class Walk:
         """How long a stretch takes, and mean and root mean square of current and speed in it."""
         stop = start + self.length
         stamps = self.values("time", start, stop)
-        found = [stamps[-1] - stamps[0]]
+        summary = [stamps[-1] - stamps[0]]
         for values in self._moving(start, stop, stamps):
             good = values[np.isfinite(values)]
-            found += [float(np.mean(good)), float(np.sqrt(np.mean(good**2)))] if len(good) else [0.0, 0.0]
-        return np.asarray(found, np.float64)
+            summary += [float(np.mean(good)), float(np.sqrt(np.mean(good**2)))] if len(good) else [0.0, 0.0]
+        return np.asarray(summary, np.float64)
 
     def _moving(self, start: int, stop: int, stamps: Array) -> Iterator[Array]:
         """Current and speed, or what stands for them; an angle as its change."""

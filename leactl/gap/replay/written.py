@@ -82,13 +82,13 @@ def simulate(model_file: Path, run_file: Path, out: Path | None = None) -> Simul
 
 def answers(job: Job) -> dict[Key, tuple[Clocked, Array]]:
     """Every channel that a replay reaches, with its clock; the angle too, which starts again with the motion."""
-    found: dict[Key, tuple[Clocked, Array]] = {}
+    replayed: dict[Key, tuple[Clocked, Array]] = {}
     for clock, channels in ((job.record.fast, job.fast), (job.record.slow, job.slow)):
         if clock is not None:
-            found |= {key: (clock, values) for key, values in channels.items()}
+            replayed |= {key: (clock, values) for key, values in channels.items()}
     if job.angle is not None:
-        found.setdefault(("angle", "test"), (job.clock, angle(job)))
-    return found
+        replayed.setdefault(("angle", "test"), (job.clock, angle(job)))
+    return replayed
 
 
 def _column(run: Run, stream: str, spec: ChannelSpec, made: dict[Key, tuple[Clocked, Array]], job: Job) -> Array | None:

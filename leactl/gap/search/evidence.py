@@ -125,9 +125,9 @@ class Evidence:
         self.candidates: list[Candidate] = list(only) if only is not None else every_form(self.forms)
         self._made: list[tuple[list[Equation], list[Rows]]] = []  # of each run, equations and the rows of each
         for record in records:
-            found = equations(record, model)
-            rows = make_rows(record.run, record.kind, found, self.candidates)
-            pairs = [(bare(equation), own) for equation, own in zip(found, rows, strict=True) if own is not None]
+            built = equations(record, model)
+            rows = make_rows(record.run, record.kind, built, self.candidates)
+            pairs = [(bare(equation), own) for equation, own in zip(built, rows, strict=True) if own is not None]
             self._made.append(([equation for equation, _ in pairs], [own for _, own in pairs]))
         made = self._rows()
         self.priors = dict(PRIORS)
@@ -213,8 +213,8 @@ class Evidence:
         if not fresh:
             return
         self.candidates += fresh
-        for found, made in self._made:
-            for rows, columns in zip(made, effect_columns(found, fresh), strict=True):
+        for built, made in self._made:
+            for rows, columns in zip(made, effect_columns(built, fresh), strict=True):
                 more_columns(rows, columns)
         self.stack = stack(self._rows(), self.priors)
 
@@ -252,10 +252,10 @@ class Evidence:
         return self._mean_of(lambda rows: rows.noise**2 * rows.dependence)
 
     def _mean_of(self, of_rows: Callable[[Rows], float]) -> dict[tuple[str, str], float]:
-        found: dict[tuple[str, str], list[float]] = {}
+        by_kind: dict[tuple[str, str], list[float]] = {}
         for rows in self.stack.rows:
-            found.setdefault((rows.equation, rows.kind), []).append(of_rows(rows))
-        return {key: float(np.mean(values)) for key, values in found.items()}
+            by_kind.setdefault((rows.equation, rows.kind), []).append(of_rows(rows))
+        return {key: float(np.mean(values)) for key, values in by_kind.items()}
 
     def stamping(self, fit: Fit) -> dict[str, Array]:
         """By equation whose channels' stamps are not told: weights of neighbouring samples that a fit gives them."""
@@ -281,8 +281,8 @@ class Evidence:
     def columns(self, candidate: Candidate) -> npt.NDArray[np.intp]:
         """Where the columns of one form of an effect stand; empty where no run shows it."""
         form = ("effect", candidate[0], repr(candidate[1]))
-        found = [place for name, place in self.stack.place.items() if name[:3] == form]
-        return np.asarray(sorted(found), np.intp)
+        places = [place for name, place in self.stack.place.items() if name[:3] == form]
+        return np.asarray(sorted(places), np.intp)
 
     def coefficient(self, place: int) -> str:
         """Name of the coefficient of an effect's column."""

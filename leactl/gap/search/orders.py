@@ -24,7 +24,7 @@ APART = 1  # orders this close to a stronger one are its leakage
 
 def strongest(stacked: Stack, fit: Fit, weights: Sequence[float], count: int) -> list[Candidate]:
     """The strongest orders of every periodic effect against the residual of a fit."""
-    found: list[Candidate] = []
+    candidates: list[Candidate] = []
     for effect in library().values():
         if not effect.periodic:
             continue
@@ -41,7 +41,7 @@ def strongest(stacked: Stack, fit: Fit, weights: Sequence[float], count: int) ->
             order = int(np.argmax(power * open_orders))
             if not open_orders[order] or power[order] <= 0.0:
                 break
-            found.append((effect.name, (float(order),)))
+            candidates.append((effect.name, (float(order),)))
             for place, (rows, left, weight) in enumerate(creeps):
                 # an axis dwells where it holds best: unevenly over the angle, so that strong orders show in others
                 rest = without(rows, left, order)
@@ -49,7 +49,7 @@ def strongest(stacked: Stack, fit: Fit, weights: Sequence[float], count: int) ->
                 power += weight * change
                 creeps[place] = (rows, rest, weight)
             open_orders[max(order - APART, 0) : order + APART + 1] = False
-    return found
+    return candidates
 
 
 def turns(rows: Rows, place: str) -> bool:

@@ -64,7 +64,7 @@ UNITS = {
 
 def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
     """The nominal model's parameters as a fit has them."""
-    found = []
+    parameters = []
     normal = evidence.normal()
     for index, place in enumerate(fit.columns):
         name = evidence.stack.names[place]
@@ -72,7 +72,7 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
             continue
         parameter, change = name[1], float(fit.values[index])
         if evidence.tells_nothing_of(parameter):
-            found += untold(evidence.model, parameter)
+            parameters += untold(evidence.model, parameter)
             continue
         std = math.sqrt(max(float(fit.covariance[index, index]), 0.0)) * disagreement(normal, fit, index)
         bias = 0.0
@@ -80,7 +80,7 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
             bias, std = evidence.null.bias(parameter), math.hypot(std, evidence.null.doubt(parameter))
         nominal = nominal_value(evidence.model, parameter)
         if parameter == "ambient_offset":
-            found.append(CalibratedParameter(parameter, 0.0, change - bias, std, UNITS[parameter]))
+            parameters.append(CalibratedParameter(parameter, 0.0, change - bias, std, UNITS[parameter]))
             continue
         if nominal is None:
             continue
@@ -88,12 +88,12 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
         fitted, off = factor_of(parameter, change), factor_of(parameter, bias)
         factor, slope = fitted / off, (fitted**2 if parameter in RECIPROCAL else 1.0) / off
         units = UNITS.get(parameter, "")
-        found.append(CalibratedParameter(parameter, nominal, nominal * factor, nominal * std * slope, units))
+        parameters.append(CalibratedParameter(parameter, nominal, nominal * factor, nominal * std * slope, units))
         if parameter == "torque_constant" and evidence.model.back_emf_constant is not None:
             constant = evidence.model.back_emf_constant
             other = "back_emf_constant"
-            found.append(CalibratedParameter(other, constant, constant * factor, constant * std, UNITS[other]))
-    return tuple(found)
+            parameters.append(CalibratedParameter(other, constant, constant * factor, constant * std, UNITS[other]))
+    return tuple(parameters)
 
 
 def factor_of(parameter: str, change: float) -> float:

@@ -126,7 +126,7 @@ def effect_columns(equations: Sequence[Equation], candidates: Sequence[Candidate
     masks = [usable(equation) for equation in equations]
     shown = [k for k, mask in enumerate(masks) if int(mask.sum()) >= FEWEST_ROWS]
     clocks = {id(equations[k].signals): equations[k].signals for k in shown}
-    found: list[dict[Column, Array]] = [{} for _ in equations]
+    by_equation: list[dict[Column, Array]] = [{} for _ in equations]
     for effect, several in groupby(candidates, lambda candidate: candidate[0]):
         forms = [form for _, form in several]
         for clock, signals in clocks.items():
@@ -135,20 +135,20 @@ def effect_columns(equations: Sequence[Equation], candidates: Sequence[Candidate
                     equation, mask = equations[k], masks[k]
                     for coefficient, column in effect_in(equation, terms).items():
                         rows = thinned(column[:, None], equation.width, equation.step)[mask, 0]
-                        found[k]["effect", effect, repr(form), coefficient] = rows
-    return found
+                        by_equation[k]["effect", effect, repr(form), coefficient] = rows
+    return by_equation
 
 
 def effect_in(equation: Equation, terms: Terms) -> dict[str, Array]:
     """What an effect puts into the places of one equation, sample by sample, for each of its coefficients."""
-    found: dict[str, Array] = {}
+    by_coefficient: dict[str, Array] = {}
     for place, coefficients in terms.items():
         if place not in equation.places:
             continue
         for coefficient, column in coefficients.items():
             put = equation.places[place](column)
-            found[coefficient] = found[coefficient] + put if coefficient in found else put
-    return found
+            by_coefficient[coefficient] = by_coefficient[coefficient] + put if coefficient in by_coefficient else put
+    return by_coefficient
 
 
 def more_columns(rows: Rows, fresh: dict[Column, Array]) -> None:

@@ -58,10 +58,10 @@ def ringing(evidence: Evidence, fit: Fit, heard: Sequence[bool]) -> dict[tuple[s
         rates[key] = 1.0 / (step * rows.signals.interval)
         spectra.setdefault(key, []).extend(periodograms(even))
     lines = {}
-    for key, found in spectra.items():
-        if len(found) >= FEWEST:
-            at, over = highest_bin(np.mean(found, axis=0))
-            height = over * (1.0 - DEVIATIONS / np.sqrt(len(found))) / max(evidence.lines.get(key, 1.0), 1.0)
+    for key, spectrum in spectra.items():
+        if len(spectrum) >= FEWEST:
+            at, over = highest_bin(np.mean(spectrum, axis=0))
+            height = over * (1.0 - DEVIATIONS / np.sqrt(len(spectrum))) / max(evidence.lines.get(key, 1.0), 1.0)
             lines[key] = Line(height, at * rates[key] / SEGMENT)
     return lines
 
@@ -109,14 +109,14 @@ def by_counts(rows: Rows) -> npt.NDArray[np.bool_]:
 
 def periodograms(values: Array) -> list[Array]:
     """Power of half-overlapping segments under a Hann window; missing values (NaN) count as nothing."""
-    window, found = np.hanning(SEGMENT), []
+    window, powers = np.hanning(SEGMENT), []
     for start in range(0, len(values) - SEGMENT + 1, SEGMENT // 2):
         part = values[start : start + SEGMENT]
         there = np.isfinite(part)
         if there.mean() >= FULL:
             power = np.abs(np.fft.rfft(np.where(there, part, 0.0) * window)) ** 2
-            found.append(power / np.sum((window * there) ** 2))
-    return found
+            powers.append(power / np.sum((window * there) ** 2))
+    return powers
 
 
 def highest_bin(power: Array) -> tuple[int, float]:

@@ -99,12 +99,12 @@ def finding(
     if effect.shaped and whole:
         gain = float((2.0 * values[0] - 1.0) / covariance[0, 0])  # of the shape as it is, not of a share of it
     names = tuple(evidence.coefficient(place) for place in added)
-    found = dict(zip(names, values.tolist(), strict=True))
-    if not free and not effect.is_distinct(found, evidence.visited):
+    coefficients = dict(zip(names, values.tolist(), strict=True))
+    if not free and not effect.is_distinct(coefficients, evidence.visited):
         gain -= behind(gain)
     if effect.shaped and free:
-        found[names[0]] = min(abs(found[names[0]]), SHAPE[1])
-    size = effect.size(candidate[1], found, evidence.model)
+        coefficients[names[0]] = min(abs(coefficients[names[0]]), SHAPE[1])
+    size = effect.size(candidate[1], coefficients, evidence.model)
     leading = [k for k, name in enumerate(names) if name in WAVE] or [0]
     own, spread = values[leading], covariance[np.ix_(leading, leading)]
     length = max(float(np.linalg.norm(own)), 1e-300)
@@ -204,14 +204,14 @@ def best_of_each(
     for candidate in evidence.candidates:
         if candidate[0] in taken:
             continue
-        found = finding(evidence, normal, base, candidate, whole)
-        if found is not None and (candidate[0] not in best or found.gain > best[candidate[0]].gain):
-            best[candidate[0]] = found
+        shown = finding(evidence, normal, base, candidate, whole)
+        if shown is not None and (candidate[0] not in best or shown.gain > best[candidate[0]].gain):
+            best[candidate[0]] = shown
     return sorted(best.values(), key=lambda item: -item.gain)
 
 
 @dataclass
-class Found:
+class EffectSet:
     """The set that a search ended with."""
 
     hypothesis: list[Candidate]
@@ -245,7 +245,7 @@ class Found:
         return sum(m * share for m, share in zip(moved, shares, strict=True)) / max(sum(moved), 1e-300)
 
 
-def search(evidence: Evidence) -> Found:
+def search(evidence: Evidence) -> EffectSet:
     """Find the set of effects that explains the runs."""
     hypothesis: list[Candidate] = []
     while len(hypothesis) < MOST:
@@ -477,7 +477,7 @@ def member(evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], 
     return finding(evidence, normal, evidence.stack.columns_of(others), hypothesis[index])
 
 
-def describe(evidence: Evidence, hypothesis: list[Candidate]) -> Found:
+def describe(evidence: Evidence, hypothesis: list[Candidate]) -> EffectSet:
     """Members, rivals and what would come next, under the weights of the set."""
     hypothesis = make_whole(evidence, hypothesis)
     taken, left = taken_and_left(evidence, hypothesis)
@@ -487,14 +487,14 @@ def describe(evidence: Evidence, hypothesis: list[Candidate]) -> Found:
     for index in range(len(hypothesis)):
         others = hypothesis[:index] + hypothesis[index + 1 :]
         moved.append([abs(amount) for amount in reduction_by_rows(normal, normal.fit(others), fit)])
-        found = finding(evidence, normal, evidence.stack.columns_of(others), hypothesis[index], whole=True)
-        if found is None:  # brought to its whole form it has no place beside the others
+        item = finding(evidence, normal, evidence.stack.columns_of(others), hypothesis[index], whole=True)
+        if item is None:  # brought to its whole form it has no place beside the others
             return describe(evidence, others)
-        members.append(found)
+        members.append(item)
         ranked = best_of_each(evidence, normal, others, whole=True)
-        rivals.append([found, *(r for r in ranked if r.effect != found.effect and is_possible(evidence, r))])
+        rivals.append([item, *(r for r in ranked if r.effect != item.effect and is_possible(evidence, r))])
     rest = best_of_each(evidence, normal, hypothesis)
-    return Found(hypothesis, members, rivals, rest, fit, taken, left, moved)
+    return EffectSet(hypothesis, members, rivals, rest, fit, taken, left, moved)
 
 
 def make_whole(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:

@@ -26,7 +26,7 @@ def stamping(stack: Stack, fit: Fit) -> dict[str, tuple[Array, Array]]:
     """Weights of the neighbours in each equation whose channels' stamps are not told, and their covariance."""
     at = {stack.names[place]: index for index, place in enumerate(fit.columns)}
     ending = tap_name("", int(TAPS[0]))
-    found = {}
+    by_equation = {}
     for name in at:
         if name[0] == "nuisance" and name[-1].endswith(ending):
             equation = name[-1].removesuffix(ending)
@@ -37,8 +37,8 @@ def stamping(stack: Stack, fit: Fit) -> dict[str, tuple[Array, Array]]:
             if own[PIVOT] is None:
                 spread[TAPS == PIVOT] = -np.array(free, np.float64) / PIVOT
             covariance = fit.covariance[np.ix_(values, values)]
-            found[equation] = spread @ fit.values[values], spread @ covariance @ spread.T
-    return found
+            by_equation[equation] = spread @ fit.values[values], spread @ covariance @ spread.T
+    return by_equation
 
 
 def overdue(stack: Stack, fit: Fit) -> tuple[str, ...]:

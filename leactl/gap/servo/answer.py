@@ -99,14 +99,14 @@ def distances(records: Sequence[Record], models: Sequence[Model]) -> list[float]
     """Mean squares of the angle's error in free runs, for each model."""
     jobs = [[Job(record, plant_of(model)) for record in records] for model in models]
     replay_all([job for own in jobs for job in own])
-    found = []
+    squares = []
     for own in jobs:
         pairs = [(job.fast["angle", "test"], job.clock) for job in own if ("angle", "test") in job.fast]
         wrong = np.concatenate(
             [(angle - clock.values["angle", "test"])[clock.all_valid(("angle", "test"))] for angle, clock in pairs]
         )
-        found.append(float(np.nanmean(wrong**2)))
-    return found
+        squares.append(float(np.nanmean(wrong**2)))
+    return squares
 
 
 def _entry(cause: Cause) -> tuple[str, dict[str, float]]:
@@ -137,20 +137,20 @@ def hidden_by_stamps(record: Record) -> float:
     return float(np.sum(moved[on_its_way] ** 2)) / (12.0 * len(angle))
 
 
-def parameters(effect: str, found: Mapping[str, tuple[float, float]]) -> tuple[EffectParameter, ...]:
+def parameters(effect: str, fitted: Mapping[str, tuple[float, float]]) -> tuple[EffectParameter, ...]:
     """Parameters of an effect with the units of its definition."""
     defined = effect_definition(effect).parameters
-    return tuple(EffectParameter(name, *found[name], defined[name].units) for name in defined if name in found)
+    return tuple(EffectParameter(name, *fitted[name], defined[name].units) for name in defined if name in fitted)
 
 
 def calibration(model: Model, fitted: Fitted, stds: Mapping[str, float]) -> tuple[CalibratedParameter, ...]:
     """The nominal model's parameters as free runs have them."""
-    found = []
+    parameters = []
     for name in OWN:
         nominal, value = float(getattr(model, name) or 0.0), fitted.parameters[name]
         std = max(stds.get(name, 0.0), LEAST_MODEL_ERROR * abs(value))
-        found.append(CalibratedParameter(name, nominal, value, std, UNITS[name]))
+        parameters.append(CalibratedParameter(name, nominal, value, std, UNITS[name]))
         if name == "torque_constant" and model.back_emf_constant is not None:
             other = "back_emf_constant"
-            found.append(CalibratedParameter(other, model.back_emf_constant, value, std, UNITS[other]))
-    return tuple(found)
+            parameters.append(CalibratedParameter(other, model.back_emf_constant, value, std, UNITS[other]))
+    return tuple(parameters)

@@ -91,10 +91,10 @@ def climb(records: Sequence[Record], held_out: Sequence[Record], model: Model, p
     for effect in [name for name, _ in proposed if name in starts.keys() - ALWAYS][:MOST_PROPOSED]:
         smaller = [core.union(one) for size in range(len(base) + 1) for one in combinations(sorted(base), size)]
         smaller = [one for one in smaller if one in sets]  # none of more effects where fewer follow the runs
-        found = fit(runs, [sets[one].parameters | starts[effect][0] for one in smaller], held)
-        sets.update({one | {effect}: fitted for one, fitted in zip(smaller, found, strict=True)})
+        fits = fit(runs, [sets[one].parameters | starts[effect][0] for one in smaller], held)
+        sets.update({one | {effect}: fitted for one, fitted in zip(smaller, fits, strict=True)})
         # a search that ends lower by a luckier way is no gain of the effect: without it, from there, as low again?
-        again = fit(runs, [without(fitted.parameters, frozenset({effect})) for fitted in found], held)
+        again = fit(runs, [without(fitted.parameters, frozenset({effect})) for fitted in fits], held)
         sets.update({one: new for one, new in zip(smaller, again, strict=True) if new.cost < sets[one].cost})
         members = sets.pruned(max(smaller, key=len) | {effect})
         base = members - core
@@ -139,9 +139,9 @@ class Sets(dict[Set, Fitted]):
                         base["coulomb_friction"] *= 0.5  # of which it takes the place
                     jobs += [(members, effect, base | start) for start in beginnings(starts, effect, size)]
             fitted = fit(self._runs, [start for _, _, start in jobs], held)
-            for (fewer, effect, _), found in zip(jobs, fitted, strict=True):
+            for (fewer, effect, _), result in zip(jobs, fitted, strict=True):
                 # what does not act is as good as absent
-                best_found = found if acts(effect, found.parameters, self._runs) else self[fewer]
+                best_found = result if acts(effect, result.parameters, self._runs) else self[fewer]
                 members = fewer | {effect}
                 if members not in self or best_found.cost < self[members].cost:
                     self[members] = best_found
@@ -166,9 +166,9 @@ class Sets(dict[Set, Fitted]):
         """Fit every set with one member less from where the search with it ended: a luckier way is no member's gain."""
         fewer = [members - {name} for name in sorted(members)]
         starts = [without(self[members].parameters, members - one) for one in fewer]
-        for one, found in zip(fewer, fit(self._runs, starts, self._held), strict=True):
-            if one not in self or found.cost < self[one].cost:
-                self[one] = found
+        for one, result in zip(fewer, fit(self._runs, starts, self._held), strict=True):
+            if one not in self or result.cost < self[one].cost:
+                self[one] = result
 
     def settle(self, members: Set) -> Fitted:
         """Fit a set that is told once more, with all that belongs to it and as closely as it goes."""
@@ -214,7 +214,7 @@ def standing_of(
         names = sorted(members)
         left, *others = unfollowed(unseen, [fitted, *(sets[members - {name}] for name in names)])
         lost = {name: math.log(left / other) for name, other in zip(names, others, strict=True)}
-    found = [
+    standings = [
         Standing(
             name,
             acts(name, fitted.parameters, runs)
@@ -231,8 +231,8 @@ def standing_of(
         probability = min(presence(height(relative(sets, members, more, runs), sets[more])), NAMED - LEAST)
         if probability >= LEAST:
             further = parameters_of(name, sets[more], errors_of(sets[more], runs))
-            found.append(Standing(name, probability, 0.0, further))
-    return tuple(sorted(found, key=lambda item: (-item.probability, -item.share)))
+            standings.append(Standing(name, probability, 0.0, further))
+    return tuple(sorted(standings, key=lambda item: (-item.probability, -item.share)))
 
 
 def in_place_of(sets: Mapping[Set, Fitted], members: Set, name: str, runs: ServoRuns) -> tuple[str, ...]:
@@ -243,14 +243,14 @@ def in_place_of(sets: Mapping[Set, Fitted], members: Set, name: str, runs: Servo
 
 def effects_of(model: Model) -> Parameters:
     """Effects that a model has already, as the simulation names them; they stay as they are."""
-    found: Parameters = {}
+    parameters: Parameters = {}
     for entry in model.effects:
         values = dict(entry.parameters)
         if "phase" in values:
             amplitude, phase = values.pop("amplitude"), values.pop("phase")
             values |= {"cos": amplitude * math.cos(phase), "sin": -amplitude * math.sin(phase)}
-        found |= {f"{entry.effect}.{name}": value for name, value in as_fitted(entry.effect, values).items()}
-    return found
+        parameters |= {f"{entry.effect}.{name}": value for name, value in as_fitted(entry.effect, values).items()}
+    return parameters
 
 
 def starts_of(runs: ServoRuns, model: Model, proposed: Sequence[Candidate]) -> dict[str, list[Parameters]]:
@@ -261,23 +261,23 @@ def starts_of(runs: ServoRuns, model: Model, proposed: Sequence[Candidate]) -> d
     turned = np.abs(np.diff(runs.angle, axis=1))[runs.measured[:, 1:]]
     fast = max(float(np.quantile(turned, 0.95)) / runs.interval, 1e-3)
     shape = forms.get("stribeck", (1.0, 1.0))[1]
-    found: dict[str, list[Parameters]] = {
+    by_effect: dict[str, list[Parameters]] = {
         "load_dependent_friction": [{"coefficient": 0.1}],
         "saturation": [{"loss": LOST, "exponent": exponent, "current": max(largest, 1e-3)}],
         "stribeck": [{"breakaway_ratio": 0.1, "stribeck_velocity": share * fast, "shape": shape} for share in FADES],
     }
     for name, form in proposed:
         if name == "position_dependent_friction":
-            found[name] = [{"cos": 0.01, "sin": 0.01, "order": form[0]}]
+            by_effect[name] = [{"cos": 0.01, "sin": 0.01, "order": form[0]}]
         if name == "asymmetric_friction":
-            found[name] = [{"asymmetry": 0.01}]
+            by_effect[name] = [{"asymmetry": 0.01}]
         if name == "quadratic_drag":
-            found[name] = [{"coefficient": 0.1 * (model.viscous_damping or 0.0) / fast}]
+            by_effect[name] = [{"coefficient": 0.1 * (model.viscous_damping or 0.0) / fast}]
         if name == "dead_time":
-            found[name] = [{"voltage": 0.01 * float(np.max(runs.limit)), "current": 0.1 * largest}]
+            by_effect[name] = [{"voltage": 0.01 * float(np.max(runs.limit)), "current": 0.1 * largest}]
     return {
         effect: [{f"{effect}.{name}": value for name, value in start.items()} for start in starts]
-        for effect, starts in found.items()
+        for effect, starts in by_effect.items()
     }
 
 
@@ -336,15 +336,15 @@ def errors_of(fitted: Fitted, runs: ServoRuns) -> dict[str, float]:
 
 def parameters_of(effect: str, fitted: Fitted, stds: Mapping[str, float]) -> dict[str, tuple[float, float]]:
     """The parameters of an effect by the names of its definition, with standard errors."""
-    found = {
+    parameters = {
         name.removeprefix(f"{effect}."): (value, stds.get(name, 0.0))
         for name, value in fitted.parameters.items()
         if name.startswith(f"{effect}.")
     }
     if effect in DRIVE:
-        return as_told(effect, found)
-    if "cos" not in found:
-        return found
-    (cosine, one), (sine, other) = found.pop("cos"), found.pop("sin")
+        return as_told(effect, parameters)
+    if "cos" not in parameters:
+        return parameters
+    (cosine, one), (sine, other) = parameters.pop("cos"), parameters.pop("sin")
     amplitude, spread = math.hypot(cosine, sine), max(one, other)
-    return found | {"amplitude": (amplitude, spread), "phase": (math.atan2(-sine, cosine), spread / amplitude)}
+    return parameters | {"amplitude": (amplitude, spread), "phase": (math.atan2(-sine, cosine), spread / amplitude)}

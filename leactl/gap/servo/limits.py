@@ -42,13 +42,13 @@ def drive_starts(runs: ServoRuns, bases: Sequence[Parameters]) -> dict[str, list
     grids = {"servo_dead_band": bands} | (
         {"reference_rate_limit": profiles} if float(np.max(asked)) > MET * top else {}
     )
-    against, found = Measured(runs), {}
+    against, starts = Measured(runs), {}
     for effect, grid in grids.items():
         points = [base | point for base in bases for point in grid]
         costs = np.nan_to_num([cost(error) for error in against.of(points)], nan=np.inf).reshape(len(bases), -1)
         best = [place * len(grid) + k for place, own in enumerate(costs) for k in np.argsort(own)[: KEPT - place]]
-        found[effect] = [points[place] for place in best]
-    return found
+        starts[effect] = [points[place] for place in best]
+    return starts
 
 
 def acts(effect: str, parameters: Parameters, runs: ServoRuns) -> bool:
@@ -80,8 +80,8 @@ def as_told(effect: str, fitted: Mapping[str, tuple[float, float]]) -> dict[str,
     """Parameters of an effect by the names of its definition, with standard errors, from those of a fit."""
     if effect != "reference_rate_limit":
         return dict(fitted)
-    found = {}
+    parameters = {}
     for name, (value, std) in {"speed": fitted["slowness"], "acceleration": fitted["sluggishness"]}.items():
         shows = value > SHOWN * std and math.isfinite(1.0 / max(value, 1e-300))
-        found[name] = (1.0 / value, std / value**2) if shows else (0.0, 0.0)
-    return found
+        parameters[name] = (1.0 / value, std / value**2) if shows else (0.0, 0.0)
+    return parameters

@@ -172,11 +172,11 @@ def channels(clock: Clocked, length: int) -> tuple[Array, Array, Array, Array]:
     enabled, volts = clock.get("drive_enabled"), clock.get("q_axis_voltage")
     on = np.ones(len(clock.time)) if enabled is None else (enabled > 0.5).astype(float)
     none = np.zeros(len(clock.time))
-    found = (
+    columns = (
         clock.values["angle", "test"],
         clock.values["angle_reference", "test"],
         on,
         none if volts is None else volts,
     )
-    angle, reference, on, volts = (np.pad(values, (0, length - len(values)), mode="edge") for values in found)
+    angle, reference, on, volts = (np.pad(values, (0, length - len(values)), mode="edge") for values in columns)
     return angle, reference, on, volts

@@ -72,8 +72,8 @@ def out_of_time(records: Sequence[Record], model: Model) -> SetUpFault | None:
         leaps = {record.name: course for record, pair, one in group if (course := leaping(record, pair, one))}
         # a clock that runs off does so in every run, and shows in most; samples may be lost in one
         runs_off = drifting(group) if 2 * len(leaps) < len(group) and 2 * len(group) >= asked[key] else {}
-        if found := runs_off or leaps:
-            courses[key] = found
+        if fault := runs_off or leaps:
+            courses[key] = fault
     if not courses:
         return None
     key = max(courses, key=lambda key: len(courses[key]))
@@ -108,11 +108,11 @@ def drifting(group: Sequence[tuple[Record, Pair, Lateness]]) -> dict[str, Course
         if agreed and abs(lines[run][0].drift - np.mean(speeds)) > STEADY * lines[run][1] + 0.3 * abs(np.mean(speeds))
     ]
     if agreed and not contradicted and len(known) >= max(len(lines) // 2, 1):
-        found = {
+        courses = {
             record.name: Course(lines[record.name][0].start - pair.filtered, lines[record.name][0].drift)
             for record, pair, _ in group
         }
-        return found if mends(group, found) else {}
+        return courses if mends(group, courses) else {}
     offsets = {record.name: (one.mean(), pair, record) for record, pair, one in group}
     early, late = 0, 0
     for (mean, error), pair, record in offsets.values():
@@ -120,8 +120,8 @@ def drifting(group: Sequence[tuple[Record, Pair, Lateness]]) -> dict[str, Course
         early += mean - pair.filtered + STEADY * error < -allowed
         late += mean - pair.filtered - STEADY * error > -allowed
     if 2 * early > len(offsets) and not late:
-        found = {run: Course(mean - pair.filtered, 0.0) for run, ((mean, _), pair, _) in offsets.items()}
-        return found if mends(group, found, steady=False) else {}
+        courses = {run: Course(mean - pair.filtered, 0.0) for run, ((mean, _), pair, _) in offsets.items()}
+        return courses if mends(group, courses, steady=False) else {}
     return {}
 
 
@@ -198,7 +198,7 @@ def refined(
     record: Record, pair: Pair, start: float, leaps: tuple[tuple[int, float], ...]
 ) -> tuple[tuple[int, float], ...]:
     """Leaps at the places where what is left over is least."""
-    found, late = [], start
+    at, late = [], start
     stamps = np.arange(len(pair.reads), dtype=np.float64)
     reach = len(pair.reads) // STRETCHES
     for place, height in leaps:
@@ -210,9 +210,9 @@ def refined(
         left = np.concatenate([[0.0], np.cumsum(before**2)]) + np.concatenate(
             [np.cumsum((after**2)[::-1])[::-1], [0.0]]
         )
-        found.append((begin + int(np.argmin(left)), height))
+        at.append((begin + int(np.argmin(left)), height))
         late += height
-    return tuple(found)
+    return tuple(at)
 
 
 def mends(group: Sequence[tuple[Record, Pair, Lateness]], courses: Mapping[str, Course], steady: bool = True) -> bool:

@@ -115,7 +115,7 @@ class Spoken:
 
 def pooled(runs: Sequence[Mapping[str, Factor]]) -> dict[str, Pooled]:
     """Factors that runs agree on."""
-    found = {}
+    by_channel = {}
     for name in USUAL:
         factors = [run[name] for run in runs if name in run]
         if not factors:
@@ -128,8 +128,8 @@ def pooled(runs: Sequence[Mapping[str, Factor]]) -> dict[str, Pooled]:
             continue
         error = math.hypot(errors, spread / math.sqrt(len(factors)))
         explained = float(np.median([one.explained for one in factors]))
-        found[name] = Pooled(float(signs[0]), float(np.median(sizes)), error, explained)
-    return found
+        by_channel[name] = Pooled(float(signs[0]), float(np.median(sizes)), error, explained)
+    return by_channel
 
 
 def usual(factor: Factor) -> bool:

@@ -48,15 +48,15 @@ def lateness(reads: Array, expected: Array, valid: Mask, count: int = STRETCHES)
         length = len(reads) // count
     width = max(WIDTH, width_of(expected))
     reads, expected = smooth(reads, width), smooth(expected, width)
-    found = []
+    delays = []
     first = 0.0
     for index in range(count):
         begin = index * length
         told = shift_of(reads, expected, valid, begin, begin + length, first, width)
         if told is not None:
             first = told[0]
-            found.append((begin + 0.5 * length, *told))
-    columns = np.array(found).reshape(-1, 3)
+            delays.append((begin + 0.5 * length, *told))
+    columns = np.array(delays).reshape(-1, 3)
     return Lateness(columns[:, 0], columns[:, 1], columns[:, 2])
 
 

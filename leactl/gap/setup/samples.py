@@ -96,12 +96,12 @@ def frozen(records: Sequence[Record], _: Model) -> SetUpFault | None:
 
 def lasting(rests: Mapping[str, Mask], runs: Mapping[str, str]) -> dict[str, Mask]:
     """The rests of runs that rest long enough, over all the stretches that are looked at of each."""
-    found: dict[str, Mask] = {}
+    by_run: dict[str, Mask] = {}
     for run in {runs[name] for name in rests}:
         own = {name: rest for name, rest in rests.items() if runs[name] == run}
         if float(np.mean(np.concatenate(list(own.values())))) >= FROZEN:
-            found |= {name: rest for name, rest in own.items() if rest.any()}
-    return found
+            by_run |= {name: rest for name, rest in own.items() if rest.any()}
+    return by_run
 
 
 def may_rest(key: Key, mechanical: str) -> bool:
@@ -113,11 +113,11 @@ def may_rest(key: Key, mechanical: str) -> bool:
 
 def rest_of(clock: Clocked, key: Key) -> Mask:
     """Samples over which a channel stands still too long, its companion moving; all of them in most of a record."""
-    values, found = where_measured(clock, key), np.zeros(len(clock.time), np.bool_)
+    values, resting = where_measured(clock, key), np.zeros(len(clock.time), np.bool_)
     companion = clock.get(COMPANIONS[key[0]], key[1])
     begin, end = longest_run(np.diff(values) == 0.0)
     if companion is None or end - begin < max(LONGEST_REST, FROZEN * len(values)):
-        return found
+        return resting
     # a speed moves with the change of an angle, and an angle with the size of a speed
     moving = np.abs(companion) if key[0] == "angle" else np.diff(companion, prepend=companion[0])
     if key[0] not in ("angle", "velocity"):
@@ -126,9 +126,9 @@ def rest_of(clock: Clocked, key: Key) -> Mask:
     if key[0] not in ("angle", "velocity"):
         meanwhile = float(np.std(moving[begin : end + 1]))  # one that holds another level than usual does not move
     if usual == 0.0 or meanwhile < MOVES * usual or noise_of(companion) > 0.5 * float(np.std(companion)):
-        return found
-    found[begin : end + 1] = True
-    return np.ones_like(found) if found.mean() > 1.0 - FROZEN else found
+        return resting
+    resting[begin : end + 1] = True
+    return np.ones_like(resting) if resting.mean() > 1.0 - FROZEN else resting
 
 
 def where_measured(clock: Clocked, key: Key) -> Array:
@@ -178,11 +178,11 @@ def taken_between(record: Record, key: Key) -> Record:
 def again(clock: Clocked, key: Key) -> Mask:
     """Samples that are the one before them once more; none in a channel of few levels, or at rest."""
     values = clock.values[key]
-    found = np.concatenate([[False], np.diff(values) == 0.0])
-    begin, end = longest_run(found)
+    repeated = np.concatenate([[False], np.diff(values) == 0.0])
+    begin, end = longest_run(repeated)
     if len(np.unique(values)) < min(FINE, len(values) // 4) or end - begin >= LONGEST_REST:
         return np.zeros(len(values), np.bool_)
-    return found
+    return repeated
 
 
 def clipped(records: Sequence[Record], model: Model) -> SetUpFault | None:
@@ -217,16 +217,16 @@ def noisy(clock: Clocked, key: Key) -> bool:
 def at_ends(clock: Clocked, key: Key) -> Mask:
     """Samples at which a channel of many levels stands at its largest or smallest value, several in a row."""
     values = where_measured(clock, key)
-    found = np.zeros(len(values), np.bool_)
+    at_limit = np.zeros(len(values), np.bool_)
     if len(np.unique(values[np.isfinite(values)])) < min(FINE, len(values) // 4):
-        return found
+        return at_limit
     still = np.concatenate([[False], np.diff(values) == 0.0])
     ends = [values == np.nanmax(values), values == np.nanmin(values)]
     if float(np.mean(still[~(ends[0] | ends[1])])) >= TOPPED:
-        return found  # samples in a row are alike elsewhere as well
+        return at_limit  # samples in a row are alike elsewhere as well
     for there in ends:
         there[begins_at_rest(values)] = False
         begin, stop = longest_run(there)
         if stop - begin >= IN_A_ROW and float(there.mean()) >= TOPPED:
-            found |= there
-    return found
+            at_limit |= there
+    return at_limit

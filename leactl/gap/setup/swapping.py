@@ -36,7 +36,7 @@ def of_any(records: Sequence[Record], model: Model) -> SetUpFault | None:
     """The pair after whose exchange every direct relation holds, none of the two having held before."""
     direct = {record.name: told_directly(record, model) for record in records}
     odd = {run: not all(told) for run, told in direct.items() if told}
-    found: list[tuple[int, Key, Key]] = []
+    exchanges: list[tuple[int, Key, Key]] = []
     for first, second in combinations(SWAPPED, 2):
         there = [record for record in records if record.name in odd and has(record, first) and has(record, second)]
         both = [record for record in there if odd[record.name]][:TRIED]
@@ -46,10 +46,10 @@ def of_any(records: Sequence[Record], model: Model) -> SetUpFault | None:
         if all(all_direct(record, model) for record in exchanged):
             before, after = (sum(score(record, model) for record in group) for group in (both, exchanged))
             if after - before >= 2 * len(both):
-                found.append((after - before, first, second))
-    if not found:
+                exchanges.append((after - before, first, second))
+    if not exchanges:
         return None
-    _, first, second = max(found)
+    _, first, second = max(exchanges)
     return fault_of(first, second, "neither follows what it should, and both do once they are exchanged")
 
 

@@ -111,16 +111,16 @@ def unseen(clock: Clocked, bench: BenchModel) -> Mask:
 
     That is where a drive is switched, and where a servo's target moves if its current loop is that fast.
     """
-    found = np.zeros(len(clock.time), np.bool_)
+    hidden = np.zeros(len(clock.time), np.bool_)
     settles = 2.0 * np.pi * (bench.current_loop_bandwidth or 0.0) * clock.interval > SETTLES
     for quantity, role in clock.values:
         targets = quantity in ("velocity_reference", "angle_reference") and settles
         if quantity != "drive_enabled" and (not targets or ("q_axis_current", role) in clock.means):
             continue
         steps = np.diff(clock.values[quantity, role]) != 0.0
-        found[1:] |= steps
-        found[:-1] |= steps
-    return found
+        hidden[1:] |= steps
+        hidden[:-1] |= steps
+    return hidden
 
 
 def averaged(clock: Clocked, quantity: str, role: str = "test") -> Array | None:

@@ -151,14 +151,14 @@ def record_of(run: Run, channels: list[Channel] | None = None) -> Record:
     InputError : channels that cannot be used, or that were condemned; one line each.
     """
     if channels is None:
-        found = [
+        read = [
             channel
             for specs in run.streams.values()
             for spec in specs
             if spec.quantity
             for channel in run.channels(spec.quantity, spec.role)
         ]
-        channels = list({(c.stream, c.quantity, c.role, c.location): c for c in found}.values())
+        channels = list({(c.stream, c.quantity, c.role, c.location): c for c in read}.values())
     kind = str(run.attributes.get("protocol") or run.mechanical)
     setup = {k: float(v) for k, v in run.setup.items() if isinstance(v, int | float)}
     condition = str(run.attributes.get("condition") or "")
@@ -267,11 +267,11 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path) -> Clocked 
 def without_edges(valid: Mask) -> Mask:
     """Valid samples without those that lie beside a long gap: what bridges it is smoothed into them."""
     gaps = np.flatnonzero(np.diff(np.concatenate([[1], valid.astype(np.intp), [1]])))
-    found = valid.copy()
+    inner = valid.copy()
     for begin, end in gaps.reshape(-1, 2):
         if end - begin >= LONG:
-            found[max(begin - SMOOTHED, 0) : end + SMOOTHED] = False
-    return found
+            inner[max(begin - SMOOTHED, 0) : end + SMOOTHED] = False
+    return inner
 
 
 def region_of(channel: Channel) -> str:

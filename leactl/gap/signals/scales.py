@@ -20,29 +20,29 @@ def scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     highest that was reached. A locked rotor swings and does not turn: without another run, speed is what a bus voltage
     allows without load. Machines that are similar in the sense of dimensional analysis have similar units.
     """
-    found = {"1": 1.0, "rad": 1.0, "K": 1.0, "1/K": 1.0, "share of the limit": 1.0}
+    units = {"1": 1.0, "rad": 1.0, "K": 1.0, "1/K": 1.0, "share of the limit": 1.0}
     clocks = [record.fast for record in records if record.fast is not None]
     if clocks:
-        found["s"] = min(clock.interval for clock in clocks)
+        units["s"] = min(clock.interval for clock in clocks)
         lasting = max(float(clock.since_begin[-1]) for clock in clocks)
         if (speed := highest_speed(records, model)) > 0.0:
-            found["rad/s"] = speed
-            found["s/rad"] = 1.0 / speed
+            units["rad/s"] = speed
+            units["s/rad"] = 1.0 / speed
         if model.coulomb_friction:
-            found["N*m/s"] = model.coulomb_friction / lasting
+            units["N*m/s"] = model.coulomb_friction / lasting
     if model.coulomb_friction:
-        found["N*m"] = found["N*m/rad"] = model.coulomb_friction
-        if "rad/s" in found:
-            found["N*m*s^2/rad^2"] = found["N*m"] / found["rad/s"] ** 2
+        units["N*m"] = units["N*m/rad"] = model.coulomb_friction
+        if "rad/s" in units:
+            units["N*m*s^2/rad^2"] = units["N*m"] / units["rad/s"] ** 2
         if model.torque_constant:
-            found["A"] = found["N*m"] / model.torque_constant
+            units["A"] = units["N*m"] / model.torque_constant
     if model.phase_resistance:
-        found["ohm"] = model.phase_resistance
-        if "A" in found:
-            found["V"] = found["ohm"] * found["A"]
+        units["ohm"] = model.phase_resistance
+        if "A" in units:
+            units["V"] = units["ohm"] * units["A"]
     if model.thermal is not None:
-        found["J/K"] = model.thermal.housing_capacitance
-    return found
+        units["J/K"] = model.thermal.housing_capacitance
+    return units
 
 
 def highest_speed(records: Sequence[Record], model: Model) -> float:
@@ -78,31 +78,31 @@ def form_scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     as the finest interval between samples.
     """
     clocks = [record.fast for record in records if record.fast is not None]
-    found = {"1": 1.0}
+    units = {"1": 1.0}
     if model.coulomb_friction:
-        found["friction"] = model.coulomb_friction
+        units["friction"] = model.coulomb_friction
     if model.thermal is not None:
-        found["housing"] = model.thermal.housing_capacitance * model.thermal.housing_ambient_resistance
+        units["housing"] = model.thermal.housing_capacitance * model.thermal.housing_ambient_resistance
     if not clocks:
-        return found
+        return units
     if (travel := widest(records)) > 0.0:
-        found["travel"] = travel
+        units["travel"] = travel
     bench = model.bench
-    found["sampling rate"] = 1.0 / min(clock.interval for clock in clocks)
-    found["loop"] = time_constant(bench.current_loop_bandwidth, min(clock.interval for clock in clocks))
-    found["velocity filter"] = time_constant(bench.velocity_filter_bandwidth, found["loop"])
-    found["torque filter"] = time_constant(bench.torque_filter_bandwidth, found["loop"])
+    units["sampling rate"] = 1.0 / min(clock.interval for clock in clocks)
+    units["loop"] = time_constant(bench.current_loop_bandwidth, min(clock.interval for clock in clocks))
+    units["velocity filter"] = time_constant(bench.velocity_filter_bandwidth, units["loop"])
+    units["torque filter"] = time_constant(bench.torque_filter_bandwidth, units["loop"])
     turning = [(float(clock.since_begin[-1]), speed) for clock in clocks for speed in absolute_speeds(clock)]
     if turning and (top := max(float(np.quantile(speed, TOP)) for _, speed in turning)) > 0.0:
-        found["highest speed"] = top
-        found["longest run"] = max(lasting for lasting, speed in turning if np.quantile(speed, TOP) > TURNING * top)
+        units["highest speed"] = top
+        units["longest run"] = max(lasting for lasting, speed in turning if np.quantile(speed, TOP) > TURNING * top)
     currents = [highest(clock, name) for clock in clocks for name in ("q_axis_current", "q_axis_current_reference")]
     if (top := max(currents)) > 0.0:
-        found["highest current"] = top
-        found["highest rate"] = top / found["loop"]
+        units["highest current"] = top
+        units["highest rate"] = top / units["loop"]
     if model.torque_constant and (asked := max(currents_at_speed(clocks), default=0.0)) > 0.0:
-        found["highest power"] = model.torque_constant * asked
-    return found
+        units["highest power"] = model.torque_constant * asked
+    return units
 
 
 def widest(records: Sequence[Record]) -> float:

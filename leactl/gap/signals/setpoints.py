@@ -31,8 +31,8 @@ SETTLES = 8.0  # time constants of a current loop, after which a leap is forgott
 
 def marked(records: Sequence[Record], model: Model) -> list[Record]:
     """The runs, all marked where one shows that its setpoints change between rows: they are of one log."""
-    found = [pair for record in records if (pair := missed_and_leaps(record, model)) is not None]
-    if not any(changes_between(missed, leaping) for missed, leaping in found):
+    pairs = [pair for record in records if (pair := missed_and_leaps(record, model)) is not None]
+    if not any(changes_between(missed, leaping) for missed, leaping in pairs):
         return list(records)
     return [
         replace(record, fast=replace(record.fast, setpoints_between=True)) if record.fast is not None else record

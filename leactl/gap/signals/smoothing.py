@@ -60,14 +60,14 @@ def sharp_senses(speeds: Array, noise: float) -> Array:
     Friction bends a speed where it turns back, and a smoothed one is zero at another time.
     """
     even = smooth(speeds)
-    found, reach = senses(even), int(REACH * BASE)
+    signs, reach = senses(even), int(REACH * BASE)
     if len(even) <= 2 * reach:
-        return found
+        return signs
     before, after = even[: -2 * reach], even[2 * reach :]
     swift = (before * after < 0.0) & (np.minimum(np.abs(before), np.abs(after)) > SWIFT * noise)
     turning = np.zeros(len(even), np.bool_)
     turning[reach:-reach] = swift
-    return np.where(turning, senses(speeds), found)
+    return np.where(turning, senses(speeds), signs)
 
 
 def noise_of_acceleration(noise: float, interval: float, width: float) -> float:

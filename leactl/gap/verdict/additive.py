@@ -84,7 +84,7 @@ def waves(angle: Array, orders: Array) -> Array:
 
 def bases(sample: Sample, orders: Sequence[float]) -> list[Basis]:
     """Every basis that the state of some runs has; a variable that stands still has none."""
-    found = []
+    built = []
     for key in STATE:
         if any(name not in sample.state for name in key):
             continue
@@ -96,8 +96,8 @@ def bases(sample: Sample, orders: Sequence[float]) -> list[Basis]:
             for name in key
         )
         if all(len(own) > 1 for own in knots):
-            found.append(Basis(key, knots))
-    return found
+            built.append(Basis(key, knots))
+    return built
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,12 +163,12 @@ class Trial:
     def missed(self, keys: Sequence[Key], ridge: float) -> Array:
         """Squares that are left of each fold by what the others say."""
         whole, rows, keep = sum(self.grams), float(self.counts.sum()), self.columns(keys) + 1
-        found = []
+        by_fold = []
         for gram, count in zip(self.grams, self.counts.tolist(), strict=True):
             values = self.solve(whole - gram, rows - count, keys, ridge)
             squares = gram[0, 0] - 2.0 * values @ gram[keep, 0] + values @ gram[np.ix_(keep, keep)] @ values
-            found.append(float(squares))
-        return np.asarray(found)
+            by_fold.append(float(squares))
+        return np.asarray(by_fold)
 
     def function(self, keys: Sequence[Key], ridge: float) -> Function:
         """The function of some bases, learnt on all folds."""

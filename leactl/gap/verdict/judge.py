@@ -15,7 +15,7 @@ from leactl.effects import library
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.regression import Candidate, Rows
 from leactl.gap.search.ringing import Line
-from leactl.gap.search.sets import LOOSE, Finding, Found, apart
+from leactl.gap.search.sets import LOOSE, EffectSet, Finding, apart
 
 EXACT_FORM_ERROR = 0.0005
 SURE, HALF, SLOPE = 0.998, 3.8, 2.5  # height at which an effect is as likely there as not, and how fast that changes
@@ -40,11 +40,11 @@ class Judged:
     peers: tuple[str, ...]
 
 
-def judge(evidence: Evidence, found: Found, held_out: Mapping[Candidate, float]) -> list[Judged]:
+def judge(evidence: Evidence, result: EffectSet, held_out: Mapping[Candidate, float]) -> list[Judged]:
     """Probabilities of the members of a set, largest first; `held_out` has what each takes from runs not fitted."""
     judged = []
-    for index, (member, rivals) in enumerate(zip(found.members, found.rivals, strict=True)):
-        explained = found.explained(evidence, index)
+    for index, (member, rivals) in enumerate(zip(result.members, result.rivals, strict=True)):
+        explained = result.explained(evidence, index)
         present = (
             presence(member.height)
             * coverage(explained - library()[member.effect].explains)
@@ -82,7 +82,7 @@ def presence(height: float) -> float:
     return SURE / (1.0 + math.exp(-SLOPE * (height - HALF)))
 
 
-def unrest(evidence: Evidence, found: Found) -> dict[tuple[str, str, str], float]:
+def unrest(evidence: Evidence, result: EffectSet) -> dict[tuple[str, str, str], float]:
     """Of each channel: what is left over, slow and unexplained, over what benches without an effect leave.
 
     Noise shows from one row to the next; what does not, and what makes neighbouring rows alike, is model error. Keys
@@ -96,15 +96,15 @@ def unrest(evidence: Evidence, found: Found) -> dict[tuple[str, str, str], float
         expected = evidence.expected(rows)
         slow = max(rows.noise**2 - rows.white**2 * NOISE_BESIDE, 0.0)
         # what a shared parameter leaves of a large signal is no sign either
-        if left_by_form(found, index) or slow < (SHARED_LEFT * largest(rows)) ** 2:
+        if left_by_form(result, index) or slow < (SHARED_LEFT * largest(rows)) ** 2:
             value = min(value, expected)
         ratios.setdefault((rows.equation, rows.quantity, rows.mechanical), []).append(value / expected)
     return {key: float(np.median(values)) for key, values in ratios.items()}
 
 
-def left_by_form(found: Found, index: int) -> bool:
+def left_by_form(result: EffectSet, index: int) -> bool:
     """Whether rows have no more left over than a form that is nearly right leaves of a large effect."""
-    return found.left[index] < FORM_LEFT * found.taken[index]
+    return result.left[index] < FORM_LEFT * result.taken[index]
 
 
 def largest(rows: Rows) -> float:
@@ -127,15 +127,15 @@ Channels = Mapping[tuple[str, str, str], float]
 
 def unexplained(restless: Channels, lines: Mapping[tuple[str, str, str], Line]) -> Unexplained:
     """Judge the most restless channel and the highest line in a spectrum; keys as `unrest` has them."""
-    found = [Unexplained(0.0, "")]
+    candidates = [Unexplained(0.0, "")]
     for (equation, quantity, mechanical), ratio in restless.items():
         probability = 1.0 / (1.0 + (UNREST / ratio) ** UNREST_SLOPE) if ratio > 0.0 else 0.0
         told = f"{ratio:.3g} times as far from noise as a sound model leaves it"
         note = f"unexplained: {quantity}, {mechanical} ({equation}) is {told}"
-        found.append(Unexplained(probability, note, (equation, quantity, mechanical)))
+        candidates.append(Unexplained(probability, note, (equation, quantity, mechanical)))
     for (equation, quantity, mechanical), line in lines.items():
         probability = 1.0 / (1.0 + (LINE / line.height) ** LINE_SLOPE) if line.height > 0.0 else 0.0
         told = f"rings at about {line.frequency:.3g} Hz"
         note = f"unexplained: what is left of {quantity}, {mechanical} ({equation}) {told}"
-        found.append(Unexplained(probability, note, (equation, quantity, mechanical)))
-    return max(found, key=lambda one: one.probability)
+        candidates.append(Unexplained(probability, note, (equation, quantity, mechanical)))
+    return max(candidates, key=lambda one: one.probability)

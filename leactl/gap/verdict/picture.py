@@ -313,10 +313,10 @@ def view_of(part: Part, variables: Sequence[Variable], periods: float) -> View |
 
 def signs(part: Part) -> dict[str, Array]:
     """Signs of variables that a part has, zero where these stand still."""
-    found: dict[str, Array] = {}
+    by_variable: dict[str, Array] = {}
     for name in SIGNS:
         if name in part.values:
             values = part.values[name]
             moving = np.abs(values) > STILL * np.max(np.abs(values), initial=0.0)
-            found[name] = np.where(moving, np.sign(values), 0.0)
-    return found
+            by_variable[name] = np.where(moving, np.sign(values), 0.0)
+    return by_variable

@@ -16,7 +16,7 @@ from leactl.gap.search.confirm import transferred
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.orders import periodogram, turns
 from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
-from leactl.gap.search.sets import ENTRY, Finding, Found
+from leactl.gap.search.sets import ENTRY, EffectSet, Finding
 from leactl.gap.signals.record import Record
 from leactl.gap.verdict.additive import SURE, Function, Groups, Sample, borne_out, certainty, learn, slow_gain
 from leactl.gap.verdict.judge import HALF, Judged, presence
@@ -210,13 +210,13 @@ def deciding(depends_on: Sequence[str], nearest: Sequence[Near], touching: Colle
     return best.name if (near | acting).intersection(best.separates) else None
 
 
-def nearest_effects(found: Found, judged: Sequence[Judged], refused: Sequence[Near]) -> tuple[Near, ...]:
+def nearest_effects(result: EffectSet, judged: Sequence[Judged], refused: Sequence[Near]) -> tuple[Near, ...]:
     """Effects that were refused, the nearest first: fitted and taken back, fitted and doubted, not entered."""
     near = {one.effect: one for one in refused}
     for item in judged:
         if item.probability < EVEN and item.finding.effect not in near:
             near[item.finding.effect] = Near(item.finding.effect, doubt(item))
-    for further in sorted(found.rest, key=lambda one: -one.height):
+    for further in sorted(result.rest, key=lambda one: -one.height):
         if further.effect not in near and further.height > VISIBLE:
             near[further.effect] = Near(further.effect, kept_out(further))
     return tuple(near.values())

@@ -63,7 +63,7 @@ def where(records: Sequence[Record], channels: Sequence[Compared], effects: Sequ
     grouped: dict[tuple[str, str, str], list[Compared]] = {}
     for one in channels:
         grouped.setdefault((one.quantity, one.role, one.mechanical), []).append(one)
-    found = []
+    lines = []
     for (quantity, role, mechanical), group in grouped.items():
         nominal, calibrated = (rms([one.squares(k) for one in group]) for k in (0, 1))
         floor = practical_floor(group)
@@ -73,14 +73,14 @@ def where(records: Sequence[Record], channels: Sequence[Compared], effects: Sequ
             acting = effects if closes(group, floor) else ()
             region, share = region_of_effects(pairs, acting) or smallest_region(pairs)
         units = UNITS.get(quantity, "")
-        found.append(Where(quantity, role, mechanical, units, nominal, calibrated, floor, region, share))
-    return tuple(sorted(found, key=lambda item: -item.calibrated_rms / max(item.floor_rms, 1e-300)))
+        lines.append(Where(quantity, role, mechanical, units, nominal, calibrated, floor, region, share))
+    return tuple(sorted(lines, key=lambda item: -item.calibrated_rms / max(item.floor_rms, 1e-300)))
 
 
 def profiles(records: Sequence[Record], channels: Sequence[Compared], entries: Sequence[Where]) -> tuple[Profile, ...]:
     """Of the first entries with a gap: residuals over the variable of the region, over time where there is none."""
     by_name = {record.name: record for record in records}
-    found = []
+    curves = []
     for entry in entries[:PROFILES]:
         if entry.calibrated_rms <= NEAR_FLOOR * entry.floor_rms:
             continue
@@ -96,8 +96,8 @@ def profiles(records: Sequence[Record], channels: Sequence[Compared], entries: S
                 values.append(np.round(series) if variable == "direction" else series)
                 left.append(one.measured - np.stack(one.replayed))
         low, high, mean, std = binned(np.concatenate(values), np.concatenate(left, axis=1))
-        found.append(Profile(*key, entry.units, variable, units, low, high, mean, std))
-    return tuple(found)
+        curves.append(Profile(*key, entry.units, variable, units, low, high, mean, std))
+    return tuple(curves)
 
 
 def binned(values: Array, left: Array) -> tuple[Array, Array, Array, Array]:
@@ -219,14 +219,14 @@ def smallest_region(group: Sequence[tuple[Record, Compared]]) -> tuple[Region | 
 
 def variables(group: Sequence[tuple[Record, Compared]]) -> list[str]:
     """What a region may be a stretch of in these runs."""
-    found = ["time"]
+    names = ["time"]
     for record, _ in group:
         for clock in (record.fast, record.slow):
             if clock is not None:
-                found += [quantity for quantity, role in clock.values if role == "test" and quantity not in found]
+                names += [quantity for quantity, role in clock.values if role == "test" and quantity not in names]
         if record.fast is not None and ("angle", "test") in record.fast.values:
-            found += [name for name in ("direction", "time_since_reversal") if name not in found]
-    return found
+            names += [name for name in ("direction", "time_since_reversal") if name not in names]
+    return names
 
 
 def variable_of(record: Record, one: Compared, variable: str) -> Array | None:

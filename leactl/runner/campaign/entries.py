@@ -135,29 +135,29 @@ def previews(entries: Sequence[Entry], check: Callable[[], None] = lambda: None)
     SafetyTrip : a bench is latched.
     DeviceError : what a device needs is not on this machine.
     """
-    found: dict[tuple[str, str], Preview] = {}
+    by_step: dict[tuple[str, str], Preview] = {}
     faults: dict[str, None] = {}
     for entry in entries:
         place = entry.cell.step, entry.cell.condition
-        if place in found:
+        if place in by_step:
             continue
         check()
         try:
-            found[place] = preview(entry.request)
+            by_step[place] = preview(entry.request)
         except InputError as error:
-            found[place] = Preview(0.0, 0.0)
+            by_step[place] = Preview(0.0, 0.0)
             faults |= dict.fromkeys(entry.step.fault(entry.cell.condition, fault) for fault in error.faults)
     if faults:
         raise InputError(list(faults))
-    _check_disk(entries, found)
-    return found
+    _check_disk(entries, by_step)
+    return by_step
 
 
-def _check_disk(entries: Sequence[Entry], found: Mapping[tuple[str, str], Preview]) -> None:
+def _check_disk(entries: Sequence[Entry], by_step: Mapping[tuple[str, str], Preview]) -> None:
     """Room for every run, once, and for the second copy of the largest while it is closed."""
     if not entries:
         return
-    needs = [found[entry.cell.step, entry.cell.condition].planned_bytes / COPIES for entry in entries]
+    needs = [by_step[entry.cell.step, entry.cell.condition].planned_bytes / COPIES for entry in entries]
     benches: list[BenchFile] = [entry.request.bench for entry in entries]
     strictest = max((bench.interlocks.disk_space for bench in benches), key=lambda space: space.trip_MB)
     planned = sum(needs) + (COPIES - 1) * max(needs)

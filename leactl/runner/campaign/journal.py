@@ -112,20 +112,20 @@ def read(folder: Path, campaign: Campaign) -> Journal | None:
     if expected != _digest(data):
         raise _damaged(path, "its checksum does not hold")
     try:
-        found = Journal.model_validate(data)
+        journal = Journal.model_validate(data)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         raise _damaged(path, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
     for what, theirs, ours in (
-        ("campaign", found.campaign, campaign.name),
-        ("variant", found.variant, campaign.variant),
-        ("seed", found.seed, campaign.seed),
+        ("campaign", journal.campaign, campaign.name),
+        ("variant", journal.variant, campaign.variant),
+        ("seed", journal.seed, campaign.seed),
     ):
         if theirs != ours:
             raise InputError(
                 f"{path}: the folder is that of {what} '{theirs}', '{ours}' was asked for; choose another --out"
             )
-    return found
+    return journal
 
 
 def _digest(body: dict[str, Any]) -> str:

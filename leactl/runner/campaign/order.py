@@ -25,13 +25,13 @@ class Cell:
 
     def at(self, level: Level) -> str | int:
         """What it is at one level."""
-        found: dict[Level, str | int] = {
+        values: dict[Level, str | int] = {
             "actuators": self.actuator,
             "conditions": self.condition,
             "steps": self.step,
             "repeats": self.repeat,
         }
-        return found[level]
+        return values[level]
 
     def __str__(self) -> str:
         return ", ".join(filter(None, (self.step, self.actuator, self.condition, f"repeat {self.repeat}")))

@@ -31,16 +31,16 @@ Proposals = Generator[Array, Tried, None]
 
 def by_changes(count: int, random: np.random.Generator) -> Proposals:
     """Draw some of so many genes, then change the nearest of each kind of course a little, and draw now and then."""
-    found: dict[str, list[Tried]] = {}
+    by_kind: dict[str, list[Tried]] = {}
     tried = 0
     while True:
         genes = random.random(count)
         if tried >= FIRST and random.random() > RANDOM:
-            kind = found[str(random.choice(sorted(found)))]
+            kind = by_kind[str(random.choice(sorted(by_kind)))]
             genes = _changed(kind[int(random.integers(len(kind)))].genes, random)
         one = yield genes
         tried += 1
-        found[one.kind] = sorted([*found.get(one.kind, []), one], key=lambda other: -other.over_k)[:KEPT]
+        by_kind[one.kind] = sorted([*by_kind.get(one.kind, []), one], key=lambda other: -other.over_k)[:KEPT]
 
 
 def _changed(genes: Array, random: np.random.Generator) -> Array:

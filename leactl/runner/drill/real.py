@@ -185,7 +185,7 @@ class RealDrill:
         wanted: Sequence[str],
         took: float | None,
     ) -> Finding:
-        ends = {device: DeviceEnd(found.safe, found.detail, None) for device, found in outcome.safe.items()}
+        ends = {device: DeviceEnd(end.safe, end.detail, None) for device, end in outcome.safe.items()}
         if name == UNPLUGGED:  # which cannot confirm anything, and has no power to take away
             ends.pop(on, None)
         faults = of_the_end(outcome, wanted, ends)

@@ -88,8 +88,8 @@ def continuous(motor: Motor, ambient: float, speeds: Sequence[float]) -> list[He
     """
     kinds = [("slowly", TURNING, 0.0), ("standing", STANDING, 0.0)]
     kinds += [(f"{speed:g} rad/s", TURNING, speed) for speed in speeds]
-    found = [(name, speed, continuous_current(motor, ambient, aligned, speed)) for name, aligned, speed in kinds]
-    return [Held(name, speed, current, torque(motor, current)) for name, speed, current in found]
+    currents = [(name, speed, continuous_current(motor, ambient, aligned, speed)) for name, aligned, speed in kinds]
+    return [Held(name, speed, current, torque(motor, current)) for name, speed, current in currents]
 
 
 def peaks(motor: Motor, ambient: float, durations: Sequence[float]) -> list[Peak]:
@@ -99,8 +99,8 @@ def peaks(motor: Motor, ambient: float, durations: Sequence[float]) -> list[Peak
     ------
     InputError : the motor file has no tolerances.
     """
-    found = [_held_for(box, ambient, durations) for box in _boxes(motor)]
-    currents = [Carried(*values) for values in zip(*found, strict=True)]
+    held = [_held_for(box, ambient, durations) for box in _boxes(motor)]
+    currents = [Carried(*values) for values in zip(*held, strict=True)]
     return [Peak(duration, one, torque(motor, one)) for duration, one in zip(durations, currents, strict=True)]
 
 
@@ -121,14 +121,14 @@ def _held_for(box: Box, ambient: float, durations: Sequence[float], aligned: flo
     still, standing = np.zeros(CURRENTS), np.full(CURRENTS, aligned)
     beyond = limit + FOLLOWED * (limit - ambient)
     followed, hottest, last = np.ones(CURRENTS, bool), np.zeros(CURRENTS), 0.0
-    found = {}
+    by_duration = {}
     for time in np.union1d(np.geomspace(SOONEST_S, max(durations), STEPS), durations):
         bound.step(time - last, np.where(followed, currents, 0.0) ** 2, standing, still, ambient, late=0.0)
         followed &= bound.hottest() < beyond
         hottest, last = np.where(followed, bound.hottest(), np.inf), time
         if time in durations:
-            found[time] = _below(limit, currents, hottest)
-    return [found[duration] for duration in durations]
+            by_duration[time] = _below(limit, currents, hottest)
+    return [by_duration[duration] for duration in durations]
 
 
 def _below(limit: float, currents: Array, hottest: Array) -> float:

@@ -239,9 +239,9 @@ class Demand:
 
     def _accelerations(self, plan: Plan, state: State, at: Sequence[float]) -> Array:
         """Of each role at each time, where it follows a speed or listed angles; none where a setpoint jumps."""
-        found = np.zeros((len(self._roles), len(at)))
+        accelerations = np.zeros((len(self._roles), len(at)))
         if len(at) < 2 or plan.setup in ("locked", "heated"):
-            return found
+            return accelerations
         for k, role in enumerate(self._roles):
             mode, profile = state.modes.get(role), state.setpoints.get(role)
             if profile is not None and (mode is Mode.VELOCITY or (mode is Mode.ANGLE and isinstance(profile, Samples))):
@@ -249,5 +249,5 @@ class Demand:
                 spacing = profile.period if isinstance(profile, Samples) else at[1] - at[0]
                 told = [profile.at(t) for t in np.arange(at[0], at[-1] + (order + 0.5) * spacing, spacing)]
                 changes = np.abs(np.diff(told, order)) / spacing**order
-                found[k] = changes[((np.asarray(at) - at[0]) / spacing + 1e-6).astype(np.int64)]
-        return found
+                accelerations[k] = changes[((np.asarray(at) - at[0]) / spacing + 1e-6).astype(np.int64)]
+        return accelerations

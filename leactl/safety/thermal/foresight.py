@@ -84,11 +84,11 @@ class Foresight:
 
         A wait stands before an action at which no current is asked for, as near as there is one before the hot step.
         """
-        found = self.forecast(plan)
-        while found.passing is not None and (waiting := self._wait_before(plan, found.passing)) is not None:
+        forecast = self.forecast(plan)
+        while forecast.passing is not None and (waiting := self._wait_before(plan, forecast.passing)) is not None:
             plan, place = waiting
-            found = self._go_on(plan, place)
-        return plan, found
+            forecast = self._go_on(plan, place)
+        return plan, forecast
 
     def rest_before(self, plan: Plan) -> float | None:
         """Rest [s] before a plan that keeps it below the limit: 0 where it needs none, None where none is enough."""
@@ -155,8 +155,8 @@ class Foresight:
         while (left := state.duration - time) > LEAST_S:
             own = self._budgets.step(self._budgets.left(self._bound.hottest().tolist()))
             if state.constant:
-                found, turned, speeds = self._demand.heats(plan, state, [0.0])
-                squares = found[:, 0]
+                heats, turned, speeds = self._demand.heats(plan, state, [0.0])
+                squares = heats[:, 0]
                 aligned, late = self._shared(turned, own, np.ones((len(turned), PARTS * round(LONGEST_STEP_S / own))))
                 rate = self._bound.fastest(squares, aligned, speeds, self._settings.ambient)
                 step = min(left, LONGEST_S, max(COARSE_K / rate if rate > 0.0 else LONGEST_S, 0.01))
@@ -174,8 +174,8 @@ class Foresight:
                 # a list of setpoints is taken as the loop takes it: between its own samples anything may stand
                 parts = max(PARTS, math.ceil(step * plan.rate_Hz - 1e-6)) if state.listed else PARTS
                 at = [time + step * (k + 0.5) / parts for k in range(parts)]
-                found, turned, speeds = self._demand.heats(plan, state, at)
-                squares, steady = np.mean(found, axis=1), np.min(found, axis=1)
+                heats, turned, speeds = self._demand.heats(plan, state, at)
+                squares, steady = np.mean(heats, axis=1), np.min(heats, axis=1)
                 # what a current is at the least in a step is even; what it is beyond may keep step with the rotor
                 even = np.where(squares > 0.0, steady / np.where(squares > 0.0, squares, 1.0), 0.0)
                 aligned = 1.0 - (1.0 - _aligned(turned * step)) * even

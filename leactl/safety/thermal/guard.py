@@ -244,9 +244,9 @@ class ThermalGuard:
     def _judge(self, speeds: list[float]) -> str:
         """Look ahead from where the bound stands: trip, scale, and how much heat may pass before the next look."""
         settings, bound = self._settings, self._bound
-        found = bound.nodes()
-        hottest, estimates = found[HOTTEST], found[MEAN, len(self.roles) :]
-        self._keep(found)
+        nodes = bound.nodes()
+        hottest, estimates = nodes[HOTTEST], nodes[MEAN, len(self.roles) :]
+        self._keep(nodes)
         before = list(self.hottest.values())
         for k, role in enumerate(self.roles):
             self.hottest[role], self.estimate[role] = float(hottest[k]), float(estimates[k])
@@ -284,9 +284,9 @@ class ThermalGuard:
         """Hottest phases after some time at these currents."""
         kept = self._bound.state
         self._bound.step(duration, *self._twice(squares, aligned, speeds), self._settings.ambient, late=0.0)
-        found = self._bound.hottest()
+        hottest = self._bound.hottest()
         self._bound.state = kept
-        return found
+        return hottest
 
     @staticmethod
     def _twice(squares: list[float], aligned: list[float], speeds: list[float]) -> tuple[Array, Array, Array]:

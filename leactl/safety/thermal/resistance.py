@@ -31,5 +31,5 @@ class LeadResistance:
         self._least = min(self._least, self._reference + warmth)
         if now - self._since < LASTING_S:
             return math.nan
-        found, self._since, self._least = self._least, now, math.inf
-        return found
+        lowest, self._since, self._least = self._least, now, math.inf
+        return lowest

@@ -104,13 +104,13 @@ def fastest(motors: Iterable[Motor], most_current: float, most_speed: float) -> 
     ----------
     most_current, most_speed : that the bench lets pass [A, rad/s].
     """
-    found = 0.0
+    highest = 0.0
     for motor in motors:
         box = Box.of(motor)
         friction = box.coulomb_friction.high + box.viscous_damping.high * most_speed
         torque = motor.torque_constant * most_current * box.current_gain + friction
-        found = max(found, torque / motor.rotor_inertia)
-    return found
+        highest = max(highest, torque / motor.rotor_inertia)
+    return highest
 
 
 def detour(motor: Motor, acceleration: float) -> float:
@@ -174,8 +174,8 @@ class Rotor:
         cycles, heat, angles, velocities = np.ascontiguousarray(log.T)
         at = np.cumsum(cycles) - 0.5 * cycles
         whole, moment, speed, unseen = heat.sum(), heat @ at, np.abs(velocities).max(), cycles.max()
-        found = Span(duration, float(whole), square_moment=float(moment), unseen=float(unseen))
-        found.speed = self._most_speed if math.isnan(speed) else float(speed)
+        added = Span(duration, float(whole), square_moment=float(moment), unseen=float(unseen))
+        added.speed = self._most_speed if math.isnan(speed) else float(speed)
         before = np.concatenate([[self._velocity], velocities[:-1]])
         steps, swept_steps = np.diff(angles, prepend=self._angle), 0.5 * (velocities + before) * cycles
         passed = np.stack([steps, swept_steps]) * self._twice_electrical
@@ -191,12 +191,12 @@ class Rotor:
         ends = np.stack([self._twice_electrical * np.where(angles_known, angles, 0.0), swept])
         own, loosely = heat * (loose < 1.0), heat * np.minimum(loose, 1.0)
         turned = own * evenly(ends - 0.5 * passed, passed)
-        (found.turned, found.swept), moments = turned.sum(axis=1).tolist(), turned @ at
-        found.turned_moment, found.swept_moment = moments.tolist()
-        found.loose, found.loose_moment = float(loosely.sum()), float(loosely @ at)
+        (added.turned, added.swept), moments = turned.sum(axis=1).tolist(), turned @ at
+        added.turned_moment, added.swept_moment = moments.tolist()
+        added.loose, added.loose_moment = float(loosely.sum()), float(loosely @ at)
         self._angle, self._velocity = float(angles[-1]), float(velocities[-1])
         self._swept = float(swept[-1]) % (2.0 * math.pi)
-        return found
+        return added
 
     def _gone_back(self, steps: Array) -> Array:
         """How far the angle has gone back over `WINDOW` cycles, at each [rad]: what is no net travel is noise."""

@@ -3,12 +3,12 @@
 import math
 from dataclasses import dataclass
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class AmbientDrift(Effect):
+class PlantAmbientDrift(PlantEffect):
     """Half a cosine over two hours, `change` at its end."""
 
     change: float = bounded(0.0, -50.0, 50.0)  # K

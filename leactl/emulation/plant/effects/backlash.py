@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class Backlash(Effect):
+class PlantBacklash(PlantEffect):
     """The shaft strains by the twist beyond half the play on either side."""
 
     width: float = bounded(0.0, 0.0, 1.0)  # rad

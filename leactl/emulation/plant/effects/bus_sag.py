@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class BusSag(Effect):
+class PlantBusSag(PlantEffect):
     """The voltage at which source and load agree: V = source - resistance x power / V."""
 
     resistance: float = bounded(0.0, 0.0, 10.0)  # ohm

@@ -5,12 +5,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class Cogging(Effect):
+class PlantCogging(PlantEffect):
     """Torque = amplitude [sin(order angle + phase) + a sixth of it at twice the order]."""
 
     adds_torque: ClassVar[bool] = True

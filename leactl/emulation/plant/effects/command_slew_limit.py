@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Path, Value
+from leactl.emulation.plant.effects.contract import Path, PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class CommandSlewLimit(Effect):
+class PlantCommandSlewLimit(PlantEffect):
     """The followed reference moves by at most rate x step."""
 
     rate: float = bounded(1e6, 1e-3, 1e9)  # A/s

@@ -31,7 +31,7 @@ class Now:
 
 
 @dataclass(frozen=True)
-class Effect(Checked):
+class PlantEffect(Checked):
     """One thing that the nominal plant lacks, on one actuator."""
 
     adds_torque: ClassVar[bool] = False
@@ -44,7 +44,7 @@ class Effect(Checked):
             raise InputError(f"role: found {self.role!r}, expected test or load")
 
     @classmethod
-    def stacked(cls, effects: "Sequence[Effect]") -> Self:
+    def stacked(cls, effects: "Sequence[PlantEffect]") -> Self:
         """One effect over lanes, its parameters arrays, from as many single ones as there are lanes."""
         over = object.__new__(cls)
         for item in fields(cls):
@@ -167,12 +167,12 @@ class Effect(Checked):
         return temperature
 
 
-HOOKS = tuple(name for name, thing in vars(Effect).items() if callable(thing) and not name.startswith("_"))
+HOOKS = tuple(name for name, thing in vars(PlantEffect).items() if callable(thing) and not name.startswith("_"))
 """Names of everything an effect may do."""
 RIG_HOOKS = ("torque", "sense_current", "sense_torque")
 """Those of them that the rig can express."""
 
 
-def own_hooks(effect: Effect) -> list[str]:
+def own_hooks(effect: PlantEffect) -> list[str]:
     """Those for which an effect has a form of its own."""
-    return [hook for hook in HOOKS if getattr(type(effect), hook) is not getattr(Effect, hook)]
+    return [hook for hook in HOOKS if getattr(type(effect), hook) is not getattr(PlantEffect, hook)]

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from leactl.emulation.plant.effects.contract import Effect
+from leactl.emulation.plant.effects.contract import PlantEffect
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class CurrentSensorOffset(Effect):
+class PlantCurrentSensorOffset(PlantEffect):
     """Reading = current + offset."""
 
     offset: float = bounded(0.0, -10.0, 10.0)  # A, q axis

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class DeadTime(Effect):
+class PlantDeadTime(PlantEffect):
     """Loss = voltage x i / sqrt(i^2 + current^2)."""
 
     voltage: float = bounded(0.0, 0.0, 20.0)  # V

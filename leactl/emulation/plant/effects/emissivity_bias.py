@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class EmissivityBias(Effect):
+class PlantEmissivityBias(PlantEffect):
     """Reading = ambient + fraction x rise."""
 
     fraction: float = bounded(1.0, 0.01, 10.0)

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class EncoderEccentricity(Effect):
+class PlantEncoderEccentricity(PlantEffect):
     """Error = amplitude sin(angle + phase), and a twentieth of it twice a turn."""
 
     amplitude: float = bounded(0.0, 0.0, 1.0)  # rad

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class ForcedConvection(Effect):
+class PlantForcedConvection(PlantEffect):
     """Conductance x (1 + coefficient |speed| / 0.8)^0.8, as a turbulent boundary layer gives."""
 
     coefficient: float = bounded(0.0, 0.0, 10.0)  # s/rad

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Now, Value
+from leactl.emulation.plant.effects.contract import Now, PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class FrictionRunIn(Effect):
+class PlantFrictionRunIn(PlantEffect):
     """Excess x exp(-(t / time constant)^0.85): many places settle, not all alike fast."""
 
     excess: float = bounded(0.0, 0.0, 10.0)

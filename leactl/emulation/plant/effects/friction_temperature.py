@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Now, Value
+from leactl.emulation.plant.effects.contract import Now, PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class FrictionTemperature(Effect):
+class PlantFrictionTemperature(PlantEffect):
     """Viscous damping and Coulomb friction x exp(coefficient (housing - 25 degC)), after Arrhenius."""
 
     coefficient: float = bounded(0.0, -0.1, 0.1)  # 1/K

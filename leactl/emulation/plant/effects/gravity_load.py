@@ -5,12 +5,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class GravityLoad(Effect):
+class PlantGravityLoad(PlantEffect):
     """A weight on a lever that stands `phase` above level at angle zero: the further it rises, the less it pulls."""
 
     adds_torque: ClassVar[bool] = True

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Now, Value
+from leactl.emulation.plant.effects.contract import Now, PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class MagnetTemperature(Effect):
+class PlantMagnetTemperature(PlantEffect):
     """Torque and back-EMF constant x exp(-coefficient (housing - 25 degC))."""
 
     coefficient: float = bounded(0.0, 0.0, 0.05)  # 1/K

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class NonlinearConvection(Effect):
+class PlantNonlinearConvection(PlantEffect):
     """Conductance x sqrt(1 + 2 coefficient rise): relative growth `coefficient` per kelvin at first, less later."""
 
     coefficient: float = bounded(0.0, 0.0, 1.0)  # 1/K

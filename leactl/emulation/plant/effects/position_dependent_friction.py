@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Now, Value
+from leactl.emulation.plant.effects.contract import Now, PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class PositionDependentFriction(Effect):
+class PlantPositionDependentFriction(PlantEffect):
     """Level = Coulomb (1 + amplitude cos(order angle + phase)), never below zero."""
 
     amplitude: float = bounded(0.0, 0.0, 2.0)

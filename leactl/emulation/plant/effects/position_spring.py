@@ -5,14 +5,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 SLIPS = 25.0  # rad, a few turns from the rest, by which a cable that is wound up has slipped by half
 
 
 @dataclass(frozen=True)
-class PositionSpring(Effect):
+class PlantPositionSpring(PlantEffect):
     """Torque = -stiffness x / (1 + |x| / a few turns), x being the angle from the rest."""
 
     adds_torque: ClassVar[bool] = True

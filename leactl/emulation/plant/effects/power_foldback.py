@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 STANDSTILL = 1e-6  # rad/s, below which no power flows
 
 
 @dataclass(frozen=True)
-class PowerFoldback(Effect):
+class PlantPowerFoldback(PlantEffect):
     """The current loop follows its reference as far as power allows."""
 
     power: float = bounded(1e6, 1e-3, 1e9)  # W

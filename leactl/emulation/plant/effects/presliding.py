@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 SLIDERS = 8
 
 
 @dataclass(frozen=True)
-class Presliding(Effect):
+class PlantPresliding(PlantEffect):
     """Spring-sliders that let go one after the other (Iwan, Prandtl): together a parabola up to `displacement`."""
 
     displacement: float = bounded(0.001, 1e-6, 1.0)  # rad

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class ResistanceTemperature(Effect):
+class PlantResistanceTemperature(PlantEffect):
     """Resistance x (1 + coefficient (winding - 25 degC))."""
 
     coefficient: float = bounded(0.0, 0.0, 0.02)  # 1/K

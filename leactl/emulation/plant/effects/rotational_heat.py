@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class RotationalHeat(Effect):
+class PlantRotationalHeat(PlantEffect):
     """Heat into the housing = fraction x (b w^2 + f |w|)."""
 
     fraction: float = bounded(0.0, 0.0, 10.0)

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Now, Value
+from leactl.emulation.plant.effects.contract import Now, PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class Saturation(Effect):
+class PlantSaturation(PlantEffect):
     """Torque constant / sqrt(1 + (i / knee)^2), the knee where `loss` is met at 25 A."""
 
     loss: float = bounded(0.0, 0.0, 0.9)

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class ShaftCompliance(Effect):
+class PlantShaftCompliance(PlantEffect):
     """Stiffness in place of the bench's."""
 
     stiffness: float = bounded(6000.0, 1.0, 1e7)

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from leactl.emulation.plant.effects.contract import Effect, Now, Value
+from leactl.emulation.plant.effects.contract import Now, PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class Stribeck(Effect):
+class PlantStribeck(PlantEffect):
     """Level = Coulomb (1 + ratio / (1 + (v / vs)^2)), the Lorentzian form of Hess and Soom."""
 
     breakaway_ratio: float = bounded(0.0, 0.0, 10.0)

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class ThirdThermalNode(Effect):
+class PlantThirdThermalNode(PlantEffect):
     """A capacity behind a resistance."""
 
     capacitance: float = bounded(500.0, 1e-3, 1e6)  # J/K

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class TorqueLimit(Effect):
+class PlantTorqueLimit(PlantEffect):
     """The current loop follows its reference up to a current."""
 
     current: float = bounded(1e4, 1e-3, 1e6)  # A

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Now, Value
+from leactl.emulation.plant.effects.contract import Now, PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class TorqueRipple(Effect):
+class PlantTorqueRipple(PlantEffect):
     """Torque constant x (1 + amplitude [sin(order angle + phase) + a fifth of it at twice the order])."""
 
     amplitude: float = bounded(0.0, 0.0, 1.0)

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class TorqueSensorCrosstalk(Effect):
+class PlantTorqueSensorCrosstalk(PlantEffect):
     """Reading = torque + amplitude sin(angle + phase)."""
 
     amplitude: float = bounded(0.0, 0.0, 100.0)  # N*m

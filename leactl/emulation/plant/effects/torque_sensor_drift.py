@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class TorqueSensorDrift(Effect):
+class PlantTorqueSensorDrift(PlantEffect):
     """Zero = rate x time, levelling off over ten minutes as an amplifier warms."""
 
     rate: float = bounded(0.0, -1.0, 1.0)  # N*m/s

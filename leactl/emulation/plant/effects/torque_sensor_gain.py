@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from leactl.emulation.plant.effects.contract import Effect
+from leactl.emulation.plant.effects.contract import PlantEffect
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class TorqueSensorGain(Effect):
+class PlantTorqueSensorGain(PlantEffect):
     """Reading = gain x torque."""
 
     gain: float = bounded(1.0, 0.1, 10.0)

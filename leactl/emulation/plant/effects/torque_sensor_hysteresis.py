@@ -5,14 +5,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 REACHES = np.array([0.1, 0.25, 0.5])  # of the swing
 
 
 @dataclass(frozen=True)
-class TorqueSensorHysteresis(Effect):
+class PlantTorqueSensorHysteresis(PlantEffect):
     """Sliders in the spring let go one after the other; the reading stays behind by what they hold."""
 
     needs_whole_record: ClassVar[bool] = True

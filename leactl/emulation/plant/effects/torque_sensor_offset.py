@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from leactl.emulation.plant.effects.contract import Effect
+from leactl.emulation.plant.effects.contract import PlantEffect
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class TorqueSensorOffset(Effect):
+class PlantTorqueSensorOffset(PlantEffect):
     """Reading = torque + offset."""
 
     offset: float = bounded(0.0, -100.0, 100.0)  # N*m

@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 
-from leactl.emulation.plant.effects.contract import Effect, Path
+from leactl.emulation.plant.effects.contract import Path, PlantEffect
 from leactl.emulation.plant.effects.memory import Delay
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class TransportDelay(Effect):
+class PlantTransportDelay(PlantEffect):
     """The reference as it was `delay` ago."""
 
     delay: float = bounded(0.0, 0.0, 0.5)  # s

@@ -5,12 +5,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect, Value
+from leactl.emulation.plant.effects.contract import PlantEffect, Value
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class Unbalance(Effect):
+class PlantUnbalance(PlantEffect):
     """Torque = amplitude sin(angle + phase)."""
 
     adds_torque: ClassVar[bool] = True

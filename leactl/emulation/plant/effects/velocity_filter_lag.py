@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 
-from leactl.emulation.plant.effects.contract import Effect, Path
+from leactl.emulation.plant.effects.contract import Path, PlantEffect
 from leactl.emulation.plant.effects.memory import Lag
 from leactl.emulation.plant.parameters import bounded
 
 
 @dataclass(frozen=True)
-class VelocityFilterLag(Effect):
+class PlantVelocityFilterLag(PlantEffect):
     """A further first-order lag."""
 
     time_constant: float = bounded(0.001, 1e-6, 10.0)  # s

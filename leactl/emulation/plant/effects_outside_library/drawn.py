@@ -5,11 +5,11 @@ from typing import Self
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect
+from leactl.emulation.plant.effects.contract import PlantEffect
 
 
 @dataclass(frozen=True)
-class Unlisted(Effect):
+class Unlisted(PlantEffect):
     """An effect without a name in the vocabulary."""
 
     @classmethod

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import RIG_HOOKS, Effect, own_hooks
+from leactl.emulation.plant.effects.contract import RIG_HOOKS, PlantEffect, own_hooks
 from leactl.emulation.plant.exact.propagator import TICK, TOP_LEVEL, Propagator
 from leactl.emulation.plant.exact.regime import (
     ANGLE,
@@ -128,7 +128,7 @@ class Rig:
         load: ActuatorParameters | None = None,
         bench: BenchParameters | None = None,
         seed: int = 0,
-        effects: Sequence[Effect] = (),
+        effects: Sequence[PlantEffect] = (),
     ) -> None:
         if setup not in SETUPS:
             raise InputError(f"setup {setup!r} is unknown; known are {', '.join(SETUPS)}")

@@ -24,8 +24,8 @@ class Heated(NamedTuple):
 def heat(lanes: Sequence[Lane], currents: Sequence[Array]) -> list[Heated]:
     """Run every lane to the end of its currents."""
     order = in_groups(lanes)
-    found = dict(zip(order, _heat([lanes[k] for k in order], [currents[k] for k in order]), strict=True))
-    return [found[k] for k in range(len(lanes))]
+    by_lane = dict(zip(order, _heat([lanes[k] for k in order], [currents[k] for k in order]), strict=True))
+    return [by_lane[k] for k in range(len(lanes))]
 
 
 def _heat(lanes: Sequence[Lane], currents: Sequence[Array]) -> list[Heated]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from leactl.emulation.plant.effects.contract import HOOKS, Effect, Now, own_hooks
+from leactl.emulation.plant.effects.contract import HOOKS, Now, PlantEffect, own_hooks
 from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ class Lane:
     test: ActuatorParameters = field(default_factory=ActuatorParameters)
     load: ActuatorParameters = field(default_factory=ActuatorParameters)
     bench: BenchParameters = field(default_factory=BenchParameters)
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[PlantEffect, ...] = ()
     angle: float = 0.0  # rad, of both rotors
     winding: float | None = None  # degC, of the test actuator; None is the ambient
     housing: float | None = None
@@ -37,7 +37,7 @@ class Lane:
 class Bound(NamedTuple):
     """One effect over the lanes of its group."""
 
-    effect: Effect
+    effect: PlantEffect
     row: int
     lanes: slice
     now: Now
@@ -80,7 +80,7 @@ def bind(lanes: Sequence[Lane]) -> dict[str, list[Bound]]:
     return bound
 
 
-def _kinds(lane: Lane) -> tuple[tuple[type[Effect], str], ...]:
+def _kinds(lane: Lane) -> tuple[tuple[type[PlantEffect], str], ...]:
     return tuple((type(effect), effect.role) for effect in lane.effects)
 
 

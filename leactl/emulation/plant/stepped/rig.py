@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from leactl.emulation.plant.effects.contract import Effect
+from leactl.emulation.plant.effects.contract import PlantEffect
 from leactl.emulation.plant.exact.rig import MODES, ROLES, SETUPS, UNPOWERED
 from leactl.emulation.plant.exact.rig_phases import refuse_idle_settings
 from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
@@ -29,7 +29,7 @@ class SteppedRig:
         test: ActuatorParameters | None = None,
         load: ActuatorParameters | None = None,
         bench: BenchParameters | None = None,
-        effects: Sequence[Effect] = (),
+        effects: Sequence[PlantEffect] = (),
     ) -> None:
         if setup not in SETUPS:
             raise InputError(f"setup {setup!r} is unknown; known are {', '.join(SETUPS)}")

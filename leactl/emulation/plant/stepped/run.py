@@ -65,8 +65,8 @@ def simulate(lanes: Sequence[Lane], programs: Sequence[Program]) -> list[Signals
     """Run every lane to the end of its program."""
     order = in_groups(lanes)
     signals = _simulate([lanes[k] for k in order], [programs[k] for k in order])
-    found = dict(zip(order, signals, strict=True))
-    return [found[k] for k in range(len(lanes))]
+    by_lane = dict(zip(order, signals, strict=True))
+    return [by_lane[k] for k in range(len(lanes))]
 
 
 def _simulate(lanes: Sequence[Lane], programs: Sequence[Program]) -> list[Signals]:
