@@ -10,6 +10,7 @@ from leactl.gap.replay.stretches import read_records
 from leactl.gap.setup import SetUpFault
 from leactl.gap.signals.record import Record
 from leactl.gap.simulated.comparing import (
+    by_free_runs,
     of_another_machine,
     parameters,
     settled,
@@ -71,17 +72,23 @@ def diagnose_against(case: SimulatedCase, progress: Progress = lambda _: None) -
     known = {(fault.name, fault.key) for fault in nominal.faults}
     fresh = [fault for fault in faults if (fault.name, fault.key) not in known]
     answer = _beyond(mended, nominal, (), fresh, progress)
-    both = side_by_side(mended.fitted, nominal, answer.extra.get("standing", ()))
+    if nominal.by_free_runs and nominal.causes:
+        progress("looking without the simulator's effects")
+        alone = _beyond(mended, nominal, [cause.effect for cause in nominal.causes], (), progress)
+        both = by_free_runs(nominal, alone)
+    else:
+        both = side_by_side(mended.fitted, nominal, answer.extra.get("standing", ()))
     if other := both.differing:
         progress(f"looking again without the simulator's {', '.join(other)}")
         answer = _beyond(mended, nominal, other, fresh, progress)
-    answer = settled(answer, both, bool(other))
+    beside = parameters(nominal, answer.calibration)
+    answer = settled(answer, both, any(item.differs for item in beside))
     notes = (*case.notes, *of_another_machine(answer.calibration), *shared_faults(nominal, faults))
     told = SimulatorAnswer(
         nominal.answer.verdict,
         nominal.answer.unexplained_probability,
         case.pairs,
-        parameters(nominal, answer.calibration),
+        beside,
         simulator_effects(nominal, both, faults),
         nominal.floors,
         nominal.answer.notes,

@@ -17,7 +17,7 @@ from leactl.gap.diagnosis import (
 from leactl.gap.search.evidence import PRIORS, Evidence
 from leactl.gap.search.parameters import effect_parameters, nominal_value
 from leactl.gap.search.regression import Candidate
-from leactl.gap.search.sets import ENTRY
+from leactl.gap.search.sets import ENTRY, FORM_ERROR
 from leactl.gap.setup import SetUpFault
 from leactl.gap.signals.record import Record
 from leactl.gap.simulated.known import KnownEffect, known_effects, without
@@ -77,6 +77,23 @@ def side_by_side(records: Sequence[Record], nominal: NominalOfSimulator, named: 
     return SideBySide(sizes, tuple(shown))
 
 
+def by_free_runs(nominal: NominalOfSimulator, alone: Diagnosis) -> SideBySide:
+    """The simulator's effects beside those of a servo's real runs that are diagnosed against its plain form.
+
+    Sizes are compared by the first parameter of each effect.
+    """
+    real = {cause.effect: cause.parameters for cause in alone.causes if cause.probability >= EFFECT}
+    sizes = {}
+    for cause in nominal.causes:
+        ours, theirs = cause.parameters, real.get(cause.effect, ())
+        differs = not theirs
+        if ours and theirs:
+            doubt = max(ENTRY * math.hypot(ours[0].std, theirs[0].std), math.sqrt(FORM_ERROR) * abs(ours[0].value))
+            differs = abs(theirs[0].value - ours[0].value) > doubt
+        sizes[cause.effect] = SizeInReal(theirs, differs, bool(theirs))
+    return SideBySide(sizes, ())
+
+
 def in_simulator(nominal: NominalOfSimulator, candidates: Sequence[Candidate]) -> dict[str, KnownEffect]:
     """What the simulated runs make of some forms of effects beyond those that the simulator is known to contain."""
     if not candidates:
@@ -91,18 +108,18 @@ def outgrows(real: KnownEffect, simulated: KnownEffect) -> bool:
     return not simulated.shows or real.size > ENTRY * simulated.size
 
 
-def settled(answer: Diagnosis, both: SideBySide, changed: bool) -> Diagnosis:
+def settled(answer: Diagnosis, both: SideBySide, parameters_differ: bool) -> Diagnosis:
     """The answer without causes that the simulator has as well, and its verdict.
 
-    changed : whether an effect of the simulator has another size in the real runs; where nothing is named, that size is
-        what calibration has to change.
+    Where nothing is named, calibration has to change what differs beyond both errors: a parameter, or the size of an
+    effect of the simulator.
     """
     causes = tuple(cause for cause in answer.causes if cause.effect not in both.alike)
     verdict = answer.verdict
     if verdict == "effect" and not any(cause.probability >= EFFECT for cause in causes):
-        verdict = "unknown" if answer.unexplained_probability >= UNKNOWN else "calibration"
-    if verdict == "none" and changed:
-        verdict = "calibration"
+        verdict = "unknown" if answer.unexplained_probability >= UNKNOWN else "none"
+    if verdict in ("none", "calibration"):
+        verdict = "calibration" if parameters_differ or both.differing else "none"
     told = tuple(f"not named: {name}; the simulated runs show as much of it" for name in both.shown_too)
     return replace(answer, causes=causes, verdict=verdict, notes=(*told, *answer.notes))
 
@@ -110,7 +127,7 @@ def settled(answer: Diagnosis, both: SideBySide, changed: bool) -> Diagnosis:
 def parameters(nominal: NominalOfSimulator, real: Sequence[CalibratedParameter]) -> tuple[EffectiveParameter, ...]:
     """Parameters of the simulator beside those of the real runs."""
     fitted = {item.parameter: item for item in real}
-    return tuple(_parameter(nominal, item, fitted.get(item.parameter)) for item in nominal.answer.calibration)
+    return tuple(_parameter(nominal, item, fitted.get(item.parameter)) for item in nominal.parameters)
 
 
 def _parameter(

@@ -34,9 +34,11 @@ class NominalOfSimulator:
     model: Model  # with effects
     answer: Diagnosis  # of the simulated runs against the plain form
     faults: tuple[SetUpFault, ...]  # of the simulated runs' set-up
+    parameters: tuple[CalibratedParameter, ...]  # of the plain form, as the simulated runs have them
     effects: tuple[KnownEffect, ...]  # that can be taken from equations
     causes: tuple[Cause, ...]  # effects of the model, in the form of an answer
     records: tuple[Record, ...]  # simulated runs that were fitted
+    by_free_runs: bool  # of a position servo, whose effects are fitted by simulation and not in equations
 
     @property
     def floors(self) -> tuple[SimulatorFloor, ...]:
@@ -58,10 +60,6 @@ class NominalOfSimulator:
         """The same by channel."""
         return {(line.quantity, line.role, line.mechanical): line.left_rms for line in self.floors}
 
-    def std(self, parameter: str) -> float:
-        """Standard error of a parameter on the simulated runs; zero where it was not fitted."""
-        return next((item.std for item in self.answer.calibration if item.parameter == parameter), 0.0)
-
     def without(self, names: Sequence[str]) -> Model:
         """The nominal without some of its effects."""
         kept = [entry for entry in self.model.effects if entry.effect not in names]
@@ -81,21 +79,33 @@ def nominal_of(
     """
     plain = model.model_copy(update={"effects": []})
     faults, mended = without_faults(Case(plain, list(fitted), list(held_out)))
-    near = plain if judged_by_runs(plain, mended.fitted) else near_start(mended.fitted, plain)
+    by_free_runs = judged_by_runs(plain, mended.fitted)
+    near = plain if by_free_runs else near_start(mended.fitted, plain)
     answer = diagnose_mended(replace(mended, model=near), faults, progress)
     with_them: Model = answer.extra["augmented"]
     base = with_them.model_copy(update={"effects": []})
     present = {entry.effect for entry in with_them.effects}
     causes = tuple(c for c in answer.causes if c.effect in present and c.probability >= EFFECT)
-    candidates = [candidate for candidate in answer.extra.get("standing", ()) if candidate[0] in present]
+    standing = () if by_free_runs else answer.extra.get("standing", ())
+    candidates = [candidate for candidate in standing if candidate[0] in present]
     evidence = Evidence(mended.fitted, base, only=candidates)
     fit = evidence.settle(candidates)
     effects = known_effects(evidence, fit, candidates)
     sizes = {effect.name: effect_parameters(evidence, fit, effect.candidate) for effect in effects}
     causes = tuple(replace(c, parameters=sizes.get(c.effect, c.parameters)) for c in causes)
     entries = [(cause.effect, {item.name: item.value for item in cause.parameters}) for cause in causes]
+    kept = (replace(item, fitted=item.nominal) for item in calibrated(evidence, fit))
     return NominalOfSimulator(
-        model, base, with_effects(base, entries), answer, tuple(faults), effects, causes, tuple(mended.fitted)
+        model,
+        base,
+        with_effects(base, entries),
+        answer,
+        tuple(faults),
+        answer.calibration or tuple(kept),
+        effects,
+        causes,
+        tuple(mended.fitted),
+        by_free_runs,
     )
 
 
