@@ -114,8 +114,10 @@ def analyze(runs: Place | Iterable[Place], experiment: str = "", **options: floa
 def diagnose(
     fit: Place | Iterable[Place],
     held_out: Place | Iterable[Place],
-    model: Place,
+    model: Place | None = None,
     progress: Callable[[str], None] = lambda _: None,
+    *,
+    simulated: Place | Iterable[Place] = (),
 ) -> Diagnosis:
     """Say where a model and runs disagree, which unmodelled effect causes it, and how far the gap shrinks.
 
@@ -123,17 +125,19 @@ def diagnose(
     ----------
     fit : run files to learn from.
     held_out : those to judge on; where there are none, runs of `fit` are held out by leactl.
-    model : the nominal model's file.
+    model : the nominal model's file; it may be left out where simulated runs carry one.
     progress : is told each step as it begins.
+    simulated : runs of a simulator on the same inputs: it is the nominal then, and the model only begins its fit.
 
     Raises
     ------
-    InputError : files that cannot be used, or runs with nothing that the model could be checked with.
+    InputError : files that cannot be used, runs with nothing that the model could be checked with, or simulated runs of
+        other inputs or of another machine.
     """
-    from leactl.gap.diagnose import diagnose as answer
-    from leactl.gap.diagnose import read_case
+    from leactl.gap.simulated.request import answer_of
 
-    return Diagnosis(**vars(answer(read_case(_paths(fit), _paths(held_out), Path(model)), progress)))
+    start = None if model is None else Path(model)
+    return Diagnosis(**vars(answer_of(_paths(fit), _paths(held_out), start, _paths(simulated), progress)))
 
 
 def simulate(model: Place, run: Place, out: Place | None = None) -> Simulated:

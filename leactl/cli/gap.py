@@ -18,14 +18,32 @@ app.add_typer(blind, name="blind", help="Check the diagnosis on causes nobody to
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 FRESH = 10**6  # seeds that are drawn where none is given: short enough to type
 JSON, TO_STDOUT, RUN_FILE = "--json", "-", ".h5"
+SIMULATED = "--simulated"
 
 
-class JsonToFileOrStdout(TyperCommand):
-    """Lets `--json` stand alone, for stdout as in every other command, or before the file to write."""
+class RunsOfTwoSides(TyperCommand):
+    """Lets `--json` stand alone or before the file to write, and `--simulated` before as many runs as follow."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put `-` behind a `--json` that no file to write follows: an option, a run or nothing does."""
-        return super().parse_args(ctx, completed(args))
+        """Put `-` behind a `--json` that no file to write follows, and `--simulated` before each of its runs.
+
+        A model may be left out where there are simulated runs.
+        """
+        for parameter in self.params:
+            if parameter.name == "model":
+                parameter.required = SIMULATED not in args
+        return super().parse_args(ctx, completed(repeated(args)))
+
+
+def repeated(args: list[str]) -> list[str]:
+    """The words of a command line with `--simulated` before each run up to the next option, as a shell expands `*`."""
+    words: list[str] = []
+    several = False
+    for index, word in enumerate(args):
+        follows = index > 0 and args[index - 1] == SIMULATED
+        several = word == SIMULATED or (several and not (word.startswith("-") and not follows))
+        words += [SIMULATED, word] if several and word != SIMULATED and not follows else [word]
+    return words
 
 
 def completed(args: list[str]) -> list[str]:
@@ -42,16 +60,22 @@ def completed(args: list[str]) -> list[str]:
 
 @app.command(
     "diagnose",
-    cls=JsonToFileOrStdout,
+    cls=RunsOfTwoSides,
     epilog=examples(
         "gap diagnose *-a.h5 --held-out *-b.h5 --model nominal.yaml",
         "gap diagnose runs/*.h5 --model nominal.yaml --html gap.html",
+        "gap diagnose real/*.h5 --simulated sim/*.h5 --model nominal.yaml",
     ),
 )
 def diagnose_runs(
     runs: list[Path] = typer.Argument(metavar="RUN...", help="Run files to learn from."),
-    model: Path = typer.Option(..., "--model", help="Nominal model, a .yaml."),
+    model: Path | None = typer.Option(
+        None, "--model", help="Nominal model, a .yaml; may be left out where simulated runs carry one."
+    ),
     held_out: list[Path] = typer.Option([], "--held-out", help="A run to judge on; may be repeated."),
+    simulated: list[Path] = typer.Option(
+        [], SIMULATED, metavar="RUN...", help="Runs of a simulator on the same inputs, which then is the nominal."
+    ),
     json_out: Path | None = typer.Option(
         None, JSON, metavar="[OUT.json]", help="Print JSON on stdout, or write it to OUT.json."
     ),
@@ -59,15 +83,15 @@ def diagnose_runs(
     write_model: Path | None = typer.Option(None, "--write-model", help="Write the calibrated, augmented model."),
 ) -> None:
     """Say where the model and the runs disagree, which unmodelled effect causes it, and how far the gap shrinks."""
-    from leactl.gap.diagnose import diagnose, read_case
+    from leactl.gap.simulated.request import answer_of
     from leactl.report.gap import print_diagnosis
     from leactl.report.gap_files import STDOUT, Outputs
     from leactl.report.steps import Steps
 
     outputs = Outputs(json_out, html, write_model)
-    outputs.check([*runs, *held_out, model])
+    outputs.check([*runs, *held_out, *simulated, *([] if model is None else [model])])
     with Steps() as step:
-        answer = diagnose(read_case(runs, held_out, model), step)
+        answer = answer_of(runs, held_out, model, simulated, step)
         step("writing")
         outputs.write(answer)
     if json_out != STDOUT:

@@ -1,7 +1,7 @@
 """The whole diagnosis: calibrate, search, judge, and measure on held-out runs how far the gap shrinks."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import numpy as np
 from leactl.effects import library
 from leactl.errors import InputError
 from leactl.gap.diagnosis import CalibratedParameter, Cause, Diagnosis, EffectParameter, Verdict
-from leactl.gap.null import compare, confirmed_beside_others, measure
+from leactl.gap.null import beside, compare, confirmed_beside_others, measure
 from leactl.gap.planning.separating import separating_experiment
 from leactl.gap.replay.stretches import read_records
 from leactl.gap.search.confirm import held_out_gains
@@ -23,7 +23,7 @@ from leactl.gap.search.stamp_fit import LATEST
 from leactl.gap.servo import answer as servo_answer
 from leactl.gap.servo.ladder import climb
 from leactl.gap.servo.runs import side_by_side
-from leactl.gap.setup import mended
+from leactl.gap.setup import SetUpFault, mended
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.rig import DRIVES, VOLTAGE, Array
 from leactl.gap.signals.setpoints import marked, setpoint_notes
@@ -47,7 +47,7 @@ COURSE, ALIKE = 64, 0.95  # points of a course, and the cosine from which two ar
 STEPS = 2  # of Gauss and Newton after the first, where an effect multiplies parameters
 RIG = ("drive_gain", "load_mass", "load_length", "load_arm_mass")  # by which runs of a protocol differ in kind
 Progress = Callable[[str], None]
-Channel = tuple[str, str, str]  # equation, quantity and mechanical set-up
+Channel = tuple[str, str, str]  # equation or quantity, quantity or role, and mechanical set-up
 
 
 @dataclass
@@ -57,6 +57,10 @@ class Case:
     model: Model
     fitted: list[Record]
     held_out: list[Record]
+    simulated: list[Record] = field(default_factory=list)  # runs of the simulator whose nominal the model is
+    unexplained: dict[Channel, float] = field(default_factory=dict)
+    """Root mean square, in the channel's units, that the simulator leaves over its own floor."""
+    nominal: Model | None = None  # that gaps are told from; `model` where left out
 
 
 def read_case(runs: Sequence[Path], held_out: Sequence[Path], model: Path) -> Case:
@@ -132,12 +136,28 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     InputError : the runs hold nothing that any equation of the model can be checked with.
     """
     progress("looking for faults of the set-up")
+    faults, again = without_faults(case)
+    return diagnose_mended(again, faults, progress)
+
+
+def without_faults(case: Case) -> tuple[list[SetUpFault], Case]:
+    """Faults of the set-up that the runs of a case show, and the case with the runs mended."""
     faults, records = mended([*case.fitted, *case.held_out], case.model, len(case.held_out))
+    count = len(case.fitted)
+    return faults, replace(case, fitted=records[:count], held_out=records[count:]) if faults else case
+
+
+def diagnose_mended(case: Case, faults: Sequence[SetUpFault], progress: Progress) -> Diagnosis:
+    """Answer for a case whose runs are mended: the faults that they had are the first causes.
+
+    Raises
+    ------
+    InputError : no fault is known, and the runs hold nothing that any equation of the model can be checked with.
+    """
     if not faults:
         return diagnose_effects(case, progress)
-    again = Case(case.model, records[: len(case.fitted)], records[len(case.fitted) :])
     try:
-        of_effects = diagnose_effects(again, progress)
+        of_effects = diagnose_effects(case, progress)
     except InputError as error:  # without the channel at fault nothing can be checked: the fault is the answer
         same = {"calibrated": case.model, "augmented": case.model, "traces": (), "profiles": ()}
         of_effects = Diagnosis("none", 0.0, notes=tuple(error.faults), extra=same)
@@ -155,7 +175,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
     """
     progress("reading equations")
     every = marked([*case.fitted, *case.held_out], case.model)
-    case = Case(case.model, every[: len(case.fitted)], every[len(case.fitted) :])
+    case = replace(case, fitted=every[: len(case.fitted)], held_out=every[len(case.fitted) :])
     evidence = Evidence(case.fitted, case.model)
     if not evidence.stack.rows:
         raise InputError(
@@ -164,6 +184,8 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
         )
     progress("measuring sound machines")
     null = measure(case.fitted, case.model)
+    if case.simulated:
+        null = beside(null, case.simulated, case.model)
     compare(evidence, null)
     progress("searching effects")
     searched = confirmed_beside_others(evidence, search(evidence))
@@ -208,7 +230,9 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
         calibrated_alone,
         [named] if by_runs and named else [[cause] for cause in named],
         refit,
-        lambda tuned, augmented: shrinkage(replayed, case.model, tuned, augmented),
+        lambda tuned, augmented: shrinkage(
+            replayed, case.nominal or case.model, tuned, augmented, unexplained=case.unexplained
+        ),
         bounded_fit=not by_runs,
         in_equations={effect for (effect, _), tried in gains.items() if tried.least > 0.0 and not by_runs},
     )
@@ -256,6 +280,7 @@ def diagnose_effects(case: Case, progress: Progress) -> Diagnosis:
         {
             "calibrated": applied.calibrated,
             "augmented": applied.augmented,
+            "standing": tuple(standing),
             "traces": shrunk.traces,
             "profiles": profiles(replayed, shrunk.channels, located),
         },

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 FORMAT, VERSION = "leactl-gap", 1
 Verdict = Literal["none", "calibration", "effect", "unknown"]
+Presence = Literal["alike", "differs", "absent", "not asked"]  # of an effect of a simulator, in the real runs
 
 
 @dataclass(frozen=True)
@@ -147,6 +148,76 @@ class Shrinkage:
 
 
 @dataclass(frozen=True)
+class SimulatedRun:
+    """A simulated run and the real one whose inputs it has."""
+
+    real: str  # path
+    simulated: str
+    paired_by: Literal["name", "experiment", "inputs", "order"]
+
+
+@dataclass(frozen=True)
+class EffectiveParameter:
+    """A parameter of the model, as the simulated runs and as the real ones have it."""
+
+    parameter: str
+    start: float  # of the model that the fits began with
+    simulated: float
+    simulated_std: float
+    real: float | None  # null where nothing is calibrated for the real runs
+    real_std: float | None
+    differs: bool  # beyond both uncertainties
+    units: str
+
+
+@dataclass(frozen=True)
+class SizeInBoth:
+    """A parameter of an effect that the simulator contains; in the real runs in the same form."""
+
+    name: str
+    simulated: float
+    simulated_std: float
+    real: float | None  # null where the real runs were not asked
+    real_std: float | None
+    units: str
+
+
+@dataclass(frozen=True)
+class SimulatorEffect:
+    """An effect that the simulator itself shows against the plain form of the model, or a fault of its set-up."""
+
+    effect: str
+    in_real: Presence
+    parameters: tuple[SizeInBoth, ...]
+    indistinguishable_from: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class SimulatorFloor:
+    """What the simulator leaves of one channel against its fitted form, on its own held-out runs."""
+
+    quantity: str
+    role: str
+    mechanical: str
+    units: str
+    left_rms: float  # beyond noise and replay
+    floor_rms: float  # of noise and replay
+
+
+@dataclass(frozen=True)
+class SimulatorAnswer:
+    """What the simulator contains whose runs are the nominal."""
+
+    verdict: Verdict  # of the simulated runs against the plain form
+    unexplained_probability: float
+    runs: tuple[SimulatedRun, ...]
+    parameters: tuple[EffectiveParameter, ...]
+    effects: tuple[SimulatorEffect, ...]
+    floors: tuple[SimulatorFloor, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The whole answer."""
 
@@ -159,11 +230,14 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     unexplained: Rest | None = None  # where something acts that no effect explains
     extra: dict[str, Any] = field(default_factory=dict, compare=False)  # for reports, not part of the JSON
+    simulator: SimulatorAnswer | None = None  # where simulated runs are the nominal; else not part of the JSON
 
     def as_json(self) -> dict[str, Any]:
         """The document; a number that is not known is null."""
         body = asdict(replace(self, extra={}))
         body.pop("extra")
+        if self.simulator is None:
+            body.pop("simulator")
         clean: dict[str, Any] = _finite({"format": FORMAT, "format_version": VERSION, **body})
         return clean
 

@@ -85,6 +85,31 @@ def measure(
     return shown.null(moved, kept)
 
 
+def beside(null: Null, records: Sequence[Record], model: Model) -> Null:
+    """The null with what runs of another simulator of the same machine show in it, whose nominal the model is.
+
+    The variance that they leave over counts where it is larger, not its ratio to their noise: a simulator may write
+    none. The size of each effect there is combined with its floor in quadrature, but for waves over the angle: their
+    one floor stands for all orders, and a simulator's own wave of one order says nothing of another.
+    """
+    shown = Shown()
+    shown.look(Evidence(records, model, kept=null.kept))
+    own = shown.null(null.moved, null.kept)
+    left = {key: max(value, own.left.get(key, 0.0)) for key, value in null.left.items()}
+    floors = {
+        effect: np.hypot(sizes, own.floors[effect]).tolist()
+        if len(own.floors.get(effect, ())) == len(sizes) and not library()[effect].periodic
+        else list(sizes)
+        for effect, sizes in null.floors.items()
+    }
+    loud = {key[0] for key, value in own.left.items() if value > null.left.get(key, math.inf)}
+    lines = {
+        channel: max(height, own.lines.get(channel, 0.0)) if channel[0] in loud else height
+        for channel, height in null.lines.items()
+    }
+    return replace(null, left=left, floors=floors, lines=lines)
+
+
 def compare(evidence: Evidence, null: Null) -> None:
     """Take what sound machines show in the runs of a case as its floors.
 

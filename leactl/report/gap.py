@@ -6,6 +6,15 @@ import textwrap
 from collections.abc import Sequence
 
 from leactl.gap.diagnosis import Cause, Diagnosis, Shrinkage
+from leactl.report.gap_simulator import (
+    EFFECTS,
+    FLOORS,
+    PARAMETERS,
+    effect_rows,
+    floor_rows,
+    parameter_rows,
+    summary,
+)
 from leactl.report.gap_words import (
     CLOSES_NOTHING,
     bare_units,
@@ -51,6 +60,7 @@ def render(answer: Diagnosis, width: int = 80, encoding: str = "utf-8") -> str:
     width = min(max(width, SMALLEST), WIDEST)
     parts = [
         what(answer, width),
+        simulator(answer, width),
         not_explained(answer, width),
         how_far(answer, width),
         where(answer, width),
@@ -74,6 +84,20 @@ def what(answer: Diagnosis, width: int) -> str:
     if closes_nothing(answer):
         said.append(filled(CLOSES_NOTHING, width))
     return "\n".join(said)
+
+
+def simulator(answer: Diagnosis, width: int) -> str:
+    """What a simulator that stands for the model contains, and what it leaves over; empty where none does."""
+    nominal = answer.simulator
+    if nominal is None:
+        return ""
+    said = [filled(sentence, width) for sentence in summary(nominal, claims(answer.causes))]
+    tables = (
+        (PARAMETERS, parameter_rows(nominal)),
+        (EFFECTS, effect_rows(nominal)),
+        (FLOORS, floor_rows(nominal)),
+    )
+    return "\n\n".join(["\n".join(said), *(table(headings, rows, width) for headings, rows in tables if rows)])
 
 
 def not_explained(answer: Diagnosis, width: int) -> str:

@@ -5,11 +5,21 @@ Nothing is loaded from anywhere and nothing moves: it can be mailed, printed and
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
 from leactl.gap.diagnosis import Cause, Diagnosis, Shrinkage
 from leactl.report.gap_figures import figures, pictures, shapes_of
+from leactl.report.gap_simulator import (
+    EFFECTS,
+    FLOORS,
+    PARAMETERS,
+    effect_rows,
+    floor_rows,
+    parameter_rows,
+    summary,
+)
 from leactl.report.gap_style import STYLE
 from leactl.report.gap_words import (
     CLOSES_NOTHING,
@@ -58,6 +68,7 @@ def page(answer: Diagnosis, preface: Html = NOTHING) -> str:
         tag("h1", f"Gap between model and bench{of}"),
         headline(answer),
         preface,
+        section("The simulator", simulator(answer)),
         section("Causes", causes(answer)),
         section("What each effect explains", tag("div", *drawn, class_="pictures") if drawn else NOTHING),
         section("What is not explained", not_explained(answer)),
@@ -131,6 +142,22 @@ def cause(item: Cause, closes_no_gap: bool) -> Html:
     if item.separating_experiment:
         said.append(tag("p", "To separate: ", tag("code", f"leactl run {item.separating_experiment}")))
     return tag("li", *said)
+
+
+def simulator(answer: Diagnosis) -> Html:
+    """What a simulator that stands for the model contains, and what it leaves over; empty where none does."""
+    nominal = answer.simulator
+    if nominal is None:
+        return NOTHING
+    tables = (
+        (PARAMETERS, parameter_rows(nominal)),
+        (EFFECTS, effect_rows(nominal)),
+        (FLOORS, floor_rows(nominal)),
+    )
+    said = tag("p", " ".join(summary(nominal, claims(answer.causes))))
+    pairs = [tag("li", f"{Path(pair.simulated).name} for {Path(pair.real).name}") for pair in nominal.runs]
+    runs = tag("details", tag("summary", "Runs"), tag("ul", *pairs))
+    return joined([said, *(table(list(heads), rows, "figures") for heads, rows in tables if rows), runs])
 
 
 def not_explained(answer: Diagnosis) -> Html:

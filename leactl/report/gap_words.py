@@ -13,6 +13,7 @@ from leactl.gap.diagnosis import (
     Region,
     Rest,
     Shrinkage,
+    SimulatorFloor,
     Where,
 )
 from leactl.report.terminal import number
@@ -70,7 +71,7 @@ def meaning(effect: str) -> str:
     return setup_faults()[effect].meaning if effect in setup_faults() else ""
 
 
-def label(item: Channel, among: Sequence[Channel]) -> str:
+def label(item: Channel | SimulatorFloor, among: Sequence[Channel | SimulatorFloor]) -> str:
     """A channel's name; its role only where another of the same quantity and set-up stands beside it."""
     roles = {other.role for other in among if (other.quantity, other.mechanical) == (item.quantity, item.mechanical)}
     return ", ".join(filter(None, [item.quantity, item.mechanical, item.role if len(roles) > 1 else ""]))

@@ -36,6 +36,14 @@ def schema_of(rows: list[tuple[str, str, str]]) -> JsonSchema:
     return whole
 
 
+def fits_the_page(title: str, answer: Any) -> None:
+    """Raise AssertionError where an answer has keys or values that its table on the page does not."""
+    from tests.cli.test_schema import misfits
+
+    schema = schema_of(sections()[title][1])
+    assert list(misfits(answer, schema, schema)) == []
+
+
 def _member(owner: JsonSchema, part: str) -> JsonSchema:
     """The schema of a key of an object; of the items where it is a list."""
     owner.setdefault("type", "object")

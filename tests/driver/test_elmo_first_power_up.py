@@ -4,10 +4,10 @@ import math
 import struct
 
 import pytest
+from leactl_plugins.elmo_can.driver import ENABLE_TIME_S
 
 from leactl.driver.contract import Mode
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
-from leactl_plugins.elmo_can.driver import ENABLE_TIME_S
 
 from .elmo_bench import q_axis
 from .failing import COUNTS

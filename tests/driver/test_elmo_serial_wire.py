@@ -28,6 +28,7 @@ from leactl.driver.serial_port import SerialPort
 from leactl.emulation.clock import EmulatedClock
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.runner.own_recording import save_recording
+from tests.cli.answers import fits_the_page
 from tests.cli.terminal import leactl
 
 from .elmo_serial_bench import ElmoSerialBench
@@ -848,6 +849,7 @@ def test_a_recording_is_saved_as_a_table_that_the_importer_reads(make_serial_dri
     told = json.loads(done.stdout)
     assert told == {"file": str(target), "columns": told["columns"], "rows": 50, "interval_s": pytest.approx(1e-4)}
     assert told["columns"] == ["VX (counts/s)", "PX (counts)", "IQ (A)"]
+    fits_the_page("A recording of a drive", told)
     signals = {
         "speed": {"column": "VX", "quantity": "velocity"},
         "place": {"column": "PX", "quantity": "angle"},

@@ -9,6 +9,7 @@ import yaml
 
 from leactl.exchange.playing import play
 from leactl.gap.signals.record import Clocked, Record
+from tests.cli.answers import fits_the_page
 from tests.cli.terminal import leactl
 from tests.exchange.robots import MOTOR, chain, leg
 from tests.exchange.withheld import KINDS, Leg, recorded
@@ -41,6 +42,7 @@ def test_three_withheld_effects_are_named_and_the_gap_closes_in_mujoco(workshop)
     done = leactl(*words(workshop, "--supply", "24", "--write-model", workshop / "augmented.yaml", "--json"))
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
+    fits_the_page("A closed loop", answer)
     assert set(answer["named"]) == NAMES
     assert answer["closed"] >= 0.8
     whole = answer["all"]

@@ -16,6 +16,7 @@ from leactl.bench import benchfile
 from leactl.bench.wire_replay import ReplayWiring, replay
 from leactl.bench.wire_trace import HEAD, KINDS, TraceLine, WireTrace, frame_text, read_trace
 from leactl.errors import InputError
+from tests.cli.answers import fits_the_page
 from tests.cli.terminal import leactl
 
 PROTOCOL = """
@@ -107,6 +108,7 @@ def test_a_reading_that_differs_is_named(traced, tmp_path):
     assert "drive_test: end_cycle ended with" in done.stderr
     told = json.loads(leactl("driver", "replay", changed, "--bench", bench, "--json").stdout)
     assert told["difference"]["owner"] == "drive_test"
+    fits_the_page("A trace, replayed", told)
 
 
 def test_a_trace_that_was_cut_off_is_replayed_as_far_as_it_goes(traced, tmp_path):

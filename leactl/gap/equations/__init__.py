@@ -27,7 +27,7 @@ FAST = (
 
 
 def equations(record: Record, model: Model) -> list[Equation]:
-    """Every equation that a run has the channels for."""
+    """Every equation that a run has the channels for, without what effects of its nominal do."""
     built: list[Equation] = []
     slow = slow_signals(record, model)
     fast = fast_signals(record, model, slow)
@@ -44,4 +44,4 @@ def equations(record: Record, model: Model) -> list[Equation]:
     if slow is not None and record.slow is not None and not record.slow.aside:
         line = electrical.line_voltage(record, slow)
         built += ([line] if line is not None else []) + thermal.temperatures(record, slow)
-    return built
+    return built if record.nominal_effects is None else record.nominal_effects(built)

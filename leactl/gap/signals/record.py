@@ -3,8 +3,10 @@
 A sample that is NaN in the file is bridged for the filters and left out of every row that it touches.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -104,6 +106,8 @@ class Record:
     notes: list[str] = field(default_factory=list)
     condition: str = ""  # on the bench; empty where the file names none
     stretch: str = ""  # where in the run it begins; empty where it is the whole run
+    nominal_effects: Callable[[list[Any]], list[Any]] | None = None
+    """Takes from the equations of this run what effects of the nominal do; None where the nominal has none."""
 
     @property
     def run(self) -> str:

@@ -1,8 +1,8 @@
 """How far the gap shrinks on held-out runs: measured minus simulated again, before and after, against the floor."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -72,12 +72,24 @@ class Shrunk:
     growth: Growth
 
 
-def shrinkage(records: Sequence[Record], nominal: Model, calibrated: Model, augmented: Model, seed: int = 0) -> Shrunk:
+def shrinkage(
+    records: Sequence[Record],
+    nominal: Model,
+    calibrated: Model,
+    augmented: Model,
+    seed: int = 0,
+    unexplained: Mapping[tuple[str, str, str], float] | None = None,
+) -> Shrunk:
     """Simulate held-out runs again with three models and compare.
 
     The floor is the augmented model against its own output, the channels' noise, quantisation and the noise of its
     start and inputs added. Intervals come from resampling blocks of one second (a twentieth of the run for
     temperatures).
+
+    Parameters
+    ----------
+    unexplained : by quantity, role and set-up: root mean square that a simulator leaves over its own floor, in the
+        channel's units; it joins the floor.
 
     Raises
     ------
@@ -99,6 +111,11 @@ def shrinkage(records: Sequence[Record], nominal: Model, calibrated: Model, augm
     jobs = [job for _, own, noisy in sets for job in (*{id(job): job for job in own}.values(), noisy)]
     replay_all(jobs)
     channels = [one for record, own, noisy in sets for one in compare(record, own, noisy)]
+    if unexplained:
+        channels = [
+            replace(one, noise=math.hypot(one.noise, unexplained.get((one.quantity, one.role, one.mechanical), 0.0)))
+            for one in channels
+        ]
     grouped: dict[tuple[str, str, str], list[Compared]] = {}
     for one in channels:
         grouped.setdefault((one.quantity, one.role, one.mechanical), []).append(one)

@@ -1,0 +1,116 @@
+"""Real runs against a simulator's: what they have beyond it, and what the simulator itself contains."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from leactl.gap.diagnose import Case, Progress, diagnose_mended, read_case, split, without_faults
+from leactl.gap.diagnosis import Diagnosis, SimulatedRun, SimulatorAnswer
+from leactl.gap.replay.stretches import read_records
+from leactl.gap.setup import SetUpFault
+from leactl.gap.signals.record import Record
+from leactl.gap.simulated.comparing import (
+    by_free_runs,
+    of_another_machine,
+    parameters,
+    settled,
+    shared_faults,
+    side_by_side,
+    simulator_effects,
+)
+from leactl.gap.simulated.known import without
+from leactl.gap.simulated.nominal import NominalOfSimulator, nominal_of
+from leactl.gap.simulated.pairing import paired
+
+
+@dataclass
+class SimulatedCase:
+    """Real runs, and the simulated ones that stand for the model."""
+
+    real: Case
+    pairs: tuple[SimulatedRun, ...]
+    fitted: list[Record]  # simulated
+    held_out: list[Record]
+    notes: tuple[str, ...]
+
+
+def read_simulated_case(
+    runs: Sequence[Path], held_out: Sequence[Path], model: Path, simulated: Sequence[Path]
+) -> SimulatedCase:
+    """Read both sides at the door, and hold the inputs of every real run against those of its simulated one.
+
+    Raises
+    ------
+    InputError : files that cannot be used, a real run without a simulated one, or with other inputs.
+    """
+    case = read_case(runs, held_out, model)
+    pairs = paired(list(dict.fromkeys([*runs, *held_out])), list(dict.fromkeys(simulated)))
+    kinds = {record.path: record.kind for record in (*case.fitted, *case.held_out)}
+    real_of = {Path(pair.simulated): Path(pair.real) for pair in pairs}
+    found = read_records(list(real_of))
+    records = [replace(r, kind=kinds[real]) for path, real in real_of.items() for r in found[path]]
+    unused = [str(path) for path in dict.fromkeys(simulated) if path not in real_of]
+    notes = (f"simulated runs that belong to no real run: {', '.join(unused)}",) if unused else ()
+    return SimulatedCase(case, pairs, *split(records), notes)
+
+
+def diagnose_against(case: SimulatedCase, progress: Progress = lambda _: None) -> Diagnosis:
+    """Answer what real runs have beyond a simulator.
+
+    The simulated runs are diagnosed against the plain form of the model. Their parameters and effects are the nominal,
+    what they leave over joins the floors. An effect that both have is not named, unless the sizes differ beyond both
+    errors: then the real runs are diagnosed again without it in the nominal.
+
+    Raises
+    ------
+    InputError : runs that cannot be checked with the model, or simulated ones of another machine.
+    """
+    nominal = nominal_of(case.fitted, case.held_out, case.real.model, _labelled("simulated runs: ", progress))
+    progress = _labelled("real runs: ", progress)
+    progress("looking for faults of the set-up")
+    faults, mended = without_faults(replace(case.real, model=nominal.plain))
+    known = {(fault.name, fault.key) for fault in nominal.faults}
+    fresh = [fault for fault in faults if (fault.name, fault.key) not in known]
+    answer = _beyond(mended, nominal, (), fresh, progress)
+    if nominal.by_free_runs and nominal.causes:
+        progress("looking without the simulator's effects")
+        alone = _beyond(mended, nominal, [cause.effect for cause in nominal.causes], (), progress)
+        both = by_free_runs(nominal, alone)
+    else:
+        both = side_by_side(mended.fitted, nominal, answer.extra.get("standing", ()))
+    if other := both.differing:
+        progress(f"looking again without the simulator's {', '.join(other)}")
+        answer = _beyond(mended, nominal, other, fresh, progress)
+    beside = parameters(nominal, answer.calibration)
+    answer = settled(answer, both, any(item.differs for item in beside))
+    notes = (*case.notes, *of_another_machine(answer.calibration), *shared_faults(nominal, faults))
+    told = SimulatorAnswer(
+        nominal.answer.verdict,
+        nominal.answer.unexplained_probability,
+        case.pairs,
+        beside,
+        simulator_effects(nominal, both, faults),
+        nominal.floors,
+        nominal.answer.notes,
+    )
+    return replace(answer, notes=(*notes, *answer.notes), simulator=told)
+
+
+def _labelled(label: str, progress: Progress) -> Progress:
+    return lambda step: progress(label + step)
+
+
+def _beyond(
+    mended: Case, nominal: NominalOfSimulator, other: Sequence[str], faults: Sequence[SetUpFault], progress: Progress
+) -> Diagnosis:
+    """Diagnose real runs against the nominal without some of its effects."""
+    kept = [effect for effect in nominal.effects if effect.name not in other]
+    case = Case(
+        nominal.without(other),
+        without(mended.fitted, kept),
+        without(mended.held_out, kept),
+        without(nominal.records, nominal.effects),
+        nominal.unexplained,
+        nominal.model,
+    )
+    return diagnose_mended(case, faults, progress)

@@ -1,0 +1,208 @@
+"""A simulator and real runs side by side: parameters, effects of the simulator, and what both show."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from leactl.gap.diagnose import EFFECT, UNKNOWN
+from leactl.gap.diagnosis import (
+    CalibratedParameter,
+    Diagnosis,
+    EffectiveParameter,
+    EffectParameter,
+    Presence,
+    SimulatorEffect,
+    SizeInBoth,
+)
+from leactl.gap.search.evidence import PRIORS, Evidence
+from leactl.gap.search.parameters import effect_parameters, nominal_value
+from leactl.gap.search.regression import Candidate
+from leactl.gap.search.sets import ENTRY, FORM_ERROR
+from leactl.gap.setup import SetUpFault
+from leactl.gap.signals.record import Record
+from leactl.gap.simulated.known import KnownEffect, known_effects, without
+from leactl.gap.simulated.nominal import NominalOfSimulator
+
+ANOTHER = 3.0  # priors, from which on a parameter is that of another machine
+DISTINCT = 0.02  # of a parameter, that an effect's freedom within its form moves it by where nothing differs
+
+
+@dataclass(frozen=True, eq=False)
+class SizeInReal:
+    """An effect of the simulator, as the real runs have it in the same form."""
+
+    parameters: tuple[EffectParameter, ...]
+    differs: bool
+    shows: bool
+
+
+@dataclass(frozen=True, eq=False)
+class SideBySide:
+    """Effects of both sides, fitted to the real runs together."""
+
+    of_simulator: dict[str, SizeInReal]
+    shown_too: tuple[str, ...]  # named beyond the simulator, which shows them as well, too small to be named there
+
+    @property
+    def differing(self) -> list[str]:
+        """Effects of the simulator that have another size in the real runs."""
+        return [name for name, size in self.of_simulator.items() if size.differs]
+
+    @property
+    def alike(self) -> set[str]:
+        """Effects that are no gap between the two."""
+        return {name for name, size in self.of_simulator.items() if not size.differs}.union(self.shown_too)
+
+
+def side_by_side(records: Sequence[Record], nominal: NominalOfSimulator, named: Sequence[Candidate]) -> SideBySide:
+    """Fit the simulator's effects to real runs, together with what was named beyond them."""
+    own = [effect.candidate for effect in nominal.effects]
+    names = {name for name, _ in own}
+    beyond = [candidate for candidate in named if candidate[0] not in names]
+    hypothesis = [*own, *beyond]
+    evidence = Evidence(records, nominal.plain, only=hypothesis)
+    if not hypothesis or not evidence.stack.rows:
+        return SideBySide({}, ())
+    fit = evidence.settle(hypothesis)
+    here = {effect.name: effect for effect in known_effects(evidence, fit, hypothesis)}
+    sizes = {
+        effect.name: SizeInReal(
+            effect_parameters(evidence, fit, effect.candidate), effect.differs_from(real), real.shows
+        )
+        for effect in nominal.effects
+        if (real := here.get(effect.name)) is not None and real.coefficients == effect.coefficients
+    }
+    there = in_simulator(nominal, beyond)
+    shown = [name for name, _ in beyond if name in here and name in there and not outgrows(here[name], there[name])]
+    return SideBySide(sizes, tuple(shown))
+
+
+def by_free_runs(nominal: NominalOfSimulator, alone: Diagnosis) -> SideBySide:
+    """The simulator's effects beside those of a servo's real runs that are diagnosed against its plain form.
+
+    Sizes are compared by the first parameter of each effect.
+    """
+    real = {cause.effect: cause.parameters for cause in alone.causes if cause.probability >= EFFECT}
+    sizes = {}
+    for cause in nominal.causes:
+        ours, theirs = cause.parameters, real.get(cause.effect, ())
+        differs = not theirs
+        if ours and theirs:
+            doubt = max(ENTRY * math.hypot(ours[0].std, theirs[0].std), math.sqrt(FORM_ERROR) * abs(ours[0].value))
+            differs = abs(theirs[0].value - ours[0].value) > doubt
+        sizes[cause.effect] = SizeInReal(theirs, differs, bool(theirs))
+    return SideBySide(sizes, ())
+
+
+def in_simulator(nominal: NominalOfSimulator, candidates: Sequence[Candidate]) -> dict[str, KnownEffect]:
+    """What the simulated runs make of some forms of effects beyond those that the simulator is known to contain."""
+    if not candidates:
+        return {}
+    evidence = Evidence(without(nominal.records, nominal.effects), nominal.model, only=candidates)
+    found = known_effects(evidence, evidence.settle(candidates), candidates) if evidence.stack.rows else ()
+    return {effect.name: effect for effect in found}
+
+
+def outgrows(real: KnownEffect, simulated: KnownEffect) -> bool:
+    """Whether an effect is as much larger in real runs than in simulated ones as it has to be over any floor."""
+    return not simulated.shows or real.size > ENTRY * simulated.size
+
+
+def settled(answer: Diagnosis, both: SideBySide, parameters_differ: bool) -> Diagnosis:
+    """The answer without causes that the simulator has as well, and its verdict.
+
+    Where nothing is named, calibration has to change what differs beyond both errors: a parameter, or the size of an
+    effect of the simulator.
+    """
+    causes = tuple(cause for cause in answer.causes if cause.effect not in both.alike)
+    verdict = answer.verdict
+    if verdict == "effect" and not any(cause.probability >= EFFECT for cause in causes):
+        verdict = "unknown" if answer.unexplained_probability >= UNKNOWN else "none"
+    if verdict in ("none", "calibration"):
+        verdict = "calibration" if parameters_differ or both.differing else "none"
+    told = tuple(f"not named: {name}; the simulated runs show as much of it" for name in both.shown_too)
+    return replace(answer, causes=causes, verdict=verdict, notes=(*told, *answer.notes))
+
+
+def parameters(nominal: NominalOfSimulator, real: Sequence[CalibratedParameter]) -> tuple[EffectiveParameter, ...]:
+    """Parameters of the simulator beside those of the real runs."""
+    fitted = {item.parameter: item for item in real}
+    return tuple(_parameter(nominal, item, fitted.get(item.parameter)) for item in nominal.parameters)
+
+
+def _parameter(
+    nominal: NominalOfSimulator, simulated: CalibratedParameter, real: CalibratedParameter | None
+) -> EffectiveParameter:
+    start = nominal_value(nominal.start, simulated.parameter)
+    differs = False
+    if real is not None and not (real.not_told_by_these_runs or simulated.not_told_by_these_runs):
+        doubt = max(ENTRY * math.hypot(real.std, simulated.std), DISTINCT * abs(simulated.fitted))
+        differs = abs(real.fitted - simulated.fitted) > doubt
+    return EffectiveParameter(
+        simulated.parameter,
+        simulated.nominal if start is None else start,
+        simulated.fitted,
+        simulated.std,
+        None if real is None else real.fitted,
+        None if real is None else real.std,
+        differs,
+        simulated.units,
+    )
+
+
+def simulator_effects(
+    nominal: NominalOfSimulator, both: SideBySide, faults: Sequence[SetUpFault]
+) -> tuple[SimulatorEffect, ...]:
+    """What the simulator contains, and how the real runs have it; faults of its set-up first."""
+    keys = {(fault.name, fault.key) for fault in faults}
+    found = [
+        SimulatorEffect(
+            fault.name, "alike" if (fault.name, fault.key) in keys else "absent", _sizes(fault.parameters), fault.peers
+        )
+        for fault in nominal.faults
+    ]
+    for cause in nominal.causes:
+        size = both.of_simulator.get(cause.effect)
+        sizes = _sizes(cause.parameters, size.parameters if size is not None else ())
+        found.append(SimulatorEffect(cause.effect, _presence(size), sizes, cause.indistinguishable_from))
+    return tuple(found)
+
+
+def _presence(size: SizeInReal | None) -> Presence:
+    if size is None:
+        return "not asked"
+    if not size.differs:
+        return "alike"
+    return "differs" if size.shows else "absent"
+
+
+def _sizes(simulated: Sequence[EffectParameter], real: Sequence[EffectParameter] = ()) -> tuple[SizeInBoth, ...]:
+    others = {item.name: item for item in real}
+    return tuple(_beside(item, others.get(item.name)) for item in simulated)
+
+
+def _beside(item: EffectParameter, other: EffectParameter | None) -> SizeInBoth:
+    real, std = (None, None) if other is None else (other.value, other.std)
+    return SizeInBoth(item.name, item.value, item.std, real, std, item.units)
+
+
+def shared_faults(nominal: NominalOfSimulator, faults: Sequence[SetUpFault]) -> tuple[str, ...]:
+    """Notes on faults of the set-up that both sides have."""
+    known = {(fault.name, fault.key) for fault in nominal.faults}
+    return tuple(
+        f"both sides have it, so it is not named: {fault.note()}"
+        for fault in faults
+        if (fault.name, fault.key) in known
+    )
+
+
+def of_another_machine(calibration: Sequence[CalibratedParameter]) -> tuple[str, ...]:
+    """A note where real runs ask for parameters that no machine of the simulator's kind has."""
+    far = [
+        f"{item.parameter} is {item.fitted / item.nominal:.3g} times the simulator's"
+        for item in calibration
+        if item.parameter in PRIORS
+        and item.nominal
+        and abs(item.fitted / item.nominal - 1.0) > ANOTHER * PRIORS[item.parameter]
+    ]
+    return (f"is this the same machine? {', '.join(far)}",) if far else ()

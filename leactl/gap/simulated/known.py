@@ -1,0 +1,102 @@
+"""Effects that a simulator contains, taken from the equations of a run: what is left is beyond the simulator.
+
+Each is taken at the size that the simulated runs give it, in the form in which they show it. Its coefficients stay free
+by their own errors and by what two authors' forms of one law differ by.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.effects import library
+from leactl.gap.equations import Equation
+from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.regression import Candidate, Fit, disagreement, effect_in
+from leactl.gap.search.sets import ENTRY, FORM_ERROR
+from leactl.gap.signals.record import Record
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class KnownEffect:
+    """An effect with the coefficients that runs give it."""
+
+    candidate: Candidate
+    coefficients: tuple[str, ...]
+    values: Array
+    covariance: Array
+
+    @property
+    def name(self) -> str:
+        """The effect's identifier."""
+        return self.candidate[0]
+
+    def differs_from(self, other: "KnownEffect") -> bool:
+        """Whether two sets of runs give an effect sizes that differ beyond both errors and beyond its form's."""
+        apart = self.values - other.values
+        if float(np.linalg.norm(apart)) <= math.sqrt(FORM_ERROR) * self.size:
+            return False
+        squares = float(apart @ np.linalg.pinv(self.covariance + other.covariance) @ apart)
+        return squares > ENTRY**2
+
+    @property
+    def size(self) -> float:
+        """Length of the vector of coefficients, which of one effect have one unit."""
+        return float(np.linalg.norm(self.values))
+
+    @property
+    def shows(self) -> bool:
+        """Whether the runs show the effect at all, beyond the error of its size."""
+        return float(self.values @ np.linalg.pinv(self.covariance) @ self.values) > ENTRY**2
+
+
+def known_effects(evidence: Evidence, fit: Fit, candidates: Sequence[Candidate]) -> tuple[KnownEffect, ...]:
+    """Effects of a fitted hypothesis with their coefficients; those that no run shows are left out.
+
+    Covariances are widened by how far runs and equations disagree.
+    """
+    normal, found = evidence.normal(), []
+    for candidate in candidates:
+        columns = evidence.columns(candidate)
+        at = [int(np.flatnonzero(fit.columns == place)[0]) for place in columns]
+        if not at:
+            continue
+        wider = np.array([disagreement(normal, fit, index) for index in at])
+        covariance = fit.covariance[np.ix_(at, at)] * np.outer(wider, wider)
+        names = tuple(evidence.coefficient(place) for place in columns)
+        if np.isfinite(covariance).all():
+            found.append(KnownEffect(candidate, names, fit.values[at], covariance))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Subtraction:
+    """Takes known effects from the equations of a run."""
+
+    effects: tuple[KnownEffect, ...]
+
+    def __call__(self, equations: list[Equation]) -> list[Equation]:
+        """The equations without what the effects do; their coefficients become nuisances that all runs share."""
+        return [self._without(equation) for equation in equations]
+
+    def _without(self, equation: Equation) -> Equation:
+        left, shared = equation.left_over, dict(equation.shared)
+        for effect in self.effects:
+            name, form = effect.candidate
+            columns = effect_in(equation, library()[name].terms(equation.signals, form))
+            stds = np.sqrt(np.diag(effect.covariance) + FORM_ERROR * effect.values**2)
+            for coefficient, value, std in zip(effect.coefficients, effect.values, stds, strict=True):
+                if coefficient in columns:
+                    left = left - value * columns[coefficient]
+                    shared[f"{name} {coefficient}"] = columns[coefficient], float(std)
+        return replace(equation, left_over=left, shared=shared)
+
+
+def without(records: Sequence[Record], effects: Sequence[KnownEffect]) -> list[Record]:
+    """The runs, with these effects taken from their equations."""
+    taken = Subtraction(tuple(effects)) if effects else None
+    return [replace(record, nominal_effects=taken) for record in records]

@@ -1,0 +1,67 @@
+"""A diagnosis as it is asked for: against a model, or against runs of a simulator."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from leactl.errors import InputError
+from leactl.gap.diagnose import Progress, diagnose, read_case
+from leactl.gap.diagnosis import Diagnosis
+from leactl.gap.simulated.against import diagnose_against, read_simulated_case
+from leactl.runfile.reader import Run
+
+CARRIED = "model"  # source of a run file, as `leactl gap simulate` writes it
+
+
+def answer_of(
+    runs: Sequence[Path],
+    held_out: Sequence[Path],
+    model: Path | None,
+    simulated: Sequence[Path] = (),
+    progress: Progress = lambda _: None,
+) -> Diagnosis:
+    """Diagnose runs against a model, or against the simulator that made other runs on the same inputs.
+
+    Parameters
+    ----------
+    model : the nominal model's file; where simulated runs stand for it, the form and the start of their fit. It may be
+        left out where these carry one.
+
+    Raises
+    ------
+    InputError : files that cannot be used, no model, or simulated runs of other inputs or of another machine.
+    """
+    if not simulated:
+        if model is None:
+            raise InputError("no model: name the file of the nominal model, or simulated runs")
+        return diagnose(read_case(runs, held_out, model), progress)
+    if model is not None:
+        return diagnose_against(read_simulated_case(runs, held_out, model, simulated), progress)
+    with TemporaryDirectory() as folder:
+        carried = Path(folder) / "model.yaml"
+        carried.write_text(carried_model(simulated), encoding="utf-8")
+        return diagnose_against(read_simulated_case(runs, held_out, carried, simulated), progress)
+
+
+def carried_model(simulated: Sequence[Path]) -> str:
+    """The text of the model that all simulated runs carry.
+
+    Raises
+    ------
+    InputError : files that cannot be used, runs without a model, or of several; one line each.
+    """
+    texts: dict[str, Path] = {}
+    faults = []
+    for path in simulated:
+        with Run.open(path) as run:
+            text = run.source(CARRIED)
+        if text is None:
+            faults.append(f"{path}: carries no model; give the file of one that its fit begins with (--model)")
+        else:
+            texts.setdefault(text, path)
+    if len(texts) > 1:
+        first, second, *_ = texts.values()
+        faults.append(f"{second}: carries another model than {first}; give the file of one (--model)")
+    if faults:
+        raise InputError(faults)
+    return next(iter(texts))
