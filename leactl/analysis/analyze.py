@@ -13,9 +13,9 @@ from leactl.analysis.quality.gate import doubts_of
 from leactl.analysis.registry import GENERIC, Experiment, load, names
 from leactl.errors import InputError
 from leactl.processes import HERE, Workers
-from leactl.runfile import integrity
-from leactl.runfile.catalog import asked_in
-from leactl.runfile.reader import Run
+from leactl.runfile.catalog.summaries import asked_in
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify import integrity
 
 __all__ = ["GENERIC", "Experiment", "analyze_runs", "names"]
 

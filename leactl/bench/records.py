@@ -13,8 +13,8 @@ from leactl.driver.batch import BatchSource, Record, RecordSettings
 from leactl.driver.clock import MonotonicClock
 from leactl.driver.contract import Driver, DriverSettings
 from leactl.errors import InputError
-from leactl.runfile.attaching import Joined, attach, join
-from leactl.runfile.reader import Run
+from leactl.runfile.attach import Joined, attach, join
+from leactl.runfile.read.reader import Run
 
 
 class RecordDevice:

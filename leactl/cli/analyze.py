@@ -42,7 +42,7 @@ def analyze(
     from leactl.analysis.analyze import GENERIC, analyze_each, numbers
     from leactl.analysis.estimate import FORMAT, VERSION
     from leactl.errors import InputError
-    from leactl.runfile.catalog import run_files
+    from leactl.runfile.catalog.summaries import run_files
     from leactl.scheduler import workers_of
 
     told = numbers(settings, torque_constant=torque_constant, torque_constant_std=torque_constant_std)

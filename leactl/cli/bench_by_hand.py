@@ -181,7 +181,7 @@ def read(
     from leactl.cli.run import finish
     from leactl.protocol.by_hand import reading
     from leactl.report.readings import readings, table
-    from leactl.runfile.reader import Run
+    from leactl.runfile.read.reader import Run
 
     outcome = _perform("read", reading(hold_s), bench, setup, out, realtime, served, bus, everything=True)
     found = []
@@ -242,7 +242,7 @@ def jog(
     from leactl.driver.contract import Mode
     from leactl.errors import InputError
     from leactl.protocol.by_hand import Jog, reading
-    from leactl.runfile.reader import Run
+    from leactl.runfile.read.reader import Run
 
     wanted = {Mode.CURRENT: current, Mode.VELOCITY: velocity, Mode.ANGLE: angle}
     given = [(mode, value) for mode, value in wanted.items() if value is not None]

@@ -77,7 +77,7 @@ def main() -> None:
     try:
         _run()
     except SystemExit as end:
-        recording = sys.modules.get("leactl.runfile.writer")
+        recording = sys.modules.get("leactl.runfile.write.writer")
         if recording is not None and recording.KEPT_OPEN:
             _leave(end.code)
         raise

@@ -8,8 +8,8 @@ import typer
 from leactl.errors import Stopped
 
 if TYPE_CHECKING:
-    from leactl.runfile.importing_proposal import OpenQuestion, Proposal
-    from leactl.runfile.importing_survey import Survey
+    from leactl.runfile.importing.proposal.proposal import OpenQuestion, Proposal
+    from leactl.runfile.importing.proposal.survey import Survey
 
 
 def is_attended() -> bool:
@@ -24,7 +24,7 @@ def asked(seen: "Survey") -> "Proposal":
     ------
     Stopped : the person ends the input.
     """
-    from leactl.runfile.importing_proposal import propose
+    from leactl.runfile.importing.proposal.proposal import propose
 
     answers: dict[tuple[str, ...], str] = {}
     proposal = propose(seen, answers)
@@ -40,8 +40,8 @@ def asked(seen: "Survey") -> "Proposal":
 
 def answer(question: "OpenQuestion") -> str:
     """One answer that can be used; asks again until it is."""
-    from leactl.runfile.importing_deciding import LEAVE_OUT
-    from leactl.runfile.importing_proposal import accepted
+    from leactl.runfile.importing.proposal.channels import LEAVE_OUT
+    from leactl.runfile.importing.proposal.proposal import accepted
 
     typer.echo(question.text, err=True)
     for number, choice in enumerate(question.choices, start=1):

@@ -54,8 +54,8 @@ def list_runs(
 ) -> None:
     """List the runs of a directory, oldest first, with the parameters that differ among those of a protocol."""
     from leactl.report.run_list import run_list
-    from leactl.runfile.run_index import list_runs as summaries
-    from leactl.runfile.selection import ordered, selection_of
+    from leactl.runfile.catalog.run_index import list_runs as summaries
+    from leactl.runfile.catalog.selection import ordered, selection_of
 
     every = summaries(directory, index, remark)
     asked = selection_of(
@@ -92,7 +92,7 @@ def index_runs(
     from leactl.processes import Workers
     from leactl.report.run_list import run_list
     from leactl.report.steps import Steps
-    from leactl.runfile.run_index import update
+    from leactl.runfile.catalog.run_index import update
 
     with Steps() as step, Workers(processes) as workers:
         path, catalogue = update(directory, index, remark, workers, step)
@@ -118,8 +118,8 @@ def tag_runs(
     as_json: bool = AS_JSON,
 ) -> None:
     """Tag runs with a word to find them by; it stands in tags.json beside them, and the run files stay as they are."""
-    from leactl.runfile.catalog import run_files
-    from leactl.runfile.tags import change_tags
+    from leactl.runfile.catalog.summaries import run_files
+    from leactl.runfile.catalog.tags import change_tags
 
     tagged = change_tags(run_files(runs), tag, remove)
     if as_json:
@@ -153,7 +153,7 @@ def trend(
     from leactl.report.steps import Steps
     from leactl.report.terminal import encoding_of_stdout
     from leactl.report.trend import trend_text
-    from leactl.runfile.catalog import run_files
+    from leactl.runfile.catalog.summaries import run_files
     from leactl.scheduler import workers_of
 
     told = numbers(settings)
@@ -167,8 +167,8 @@ def trend(
 def show(run: Path, as_json: bool = AS_JSON) -> None:
     """Show what a run holds: attributes, streams with units, steps, events and notes."""
     from leactl.report.listing import row
-    from leactl.runfile.reader import Run
-    from leactl.runfile.searches import searches
+    from leactl.runfile.read.bisections import searches
+    from leactl.runfile.read.reader import Run
 
     with Run.open(run) as found:
         about = {name: str(value) for name, value in found.attributes.items()} | {"mechanical": found.mechanical}
@@ -228,8 +228,8 @@ def verify(
     as_json: bool = AS_JSON,
 ) -> None:
     """Check that runs are whole and as they were closed: values, names and attributes."""
-    from leactl.runfile.catalog import run_files
-    from leactl.runfile.integrity import examine
+    from leactl.runfile.catalog.summaries import run_files
+    from leactl.runfile.verify.integrity import examine
     from leactl.scheduler import workers_of
 
     paths = run_files(runs)
@@ -254,7 +254,7 @@ def verify(
 @app.command(epilog=examples("runs recover RUN.h5"))
 def recover(run: Path, as_json: bool = AS_JSON) -> None:
     """Write a clean copy of a run whose recording was cut off; the original stays."""
-    from leactl.runfile.integrity import recover as clean_copy
+    from leactl.runfile.verify.integrity import recover as clean_copy
 
     written = clean_copy(run)
     typer.echo(json.dumps({"run": str(written), "status": "recovered"}) if as_json else str(written))
@@ -263,7 +263,7 @@ def recover(run: Path, as_json: bool = AS_JSON) -> None:
 @app.command(epilog=examples("runs convert runs/*.h5"))
 def convert(runs: list[Path] = typer.Argument(..., metavar="RUN..."), as_json: bool = AS_JSON) -> None:
     """Rewrite runs of a newer HDF5 format so that HDF5 1.10, MATLAB and older h5py read them; values stay."""
-    from leactl.runfile.conversion import convert as rewrite
+    from leactl.runfile.verify.conversion import convert as rewrite
 
     for run in runs:
         rewrite(run)
@@ -275,8 +275,8 @@ def annotate(
     run: Path, text: str, author: str = typer.Option("", help="Who says so."), as_json: bool = AS_JSON
 ) -> None:
     """Add a note to a run; its data stay as they are, and that is checked."""
-    from leactl.runfile.integrity import annotate as add_note
-    from leactl.runfile.reader import Run
+    from leactl.runfile.read.reader import Run
+    from leactl.runfile.verify.integrity import annotate as add_note
 
     add_note(run, text, author)
     if as_json:
@@ -348,8 +348,8 @@ def import_foreign(
 ) -> None:
     """Import recordings of other rigs as run files; all sources are checked first, and nothing is overwritten."""
     from leactl import yamlfile
-    from leactl.runfile.importing import read_by, targets_of, write
-    from leactl.runfile.importing_preview import preview, preview_lines
+    from leactl.runfile.importing.importer import read_by, targets_of, write
+    from leactl.runfile.importing.preview import preview, preview_lines
 
     if map_out is not None and str(mapping) != AUTO:
         raise InputError(f"--map-out {map_out}: goes with --map {AUTO}")
@@ -377,9 +377,9 @@ def proposed(sources: list[str], map_out: Path | None, as_json: bool) -> "yamlfi
     """
     from leactl import yamlfile
     from leactl.cli.mapping_questions import asked, is_attended
-    from leactl.runfile.importing import expanded
-    from leactl.runfile.importing_proposal import propose
-    from leactl.runfile.importing_survey import survey
+    from leactl.runfile.importing.importer import expanded
+    from leactl.runfile.importing.proposal.proposal import propose
+    from leactl.runfile.importing.proposal.survey import survey
     from leactl.runfile.publish import new_file, refuse_existing
 
     if map_out is not None:
@@ -425,8 +425,8 @@ def plot(
     from leactl.report.run_page import BINS, page
     from leactl.report.run_plot import text
     from leactl.runfile.publish import replacement
-    from leactl.runfile.reader import Run
-    from leactl.runfile.traces import channel_names, part_of_run, trace
+    from leactl.runfile.read.reader import Run
+    from leactl.runfile.read.traces import channel_names, part_of_run, trace
 
     if html:
         outputs.check([html], [run])

@@ -12,8 +12,8 @@ import numpy as np
 from leactl.report.chart import Curve, Layer, Stretch, chart
 from leactl.report.html import Html, document, table, tag
 from leactl.report.page_style import PAGE
-from leactl.runfile.reader import Run, Step
-from leactl.runfile.traces import Trace
+from leactl.runfile.read.reader import Run, Step
+from leactl.runfile.read.traces import Trace
 
 BINS = 2000  # of a channel: more than the pixels of a wide screen
 STYLE = (

@@ -8,8 +8,8 @@ import numpy as np
 from leactl.report.html import fit
 from leactl.report.plot import Axis, Canvas, floor_with_axis, rows_with_axis
 from leactl.report.terminal import encodable, encoding_of_stdout, shows_all
-from leactl.runfile.reader import Step
-from leactl.runfile.traces import Trace
+from leactl.runfile.read.reader import Step
+from leactl.runfile.read.traces import Trace
 
 TICKS = (6, 4)  # at most about so many along time and value: a panel has few rows
 ROWS_ABOUT = 5  # of a panel besides its rows: title, axis, tick labels, steps, a blank line

@@ -15,9 +15,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from leactl.errors import InputError
-from leactl.runfile.formats.parquet import modules
+from leactl.runfile.importing.sources.formats.parquet import modules
 from leactl.runfile.publish import new_file, refuse_existing
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 
 Format = Literal["csv", "mat", "parquet"]
 FORMULA = ("=", "+", "-", "@")  # how a cell begins that a spreadsheet runs (OWASP, "CSV injection")

@@ -25,7 +25,7 @@ from leactl.driver.stopping import doubt
 from leactl.errors import AcceptanceFailed, DeviceError, InputError, LeactlError, SafetyTrip, Stopped
 from leactl.model.motor import load_motor
 from leactl.protocol.plan import Plan, Record, SearchLimit, Supply
-from leactl.runfile.writer import RecordingFailed, RunInfo, RunWriter, new_run_id
+from leactl.runfile.write.writer import RecordingFailed, RunInfo, RunWriter, new_run_id
 from leactl.runner import latch, locks, runs_underway, state
 from leactl.runner.bench_fit import check_fit, check_setup, limits_of, unwitnessed
 from leactl.runner.channel_limits import ACCEPTANCE, Verdict

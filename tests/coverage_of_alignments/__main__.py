@@ -6,8 +6,8 @@ import sys
 
 import numpy as np
 
-from leactl.runfile.alignment import Alignment, by_likeness, tied
-from leactl.runfile.onsets import ties_by_onset
+from leactl.runfile.align.alignment import Alignment, by_likeness, tied
+from leactl.runfile.align.onsets import ties_by_onset
 from tests.runfile.test_alignment import DRIFT, heating, pair
 
 COVERED = 0.95

@@ -10,10 +10,10 @@ import pytest
 from leactl.quantities import ChannelSpec
 from leactl.report.run_page import page
 from leactl.report.run_plot import panels
-from leactl.runfile.description import RunInfo
-from leactl.runfile.reader import Run
-from leactl.runfile.traces import channel_names, part_of_run, trace
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.read.reader import Run
+from leactl.runfile.read.traces import channel_names, part_of_run, trace
+from leactl.runfile.write.description import RunInfo
+from leactl.runfile.write.writer import RunWriter
 from tests.report.browser import dumped, look, needs_chromium
 
 CHANNELS = [

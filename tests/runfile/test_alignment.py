@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import expm
 
 from leactl.errors import InputError
-from leactl.runfile.alignment import Tie, by_likeness, tied
-from leactl.runfile.onsets import jumps, onset, ties_by_onset
+from leactl.runfile.align.alignment import Tie, by_likeness, tied
+from leactl.runfile.align.onsets import jumps, onset, ties_by_onset
 
 DRIFT = 1e-4  # 95 %
 UNSEEN = 0.0005  # s, half a recorder's interval, as it is stated for a record that is attached

@@ -15,9 +15,9 @@ from leactl.driver.text_writing import Dialect
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.runfile import layout
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
+from leactl.runfile.write.writer import RunWriter
 from tests.cli.terminal import leactl
 
 from .specimen import info, unseal

@@ -10,9 +10,9 @@ import pytest
 
 from leactl.errors import InputError
 from leactl.runfile import layout
-from leactl.runfile.conversion import convert
-from leactl.runfile.integrity import annotate, checksums, recover, verify
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.verify.conversion import convert
+from leactl.runfile.verify.integrity import annotate, checksums, recover, verify
+from leactl.runfile.write.writer import RunWriter
 
 from .specimen import STREAMS, info
 

@@ -7,8 +7,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from leactl.errors import InputError
-from leactl.runfile.expression import ALLOWED, LONGEST
-from leactl.runfile.expression import test_of as read_test
+from leactl.runfile.catalog.expression import ALLOWED, LONGEST
+from leactl.runfile.catalog.expression import test_of as read_test
 from leactl.runfile.summary import Summary
 
 RUN = Summary(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from leactl.errors import InputError
-from leactl.runfile.importing_holds import NotDistinct, held
+from leactl.runfile.importing.holds import NotDistinct, held
 
 from .test_import_steps import SMALL, imported, steps_in
 

@@ -15,11 +15,11 @@ from scipy.io import savemat
 
 from leactl import yamlfile
 from leactl.errors import InputError
-from leactl.runfile.importing_deciding import LEAVE_OUT, streams_of
-from leactl.runfile.importing_mapping import Mapping as MappingFile
-from leactl.runfile.importing_proposal import UNDECIDED, accepted, propose
-from leactl.runfile.importing_survey import survey
-from leactl.runfile.reader import Run
+from leactl.runfile.importing.mapping import Mapping as MappingFile
+from leactl.runfile.importing.proposal.channels import LEAVE_OUT, streams_of
+from leactl.runfile.importing.proposal.proposal import UNDECIDED, accepted, propose
+from leactl.runfile.importing.proposal.survey import survey
+from leactl.runfile.read.reader import Run
 from leactl.units import converter
 
 from ..cli.terminal import COMMAND, leactl

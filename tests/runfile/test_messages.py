@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.errors import InputError
-from leactl.runfile.importing_messages import Message, MessageSource, OpenLog, Topic
-from leactl.runfile.importing_sources import Lacking, SourceRequest, WantedColumn
+from leactl.runfile.importing.sources.messages import Message, MessageSource, OpenLog, Topic
+from leactl.runfile.importing.sources.source import Lacking, SourceRequest, WantedColumn
 
 KEYS = st.sampled_from(["a", "b", "name", "header", "stamp", "sec", "nanosec", "position"])
 LEAVES = st.none() | st.booleans() | st.integers(-(10**400), 10**400) | st.floats() | st.text(max_size=3)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from leactl.errors import InputError
 from leactl.runfile import layout
-from leactl.runfile.conversion import convert
-from leactl.runfile.integrity import altered, annotate, examine, recover, refuse_altered, verify
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.verify.conversion import convert
+from leactl.runfile.verify.integrity import altered, annotate, examine, recover, refuse_altered, verify
+from leactl.runfile.write.writer import RunWriter
 from tests.cli.terminal import leactl
 
 from .specimen import STREAMS, info, unseal

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from leactl.errors import InputError, MissingChannel
 from leactl.quantities import ChannelSpec
-from leactl.runfile.reader import Run
-from leactl.runfile.traces import channel_names, part_of_run, trace
-from leactl.runfile.writer import RunWriter
+from leactl.runfile.read.reader import Run
+from leactl.runfile.read.traces import channel_names, part_of_run, trace
+from leactl.runfile.write.writer import RunWriter
 
 from .specimen import info
 

@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 from leactl.cli.main import app
 from leactl.protocol import protocolfile
 from leactl.protocol.plan import Search, SearchLimit, Segment, Sought, Trial, Until
-from leactl.runfile.reader import Run
-from leactl.runfile.searches import searches
+from leactl.runfile.read.bisections import searches
+from leactl.runfile.read.reader import Run
 from leactl.runner.outcomes import Bisection, Outcomes
 from leactl.safety.supervisor import Supervisor
 from tests.runner.test_pause import GO_ON, PAUSE

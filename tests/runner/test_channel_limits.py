@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from leactl.errors import AcceptanceFailed, InputError
 from leactl.protocol.plan import ChannelLimit
 from leactl.quantities import ChannelSpec
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
 from leactl.runner.acceptance import judge
 from leactl.runner.channel_limits import ChannelLimits
 from tests.runner.conftest import SPIN

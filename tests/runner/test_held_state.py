@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from leactl.model.motor import load_motor
-from leactl.runfile import writer
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
+from leactl.runfile.write import writer
 from leactl.runner import latch, recorder, state, watchdog_process
 from leactl.runner.boot_time import Moment
 from leactl.runner.latch import BYTES, Ready

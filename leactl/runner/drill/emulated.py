@@ -21,8 +21,8 @@ from leactl.emulation.bench.emulated_bench import observed
 from leactl.emulation.faults.drilling import Rehearsal, rehearsals
 from leactl.errors import InputError, Stopped
 from leactl.protocol import by_hand
-from leactl.runfile.integrity import verify
-from leactl.runfile.reader import Run
+from leactl.runfile.read.reader import Run
+from leactl.runfile.verify.integrity import verify
 from leactl.runner.drill.finding import CAUGHT, DeviceEnd, Drilled, Finding, Tell, of_the_end
 from leactl.runner.drill.plant import Plant
 from leactl.runner.operators import granted

@@ -16,7 +16,7 @@ from leactl.driver.contract import SAFE_STATE_S
 from leactl.emulation.faults import known_faults
 from leactl.errors import InputError, Stopped
 from leactl.protocol import by_hand
-from leactl.runfile.integrity import verify
+from leactl.runfile.verify.integrity import verify
 from leactl.runner import latch
 from leactl.runner.drill.emulated import STOPPED, drives, setup_of
 from leactl.runner.drill.finding import CAUGHT, DeviceEnd, Drilled, Finding, of_the_end

@@ -1,0 +1,1 @@
+"""Tie one clock to another by signals that were recorded on both."""

@@ -1,0 +1,325 @@
+"""Import recordings of foreign rigs: CSV, MAT or JSON and a mapping file in, run files out.
+
+Every source is read, converted and checked before the first file is written; files appear whole or not at all, and
+none is ever overwritten.
+"""
+
+import glob
+import hashlib
+import re
+import shutil
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from leactl import __version__, yamlfile
+from leactl.errors import InputError
+from leactl.runfile.importing.checks import implausible, notes_on_gaps, notes_on_units
+from leactl.runfile.importing.joints import ALL, asks_for_joints, for_joint, joints_of
+from leactl.runfile.importing.mapping import PLACEHOLDER, FieldOf, Mapping
+from leactl.runfile.importing.parts import split
+from leactl.runfile.importing.sources.registry import is_log, names, open_source
+from leactl.runfile.importing.sources.source import Lacking, Source, SourceRequest, WantedColumn
+from leactl.runfile.importing.steps import Step, steps_of
+from leactl.runfile.importing.streams import Stream, build_streams, number
+from leactl.runfile.publish import move_without_overwriting, refuse_existing
+from leactl.runfile.write.description import RunInfo, faults_of
+from leactl.runfile.write.writer import RunWriter
+
+
+@dataclass
+class Imported:
+    """A run that is ready to be written."""
+
+    info: RunInfo
+    streams: dict[str, Stream]
+    steps: list[Step]
+    origin: str  # the source and the mapping
+    notes: list[str]  # what a person should look at, with the source's name
+
+
+def import_runs(sources: Sequence[str], mapping_path: Path, out: Path, joints: Sequence[str] = ()) -> list[Path]:
+    """Import every source under one mapping into the directory `out`, as `<source>.h5` or `<source>-<part>.h5`.
+
+    Returns
+    -------
+    The files written, in the order of the sources.
+
+    Raises
+    ------
+    InputError : a fault in the mapping or in a source, one line each, or a file that exists already.
+    """
+    return write(read_runs(sources, mapping_path, joints), out)
+
+
+def read_runs(sources: Sequence[str], mapping_path: Path, joints: Sequence[str] = ()) -> list[Imported]:
+    """Read every source under one mapping into runs that are ready to be written.
+
+    Parameters
+    ----------
+    sources : paths, or patterns such as `logs/*.json`.
+    joints : that `{joint}` in the mapping stands for, a run each, or `all`; as the mapping says where it is empty.
+
+    Raises
+    ------
+    InputError : a fault in the mapping or in a source, one line each.
+    """
+    return read_by(sources, yamlfile.load(mapping_path), joints)
+
+
+def read_by(sources: Sequence[str], document: yamlfile.Document, joints: Sequence[str] = ()) -> list[Imported]:
+    """Read every source under a mapping that is loaded already."""
+    mapping = document.validate(Mapping)
+    if mapping.format is not None and mapping.format not in names():
+        told = f"{mapping.format!r} is no format; one of {', '.join(names())} was expected"
+        raise InputError(document.fault(("format",), told))
+    if joints:
+        mapping = mapping.model_copy(update={"joints": ALL if ALL in joints else tuple(dict.fromkeys(joints))})
+    runs: list[Imported] = []
+    faults: list[str] = []
+    for path in expanded(sources):
+        try:
+            runs += read(path, mapping, document)
+        except InputError as error:
+            faults += [line for line in error.faults if line not in faults]
+    run_ids = [run.info.run_id for run in runs]
+    faults += [f"{name}.h5: several sources make this run; import them apart" for name in repeated(run_ids)]
+    if faults:
+        raise InputError(faults)
+    return runs
+
+
+def repeated(names: Sequence[str]) -> list[str]:
+    """Names that stand more than once."""
+    return sorted({name for name in names if names.count(name) > 1})
+
+
+def expanded(sources: Sequence[str]) -> list[Path]:
+    """The files that paths and patterns stand for, each once."""
+    found: list[Path] = []
+    for text in sources:
+        if is_log(Path(text)):
+            matches = [text]
+        elif Path(text).is_dir():
+            raise InputError(f"{text}: a directory; name its files, such as '{text.rstrip('/')}/*.csv'")
+        else:
+            matches = sorted(m for m in glob.glob(text, recursive=True) if is_log(Path(m)))  # noqa: PTH207 (a text, not a folder)
+        if not matches:
+            is_there = Path(text).exists()
+            raise InputError(f"{text}: {'a regular file was expected; this is none' if is_there else 'no such file'}")
+        found += [Path(match) for match in matches if Path(match) not in found]
+    return found
+
+
+def read(path: Path, mapping: Mapping, document: yamlfile.Document) -> list[Imported]:
+    """Read one source into the runs that its mapping makes of it.
+
+    Raises
+    ------
+    InputError : everything that is wrong with it, one line each.
+    """
+    mappings = mappings_by_joint(path, mapping, document)
+    columns = [column for each, _ in mappings.values() for column in wanted(each)]
+    labels = [column for each, _ in mappings.values() for column in labelled(each)]
+    source = open_source(path, mapping.format, SourceRequest(columns, labels, mapping.csv))
+    runs: list[Imported] = []
+    faults: list[str] = []
+    for joint, (each, its_document) in mappings.items():
+        try:
+            runs += read_joint(source, joint, each, its_document)
+        except InputError as error:
+            faults += [line for line in error.faults if line not in faults]
+    if faults:
+        raise InputError(faults)
+    return runs
+
+
+def mappings_by_joint(
+    path: Path, mapping: Mapping, document: yamlfile.Document
+) -> dict[str, tuple[Mapping, yamlfile.Document]]:
+    """The mapping of each joint by its name; the whole under an empty one where it takes nothing by joint.
+
+    Raises
+    ------
+    InputError : joints are asked for and `{joint}` stands nowhere, or the other way round.
+    """
+    if not asks_for_joints(document):
+        if mapping.joints:
+            told = f"joints are asked for, and {PLACEHOLDER} stands in no path of the mapping"
+            raise InputError(document.fault(("joints",), told))
+        return {"": (mapping, document)}
+    joints = mapping.joints
+    if joints == ALL or not joints:
+        listed = open_source(path, mapping.format, SourceRequest(None, csv=mapping.csv)).tables()
+        known = joints_of(path, mapping, listed, document)
+        if not joints:
+            told = f"{PLACEHOLDER} stands in the mapping; give joints: or --joint as all or some of {', '.join(known)}"
+            raise InputError(document.fault(("joints",), told))
+        joints = tuple(known)
+    return {joint: for_joint(document, joint) for joint in joints}
+
+
+def read_joint(source: Source, joint: str, mapping: Mapping, document: yamlfile.Document) -> list[Imported]:
+    """The runs of one joint, or those of a source without any."""
+    streams = build_streams(source, mapping, document)
+    doubtful = [f"{source.path}: {line}" for name, stream in streams.items() for line in implausible(name, stream)]
+    if doubtful:
+        raise InputError(doubtful)
+    notes = [f"{source.path}: {line}" for line in (*notes_on_gaps(streams), *notes_on_units(streams, mapping))]
+    parts = split(source.path, streams, mapping, document)
+    runs = [
+        describe(source, "-".join(filter(None, (joint, suffix))), part, mapping, document, notes)
+        for suffix, part in parts
+    ]
+    faults = [fault for run in runs for fault in faults_of(run.info, {n: s.specs for n, s in run.streams.items()})]
+    if faults:
+        raise InputError([document.fault((), fault) for fault in dict.fromkeys(faults)])
+    return runs
+
+
+def wanted(mapping: Mapping) -> list[WantedColumn]:
+    """Every column and field that a mapping speaks of."""
+    columns: list[WantedColumn] = []
+    fields = [*mapping.setup.values(), *mapping.parameters.values(), *(value for _, value in mapping.run)]
+    for stream in mapping.streams.values():
+        columns += [WantedColumn(stream.time.column, stream.records)] if stream.time.column is not None else []
+        for channel in stream.channels.values():
+            columns.append(WantedColumn(channel.column, stream.records))
+            fields += [channel.scale, channel.offset]
+    by = mapping.steps_by_column
+    columns += [WantedColumn(by.time.column)] if by and by.time and by.time.column is not None else []
+    return columns + [WantedColumn(value.field) for value in fields if isinstance(value, FieldOf)]
+
+
+def labelled(mapping: Mapping) -> list[WantedColumn]:
+    """The column that steps are named by, where there is one."""
+    by = mapping.steps_by_column
+    return [WantedColumn(by.column, None if by.time else mapping.streams[by.stream].records)] if by else []
+
+
+def describe(
+    source: Source,
+    suffix: str,
+    streams: dict[str, Stream],
+    mapping: Mapping,
+    document: yamlfile.Document,
+    notes: list[str],
+) -> Imported:
+    """Put together what is known of one run."""
+    about = {
+        name: text(source, value, ("run", name), document)
+        for name, value in mapping.run
+        if name not in ("created", "simulated")
+    }
+    setup, parameters = (
+        {
+            name: value if isinstance(value, str) else number(source, value, (block, name), document)
+            for name, value in getattr(mapping, block).items()
+        }
+        for block in ("setup", "parameters")
+    )
+    name = f"{source.path.stem}-{suffix}" if suffix else source.path.stem
+    info = RunInfo(
+        run_id=re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-._") or "run",
+        simulated=mapping.run.simulated,
+        mechanical=mapping.mechanical,
+        software=f"leactl {__version__}",
+        created=created(source, mapping, document),
+        setup=setup,
+        parameters=parameters,
+        instruments={name: instrument.facts for name, instrument in mapping.instruments.items()},
+        protocol=about["protocol"],
+        bench=about["bench"],
+        actuator=about["actuator"],
+        condition=about["condition"],
+        operator=about["operator"],
+    )
+    steps = steps_of(streams, mapping, document, str(source.path))
+    origin = f"{source.path.name} (SHA-256 {digest_of(source.path)}) by {Path(document.name).name}"
+    return Imported(info, streams, steps, origin, notes)
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file, or over those of a folder's files by their names."""
+    if path.is_dir():
+        parts = [digest_of(file) for file in sorted(path.iterdir()) if file.is_file()]
+        return hashlib.sha256("".join(parts).encode()).hexdigest()
+    with path.open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()
+
+
+def text(source: Source, value: str | FieldOf, place: tuple[str, ...], document: yamlfile.Document) -> str:
+    """A text that the mapping gives, or the field that it points to."""
+    if isinstance(value, str):
+        return value
+    try:
+        found = source.field(value.field)
+    except Lacking as lacking:
+        raise InputError(document.fault((*place, "field"), str(lacking))) from None
+    return found if isinstance(found, str) else f"{value.scale * found + value.offset:g}"
+
+
+def created(source: Source, mapping: Mapping, document: yamlfile.Document) -> str:
+    """When the run was recorded: as the mapping says, else as the source says, else its file's time."""
+    if mapping.run.created is None:
+        moment = source.began or datetime.fromtimestamp(source.path.stat().st_mtime, UTC)
+    else:
+        given = text(source, mapping.run.created, ("run", "created"), document)
+        try:
+            moment = datetime.fromisoformat(given)
+        except ValueError:
+            raise InputError(document.fault(("run", "created"), f"{given!r} is no ISO 8601 date")) from None
+    return f"{(moment if moment.tzinfo else moment.replace(tzinfo=UTC)).astimezone(UTC):%Y-%m-%dT%H:%M:%SZ}"
+
+
+def targets_of(runs: Sequence[Imported], out: Path) -> list[Path]:
+    """The file that each run gets.
+
+    Raises
+    ------
+    InputError : one of them exists already.
+    """
+    targets = [out / f"{run.info.run_id}.h5" for run in runs]
+    for target in targets:
+        refuse_existing(target)
+    return targets
+
+
+def write(runs: Sequence[Imported], out: Path) -> list[Path]:
+    """Write all runs aside, then give each its name."""
+    targets = targets_of(runs, out)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        aside = Path(tempfile.mkdtemp(prefix=".import-", dir=out))
+    except OSError as error:
+        raise InputError(f"{out}: {error.strerror or error}") from None
+    moved: list[Path] = []
+    try:
+        for run in runs:
+            with RunWriter(aside, run.info, {name: s.specs for name, s in run.streams.items()}) as writer:
+                for name, stream in run.streams.items():
+                    writer.append(name, stream.time, np.stack(stream.values, axis=1))
+                for step in run.steps:
+                    writer.step(*step)
+                if run.steps:
+                    writer.event(0.0, "info", "import", f"{len(run.steps)} steps as the mapping tells them")
+                writer.event(0.0, "info", "import", run.origin)
+                for note in run.notes:
+                    writer.event(0.0, "warning", "import", note)
+                for name, stream in run.streams.items():
+                    if stream.aligned:
+                        writer.event(0.0, "info", "import", f"stream {name}: {stream.aligned}")
+        for target in targets:
+            move_without_overwriting(aside / target.name, target)
+            moved.append(target)
+    except BaseException:
+        for target in moved:
+            target.unlink()
+        raise
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+    return targets

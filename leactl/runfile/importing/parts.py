@@ -1,0 +1,114 @@
+"""One recording as several runs: by rows, by instants, or by the direction of a sweep."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+from leactl.runfile.importing.mapping import ByDirection, Mapping
+from leactl.runfile.importing.streams import Stream
+from leactl.yamlfile import Document
+
+Array = npt.NDArray[np.float64]
+Streams = dict[str, Stream]
+
+
+def split(path: Path, streams: Streams, mapping: Mapping, document: Document) -> list[tuple[str, Streams]]:
+    """The runs of a recording with their suffixes; the whole under an empty one where nothing is split.
+
+    Raises
+    ------
+    InputError : a part that lies outside the recording, or no sweep that is long enough.
+    """
+    if mapping.by_direction:
+        return by_direction(path, streams, mapping.by_direction, document)
+    if not mapping.parts:
+        return [("", streams)]
+    faults, found = [], []
+    for index, part in enumerate(mapping.parts):
+        if part.rows is not None:
+            first, last = part.rows
+            cut = {name: stream.rows(first, last) for name, stream in streams.items()}
+            reached = last <= min(len(stream.time) for stream in streams.values())
+        else:
+            begin, end = part.time_s or (0.0, 0.0)
+            cut = during(streams, begin, end)
+            reached = end <= max(float(stream.time[-1]) for stream in streams.values()) * (1 + 1e-9) + 1e-9
+        if not reached or any(len(stream.time) < 2 for stream in cut.values()):
+            rows = ", ".join(f"{n} {len(s.time)} rows, {s.time[-1]:.6g} s" for n, s in streams.items())
+            faults.append(document.fault(("parts", index), f"{path}: reaches beyond the recording ({rows})"))
+        else:
+            found.append((part.suffix, from_zero(cut)))
+    if faults:
+        raise InputError(faults)
+    return found
+
+
+def by_direction(path: Path, streams: Streams, wanted: ByDirection, document: Document) -> list[tuple[str, Streams]]:
+    """One run for each sweep."""
+    name, channel = wanted.channel.split("/")
+    stream = streams[name]
+    found: list[tuple[str, Streams]] = []
+    counted = {"forward": 0, "reverse": 0}
+    for first, last, ahead in sweeps(stream.channel(channel), wanted.least):
+        direction = "forward" if ahead else "reverse"
+        counted[direction] += 1
+        suffix = direction if counted[direction] == 1 else f"{direction}-{counted[direction]}"
+        end = stream.time[last - 1] + 0.5 * (stream.time[last - 1] - stream.time[last - 2])
+        found.append((suffix, from_zero(during(streams, float(stream.time[first]), float(end)))))
+    if not found:
+        told = f"{path}: {wanted.channel} never travels {wanted.least:g} in one direction"
+        raise InputError([document.fault(("by_direction", "least"), told)])
+    return found
+
+
+def sweeps(values: Array, least: float) -> list[tuple[int, int, bool]]:
+    """Stretches (first, up to before, ahead) between turning points, where each travels at least so far.
+
+    A turning point is an extreme that the channel has since come back from by the least travel; what jitters around a
+    place is no turn.
+    """
+    turns: list[tuple[int, bool]] = []  # extreme, whether it ends a way ahead
+    good = np.flatnonzero(np.isfinite(values))
+    low = high = int(good[0])
+    ahead: bool | None = None
+    for index in good.tolist():
+        if values[index] > values[high]:
+            high = index
+        if values[index] < values[low]:
+            low = index
+        if ahead is not False and values[high] - values[index] >= least:
+            turns.append((high, True))
+            ahead, low = False, index
+            high = index
+        elif ahead is not True and values[index] - values[low] >= least:
+            turns.append((low, False))
+            ahead, high = True, index
+            low = index
+    if ahead is None:
+        return []
+    ends = [*turns, ((high if ahead else low), ahead)]
+    starts = [ends[0][0], *(turn + 1 for turn, _ in ends[1:-1])]  # a turning point ends its sweep and begins none
+    found = [(first, last + 1, up) for first, (last, up) in zip(starts, ends[1:], strict=True)]
+    return [(first, last, up) for first, last, up in found if travel(values[first:last]) >= least]
+
+
+def travel(values: Array) -> float:
+    """From the lowest to the highest value."""
+    return float(np.nanmax(values) - np.nanmin(values))
+
+
+def during(streams: Streams, begin: float, end: float) -> Streams:
+    """What every stream has from one instant up to before another."""
+    return {
+        name: stream.rows(int(np.searchsorted(stream.time, begin)), int(np.searchsorted(stream.time, end)))
+        for name, stream in streams.items()
+    }
+
+
+def from_zero(streams: Streams) -> Streams:
+    """The same with its own start as time zero."""
+    start = min(float(stream.time[0]) for stream in streams.values() if len(stream.time))
+    return {name: replace(stream, time=stream.time - start) for name, stream in streams.items()}

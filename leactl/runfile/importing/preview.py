@@ -1,0 +1,72 @@
+"""What an import would write: each run with its streams, the range of every channel and the steps."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leactl.runfile.importing.importer import Imported
+from leactl.runfile.importing.streams import Stream
+
+
+def preview(run: Imported, target: Path) -> dict[str, Any]:
+    """One run as JSON has it."""
+    return {
+        "file": str(target),
+        "created": run.info.created,
+        "mechanical": run.info.mechanical,
+        "protocol": run.info.protocol,
+        "actuator": run.info.actuator,
+        "setup": dict(run.info.setup),
+        "parameters": dict(run.info.parameters),
+        "streams": {name: stream_preview(stream) for name, stream in run.streams.items()},
+        "steps": [
+            {"name": step.name, "start_s": step.start, "stop_s": step.stop, "settle_s": step.settle}
+            | {"parameters": step.parameters}
+            for step in run.steps
+        ],
+    }
+
+
+def stream_preview(stream: Stream) -> dict[str, Any]:
+    """One stream as JSON has it."""
+    channels = []
+    for spec, values in zip(stream.specs, stream.values, strict=True):
+        known = values[np.isfinite(values)]
+        low, high = (float(known.min()), float(known.max())) if len(known) else (None, None)
+        about = {"name": spec.name, "quantity": spec.quantity, "role": spec.role, "units": spec.unit}
+        channels.append(about | {"low": low, "high": high, "missing": len(values) - len(known)})
+    return {
+        "rows": len(stream.time),
+        "start_s": float(stream.time[0]),
+        "stop_s": float(stream.time[-1]),
+        "interval_s": float(np.median(np.diff(stream.time))),
+        "aligned": stream.aligned,
+        "channels": channels,
+    }
+
+
+def preview_lines(about: dict[str, Any]) -> Iterator[str]:
+    """One run for people."""
+    yield f"{about['file']}: {about['mechanical']}, created {about['created']}; not written"
+    for name in ("protocol", "actuator"):
+        if about[name]:
+            yield f"  {name} {about[name]}"
+    for name, value in (about["setup"] | about["parameters"]).items():
+        yield f"  {name} = {value}"
+    for name, stream in about["streams"].items():
+        span = f"{stream['start_s']:.6g} .. {stream['stop_s']:.6g} s, every {stream['interval_s']:.4g} s"
+        yield f"  stream {name}: {stream['rows']} rows, {span}{'; ' * bool(stream['aligned'])}{stream['aligned']}"
+        for channel in stream["channels"]:
+            numbers = "no number" if channel["low"] is None else f"{channel['low']:.6g} .. {channel['high']:.6g}"
+            missing = f", {channel['missing']} missing" if channel["missing"] else ""
+            told = f"{numbers} {channel['units']}{missing}"
+            yield f"    {channel['name']:<12} {channel['role']:<6} {channel['quantity']:<26} {told}"
+    yield f"  {len(about['steps'])} steps"
+    for step in about["steps"]:
+        parameters = ", ".join(
+            f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"
+            for name, value in step["parameters"].items()
+        )
+        yield f"    {step['name']:<12} {step['start_s']:.6g} .. {step['stop_s']:.6g} s  {parameters}".rstrip()

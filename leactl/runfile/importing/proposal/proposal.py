@@ -1,0 +1,173 @@
+"""A mapping proposed from a log alone (`--map auto`): every channel under its evidence, and what is still to be asked.
+
+Where nothing decides, the proposal has `UNDECIDED`, which no import accepts, and a question.
+"""
+
+import math
+import re
+from collections.abc import Iterator
+from fractions import Fraction
+from typing import Final, NamedTuple
+
+from leactl.errors import InputError
+from leactl.quantities import SETUPS
+from leactl.runfile.importing.proposal.channels import LEAVE_OUT, Answers, Proposed, ProposedStream, streams_of
+from leactl.runfile.importing.proposal.survey import Survey
+from leactl.units import SECONDS, known_units
+
+UNDECIDED: Final = "UNDECIDED"
+
+
+class OpenQuestion(NamedTuple):
+    """What the evidence does not decide."""
+
+    key: tuple[str, ...]  # in the mapping
+    text: str
+    choices: tuple[str, ...]  # the likeliest first; empty where a number is asked for
+    quantity: str = ""  # any of whose units is an answer
+
+    @property
+    def may_be_left_out(self) -> bool:
+        """Whether a channel or a stream can do without an answer, by not being imported."""
+        return self.key[0] == "streams"
+
+
+class Proposal(NamedTuple):
+    """A mapping as far as it is decided."""
+
+    text: str  # of the mapping file
+    questions: list[OpenQuestion]
+
+
+def propose(seen: Survey, answers: Answers) -> Proposal:
+    """A mapping of a source, with what a person has answered and what is still to be asked."""
+    streams = streams_of(seen, answers)
+    if not streams and LEAVE_OUT in answers.values():
+        raise InputError(f"{seen.path}: every channel was left out")
+    if not streams:
+        columns = ", ".join(str(column.name) for table in seen.tables for column in table.table.columns)
+        raise InputError(comment(f"{seen.path}: no name says what a column measures: {columns}; write a mapping"))
+    return Proposal(mapping_text(seen, streams, answers), questions_of(streams, answers))
+
+
+def questions_of(streams: list[ProposedStream], answers: Answers) -> list[OpenQuestion]:
+    """What is not decided, in the order of the mapping."""
+    questions = []
+    if ("mechanical",) not in answers:
+        questions.append(OpenQuestion(("mechanical",), "mechanics of the rig: no log says", SETUPS))
+    for stream in streams:
+        key: tuple[str, ...] = ("streams", stream.name, "time")
+        if stream.time is None and not stream.rate_Hz:
+            text = f"stream {stream.name}: {stream.time_why}; samples a second"
+            questions.append(OpenQuestion((*key, "rate_Hz"), text, ()))
+        elif len(stream.time_units) != 1 and stream.time is not None:
+            text = f"stream {stream.name}, stamps {stream.time.name!r}: {stream.time_why}"
+            questions.append(OpenQuestion((*key, "units"), comment(text), stream.time_units or tuple(SECONDS)))
+        for name, channel in stream.channels.items():
+            key = ("streams", stream.name, "channels", name)
+            about = f"stream {stream.name}, {channel.column!r} ({channel.quantity})"
+            if len(channel.units) != 1:
+                text = comment(f"{about}: {'; '.join(channel.why)}")
+                questions.append(OpenQuestion((*key, "units"), text, channel.units, channel.quantity))
+            if channel.scale_of:
+                questions.append(OpenQuestion((*key, "scale"), comment(f"{about}: scale is {channel.scale_of}"), ()))
+    return questions
+
+
+def accepted(question: OpenQuestion, text: str) -> str | None:
+    """An answer as the mapping has it; None where it is none: a choice, its number from 1, a unit, a scale, or `-`."""
+    text = text.strip()
+    if text == LEAVE_OUT and question.may_be_left_out:
+        return text
+    if not question.choices:
+        try:
+            scale = float(Fraction(text))  # 1/4096 as well
+        except (ValueError, ZeroDivisionError, OverflowError):
+            return None
+        return text if 0.0 < scale < math.inf else None
+    if text.isdigit() and 1 <= int(text) <= len(question.choices):
+        return question.choices[int(text) - 1]
+    known = known_units(question.quantity) if question.quantity else question.choices
+    return text if text in known else None
+
+
+def mapping_text(seen: Survey, streams: list[ProposedStream], answers: Answers) -> str:
+    """The proposal as a mapping file, each channel under its evidence."""
+    lines = [
+        f"# Proposed from {comment(seen.path.name)}; every line is to be read before it is used.",
+        f"format: {seen.format}",
+    ]
+    form = seen.csv.model_dump(exclude_defaults=True)
+    if form:
+        lines.append(f"csv: {{{', '.join(f'{key}: {quoted(str(value))}' for key, value in form.items())}}}")
+    lines.append(f"mechanical: {answers.get(('mechanical',), UNDECIDED)}  # {', '.join(SETUPS)}")
+    if any(stream.table.joints for stream in streams):
+        lines.append("joints: all  # or some of " + ", ".join(streams_joints(streams)))
+    lines.append("streams:")
+    for stream in streams:
+        lines += [f"  {stream.name}:"]
+        if stream.table.records:
+            lines.append(f"    records: {quoted(stream.table.records)}")
+        lines.append(f"    time: {{{time_keys(stream)}}}  # {comment(stream.time_why)}")
+        lines.append("    channels:")
+        for name, channel in stream.channels.items():
+            lines.append(f"      # {comment('; '.join(channel.why))}")
+            lines.append(f"      {name}: {{{', '.join(keys_of(channel))}}}{alternatives(channel)}")
+        for column, why in stream.left_out.items():
+            lines.append(f"      # {comment(str(column))}: left out, {comment(why)}")
+    return "\n".join(lines) + "\n"
+
+
+def time_keys(stream: ProposedStream) -> str:
+    """The keys of a stream's stamps in a mapping."""
+    if stream.time is None:
+        return f"rate_Hz: {stream.rate_Hz!r}" if stream.rate_Hz else f"rate_Hz: {UNDECIDED}"
+    units = stream.time_units[0] if len(stream.time_units) == 1 else UNDECIDED
+    return f"column: {plain(stream.time.name)}, units: {units}"
+
+
+def keys_of(channel: Proposed) -> Iterator[str]:
+    """The keys of a channel in a mapping."""
+    yield f"column: {plain(channel.column)}"
+    yield f"quantity: {channel.quantity}"
+    if channel.role != "test":
+        yield f"role: {channel.role}"
+    yield f"units: {plain(channel.units[0]) if len(channel.units) == 1 else UNDECIDED}"
+    if channel.scale_of:
+        yield f"scale: {UNDECIDED}"
+    elif channel.scale is not None:
+        yield f"scale: {channel.scale!r}"
+    if channel.sign != 1:
+        yield f"sign: {channel.sign}"
+    if channel.location:
+        yield f"location: {channel.location}"
+
+
+def alternatives(channel: Proposed) -> str:
+    """What a person chooses from, as a comment."""
+    choices = [" or ".join(channel.units)] if len(channel.units) != 1 else []
+    choices += [f"scale: {channel.scale_of}"] if channel.scale_of else []
+    return f"  # {'; '.join(choices)}" if choices else ""
+
+
+def streams_joints(streams: list[ProposedStream]) -> list[str]:
+    """Every joint that is listed."""
+    return list(dict.fromkeys(comment(joint) for stream in streams for joint in stream.table.joints))
+
+
+def plain(value: str | int) -> str:
+    """A value as YAML takes it inside braces."""
+    if isinstance(value, int) or re.fullmatch(r"[A-Za-z_/][A-Za-z0-9_./-]*", value):
+        is_word = isinstance(value, str) and value.lower() in ("null", "true", "false")  # which YAML takes for no text
+        return quoted(str(value)) if is_word else str(value)
+    return quoted(value)
+
+
+def quoted(text: str) -> str:
+    """A text in quotes, with whatever could end them or their line written out."""
+    return "".join(['"', *(c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in text), '"'])
+
+
+def comment(text: str) -> str:
+    """A text that stays on its line."""
+    return "".join(character if character.isprintable() else " " for character in text)

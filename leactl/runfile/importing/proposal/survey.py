@@ -1,0 +1,96 @@
+"""Every column of numbers of a source that nobody has described, with the program that wrote it where that is known."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+from leactl.runfile.importing.mapping import PLACEHOLDER, CsvForm
+from leactl.runfile.importing.proposal.log_dialects import LogDialect, csv_forms, dialect_of
+from leactl.runfile.importing.sources.registry import format_of, open_source
+from leactl.runfile.importing.sources.source import Lacking, SourceRequest, Tabulated, WantedColumn
+
+Array = npt.NDArray[np.float64]
+MOST_JOINTS: Final = 4  # whose numbers are looked at
+
+
+@dataclass
+class SeenTable:
+    """A table with its numbers, of each joint that was looked at."""
+
+    table: Tabulated
+    dialect: LogDialect | None
+    columns: list[dict[str | int, Array]]
+
+
+@dataclass
+class Survey:
+    """Everything that a source has."""
+
+    path: Path
+    format: str
+    csv: CsvForm
+    tables: list[SeenTable]
+
+
+def survey(path: Path) -> Survey:
+    """Read every column of numbers of a source.
+
+    Raises
+    ------
+    InputError : unreadable, or without a column of numbers.
+    """
+    name = format_of(path)
+    form, tables = tables_of(path, name)
+    wanted = [
+        WantedColumn(*filled(column.name, table.records, joint))
+        for table in tables
+        for joint in joints_seen(table)
+        for column in ((*table.columns, table.time) if table.time else table.columns)
+    ]
+    source = open_source(path, name, SourceRequest(wanted, csv=form))
+    seen = []
+    for table in tables:
+        by_joint: list[dict[str | int, Array]] = []
+        for joint in joints_seen(table):
+            by_joint.append({})
+            for column in (*table.columns, *([table.time] if table.time else [])):
+                try:
+                    values = source.column(*filled(column.name, table.records, joint))
+                except Lacking:
+                    continue  # of this joint, or nowhere a number
+                if not isinstance(values, list):
+                    by_joint[-1][column.name] = values
+        seen.append(SeenTable(table, dialect_of(table), by_joint))
+    return Survey(path, name, form, seen)
+
+
+def tables_of(path: Path, name: str) -> tuple[CsvForm, list[Tabulated]]:
+    """The tables of a source, and how it is written where it is text: the form under which most columns are numbers."""
+    best: tuple[CsvForm, list[Tabulated]] = CsvForm(), []
+    faults: list[str] = []
+    for form in csv_forms() if name == "csv" else [CsvForm()]:
+        try:
+            tables = open_source(path, name, SourceRequest(None, csv=form)).tables()
+        except InputError as fault:
+            faults += fault.faults
+            continue
+        if sum(len(table.columns) for table in tables) > sum(len(table.columns) for table in best[1]):
+            best = form, tables
+    if not any(table.columns for table in best[1]):
+        raise InputError(faults[:1] or f"{path}: no table of numbers that a mapping could take")
+    return best
+
+
+def joints_seen(table: Tabulated) -> tuple[str, ...]:
+    """Joints whose numbers are looked at; one without a name where a table has none."""
+    return table.joints[:MOST_JOINTS] or ("",)
+
+
+def filled(column: str | int, records: str | None, joint: str) -> tuple[str | int, str | None]:
+    """A column with a joint's name in place of `{joint}`."""
+    name = column.replace(PLACEHOLDER, joint) if isinstance(column, str) else column
+    return name, records.replace(PLACEHOLDER, joint) if records else None

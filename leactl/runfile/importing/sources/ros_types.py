@@ -1,0 +1,121 @@
+"""Messages of ROS 2 by the definitions that their logs carry, decoded by `rosbags`."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from leactl.errors import InputError
+from leactl.runfile.importing.sources.source import reason_of
+
+MOST_PARTS: Final = 10_000  # of a message: rosbags writes code for each
+UNDERWAY: Final = 0  # of a message whose parts are being counted
+SEPARATOR: Final = "=" * 80 + "\n"  # between the definitions of a schema of kind ros2idl
+
+
+@contextmanager
+def packages(path: Path) -> Iterator[None]:
+    """Name the extra where a package that reads such a file is missing.
+
+    Raises
+    ------
+    InputError : it is.
+    """
+    try:
+        yield
+    except ImportError as fault:
+        what = f"{path}: needs mcap and rosbags: pip install 'leactl[ros]' ({fault})"
+        raise InputError(what) from fault
+
+
+class RosTypes:
+    """Types of messages, each learnt once."""
+
+    def __init__(self) -> None:
+        from rosbags.typesys import Stores, get_typestore
+
+        self._store: Any = get_typestore(Stores.EMPTY)
+        self._usual: Any = None
+        self._learnt: dict[tuple[str, bytes], str] = {}
+
+    def learn(self, kind: str, encoding: str, text: bytes) -> str:
+        """Learn a type with those that it uses, from the definition beside it; says why it cannot be, else nothing."""
+        if (kind, text) not in self._learnt:
+            self._learnt[kind, text] = self._refused(kind, encoding, text)
+        return self._learnt[kind, text]
+
+    def usual(self, kind: str) -> str:
+        """Take a type as ROS 2 ships it, where a log carries no definition; says why it cannot be, else nothing."""
+        from rosbags.typesys import Stores, get_typestore
+
+        self._usual = self._usual or get_typestore(Stores.LATEST)
+        if kind not in self._usual.fielddefs:
+            return f"is of {kind}, of which neither the log nor ROS 2 itself has a definition"
+        return ""
+
+    def decode(self, kind: str, data: bytes) -> Any:
+        """A message as an object with fields.
+
+        Raises
+        ------
+        Exception : of any kind, where the bytes are not of that type.
+        """
+        store = self._store if kind in self._store.fielddefs else self._usual
+        return store.deserialize_cdr(data, kind)
+
+    def _refused(self, kind: str, encoding: str, text: bytes) -> str:
+        from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
+
+        if encoding not in ("ros2msg", "ros2idl"):
+            return f"is defined in {encoding or 'nothing'}; ros2msg or ros2idl was expected"
+        try:
+            written = text.decode()
+            types: dict[str, Any] = {}
+            if encoding == "ros2msg":
+                types = dict(get_types_from_msg(written, kind))
+            else:
+                for part in written.split(SEPARATOR):
+                    # what a file includes stands beside it, and rosbags knows no directives
+                    body = "\n".join(line for line in part.splitlines() if not line.startswith(("IDL: ", "#")))
+                    types |= get_types_from_idl(body) if body.strip() else {}
+            known = self._store.fielddefs
+            if parts_of(kind, {**known, **types}, {}) > MOST_PARTS:
+                return f"has a definition of more than {MOST_PARTS} parts; fewer were expected"
+            self._store.register({name: fields for name, fields in types.items() if name not in known})
+        except (TypesysError, UnicodeDecodeError, RecursionError, KeyError, ValueError) as error:
+            return f"has a definition that cannot be read: {reason_of(error)}"
+        return ""
+
+
+def parts_of(kind: str, types: dict[str, Any], counted: dict[str, int]) -> int:
+    """How many fields a message has with those of its parts, an array of messages or texts counted by its length.
+
+    Raises
+    ------
+    TypesysError : a message of which it consists is not defined, or holds itself.
+    """
+    from rosbags.typesys import TypesysError
+
+    if kind not in types:
+        raise TypesysError(f"{kind} is used and not defined")
+    if counted.get(kind) == UNDERWAY:
+        raise TypesysError(f"{kind} holds itself")
+    if kind not in counted:
+        counted[kind] = UNDERWAY
+        parts = 1 + sum(parts_of_field(field, types, counted) for _, field in types[kind][1])
+        counted[kind] = min(parts, MOST_PARTS + 1)
+    return counted[kind]
+
+
+def parts_of_field(field: Any, types: dict[str, Any], counted: dict[str, int]) -> int:
+    """How many fields a field stands for."""
+    from rosbags.interfaces import Nodetype
+
+    node, about = field
+    if node == Nodetype.NAME:
+        return parts_of(about, types, counted)
+    if node == Nodetype.BASE:
+        return 1
+    inner, length = about
+    is_plain = inner[0] == Nodetype.BASE and inner[1][0] != "string"
+    return 1 if is_plain else parts_of_field(inner, types, counted) * (length if node == Nodetype.ARRAY else 1)

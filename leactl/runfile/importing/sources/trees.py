@@ -1,0 +1,166 @@
+"""Nested names, lists and arrays, as JSON and MAT files hold them, as something to ask for columns and values."""
+
+import re
+from array import array
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+from leactl.runfile.importing.mapping import as_label
+from leactl.runfile.importing.sources.source import Lacking, Listed, Tabulated, as_float
+
+Array = npt.NDArray[np.float64]
+FEWEST_ROWS = 2  # of a table
+MOST_COLUMNS = 64  # of a matrix whose columns are listed
+SURVEYED = 200  # rows by which a column is one of numbers
+LONGEST_PATH = 200  # characters, below which nothing is listed
+_STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
+
+
+class TreeSource:
+    """Nested names, lists and arrays."""
+
+    def __init__(self, path: Path, tree: Any, began: datetime | None = None) -> None:
+        self.path, self._tree, self.began = path, tree, began
+
+    def column(self, name: str | int, records: str | None) -> Array | list[str]:
+        """A column by path, below the records where they are given."""
+        base = self._walk(self._tree, records) if records else self._tree
+        found = self._indexed(base, name, records) if isinstance(name, int) else self._walk(base, name)
+        return self._as_column(found, name)
+
+    def labels(self, name: str | int, records: str | None) -> list[str]:
+        """A column by path, as labels."""
+        return [as_label(value) for value in self.column(name, records)]
+
+    def field(self, name: str | int) -> float | str:
+        """A single value by path."""
+        value = self._walk(self._tree, str(name))
+        if isinstance(value, np.ndarray) and value.size == 1:
+            value = value.reshape(-1)[0].item()
+        if isinstance(value, str):
+            return value
+        if isinstance(value, bool | int | float | np.number):
+            return as_float(value)
+        raise Lacking(f"{self.path}: {name!r} holds {_described(value)} where one value was expected")
+
+    def place(self, name: str | int, row: int) -> str:
+        """Name and row from 0."""
+        return f"{self.path}: {name!r} row {row}"
+
+    def tables(self) -> list[Tabulated]:
+        """Lists of records, matrices, and columns of one length beside one another."""
+        return list(_tables(self._tree, ""))
+
+    def _indexed(self, base: Any, index: int, records: str | None) -> Any:
+        where = records or "the file"
+        if isinstance(base, np.ndarray) and base.ndim == 2 and index < base.shape[1]:
+            return base[:, index]
+        if isinstance(base, list) and base and all(isinstance(row, list) and len(row) > index for row in base):
+            return [row[index] for row in base]
+        raise Lacking(f"{self.path}: {where} has no column {index}; it is {_described(base)}")
+
+    def _walk(self, node: Any, path: str) -> Any:
+        if isinstance(node, dict) and path in node:
+            return node[path]
+        done = ""
+        for match in _STEP.finditer(path):
+            key: str | int = match[1] if match[1] is not None else int(match[2])
+            node = self._child(node, key, done)
+            done = path[: match.end()]
+        return node
+
+    def _child(self, node: Any, key: str | int, done: str) -> Any:
+        where = done or "the file"
+        if isinstance(key, int):
+            if isinstance(node, list | np.ndarray) and key < len(node):
+                return node[key]
+            raise Lacking(f"{self.path}: {where} has no item {key}; it is {_described(node)}")
+        if isinstance(node, dict):
+            if key in node:
+                return node[key]
+            raise Lacking(f"{self.path}: {where} has no {key!r}; it has {', '.join(map(str, node)) or 'nothing'}")
+        if isinstance(node, list) and all(isinstance(item, dict) for item in node):
+            if not any(key in item for item in node):
+                has = ", ".join(sorted({str(k) for item in node[:100] for k in item})) or "nothing"
+                raise Lacking(f"{self.path}: no record of {where} has {key!r}; they have {has}")
+            return [item.get(key) for item in node]  # None: that record lacks it
+        raise Lacking(f"{self.path}: {where} has no {key!r}; it is {_described(node)}")
+
+    def _as_column(self, found: Any, name: str | int) -> Array | list[str]:
+        if isinstance(found, np.ndarray) and found.dtype.kind in "fiub":
+            flat = found.reshape(-1) if found.size == max(found.shape, default=0) else found
+            if flat.ndim == 1:
+                return flat.astype(np.float64)
+        if isinstance(found, list) and found:
+            if all(isinstance(value, str) for value in found):
+                return found
+            out = array("d")
+            for row, value in enumerate(found):
+                if value is not None and not isinstance(value, bool | int | float | np.number):
+                    shown = repr(value) if isinstance(value, str) else _described(value)
+                    raise InputError(f"{self.place(name, row)}: {shown} is not a number")
+                try:
+                    out.append(np.nan if value is None else as_float(value))
+                except Lacking as lacking:
+                    raise InputError(f"{self.place(name, row)}: {lacking}") from None
+            return np.frombuffer(out, np.float64)
+        raise Lacking(f"{self.path}: {name!r} holds {_described(found)} where a column of numbers was expected")
+
+
+def _described(value: Any) -> str:
+    if isinstance(value, dict):
+        return f"a group of {', '.join(map(str, value)) or 'nothing'}"
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape} of {value.dtype}"
+    return f"a list of {len(value)}" if isinstance(value, list) else f"{value!r}"[:60]
+
+
+def _tables(node: Any, path: str) -> Iterator[Tabulated]:
+    """The tables at a path and below it."""
+    records = path or None
+    if isinstance(node, dict):
+        by_length: dict[int, list[Listed]] = {}
+        for name, value in node.items():
+            if _is_column(value):
+                by_length.setdefault(np.size(value), []).append(Listed(str(name)))
+            elif len(path) < LONGEST_PATH:
+                yield from _tables(value, f"{path}.{name}" if path else str(name))
+        for columns in by_length.values():
+            yield Tabulated(records, tuple(columns))
+    elif isinstance(node, list) and len(node) >= FEWEST_ROWS and all(isinstance(item, dict) for item in node):
+        yield Tabulated(records, tuple(map(Listed, _columns_of_records(node[:SURVEYED], ""))))
+    elif isinstance(node, np.ndarray) and node.ndim == 2 and node.dtype.kind in "fiub" and len(node) >= FEWEST_ROWS:
+        yield Tabulated(records, tuple(map(Listed, range(min(node.shape[1], MOST_COLUMNS)))))
+    elif isinstance(node, list) and len(node) >= FEWEST_ROWS and all(isinstance(row, list) for row in node):
+        width = min(len(row) for row in node)
+        numbers_at = [at for at in range(width) if all(_is_number(row[at]) for row in node[:SURVEYED])]
+        yield Tabulated(records, tuple(map(Listed, numbers_at)))
+
+
+def _columns_of_records(items: list[dict[str, Any]], path: str) -> Iterator[str]:
+    """Paths of numbers in records, and in records within them."""
+    for name in dict.fromkeys(str(name) for item in items for name in item):
+        values = [item.get(name) for item in items]
+        below = f"{path}.{name}" if path else name
+        if all(map(_is_number, values)):
+            yield below
+        elif all(isinstance(value, dict) for value in values) and len(below) < LONGEST_PATH:
+            yield from _columns_of_records(values, below)  # type: ignore[arg-type]
+
+
+def _is_column(value: Any) -> bool:
+    """Whether a value is a column of numbers."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.kind in "fiub" and value.size == max(value.shape, default=0) >= FEWEST_ROWS
+    return isinstance(value, list) and len(value) >= FEWEST_ROWS and all(map(_is_number, value[:SURVEYED]))
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value stands in a column of numbers; what is missing does."""
+    return value is None or isinstance(value, bool | int | float | np.number)

@@ -1,0 +1,120 @@
+"""Steps of an imported recording: by instants, by a column that tells them, or where a channel holds its level."""
+
+import math
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from leactl.errors import InputError
+from leactl.runfile.importing.holds import NotDistinct, held
+from leactl.runfile.importing.mapping import Mapping, StepsByColumn, StepsByHolds, is_place
+from leactl.runfile.importing.streams import Stream
+from leactl.yamlfile import Document
+
+MOST_SEEN = 10  # labels that a fault names
+
+
+class Step(NamedTuple):
+    """A step as the run file has it, times on the run's clock [s]."""
+
+    name: str
+    start: float
+    stop: float
+    settle: float
+    parameters: dict[str, Any]
+
+
+def steps_of(streams: dict[str, Stream], mapping: Mapping, document: Document, source: str) -> list[Step]:
+    """Steps of one run, as its mapping tells them; none where it tells nothing.
+
+    Raises
+    ------
+    InputError : steps beyond the recording or over one another, labels that never stand, no level that is held.
+    """
+    end = max(float(stream.time[-1]) for stream in streams.values())
+    if mapping.steps:
+        return by_instants(mapping, end, document, source)
+    if mapping.steps_by_column:
+        return by_column(streams, mapping.steps_by_column, document, source)
+    if mapping.steps_by_holds:
+        return by_holds(streams, mapping.steps_by_holds, document, source)
+    return []
+
+
+def by_instants(mapping: Mapping, end: float, document: Document, source: str) -> list[Step]:
+    """Steps that the mapping writes out."""
+    faults, before = [], 0.0
+    for index, step in enumerate(mapping.steps):
+        if not before <= step.start_s:
+            why = f"start_s {step.start_s:g}: after {before:g} s was expected, where the step before it ends"
+            faults.append(document.fault(("steps", index), why))
+        if step.stop_s > end:
+            faults.append(document.fault(("steps", index), f"{source}: stop_s {step.stop_s:g}; it ends at {end:.6g} s"))
+        before = step.stop_s
+    if faults:
+        raise InputError(faults)
+    return [Step(s.name, s.start_s, s.stop_s, s.settle_s, dict(s.parameters)) for s in mapping.steps]
+
+
+def by_column(streams: dict[str, Stream], by: StepsByColumn, document: Document, source: str) -> list[Step]:
+    """A step for each stretch of rows with one label."""
+    stream = streams[by.stream]
+    labels = stream.labels or []
+    changes = [row for row, (one, other) in enumerate(pairwise(labels), start=1) if one != other]
+    found = []
+    for first, after in pairwise([0, *changes, len(labels)]):
+        if labels[first] in by.names:
+            start, stop = during(stream, first, after)
+            found.append(Step(by.names[labels[first]], start, stop, by.settle_s, {}))
+            for name, value in by.parameters.items():
+                known = level(streams, value, start, stop, by.settle_s) if is_place(value) else value
+                if known is None:
+                    why = f"{source}: {value} has no reading from {start + by.settle_s:g} s to {stop:g} s"
+                    raise InputError(document.fault(("steps_by_column", "settle_s"), f"{why}; a shorter one has"))
+                if not (isinstance(known, float) and math.isnan(known)):
+                    found[-1].parameters[name] = known
+    if not found:
+        seen = ", ".join(list(dict.fromkeys(labels))[:MOST_SEEN])
+        told = f"{source}: none of {', '.join(by.names)} stands in column {by.column!r}, which has {seen}"
+        raise InputError(document.fault(("steps_by_column", "names"), told))
+    return found
+
+
+def by_holds(streams: dict[str, Stream], by: StepsByHolds, document: Document, source: str) -> list[Step]:
+    """A step for each stretch in which a channel holds a level."""
+    name, channel = by.channel.split("/")
+    stream, values = streams[name], streams[name].channel(channel)
+    is_setpoint = stream.spec(channel).quantity.endswith("_reference")
+    try:
+        holds = held(stream.time, values, by.least_s, by.settle_s, is_setpoint)
+    except NotDistinct as why:
+        told = f"{source}: levels of {by.channel} are not distinct from noise: {why}; a setpoint, steps or"
+        raise InputError(document.fault(("steps_by_holds", "channel"), f"{told} steps_by_column can tell")) from None
+    found = []
+    for hold in holds:
+        start, stop = during(stream, hold.first, hold.after)
+        settled = values[hold.first : hold.after][stream.time[hold.first : hold.after] >= start + by.settle_s]
+        held_at = float(np.nanmedian(settled))
+        came = {} if math.isnan(hold.before) else {"direction": "rising" if hold.before < held_at else "falling"}
+        found.append(Step("hold", start, stop, by.settle_s, {by.parameter: held_at, **came, **by.parameters}))
+    if not found:
+        told = f"{source}: {by.channel} holds no level for least_s {by.least_s:g}"
+        raise InputError(document.fault(("steps_by_holds", "least_s"), told))
+    return found
+
+
+def during(stream: Stream, first: int, after: int) -> tuple[float, float]:
+    """Instants of a stretch of rows: from its first to that of the row after it, or to the end."""
+    return float(stream.time[first]), float(stream.time[min(after, len(stream.time) - 1)])
+
+
+def level(streams: dict[str, Stream], place: str, start: float, stop: float, settle: float) -> float | None:
+    """Median of a channel in the settled part of a step; NaN where it is silent in all of it, None in that alone."""
+    name, channel = place.split("/")
+    stream = streams[name]
+    values = stream.channel(channel)
+    if not np.isfinite(values[(stream.time >= start) & (stream.time < stop)]).any():
+        return math.nan
+    settled = values[(stream.time >= start + settle) & (stream.time < stop)]
+    return float(np.nanmedian(settled)) if np.isfinite(settled).any() else None

@@ -1,0 +1,256 @@
+"""Columns of a foreign file as streams of a run: units converted, clocks aligned, stamps checked."""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+import numpy.typing as npt
+
+from leactl.errors import InputError
+from leactl.quantities import ChannelSpec
+from leactl.runfile.align.alignment import Alignment, by_likeness
+from leactl.runfile.importing.mapping import (
+    ChannelMapping,
+    FieldOf,
+    Mapping,
+    StepsByColumn,
+    StreamMapping,
+    TimeBase,
+)
+from leactl.runfile.importing.sources.source import Lacking, Source
+from leactl.units import LINEAR, SECONDS, converter
+from leactl.yamlfile import Document
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass
+class Stream:
+    """Channels on one clock, not yet in a file."""
+
+    time: Array
+    specs: list[ChannelSpec]
+    values: list[Array]
+    aligned: str = ""  # how an estimated clock was tied, and how well
+    labels: list[str] | None = None  # of each row: what a column says that steps are told by
+
+    def channel(self, name: str) -> Array:
+        """Values of one channel."""
+        return self.values[self.specs.index(self.spec(name))]
+
+    def spec(self, name: str) -> ChannelSpec:
+        """What one channel is."""
+        return next(spec for spec in self.specs if spec.name == name)
+
+    def rows(self, first: int, last: int) -> "Stream":
+        """Rows from the first up to before the last."""
+        labels = self.labels[first:last] if self.labels is not None else None
+        columns = [column[first:last] for column in self.values]
+        return Stream(self.time[first:last], self.specs, columns, self.aligned, labels)
+
+
+def build_streams(source: Source, mapping: Mapping, document: Document) -> dict[str, Stream]:
+    """Read every mapped channel of a source onto the run's clock.
+
+    Raises
+    ------
+    InputError : columns that are missing, units that cannot be, stamps that do not increase, clocks that disagree.
+    """
+    faults: list[str] = []
+    streams: dict[str, Stream] = {}
+    for name, wanted in mapping.streams.items():
+        try:
+            by = mapping.steps_by_column
+            streams[name] = build_stream(source, name, wanted, by if by and by.stream == name else None, document)
+        except InputError as found:
+            faults += found.faults
+    if faults:
+        raise InputError(faults)
+    for name, wanted in mapping.streams.items():
+        if wanted.clock is not None:
+            tied = aligned(streams, name, wanted, document)
+            streams[name].time = streams[name].time + (tied.offset if tied else wanted.clock.offset_s or 0.0)
+            streams[name].aligned = tied.told() if tied else ""
+    begins = {name: float(s.time[0]) for name, s in streams.items()}
+    ends = {name: float(s.time[-1]) for name, s in streams.items()}
+    late, early = max(begins, key=lambda n: begins[n]), min(ends, key=lambda n: ends[n])
+    if begins[late] > ends[early]:
+        told = (
+            f"{source.path}: it begins at {begins[late]:.6g} s, after stream {early!r} has ended at {ends[early]:.6g} s"
+        )
+        raise InputError(document.fault(("streams", late), f"{told}; set clock.offset_s or clock.estimate"))
+    start = min(begins.values())
+    for stream in streams.values():
+        stream.time = stream.time - start
+    return streams
+
+
+def build_stream(
+    source: Source, name: str, wanted: StreamMapping, by: StepsByColumn | None, document: Document
+) -> Stream:
+    """Read one stream on its own clock, with the labels of the column that steps are told by."""
+    faults: list[str] = []
+    specs, values, columns = [], [], []
+    for channel, mapped in wanted.channels.items():
+        try:
+            spec, column = build_channel(source, name, channel, mapped, wanted.records, document)
+        except InputError as found:
+            faults += found.faults
+            continue
+        specs.append(spec)
+        values.append(column)
+        columns.append(mapped.column)
+    if faults:
+        raise InputError(faults)
+    lengths = {len(column) for column in values}
+    if len(lengths) > 1:
+        told = ", ".join(f"{spec.name} {len(column)}" for spec, column in zip(specs, values, strict=True))
+        raise InputError(document.fault(("streams", name), f"{source.path}: columns of different length: {told}"))
+    time, keep = stamps(source, wanted.time, wanted.records, ("streams", name, "time"), lengths.pop(), document)
+    labels = labels_of(source, by, wanted.records, time, keep, document) if by is not None else None
+    return Stream(time[keep], specs, [column[keep] for column in values], labels=labels)
+
+
+def labels_of(
+    source: Source,
+    by: StepsByColumn,
+    records: str | None,
+    time: Array,
+    keep: npt.NDArray[np.bool_],
+    document: Document,
+) -> list[str]:
+    """The label of each row that is kept: that of its own, or the one in force at its stamp; empty before the first."""
+    try:
+        raw = source.labels(by.column, None if by.time else records)
+    except Lacking as lacking:
+        raise InputError(document.fault(("steps_by_column", "column"), str(lacking))) from None
+    if by.time is None:
+        if len(raw) != len(keep):
+            told = f"{source.path}: {len(raw)} labels for {len(keep)} rows"
+            hint = "; give steps_by_column.time where labels have stamps of their own"
+            raise InputError(document.fault(("steps_by_column", "column"), told + hint))
+        return [label for label, kept in zip(raw, keep, strict=True) if kept]
+    since, kept = stamps(source, by.time, None, ("steps_by_column", "time"), len(raw), document)
+    in_force = ["", *(label for label, is_kept in zip(raw, kept, strict=True) if is_kept)]
+    return [in_force[row] for row in np.searchsorted(since[kept], time[keep], side="right")]
+
+
+def build_channel(
+    source: Source, stream: str, name: str, mapped: ChannelMapping, records: str | None, document: Document
+) -> tuple[ChannelSpec, Array]:
+    """Read one channel in the units of its quantity."""
+    place = ("streams", stream, "channels", name)
+    try:
+        raw = source.column(mapped.column, records)
+    except Lacking as lacking:
+        raise InputError(document.fault((*place, "column"), str(lacking))) from None
+    if isinstance(raw, list):
+        raise InputError(f"{source.place(mapped.column, 0)}: {raw[0]!r} is not a number")
+    scale = number(source, mapped.scale, (*place, "scale"), document)
+    offset = number(source, mapped.offset, (*place, "offset"), document)
+    conversion = converter(mapped.units or "", mapped.quantity)
+    units = conversion.target if conversion else ""
+    values = mapped.sign * (scale * raw + offset)
+    if conversion:
+        values = conversion.factor * (values - conversion.zero)
+    infinite = np.flatnonzero(np.isinf(values))
+    if len(infinite):
+        raise InputError(
+            [f"{source.place(mapped.column, int(infinite[0]))}: infinite; a missed sample is NaN or empty"]
+        )
+    if not np.isfinite(values).any():
+        raise InputError(f"{source.path}: column {mapped.column!r} holds no number at all")
+    spec = ChannelSpec(
+        name=name,
+        quantity=mapped.quantity,
+        role=mapped.role,
+        device=mapped.device or source.path.name,
+        long_name=mapped.long_name,
+        location=mapped.location,
+        sampling=mapped.sampling or "",
+        units=units if units in LINEAR else "",
+        dtype="f8",
+        scale_std=mapped.scale_std,
+    )
+    return spec, np.asarray(values, np.float64)
+
+
+def number(source: Source, value: float | FieldOf, place: tuple[str | int, ...], document: Document) -> float:
+    """A number that the mapping gives, or the field that it points to."""
+    if not isinstance(value, FieldOf):
+        return value
+    try:
+        found = source.field(value.field)
+    except Lacking as lacking:
+        raise InputError(document.fault((*place, "field"), str(lacking))) from None
+    if isinstance(found, str) or not np.isfinite(found):
+        raise InputError(document.fault((*place, "field"), f"{source.path}: {found!r} is not a number"))
+    return value.scale * found + value.offset
+
+
+def stamps(
+    source: Source, base: TimeBase, records: str | None, place: tuple[str, ...], rows: int, document: Document
+) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Stamps in seconds, strictly increasing, and which rows they keep."""
+    everything: npt.NDArray[np.bool_] = np.ones(rows, bool)
+    if base.column is None:
+        step = base.step_s or 1.0 / (base.rate_Hz or 1.0)
+        return np.asarray(base.start_s + step * np.arange(rows), np.float64), everything
+    try:
+        raw = source.column(base.column, records)
+    except Lacking as lacking:
+        raise InputError(document.fault((*place, "column"), str(lacking))) from None
+    if len(raw) != rows:
+        raise InputError(document.fault((*place, "column"), f"{len(raw)} stamps for {rows} rows"))
+    time = seconds(source, base, raw)
+    missing = np.flatnonzero(~np.isfinite(time))
+    if len(missing):
+        raise InputError(f"{source.place(base.column, int(missing[0]))}: no stamp; {len(missing)} rows have none")
+    keep = np.concatenate([[True], np.diff(time) != 0]) if base.repeated == "drop" else everything
+    kept = np.flatnonzero(keep)
+    wrong = np.flatnonzero(np.diff(time[kept]) <= 0)
+    if len(wrong):
+        row = int(kept[wrong[0] + 1])
+        before, here = time[kept[wrong[0]]], time[row]
+        told = "stands twice" if here == before else f"goes back from {before:.9g} s"
+        hint = "; time.repeated: drop leaves the later rows out" if here == before else ""
+        more = f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""
+        raise InputError(f"{source.place(base.column, row)}: stamp {here:.9g} s {told}{more}{hint}")
+    return time, keep
+
+
+def seconds(source: Source, base: TimeBase, raw: Array | list[str]) -> Array:
+    """Stamps as seconds."""
+    assert base.column is not None
+    if base.units != "iso8601":
+        if isinstance(raw, list):
+            raise InputError(f"{source.place(base.column, 0)}: {raw[0]!r} is not a number; time.units may be iso8601")
+        return raw * SECONDS[base.units]
+    out = np.empty(len(raw))
+    for row, text in enumerate(raw):
+        try:
+            moment = datetime.fromisoformat(str(text))
+        except ValueError:
+            raise InputError(f"{source.place(base.column, row)}: {text!r} is no ISO 8601 date and time") from None
+        out[row] = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    return out
+
+
+def aligned(streams: dict[str, Stream], name: str, wanted: StreamMapping, document: Document) -> Alignment | None:
+    """How a stream's stamps are put on the run's clock; None where its offset is given, or none."""
+    clock = wanted.clock
+    if clock is None or clock.estimate is None:
+        return None
+    other, channel = clock.estimate.against.split("/")
+    own, reference = streams[name], streams[other]
+    what = f"{clock.estimate.channel} and {clock.estimate.against}"
+    try:
+        return by_likeness(
+            (own.time, own.channel(clock.estimate.channel)),
+            (reference.time, reference.channel(channel)),
+            within=clock.estimate.within_s,
+            what=what,
+        )
+    except InputError as fault:
+        hint = "clock.offset_s or another within_s decides"
+        raise InputError(document.fault(("streams", name, "clock", "estimate"), f"{fault}; {hint}")) from None

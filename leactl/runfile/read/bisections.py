@@ -1,0 +1,38 @@
+"""Searches of a run: what the steps that ended them tell."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from leactl.runfile.read.reader import Step
+
+
+@dataclass(frozen=True)
+class Searched:
+    """A bisection that has come to its end."""
+
+    name: str
+    outcome: str  # bracketed, not_identifiable
+    lower: float | None  # None where both ends had the same outcome
+    upper: float | None
+    resolution: float
+    unit: str
+
+    def __str__(self) -> str:
+        if self.lower is None or self.upper is None:
+            return f"bisect {self.name}: {self.outcome.replace('_', ' ')}, both ends have the same outcome"
+        return f"bisect {self.name}: {self.lower:g} to {self.upper:g} {self.unit}, resolution {self.resolution:g}"
+
+
+def searches(steps: Sequence[Step]) -> Iterator[Searched]:
+    """Every search that has come to its end, in order."""
+    for step in steps:
+        told = step.parameters
+        key = next((key for key in told if key.startswith("resolution_")), "")
+        unit = key.removeprefix("resolution_")
+        lower, upper, resolution = (_number(told.get(name)) for name in (f"lower_{unit}", f"upper_{unit}", key))
+        if isinstance(told.get("bisect"), str) and resolution is not None:
+            yield Searched(step.name, told["bisect"], lower, upper, resolution, unit)
+
+
+def _number(told: object) -> float | None:
+    return float(told) if isinstance(told, int | float) and not isinstance(told, bool) else None

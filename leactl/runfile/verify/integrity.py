@@ -1,0 +1,277 @@
+"""Verify, recover and annotate run files; the measured values themselves are never changed.
+
+`recover` writes a copy next to the original, `annotate` replaces the file only after every checksum has held.
+"""
+
+import shutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from leactl.errors import InputError
+from leactl.runfile import layout, seal
+from leactl.runfile.hdf5.opening import DAMAGE, damage, open_run_file, reading
+from leactl.runfile.hdf5.space import reserve, trim
+from leactl.runfile.publish import new_file, refuse_existing, replacement
+from leactl.runfile.read.reader import Run
+from leactl.runfile.read.stream_checks import faults_of_streams, uneven_tables, whole_rows
+from leactl.runfile.summary import RECORDING, STATUSES
+from leactl.runfile.write.repack import repack, text_bytes, write_table
+
+WHOLE = "values, names and attributes"
+
+
+@dataclass(frozen=True)
+class Examined:
+    """A run file as `verify` finds it."""
+
+    path: Path
+    findings: list[str]  # what is wrong with it, one line each
+    status: str = ""
+    covered: str = ""  # "values", or "values, names and attributes"; empty where nothing tells of changes
+
+    @property
+    def told(self) -> str:
+        """How a sound run ended and what is known to be unchanged, for a person."""
+        how = self.status or "no status"
+        if not self.covered:
+            return f"{how}; no checksums: nothing tells whether it was changed"
+        names = "" if self.covered == WHOLE else "; no seal: names and attributes are not covered"
+        return f"{how}; {self.covered} are as they were closed{names}"
+
+    def as_json(self) -> dict[str, Any]:
+        """The same for scripts."""
+        covered = self.covered or None
+        return {"run": str(self.path), "status": self.status, "covered": covered, "findings": self.findings}
+
+
+def examine(path: Path) -> Examined:
+    """Look a run file through, with how it ended."""
+    if findings := verify(path):
+        return Examined(path, findings)
+    with Run.open(path) as run:
+        return Examined(path, [], run.status, WHOLE if run.sealed else "values" if run.checked else "")
+
+
+def verify(path: Path) -> list[str]:
+    """Everything that is wrong with a run file, one line each; empty where all is well.
+
+    Foreign files carry no checksums; that alone is no finding.
+    """
+    try:
+        file, live = open_run_file(path)
+    except InputError as fault:
+        return fault.faults
+    with file:
+        try:
+            findings = [
+                *unfinished(file, live),
+                *missing_attributes(file),
+                *uneven_tables(file),
+            ]
+            findings += faults_of_streams(file.get("streams", {}), unfinished=False)
+            return [f"{path}: {finding}" for finding in [*findings, *altered_parts(file)]]
+        except DAMAGE as fault:
+            return [f"{path}: {damage(fault)}"]
+
+
+def altered(path: Path) -> list[str]:
+    """What is not as it was when the run was closed, one line each; a file without checksums has no finding.
+
+    Raises
+    ------
+    InputError : not a run file.
+    """
+    file, _live = open_run_file(path)
+    with file, reading(path):
+        return [f"{path}: {finding}" for finding in altered_parts(file)]
+
+
+def refuse_altered(paths: Iterable[Path]) -> None:
+    """Refuse runs that are not as they were when they were closed.
+
+    Raises
+    ------
+    InputError : a line for each value, name or attribute that is another one.
+    """
+    refuse_findings([finding for path in paths for finding in altered(path)])
+
+
+def refuse_findings(findings: Sequence[str]) -> None:
+    """Refuse what `altered` tells of runs."""
+    if findings:
+        raise InputError([f"{finding}; nothing is worked out from it" for finding in findings])
+
+
+def altered_parts(file: Any) -> list[str]:
+    """Values, names and attributes that are not those of the closed run."""
+    return [*wrong_checksums(file), *seal.broken(file)]
+
+
+def unfinished(file: Any, live: bool) -> list[str]:
+    """Whether the recording came to its orderly end."""
+    status = layout.plain(file.attrs.get("status", ""))
+    if live or status == RECORDING:
+        return ["incomplete recording: still being written or left by a kill; run: leactl runs recover"]
+    if status and status not in STATUSES:
+        return [f"status {status!r} is none of {', '.join(STATUSES)}"]
+    return []
+
+
+def missing_attributes(file: Any) -> list[str]:
+    """Attributes that the format asks for and the file does not have."""
+    wanted: list[tuple[str, Any, tuple[str, ...]]] = [("", file, layout.ROOT_ATTRIBUTES)]
+    if "mechanical" not in layout.attributes(file.get("setup", file)):
+        wanted.append(("/setup", file.get("setup", file), ("mechanical",)))
+    for place, dataset in layout.datasets(file.get("streams", {}), "/streams"):
+        if not place.endswith("/time"):
+            wanted.append((place, dataset, layout.CHANNEL_ATTRIBUTES))
+    return [
+        f"{place or '/'}: no attribute {name!r}"
+        for place, node, names in wanted
+        for name in names
+        if name not in node.attrs
+    ]
+
+
+def wrong_checksums(file: Any) -> list[str]:
+    """Datasets whose values are not those that were stored at close."""
+    findings = []
+    stored = {place: str(layout.plain(dataset.attrs.get("sha256", ""))) for place, dataset in layout.datasets(file)}
+    without = [place for place, expected in stored.items() if not expected]
+    if without and any(sha for place, sha in stored.items() if not place.startswith("/notes/")):
+        more = f" and {len(without) - 1} more" if len(without) > 1 else ""
+        findings.append(f"{without[0]}{more}: no checksum, though other datasets have one")
+    for place, expected in stored.items():
+        if not expected:
+            continue
+        try:
+            found = layout.digest(file[place])
+        except (OSError, RuntimeError) as fault:
+            findings.append(f"{place}: cannot be read: {' '.join(str(fault).split())}")
+            continue
+        if found != expected:
+            findings.append(f"{place}: checksum mismatch: values give {found[:12]}..., stored {expected[:12]}...")
+    return findings
+
+
+def recover(path: Path) -> Path:
+    """Write a clean copy of a run that was cut off, as `<stem>.recovered.h5`; the original stays.
+
+    Columns are cut to the shortest whole row, the status becomes `recovered`.
+
+    Raises
+    ------
+    InputError : not a run file, a run that ended in order, or a copy that exists already.
+    """
+    target = path.with_name(f"{path.stem}.recovered.h5")
+    refuse_existing(target)
+    file, live = open_run_file(path)
+    with file, reading(path):
+        streams = file.get("streams", {})
+        uneven = faults_of_streams(streams, unfinished=False)
+        if not (live or uneven or layout.plain(file.attrs.get("status", "")) == RECORDING):
+            raise InputError(f"{path}: the recording ended in order; there is nothing to recover")
+        if faults := faults_of_streams(streams, unfinished=True):
+            raise InputError([f"{path}: {fault}" for fault in faults])
+        with new_file(target) as clean:
+            repack(
+                file,
+                clean,
+                status="recovered",
+                reason=f"recovered from {path.name}, whose recording was cut off",
+                rows={name: whole_rows(group) for name, group in streams.items()},
+                tables=recorded_tables(file),
+            )
+    return target
+
+
+def recorded_tables(file: Any) -> dict[str, list[dict[str, Any]]]:
+    """Rows of `/steps` and `/events` that every column has."""
+    tables = {}
+    for name, columns in layout.TABLES.items():
+        group = file.get(name, {})
+        cells = [read_cells(group, column) for column in columns]
+        tables[name] = [dict(zip(columns, row, strict=True)) for row in zip(*cells, strict=False)]
+    return tables
+
+
+def read_cells(group: Mapping[str, Any], column: str) -> list[Any]:
+    """One column of a table; empty where it is absent."""
+    if column not in group:
+        return []
+    dataset = group[column]
+    return layout.texts(dataset) if layout.is_text(dataset) else list(dataset[:].tolist())
+
+
+def annotate(path: Path, text: str, author: str = "") -> None:
+    """Add a note under `/notes`; the file is replaced in one step once every checksum has held.
+
+    Raises
+    ------
+    InputError : an empty note, not a run file, one that is still being written, or a checksum that does not hold.
+    """
+    if not text.strip():
+        raise InputError(f"{path}: the note is empty; say something of the run")
+    amend(path, lambda file: add_note(file, text, author))
+
+
+def amend(path: Path, change: Callable[[Any], None], apart_from: Sequence[str] = ()) -> None:
+    """Change a copy of a closed run and put it in the run's place once all other values have proved the same.
+
+    Parameters
+    ----------
+    change : what is done to the open HDF5 file.
+    apart_from : places below which values may appear or go, besides `/notes`.
+
+    Raises
+    ------
+    InputError : not a run file, one that is still being written, or a checksum that does not hold.
+    """
+    with Run.open(path) as run:
+        if run.unfinished:
+            raise InputError(f"{path}: still being written or left by a kill; close or recover it first")
+    apart_from = ("/notes", *apart_from)
+    before = checksums(path, apart_from)
+    with replacement(path) as copy:
+        shutil.copy2(path, copy)
+        # a run of a newer format opens for writing only where the newest is let in; what is added stays old
+        with h5py.File(copy, "r+", libver=(layout.HDF5_FORMAT[0], "latest")) as file:
+            change(file)
+            seal.seal_additions(file, apart_from)
+        trim(copy)
+        if checksums(copy, apart_from) != before:
+            raise InputError(f"{path}: the changed copy does not hold the same values; the file is as it was")
+
+
+def add_note(file: Any, text: str, author: str) -> None:
+    """Add one note to an open file."""
+    table = file.get("notes", {})
+    notes = [
+        dict(zip(layout.NOTES, row, strict=True))
+        for row in zip(*(read_cells(table, c) for c in layout.NOTES), strict=False)
+    ]
+    notes.append({"time": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}", "author": author, "text": text})
+    if "notes" in file:
+        del file["notes"]
+    reserve(file, sum(text_bytes(cell) for note in notes for cell in note.values()))
+    write_table(file.create_group("notes"), layout.NOTES, notes)
+
+
+def checksums(path: Path, apart_from: Sequence[str] = ()) -> dict[str, str]:
+    """Checksum of every dataset, taken from the values; refuses values that are not the stored ones.
+
+    Parameters
+    ----------
+    apart_from : places below which datasets are left out.
+    """
+    left_out = tuple(f"{place}/" for place in apart_from)
+    file, _ = open_run_file(path)
+    with file, reading(path):
+        if findings := wrong_checksums(file):
+            raise InputError([f"{path}: {finding}" for finding in findings])
+        return {place: layout.digest(item) for place, item in layout.datasets(file) if not place.startswith(left_out)}

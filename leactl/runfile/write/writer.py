@@ -1,0 +1,372 @@
+"""Record a run while the bench moves: rows go into memory at once and to the disk about once a second.
+
+The live file is uncompressed and in HDF5's single-writer/multiple-reader mode, so others may watch it and a kill leaves
+every flushed row readable; an orderly close repacks it. Appending never waits for the disk: `flush` may run elsewhere.
+"""
+
+import errno
+import os
+import shutil
+import tempfile
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+import h5py
+import numpy as np
+from h5py import h5s
+
+from leactl.errors import InputError, SafetyTrip, Stopped
+from leactl.quantities import ChannelSpec
+from leactl.runfile import layout
+from leactl.runfile.hdf5.space import reserve, trim
+from leactl.runfile.publish import NotWritten, move_without_overwriting, refuse_existing, replacement
+from leactl.runfile.summary import CLOSED_STATUSES, RECORDING
+from leactl.runfile.write.description import RunInfo, faults_of, new_run_id
+from leactl.runfile.write.repack import as_text, one_line, repack, text_bytes
+from leactl.runfile.write.row_buffer import RowBuffer
+
+__all__ = ["RecordingFailed", "RunInfo", "RunWriter", "new_run_id"]
+
+LIVE_CHUNK_ROWS = 1 << 12
+LIVE_TABLE_ROWS = 16
+COLUMN_BYTES = 8192  # attributes and index of one dataset, generously
+
+
+class RecordingFailed(InputError):
+    """The place that was chosen for the run takes no more data; what was flushed before stays readable."""
+
+
+class RunWriter:
+    """Writer of one run; use it as a context manager or call `close`.
+
+    `append`, `append_row`, `step` and `event` only touch memory and may be called from the control loop while another
+    thread flushes. Rows count as recorded once `flush` has returned. Before each write `wait_for_disk` is called, where
+    an emulated bench lets a slow disk take its time.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        info: RunInfo,
+        streams: Mapping[str, Sequence[ChannelSpec]],
+        wait_for_disk: Callable[[], None] = lambda: None,
+    ) -> None:
+        if faults := faults_of(info, streams):
+            raise InputError(faults)
+        self.path = directory / f"{info.run_id}.h5"
+        self.closed = False
+        self._streams, self._notes = streams, list[str]()
+        self._fault = ""  # the first one, for whoever comes after it
+        self._disk, self._wait_for_disk = threading.Lock(), wait_for_disk
+        self._buffers = {name: RowBuffer(len(specs)) for name, specs in streams.items()}
+        self._written = dict.fromkeys(streams, 0)
+        self._tables: dict[str, list[dict[str, Any]]] = {name: [] for name in layout.TABLES}
+        self.heard: dict[str, Callable[[Mapping[str, Any]], None]] = {}  # who is told each row of a table, by its name
+        self._tables_written = dict.fromkeys(layout.TABLES, 0)
+        partial = directory / f"{info.run_id}.h5.partial"
+        refuse_existing(self.path)
+        refuse_existing(partial)
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+        except OSError as fault:
+            text = f"{directory}: cannot create the run file: {fault.strerror or fault}; choose another directory"
+            raise InputError(text) from None
+        try:
+            self._file = create(partial, info, streams)
+            self._datasets = {
+                name: opened_columns(self._file["streams"][name], specs) for name, specs in streams.items()
+            }
+            move_without_overwriting(partial, self.path)
+        except OSError as fault:
+            raise RecordingFailed(f"{partial}: cannot create the run file: {one_line(str(fault))}") from fault
+
+    def append_row(self, stream: str, time: float, values: Sequence[float]) -> None:
+        """Add one row; a few microseconds, whatever the disk does."""
+        if self.closed:
+            raise self._ended()
+        self._buffers[stream].append_row(time, values)
+
+    def append(self, stream: str, times: np.ndarray[Any, Any], block: np.ndarray[Any, Any]) -> None:
+        """Add rows: `times` (n,) and `block` (n, channels)."""
+        if self.closed:
+            raise self._ended()
+        self._buffers[stream].append(times, block)
+
+    def step(self, name: str, start: float, stop: float, settle: float, parameters: Mapping[str, Any]) -> None:
+        """Note which part of the run did what."""
+        times = {"start": float(start), "stop": float(stop), "settle": float(settle)}
+        self._note("steps", {"name": str(name), **times, "parameters": dict(parameters)})
+
+    def event(self, time: float, level: str, source: str, message: str) -> None:
+        """Note something that happened."""
+        row = {"time": float(time), "level": str(level), "source": str(source), "message": str(message)}
+        self._note("events", row)
+
+    def _note(self, table: str, row: dict[str, Any]) -> None:
+        self._tables[table].append(row)
+        if table in self.heard:
+            self.heard[table](row)
+
+    def flush(self) -> None:
+        """Bring everything so far into the file, where a reader or a recovery finds it."""
+        with self._disk:
+            self._on_disk(self._write_pending)
+            self._stay_in_place()
+
+    def notes(self) -> list[str]:
+        """What a person should know of the file since this was asked last."""
+        told, self._notes = self._notes, []
+        return told
+
+    def close(self, status: str, reason: str = "") -> None:
+        """Write what is left, repack compressed with checksums, and replace the live file in one step."""
+        if status not in CLOSED_STATUSES:
+            raise ValueError(f"status {status!r} is none of {', '.join(CLOSED_STATUSES)}")
+        with self._disk:
+            if self._fault:
+                raise self._ended()
+            if not self.closed:
+                self._on_disk(self._write_pending)
+                self._stay_in_place()
+                self._on_disk(self._file.close)
+                self._on_disk(lambda: self._repack(status, reason))
+                self.closed = True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        if self.closed:
+            return
+        if error is None:
+            self.close("complete")
+        else:
+            stopped = isinstance(error, Stopped | KeyboardInterrupt)
+            status = "tripped" if isinstance(error, SafetyTrip) else "stopped" if stopped else "failed"
+            try:
+                self.close(status, str(error) or type(error).__name__)
+            except RecordingFailed as second:  # what ended the run matters more than the disk
+                error.add_note(str(second))
+
+    def _write_pending(self) -> None:
+        self._wait_for_disk()
+        tables = {name: rows[self._tables_written[name] :] for name, rows in self._tables.items()}
+        taken = {name: buffer.take() for name, buffer in self._buffers.items()}
+        self._reserve(taken, tables)
+        for name, rows in taken.items():
+            if len(rows):
+                write_rows(self._datasets[name], self._written[name], rows)
+                self._written[name] += len(rows)
+        for name, pending in tables.items():
+            if pending:
+                write_live_table(self._file[name], layout.TABLES[name], self._tables_written[name], pending)
+                self._tables_written[name] += len(pending)
+
+    def _stay_in_place(self) -> None:
+        """Where the file or its folder was removed, moved or exchanged, go on in a copy that can be found."""
+        own = os.fstat(self._file.id.get_vfd_handle())
+        with suppress(OSError):
+            there = os.lstat(self.path)
+            if (there.st_dev, there.st_ino) == (own.st_dev, own.st_ino):
+                return
+        self._on_disk(self._go_on_elsewhere)
+
+    def _go_on_elsewhere(self) -> None:
+        """In a new folder of the same name, else in the working directory, else where temporary files are."""
+        before = self.path
+        descriptor = os.dup(self._file.id.get_vfd_handle())
+        try:
+            self._file.close()
+            with os.fdopen(descriptor, "rb", closefd=False) as rows:
+                places = [before.parent, *working_directory(), Path(tempfile.gettempdir())]
+                self.path = copied(rows, before.name, places)
+        finally:
+            os.close(descriptor)
+        self._file = h5py.File(self.path, "r+", libver=layout.HDF5_FORMAT)
+        self._file.swmr_mode = True
+        groups = self._file["streams"]
+        self._datasets = {name: opened_columns(groups[name], specs) for name, specs in self._streams.items()}
+        self._notes.append(
+            f"{before}: was removed or moved while it was written; every row of the run is in {self.path}"
+        )
+
+    def _reserve(self, taken: Mapping[str, np.ndarray[Any, Any]], tables: Mapping[str, Sequence[Any]]) -> None:
+        """Take room for the rows, for a chunk that each column may begin, and for the tables' fixed-length text."""
+        size = sum(rows.nbytes + 8 * LIVE_CHUNK_ROWS * rows.shape[1] for rows in taken.values() if len(rows))
+        for name, rows in tables.items():
+            size += (len(rows) + LIVE_TABLE_ROWS) * sum(width or 8 for width in layout.TABLES[name].values())
+        try:
+            reserve(self._file, size)
+        except OSError:
+            self._file.close()  # nothing failed inside HDF5 yet: the file closes in order
+            raise
+
+    def _repack(self, status: str, reason: str) -> None:
+        trim(self.path)
+        with h5py.File(self.path, "r") as live, replacement(self.path) as target:
+            repack(live, target, status=status, reason=reason, rows=self._written, tables=self._tables)
+
+    def _on_disk(self, action: Callable[[], None]) -> None:
+        """Do something with the file; where the disk refuses, let go of the file and say so in one line."""
+        if self.closed:
+            raise self._ended()
+        try:
+            action()
+        # HDF5 reports a full disk as OSError while writing and as RuntimeError while flushing or closing
+        except (OSError, RuntimeError, NotWritten) as fault:
+            hint = f"{advice(fault)}, then run: leactl runs recover"
+            self._fault = f"{self.path}: recording failed: {one_line(str(fault))}; {hint}"
+            self._abandon()
+            raise RecordingFailed(self._fault) from fault
+
+    def _ended(self) -> RecordingFailed:
+        return RecordingFailed(self._fault or f"{self.path}: the recording has ended; start a new run")
+
+    def _abandon(self) -> None:
+        self.closed = True
+        if self._file:  # closing after a failed write crashes inside HDF5: keep it open, for good
+            KEPT_OPEN.append((self._file, self._datasets))
+
+
+KEPT_OPEN: list[Any] = []
+ADVICE = {
+    "free space on the disk": (errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
+    "raise the limit of open files (ulimit -n)": (errno.EMFILE, errno.ENFILE),
+    "let this user write there, or choose --out": (errno.EACCES, errno.EPERM, errno.EROFS),
+    "make the folder again, or choose --out": (errno.ENOENT, errno.ENOTDIR, errno.ESTALE),
+    "end other programs, for memory is short": (errno.ENOMEM,),
+}
+
+
+def advice(fault: BaseException) -> str:
+    """What helps where a file takes no more; HDF5 tells no cause of what it could not write, and that is the room."""
+    number = getattr(fault, "errno", None)
+    return next((text for text, numbers in ADVICE.items() if number in numbers), "free space on the disk")
+
+
+def working_directory() -> list[Path]:
+    """The working directory, unless it is gone as well."""
+    try:
+        return [Path.cwd()]
+    except OSError:
+        return []
+
+
+def copied(rows: BinaryIO, name: str, folders: Sequence[Path]) -> Path:
+    """Copy a file into the first folder that takes it; nothing is overwritten.
+
+    Raises
+    ------
+    OSError : none does.
+    """
+    fault = OSError("there is no folder for it")
+    for folder in folders:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with (folder / name).open("xb") as copy:
+                rows.seek(0)
+                shutil.copyfileobj(rows, copy)
+                os.fsync(copy.fileno())
+        except OSError as refused:
+            fault = refused
+        else:
+            return folder / name
+    raise fault
+
+
+def create(partial: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> Any:
+    """Create everything a run will need, since SWMR mode allows no new objects, and switch SWMR on."""
+    file = h5py.File(partial, "x", libver=layout.HDF5_FORMAT)
+    try:
+        columns = sum(1 + len(specs) for specs in streams.values())
+        reserve(file, columns * COLUMN_BYTES + sum(text_bytes(text) for text in info.sources.values()))
+    except OSError:
+        file.close()
+        partial.unlink()
+        raise
+    for name in layout.ROOT_ATTRIBUTES:
+        file.attrs[name] = layout.storable(value) if isinstance(value := root_value(name, info), str) else value
+    if info.seed is not None:
+        file.attrs["seed"] = info.seed
+    setup = file.create_group("setup")
+    setup.attrs["mechanical"] = info.mechanical
+    for name, value in info.setup.items():
+        setup.attrs[name] = value
+    layout.describe(file, info.parameters, info.instruments)
+    for name, text in info.sources.items():
+        file.create_dataset(f"{name}/source", data=text, dtype=layout.TEXT)
+    group = file.create_group("streams")
+    # NaN as fill value: a stamp that was announced but never written shows as NaN and is cut
+    live = {"shape": (0,), "maxshape": (None,), "chunks": (LIVE_CHUNK_ROWS,), "fillvalue": np.nan}
+    for stream, specs in streams.items():
+        layout.create_stream(group, stream, list(specs), **live)
+    for table, widths in layout.TABLES.items():
+        for column, width in widths.items():
+            dtype = "<f8" if width is None else h5py.string_dtype("utf-8", width)
+            file.create_dataset(f"{table}/{column}", (0,), dtype=dtype, maxshape=(None,), chunks=(LIVE_TABLE_ROWS,))
+    file.swmr_mode = True
+    return file
+
+
+def root_value(name: str, info: RunInfo) -> Any:
+    """Value of one root attribute at the start of the recording."""
+    start: dict[str, Any] = {
+        "format": layout.FORMAT,
+        "format_version": layout.VERSION,
+        "status": RECORDING,
+        "status_reason": "",
+        "simulated": int(info.simulated),
+    }
+    return start[name] if name in start else getattr(info, name)
+
+
+def opened_columns(stream: Any, specs: Sequence[ChannelSpec]) -> list[tuple[int, Any, np.dtype[Any]]]:
+    """Datasets of a stream in the order of writing, with their place in a row: channels before time.
+
+    Once a stamp is in the file, so is its whole row.
+    """
+    places = {spec.name: place for place, spec in enumerate(specs, start=1)} | {"time": 0}
+    return [(place, stream[name].id, stream[name].dtype) for name, place in places.items()]
+
+
+def write_rows(columns: Sequence[tuple[int, Any, np.dtype[Any]]], written: int, rows: np.ndarray[Any, Any]) -> None:
+    """Append rows by HDF5's own calls: short blocks of many columns take h5py's slices three times as long."""
+    memory, where = h5s.create_simple((len(rows),)), h5s.create_simple((written + len(rows),))
+    where.select_hyperslab((written,), (len(rows),))  # of every column, which are of one length
+    with np.errstate(over="ignore"):  # beyond float32 becomes inf
+        for place, dataset, dtype in columns:
+            extend(dataset, written + len(rows))
+            dataset.write(memory, where, np.ascontiguousarray(rows[:, place], dtype))
+            dataset.flush()
+
+
+def write_live_table(
+    group: Any, columns: Mapping[str, int | None], written: int, rows: Sequence[Mapping[str, Any]]
+) -> None:
+    """Append to `/steps` or `/events`, cutting text to what a fixed-length string holds."""
+    for column, width in columns.items():
+        dataset = group[column]
+        extend(dataset.id, written + len(rows))
+        values = [row[column] if width is None else fitted(row[column], width) for row in rows]
+        dataset[written : written + len(rows)] = np.array(values, dataset.dtype)
+        dataset.flush()
+
+
+def extend(dataset: Any, rows: int) -> None:
+    """Make room for so many rows in all; never shrink, which SWMR forbids, where a flush was interrupted half way."""
+    if dataset.shape[0] < rows:
+        dataset.set_extent((rows,))
+
+
+def fitted(value: Any, width: int) -> bytes:
+    """Text within so many bytes; parameters lose whole entries from the end, so that the JSON stays JSON."""
+    if isinstance(value, Mapping):
+        entries = dict(value)
+        while len(encoded := layout.storable(as_text(entries)).encode()) > width:
+            entries.popitem()
+        return encoded
+    return layout.storable(value).encode()[:width].decode("utf-8", "ignore").encode()
