@@ -4,8 +4,8 @@ import os
 
 import pytest
 
-from leactl.driver import text_table
-from leactl.driver.text_table import MOST_BYTES as MOST_OF_TABLE
+from leactl.driver.tables import text_table
+from leactl.driver.tables.text_table import MOST_BYTES as MOST_OF_TABLE
 from leactl.errors import InputError
 from leactl.model.cycle import MOST_BYTES, MOST_ROWS, read_cycle
 from leactl.regular import open_regular

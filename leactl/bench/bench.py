@@ -11,8 +11,8 @@ from leactl.driver import registry
 from leactl.driver.can_port import CanPort
 from leactl.driver.contract import Block, Driver, MotionDevice, PacedDevice, Row
 from leactl.driver.i2c_port import I2cPort
+from leactl.driver.safe_state import doubt, make_safe
 from leactl.driver.serial_port import SerialPort
-from leactl.driver.stopping import doubt, make_safe
 from leactl.errors import DeviceError, InputError, LeactlError, NoBus
 from leactl.quantities import ChannelSpec
 

@@ -9,7 +9,7 @@ from leactl.bench.bench import Bench
 from leactl.bench.wiring import MachineWiring
 from leactl.driver import registry
 from leactl.driver.contract import OwnRecording, RecordingDevice
-from leactl.driver.stopping import doubt, make_safe
+from leactl.driver.safe_state import doubt, make_safe
 from leactl.errors import DeviceError, InputError
 from leactl.runfile.publish import new_file, refuse_existing
 from leactl.runner import locks

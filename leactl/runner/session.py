@@ -21,7 +21,7 @@ from leactl.bench.records import awaited, collect, placed
 from leactl.bench.wire_trace import CALLS, TracedWiring, WireTrace
 from leactl.bench.wiring import MachineWiring, Wiring
 from leactl.driver.contract import Confirmation, MotionDevice
-from leactl.driver.stopping import doubt
+from leactl.driver.safe_state import doubt
 from leactl.errors import AcceptanceFailed, DeviceError, InputError, LeactlError, SafetyTrip, Stopped
 from leactl.model.motor import load_motor
 from leactl.protocol.plan import Plan, Record, SearchLimit, Supply

@@ -18,7 +18,7 @@ from leactl.bench.bench import Bench
 from leactl.bench.benchfile import BenchFile, check_devices
 from leactl.bench.wiring import MachineWiring
 from leactl.driver.contract import Confirmation
-from leactl.driver.stopping import doubt, make_safe
+from leactl.driver.safe_state import doubt, make_safe
 from leactl.errors import LeactlError
 from leactl.runner.latch import Latch, Ready
 from leactl.runner.watchdog import ALLOWED_NS, CYCLES, FIRED_NS, WORDS, hung, time_to_end_s

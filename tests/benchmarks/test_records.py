@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 import numpy as np
 from leactl_plugins.thermal_csv.emulator import series
 
-from leactl.driver.text_writing import Dialect
+from leactl.driver.tables.writing import Dialect
 from tests.driver.camera import camera
 
 ROWS, REGIONS, LIMIT_S = 270_000, 9, 10.0

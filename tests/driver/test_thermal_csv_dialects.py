@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from leactl_plugins.thermal_csv.emulator import FROM_CELSIUS, matrix, series
 
-from leactl.driver.text_writing import Dialect
+from leactl.driver.tables.writing import Dialect
 from leactl.errors import InputError
 
 from .camera import camera

@@ -11,7 +11,7 @@ import yaml
 from leactl.bench import benchfile
 from leactl.bench.bench import Bench
 from leactl.driver.far_end import FailingSupply
-from leactl.driver.stopping import doubt, make_safe
+from leactl.driver.safe_state import doubt, make_safe
 from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.emulation.plant.exact.rig import Rig
 from leactl.emulation.plant.stepped.rig import SteppedRig

@@ -11,7 +11,7 @@ from leactl_plugins.thermal_csv.emulator import series
 
 from leactl import yamlfile
 from leactl.bench.records import RecordDevice
-from leactl.driver.text_writing import Dialect
+from leactl.driver.tables.writing import Dialect
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.runfile import layout

@@ -15,9 +15,9 @@ from leactl.driver.batch import Array, ExportFolder, Record, RecordClock
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver
 from leactl.driver.far_end import BuslessEmulator, Physics
-from leactl.driver.ordering import in_order
-from leactl.driver.text_form import Numbers, read_numbers
-from leactl.driver.text_table import Table, one_unit, read_table, unit_of
+from leactl.driver.tables.number_format import Numbers, read_numbers
+from leactl.driver.tables.row_order import in_order
+from leactl.driver.tables.text_table import Table, one_unit, read_table, unit_of
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.units import CONVERSIONS, SECONDS, converter

@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 
 from leactl.driver.far_end import Machine
-from leactl.driver.text_writing import Dialect, new_export
+from leactl.driver.tables.writing import Dialect, new_export
 from leactl.errors import InputError
 from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, Signal
 

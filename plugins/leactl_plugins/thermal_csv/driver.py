@@ -14,7 +14,7 @@ from leactl.driver.batch import ExportFolder, Record, RecordClock
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver
 from leactl.driver.far_end import BuslessEmulator, Physics
-from leactl.driver.ordering import in_order
+from leactl.driver.tables.row_order import in_order
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl_plugins.thermal_csv.matrix import read_matrices

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from leactl.driver.text_writing import Dialect, new_export
+from leactl.driver.tables.writing import Dialect, new_export
 from leactl_plugins.thermal_csv.settings import ThermalCsvSettings
 
 SYMBOLS = {"degC": "°C", "degF": "°F", "K": "K"}

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from leactl.driver.batch import in_number_order
-from leactl.driver.text_form import read_numbers
-from leactl.driver.text_table import DELIMITERS, NAMED, SEP_LINE, Aside, one_unit, text_of, trimmed
+from leactl.driver.tables.number_format import read_numbers
+from leactl.driver.tables.text_table import DELIMITERS, NAMED, SEP_LINE, Aside, one_unit, text_of, trimmed
 from leactl.errors import InputError
 from leactl_plugins.thermal_csv.series import (
     COLDEST,

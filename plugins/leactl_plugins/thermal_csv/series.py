@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from leactl.driver.text_form import Numbers, read_numbers
-from leactl.driver.text_table import Aside, Table, one_unit, read_table, unit_of
+from leactl.driver.tables.number_format import Numbers, read_numbers
+from leactl.driver.tables.text_table import Aside, Table, one_unit, read_table, unit_of
 from leactl.errors import InputError
 from leactl.units import converter
 from leactl_plugins.thermal_csv.settings import ThermalCsvSettings, unit_named

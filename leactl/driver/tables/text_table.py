@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from leactl.driver.text_form import TextForm
+from leactl.driver.tables.number_format import TextForm
 from leactl.errors import InputError
 from leactl.regular import open_regular
 
