@@ -9,11 +9,11 @@ from pydantic import ValidationError
 from leactl import yamlfile
 from leactl.bench.benchfile import CheckedDevice, Device
 from leactl.driver import registry
-from leactl.driver.batch import BatchSource, Record, RecordSettings
+from leactl.driver.batch import BatchSource, FileRecord, RecordSettings
 from leactl.driver.clock import MonotonicClock
 from leactl.driver.contract import Driver, DriverSettings
 from leactl.errors import InputError
-from leactl.runfile.attach import Joined, attach, join
+from leactl.runfile.attach import AlignedRecord, attach, join
 from leactl.runfile.read.reader import Run
 
 
@@ -47,7 +47,7 @@ class RecordDevice:
         self._document, self._place = document, place
         self.source = cast(BatchSource, driver(name, self.entry.role, self.settings, None, MonotonicClock()))
 
-    def read(self, files: list[Path]) -> Record:
+    def read(self, files: list[Path]) -> FileRecord:
         """Read one record.
 
         Raises
@@ -56,7 +56,7 @@ class RecordDevice:
         """
         return self.source.read_files(files)
 
-    def join(self, record: Record, run: Path) -> Joined:
+    def join(self, record: FileRecord, run: Path) -> AlignedRecord:
         """Put a record on the clock of a run.
 
         Raises
@@ -70,7 +70,7 @@ class RecordDevice:
         with Run.open(run) as opened:
             return join(record, clock, opened)
 
-    def attach(self, joined: Joined, run: Path, replace: bool = False) -> None:
+    def attach(self, joined: AlignedRecord, run: Path, replace: bool = False) -> None:
         """Store a joined record in its run, with the settings that it was read with.
 
         Raises

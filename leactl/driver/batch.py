@@ -32,7 +32,7 @@ Called = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class FileRecord:
     """What the files of one device hold, on the device's own clock."""
 
     stream: str
@@ -45,7 +45,7 @@ class Record:
     files: tuple[Path, ...]
 
 
-class Estimate(Block):
+class OffsetEstimate(Block):
     """Find a clock's offset from two channels that measured the same."""
 
     channel: Called
@@ -69,7 +69,7 @@ class RecordClock(Block):
     wall_within_s: Above | None = None  # both clocks show the time of day, and agree within this (95 %)
     offset_s: Number | None = None  # added to the record's own stamps
     offset_within_s: AtLeastZero | None = None  # what that offset is good for (95 %)
-    estimate: Estimate | None = None
+    estimate: OffsetEstimate | None = None
     onset: Onset | None = None
     near_s: Number | None = None  # the offset that `estimate` or `onset` is sought around; by the wall clocks, else 0
     delays_within_s: AtLeastZero = 0.0  # by which the channels that are compared may lag each other (95 %)
@@ -160,7 +160,7 @@ class BatchSource(Protocol):
     def exports(self) -> ExportFolder:
         """Where its files come in; `open` looks there, so that those of a run are known after it."""
 
-    def read_files(self, paths: Sequence[Path]) -> Record:
+    def read_files(self, paths: Sequence[Path]) -> FileRecord:
         """Read one record from its files.
 
         Raises

@@ -17,7 +17,7 @@ class Unreadable(DeviceError):
     """An answer that is none of its kind: garbled, cut short, or meant for another question."""
 
 
-class Question(NamedTuple):
+class Query(NamedTuple):
     """What is asked and how its answer is read; with `patient` whatever is none goes by until one comes.
 
     An answer is one line, or all lines up to and with `last`; `means` takes them joined by line feeds.
@@ -29,7 +29,7 @@ class Question(NamedTuple):
     last: bytes | None = None
 
 
-class Answer(NamedTuple):
+class Reply(NamedTuple):
     """What an answer says, and when it was asked for and seen."""
 
     value: Any
@@ -41,8 +41,8 @@ class Pause:
     """Nothing to say now: go on at the next step."""
 
 
-Said = str | bytes | Question | Pause
-Script = Generator[Said, Answer | None, Result]
+Said = str | bytes | Query | Pause
+Script = Generator[Said, Reply | None, Result]
 
 
 class Talk(Generic[Result]):
@@ -50,7 +50,7 @@ class Talk(Generic[Result]):
 
     def __init__(self, port: SerialPort, script: Script[Result], answer_s: float) -> None:
         self._port, self._script, self._answer_s = port, script, answer_s
-        self._question: Question | None = None
+        self._question: Query | None = None
         self._asked = 0.0
         self._lines: list[bytes] = []  # of an answer that is not whole yet
         self.ended = False
@@ -103,7 +103,7 @@ class Talk(Generic[Result]):
             else:
                 clock.sleep_until(min(deadline, now + 0.01))
 
-    def _hear(self, question: Question, answer: bytes, now: float) -> None:
+    def _hear(self, question: Query, answer: bytes, now: float) -> None:
         try:
             value = question.means(answer)
         except Unreadable as error:
@@ -112,16 +112,16 @@ class Talk(Generic[Result]):
                 self._say(self._script.throw, Unreadable(f"{question.text} was answered by {error}"))
             return
         self._question = None
-        self._say(self._script.send, Answer(value, self._asked, now))
+        self._say(self._script.send, Reply(value, self._asked, now))
 
-    def _say(self, proceed: Callable[[Any], Said], argument: Answer | DeviceError | None) -> Said | None:
+    def _say(self, proceed: Callable[[Any], Said], argument: Reply | DeviceError | None) -> Said | None:
         """Let the script go on, and do what it says; None at its end."""
         try:
             said = proceed(argument)
         except StopIteration as end:
             self.ended, self.result = True, end.value
             return None
-        if isinstance(said, Question):
+        if isinstance(said, Query):
             self._port.write(said.text.encode("ascii") + self._port.line_end)
             self._question, self._asked, self._lines = said, self._port.clock.now(), []
         elif isinstance(said, bytes):

@@ -20,7 +20,7 @@ LEAVE_S = 2.0
 QUANTITIES = {"leads": ("line_voltage", "line_current"), "bus": ("bus_voltage", "bus_current")}
 
 
-class Reading(NamedTuple):
+class SupplyReading(NamedTuple):
     """One round of measuring."""
 
     time: float  # the middle between the first question and the last answer of voltage and current
@@ -32,7 +32,7 @@ class Reading(NamedTuple):
     notices: tuple[str, ...] = ()
 
 
-class Progress:
+class SwitchOffTrouble:
     """What stands against an output that is off, for whoever has to say why it was not confirmed; empty before that."""
 
     said = ""
@@ -45,10 +45,10 @@ class Dialogue(Protocol):
     def off(self) -> bytes:
         """What switches the output off from any state, to be sent without waiting for an answer."""
 
-    def output_off(self, progress: Progress) -> Script[Confirmation]:
+    def output_off(self, progress: SwitchOffTrouble) -> Script[Confirmation]:
         """Switch off until it is seen that the output is, however often that takes."""
 
-    def set_up(self, progress: Progress) -> Script[Sequence[str]]:
+    def set_up(self, progress: SwitchOffTrouble) -> Script[Sequence[str]]:
         """Make off, check that it is the instrument expected, and configure it; what a reader of the run should know.
 
         Raises
@@ -83,7 +83,7 @@ class Dialogue(Protocol):
         DeviceFault : it is not.
         """
 
-    def measured(self) -> Script[Reading]:
+    def measured(self) -> Script[SupplyReading]:
         """Voltage, current, and how the instrument fares."""
 
 
@@ -114,7 +114,7 @@ class SupplyLine:
         self._forget_demands()
         self._seen_off = False
         until = self._clock.now() + deadline_s
-        trouble, progress = "", Progress()
+        trouble, progress = "", SwitchOffTrouble()
         while self._clock.now() < until:
             try:
                 if not self._port.connected:
@@ -172,7 +172,7 @@ class SupplyLine:
         self._opened = True
         self._port.discard()
         self._forget_demands()
-        progress = Progress()
+        progress = SwitchOffTrouble()
         script = self._dialogue.set_up(progress)
         try:
             self._notices += Talk(self._port, script, self._answer_s).finish(self._clock.now() + within_s)
@@ -297,7 +297,7 @@ class SupplyLine:
             yield from self._dialogue.switched(True)
             self.supplying, self._switch = True, None if self._switch is True else self._switch
 
-    def _judge(self, reading: Reading) -> None:
+    def _judge(self, reading: SupplyReading) -> None:
         self.supplying, fault = reading.on, reading.fault
         if reading.on is not self._asked_on and not fault:
             fault = f"the output is {'on' if reading.on else 'off'} by itself"

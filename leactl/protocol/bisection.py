@@ -12,19 +12,19 @@ from leactl.protocol.plan import (
     Constant,
     EndWhen,
     Search,
+    SearchTrial,
     Sought,
     StepOutcome,
-    Trial,
     When,
 )
 from leactl.protocol.setpointkeys import CURRENT, SPELLINGS
-from leactl.protocol.steps import BisectStep, Step
+from leactl.protocol.steps import BisectStep, ProtocolStep
 from leactl.protocol.timeline import Timeline
 
 MAX_HALVINGS = 32  # no setpoint of a drive has more bits
 
 
-def bisect(timeline: Timeline, step: Step, pass_number: int) -> None:
+def bisect(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     """Expand a bisection; `pass_number` counts the passes of the repeats around it."""
     content: BisectStep = step.content
     lasts = content.hold_s, content.settle_s
@@ -63,13 +63,13 @@ def bisect(timeline: Timeline, step: Step, pass_number: int) -> None:
             {**where, "trial": number},
             content.settle_s,
             until,
-            Trial(search, number),
+            SearchTrial(search, number),
         )
         timeline.hold(step, "rest", (rest_s, 0.0), content.role, 0.0, where)
     timeline.add(step, EndWhen())
 
 
-def _sound(timeline: Timeline, step: Step, search: Search) -> bool:
+def _sound(timeline: Timeline, step: ProtocolStep, search: Search) -> bool:
     """Whether ends and resolution make a search; faults are noted."""
     span = abs(search.second - search.first)
     if not span > 0.0:

@@ -3,13 +3,13 @@
 import math
 
 from leactl.protocol.plan import LEAST_SAMPLES, Until
-from leactl.protocol.steps import CriterionBlock, Step, WaitStep, WhenStep
+from leactl.protocol.steps import CriterionBlock, ProtocolStep, WaitStep, WhenStep
 from leactl.protocol.timeline import Timeline
 from leactl.quantities import UNITS
 
 
 def criterion(
-    timeline: Timeline, step: Step, keys: tuple[str, str], lasts: tuple[float, float], *, required: bool = False
+    timeline: Timeline, step: ProtocolStep, keys: tuple[str, str], lasts: tuple[float, float], *, required: bool = False
 ) -> Until:
     """The criterion of a step; faults are noted.
 
@@ -33,7 +33,7 @@ def criterion(
 
 def bounds(
     timeline: Timeline,
-    step: Step,
+    step: ProtocolStep,
     content: WaitStep | CriterionBlock | WhenStep,
     under: tuple[str, ...] = (),
     per: str = "",

@@ -2,7 +2,7 @@
 
 from leactl.driver.contract import Mode
 from leactl.protocol.plan import Hang
-from leactl.protocol.steps import Step, WeighStep
+from leactl.protocol.steps import ProtocolStep, WeighStep
 from leactl.protocol.timeline import Timeline
 
 STANDARD_GRAVITY = 9.80665  # m/s^2 (CGPM 1901); what it is at the place is the analysis's matter
@@ -15,7 +15,7 @@ def order_of(masses: tuple[float, ...]) -> list[tuple[float, str]]:
     return [(mass, "rising") for mass in (0.0, *rising)] + falling
 
 
-def weigh(timeline: Timeline, step: Step, pass_number: int) -> None:
+def weigh(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     """Expand a weighing; `pass_number` counts the passes of the repeats around it."""
     content: WeighStep = step.content
     timeline.check_times(step, ("settle_s", "hold_s"), content.hold_s, content.settle_s)

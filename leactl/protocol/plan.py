@@ -28,7 +28,7 @@ SETPOINT_QUANTITY = {
 LEAST_SAMPLES = 3  # of a criterion's window: any two give a slope, and their deviation says nothing
 
 
-class Profile(Protocol):
+class SetpointProfile(Protocol):
     """A setpoint over the time since its segment's start."""
 
     def at(self, time: float) -> float:
@@ -190,7 +190,7 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Trial:
+class SearchTrial:
     """One trial of a search, counted from 1: its first two are at the ends."""
 
     search: Search
@@ -208,10 +208,10 @@ class Segment:
     name: str
     duration_s: float
     settle_s: float
-    setpoints: Mapping[str, Profile]  # role: profile
+    setpoints: Mapping[str, SetpointProfile]  # role: profile
     parameters: Mapping[str, float | str]
     until: Until | None = None
-    trial: Trial | None = None
+    trial: SearchTrial | None = None
 
 
 @dataclass(frozen=True)
@@ -254,14 +254,14 @@ class Hang(Prompt):
 
 
 @dataclass(frozen=True)
-class Record:
+class SetRecordRate:
     """Record at this rate from here on; 0 pauses."""
 
     rate_Hz: float  # noqa: N815 (a unit keeps its letter)
 
 
 @dataclass(frozen=True)
-class Supply:
+class SetSupply:
     """Have the supply at a role's leads put out no more than this voltage [V] and current [A]; None switches it off."""
 
     outputs: Mapping[str, tuple[float, float] | None]
@@ -311,7 +311,7 @@ class EndWhen:
     """End of the latest `When` that is still open."""
 
 
-Action = Segment | Engage | WaitUntil | Tare | Prompt | Record | Supply | When | EndWhen
+Action = Segment | Engage | WaitUntil | Tare | Prompt | SetRecordRate | SetSupply | When | EndWhen
 
 
 @dataclass(frozen=True)
@@ -353,7 +353,7 @@ class SearchLimit:
     unit: str
 
 
-class Row(NamedTuple):
+class TimelineRow(NamedTuple):
     """One line of the timeline."""
 
     start_s: float
@@ -403,7 +403,7 @@ class Plan:
         """Largest magnitude of each setpoint, by role and quantity; of supplies the current."""
         peaks: dict[tuple[str, str], float] = {}
         for action, modes in self._with_modes():
-            if isinstance(action, Supply):
+            if isinstance(action, SetSupply):
                 for role, output in action.outputs.items():
                     if output is not None:
                         peaks[role, "line_current"] = max(peaks.get((role, "line_current"), 0.0), output[1])
@@ -414,7 +414,7 @@ class Plan:
                 peaks[key] = max(peaks.get(key, 0.0), abs(profile.low), abs(profile.high))
         return peaks
 
-    def timeline(self) -> list[Row]:
+    def timeline(self) -> list[TimelineRow]:
         """One row an action, each starting where the one before ends."""
         rows = []
         start = 0.0
@@ -425,10 +425,10 @@ class Plan:
                     shown.append(f"at most {action.duration_s:g} s, until {action.until}")
                 if action.trial is not None:
                     shown.append(f"trial {action.trial.number} of {action.trial.search.trials}")
-                rows.append(Row(start, action.name, action.duration_s, action.settle_s, ", ".join(shown)))
+                rows.append(TimelineRow(start, action.name, action.duration_s, action.settle_s, ", ".join(shown)))
                 start += action.duration_s
             else:
-                rows.append(Row(start, _NAMES[type(action)], self._lasts(action), 0.0, _told(action)))
+                rows.append(TimelineRow(start, _NAMES[type(action)], self._lasts(action), 0.0, _told(action)))
                 start += self._lasts(action)
         return rows
 
@@ -452,14 +452,14 @@ _NAMES: dict[type, str] = {
     Tare: "tare",
     Prompt: "prompt",
     Hang: "weigh",
-    Record: "record",
-    Supply: "supply",
+    SetRecordRate: "record",
+    SetSupply: "supply",
     When: "when",
     EndWhen: "end when",
 }
 
 
-def _shown(profile: Profile, mode: Mode) -> str:
+def _shown(profile: SetpointProfile, mode: Mode) -> str:
     unit = UNITS[SETPOINT_QUANTITY[mode]]
     if isinstance(profile, Ramp):
         return f"{profile.start:g} -> {profile.stop:g} {unit}"
@@ -474,14 +474,14 @@ def _told(action: Action) -> str:
             return ", ".join(f"{role} {mode.value}" for role, mode in modes.items())
         case WaitUntil(quantity, role, low, high, timeout_s):
             return f"{role} {quantity} in {low:g} .. {high:g} {UNITS[quantity]}, at most {timeout_s:g} s"
-        case Supply(outputs):
+        case SetSupply(outputs):
             shown = {role: f"{one[0]:g} V, {one[1]:g} A" if one else "off" for role, one in outputs.items()}
             return ", ".join(f"{role} {text}" for role, text in shown.items())
         case Tare(samples):
             return f"{samples} samples"
         case Prompt(text):
             return text
-        case Record(rate_hz):
+        case SetRecordRate(rate_hz):
             return f"{rate_hz:g} Hz" if rate_hz else "paused"
         case When(condition):
             return str(condition)

@@ -33,7 +33,7 @@ from leactl.protocol import schema, steps
 from leactl.protocol.expansion import expand
 from leactl.protocol.parameters import Substituted, resolve, substitute
 from leactl.protocol.plan import Acceptance, ChannelLimit, Plan, SearchLimit, Segment
-from leactl.protocol.schema import BisectLimit, Head, ResultLimit, divides
+from leactl.protocol.schema import BisectLimitBlock, Head, ResultLimitBlock, divides
 from leactl.protocol.timeline import Timeline
 
 NO_OVERRIDES: Mapping[str, str] = MappingProxyType({})
@@ -161,12 +161,14 @@ def _head(document: Substituted, faults: list[str]) -> Head | None:
     return head
 
 
-def _bounds(limit: ResultLimit | schema.ChannelLimit | BisectLimit) -> Acceptance | ChannelLimit | SearchLimit:
+def _bounds(
+    limit: ResultLimitBlock | schema.ChannelLimitBlock | BisectLimitBlock,
+) -> Acceptance | ChannelLimit | SearchLimit:
     low = -math.inf if limit.low is None else limit.low
     high = math.inf if limit.high is None else limit.high
-    if isinstance(limit, ResultLimit):
+    if isinstance(limit, ResultLimitBlock):
         return Acceptance(limit.result, low, high, limit.unit)
-    if isinstance(limit, BisectLimit):
+    if isinstance(limit, BisectLimitBlock):
         return SearchLimit(limit.bisect, low, high, limit.unit)
     return ChannelLimit(limit.channel, limit.role, limit.step, limit.statistic, low, high, limit.unit, limit.stop)
 

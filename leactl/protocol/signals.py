@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 MAX_TERMS = 200_000_000  # samples times frequencies of a multisine: a few seconds of work
 
 
-class Signal(Driven):
+class ProtocolSignal(Driven):
     """What every signal has."""
 
     kind: str
@@ -42,7 +42,7 @@ class Signal(Driven):
     settle_s: Rest = 0.0
     reference_Hz: Frequency | None = None
 
-    def in_pass(self, number: int) -> "Signal":
+    def in_pass(self, number: int) -> "ProtocolSignal":
         """The signal as this pass of a repeat has it, counted from 1."""
         return self
 
@@ -70,7 +70,7 @@ class Signal(Driven):
         return f"less than half of {name} ({rate_hz / 2:g} Hz) was expected"
 
 
-class StepSignal(Signal):
+class StepSignal(ProtocolSignal):
     """A jump at `at_s`."""
 
     kind: Literal["step"]
@@ -98,7 +98,7 @@ class StepSignal(Signal):
         return values
 
 
-class Offset(Signal):
+class OffsetSignal(ProtocolSignal):
     """A signal around an offset, zero where none is given."""
 
     takes = ("offset",)
@@ -117,7 +117,7 @@ class Offset(Signal):
         raise NotImplementedError
 
 
-class Amplitude(Offset):
+class AmplitudeSignal(OffsetSignal):
     """A signal with an amplitude, the largest distance from its offset."""
 
     needs = ("amplitude",)
@@ -126,7 +126,7 @@ class Amplitude(Offset):
     amplitude_rad: Amount | None = None
 
 
-class Sine(Amplitude):
+class SineSignal(AmplitudeSignal):
     """One frequency."""
 
     kind: Literal["sine"]
@@ -145,7 +145,7 @@ class Sine(Amplitude):
         return float(self.given(spelling, "amplitude")) * wave
 
 
-class Chirp(Amplitude):
+class ChirpSignal(AmplitudeSignal):
     """A frequency that glides, in equal steps or in equal ratios."""
 
     kind: Literal["chirp"]
@@ -171,7 +171,7 @@ class Chirp(Amplitude):
         return float(self.given(spelling, "amplitude")) * wave
 
 
-class Multisine(Amplitude):
+class MultisineSignal(AmplitudeSignal):
     """Many frequencies of one amplitude at once."""
 
     kind: Literal["multisine"]
@@ -228,7 +228,7 @@ class Multisine(Amplitude):
         return float(self.given(spelling, "amplitude")) / peak * total
 
 
-class Noise(Offset):
+class NoiseSignal(OffsetSignal):
     """Gaussian noise behind a Butterworth low pass."""
 
     kind: Literal["noise"]
@@ -241,7 +241,7 @@ class Noise(Offset):
     seed: Seed
     fresh: Annotated[bool, Field(strict=True)] = False
 
-    def in_pass(self, number: int) -> Signal:
+    def in_pass(self, number: int) -> ProtocolSignal:
         """Each pass has noise of its own where it is to be fresh."""
         return self.model_copy(update={"seed": self.seed + number - 1}) if self.fresh else self
 
@@ -267,7 +267,7 @@ class Noise(Offset):
         return scaled
 
 
-class Csv(Signal):
+class CsvSignal(ProtocolSignal):
     """A trajectory from a file, relative to the protocol's folder."""
 
     kind: Literal["csv"]
@@ -277,9 +277,9 @@ class Csv(Signal):
 
 SIGNALS: dict[str, TypeAdapter[Any]] = {
     "step": TypeAdapter(StepSignal),
-    "sine": TypeAdapter(Sine),
-    "chirp": TypeAdapter(Chirp),
-    "multisine": TypeAdapter(Multisine),
-    "noise": TypeAdapter(Noise),
-    "csv": TypeAdapter(Csv),
+    "sine": TypeAdapter(SineSignal),
+    "chirp": TypeAdapter(ChirpSignal),
+    "multisine": TypeAdapter(MultisineSignal),
+    "noise": TypeAdapter(NoiseSignal),
+    "csv": TypeAdapter(CsvSignal),
 }

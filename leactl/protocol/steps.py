@@ -176,7 +176,7 @@ class SweepStep(Driven):
     sign: Sign = 1
 
 
-class Axis(Driven):
+class GridAxis(Driven):
     """One axis of a grid; with a rate, the way between its levels is a ramp of its own before the hold."""
 
     needs = ("levels",)
@@ -197,7 +197,7 @@ class GridStep(Block):
     angles where they are.
     """
 
-    axes: Annotated[tuple[Axis, ...], Field(min_length=1, max_length=2)]
+    axes: Annotated[tuple[GridAxis, ...], Field(min_length=1, max_length=2)]
     hold_s: Duration
     settle_s: Rest = 0.0
     repeats: Count = 1
@@ -299,25 +299,25 @@ KINDS: dict[str, TypeAdapter[Any]] = {
 
 
 @dataclass(frozen=True)
-class Step:
+class ProtocolStep:
     """One step, and where it stands in the file."""
 
     location: Location
     kind: str  # of an unknown one, what was probably meant
     content: Any  # the kind's block; None where it is faulty
-    inner: tuple["Step", ...] = ()  # of a repeat or a condition
+    inner: tuple["ProtocolStep", ...] = ()  # of a repeat or a condition
 
 
-def read(document: Substituted, raw: list[Any], place: Location, faults: list[str]) -> tuple[Step, ...]:
+def read(document: Substituted, raw: list[Any], place: Location, faults: list[str]) -> tuple[ProtocolStep, ...]:
     """Check each step on its own; a faulty one stays in the sequence without content, so that the others are judged."""
     return tuple(_read_one(document, item, (*place, index), faults) for index, item in enumerate(raw))
 
 
-def _read_one(document: Substituted, raw: Any, place: Location, faults: list[str]) -> Step:
+def _read_one(document: Substituted, raw: Any, place: Location, faults: list[str]) -> ProtocolStep:
     known = ", ".join(sorted([*KINDS, "signal"]))
     if not isinstance(raw, Mapping) or len(raw) != 1:
         faults.append(document.fault(place, f"a mapping of one key was expected, one of {known}"))
-        return Step(place, "unknown", None)
+        return ProtocolStep(place, "unknown", None)
     kind, given = next(iter(raw.items()))
     inside = (*place, kind)
     adapter = _signal(document, given, inside, faults) if kind == "signal" else KINDS.get(kind)
@@ -331,16 +331,16 @@ def _read_one(document: Substituted, raw: Any, place: Location, faults: list[str
                 expected = close[0] if close else f"one of {known}"
             faults.append(document.fault(inside, f"no such step; {expected} was expected"))
             kind = close[0] if close else "unknown"
-        return Step(inside, kind, None)
+        return ProtocolStep(inside, kind, None)
     try:
         content = adapter.validate_python(given)
     except ValidationError as error:
         faults.extend(document.explain(error, inside))
         content = None
-    inner: tuple[Step, ...] = ()
+    inner: tuple[ProtocolStep, ...] = ()
     if kind in ("repeat", "when") and isinstance(given, Mapping) and isinstance(given.get("steps"), list):
         inner = read(document, given["steps"], (*inside, "steps"), faults)
-    return Step(inside, kind, content, inner)
+    return ProtocolStep(inside, kind, content, inner)
 
 
 def _signal(document: Substituted, given: Any, place: Location, faults: list[str]) -> TypeAdapter[Any] | None:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from leactl.driver.contract import Mode
 from leactl.protocol.plan import Constant, Ramp
 from leactl.protocol.setpointkeys import Spelling
-from leactl.protocol.steps import Axis, GridStep, Step, SweepStep
+from leactl.protocol.steps import GridAxis, GridStep, ProtocolStep, SweepStep
 from leactl.protocol.timeline import Timeline
 
 
@@ -39,7 +39,7 @@ def visits(
             yield "turn", bottom - overshoot
 
 
-def sweep(timeline: Timeline, step: Step, pass_number: int) -> None:
+def sweep(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     """Expand a sweep; `pass_number` counts the passes of the repeats around it."""
     content: SweepStep = step.content
     timeline.check_times(step, ("settle_s", "hold_s"), content.hold_s, content.settle_s)
@@ -59,7 +59,7 @@ def sweep(timeline: Timeline, step: Step, pass_number: int) -> None:
             timeline.hold(step, "pause", (content.pause_s, 0.0), content.role, 0.0, where)
 
 
-def _visit_levels(timeline: Timeline, step: Step, spelling: Spelling, where: dict[str, float | str]) -> bool:
+def _visit_levels(timeline: Timeline, step: ProtocolStep, spelling: Spelling, where: dict[str, float | str]) -> bool:
     content: SweepStep = step.content
     followed = timeline.roles[content.role]
     before = None if followed.setpoint is None else followed.setpoint * content.sign
@@ -90,7 +90,7 @@ class _Lane(NamedTuple):
     rate: float | None
 
 
-def grid(timeline: Timeline, step: Step, pass_number: int) -> None:
+def grid(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     """Expand a grid; its holds tell every axis's setpoint, with the role in the key where two axes share a unit."""
     content: GridStep = step.content
     timeline.check_times(step, ("settle_s", "hold_s"), content.hold_s, content.settle_s)
@@ -115,9 +115,9 @@ def grid(timeline: Timeline, step: Step, pass_number: int) -> None:
             timeline.segment(step, "hold", content.hold_s, setpoints, told, content.settle_s)
 
 
-def _lanes(timeline: Timeline, step: Step) -> list[_Lane]:
+def _lanes(timeline: Timeline, step: ProtocolStep) -> list[_Lane]:
     """The axes with their keys and levels; faults and no lanes where an axis does not go with its role's mode."""
-    axes: tuple[Axis, ...] = step.content.axes
+    axes: tuple[GridAxis, ...] = step.content.axes
     roles = [axis.role for axis in axes]
     if len(set(roles)) < len(roles):
         timeline.complain(step, ("axes", len(roles) - 1, "role"), f"{roles[-1]} is an axis already")
@@ -137,7 +137,7 @@ def _lanes(timeline: Timeline, step: Step) -> list[_Lane]:
     return lanes
 
 
-def _rest(timeline: Timeline, step: Step, lanes: list[_Lane], where: Mapping[str, float | str]) -> None:
+def _rest(timeline: Timeline, step: ProtocolStep, lanes: list[_Lane], where: Mapping[str, float | str]) -> None:
     resting = [lane for lane in lanes if timeline.roles[lane.role].mode is not Mode.ANGLE]
     _move(timeline, step, resting, [0.0] * len(resting), where)
     for lane in resting:
@@ -147,7 +147,7 @@ def _rest(timeline: Timeline, step: Step, lanes: list[_Lane], where: Mapping[str
 
 
 def _move(
-    timeline: Timeline, step: Step, lanes: list[_Lane], point: list[float], where: Mapping[str, float | str]
+    timeline: Timeline, step: ProtocolStep, lanes: list[_Lane], point: list[float], where: Mapping[str, float | str]
 ) -> None:
     """Ramp the axes that have a rate, together, none faster than its rate; the others jump when the hold begins."""
     ways: dict[str, tuple[float, float]] = {}

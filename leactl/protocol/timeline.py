@@ -16,17 +16,17 @@ from leactl.protocol.plan import (
     Action,
     Constant,
     Engage,
-    Profile,
     Ramp,
     Samples,
+    SearchTrial,
     Segment,
-    Trial,
+    SetpointProfile,
     Until,
 )
 from leactl.protocol.schema import MAX_ACTIONS, MAX_DURATION_S, MAX_SAMPLES, Driven
 from leactl.protocol.setpointkeys import SPELLINGS, Spelling
-from leactl.protocol.signals import Signal
-from leactl.protocol.steps import Step
+from leactl.protocol.signals import ProtocolSignal
+from leactl.protocol.steps import ProtocolStep
 from leactl.yamlfile import Location
 
 
@@ -58,7 +58,7 @@ class Timeline:
     actions: list[Action] = field(default_factory=list)
     roles: dict[str, Followed] = field(default_factory=lambda: {"test": Followed(), "load": Followed()})
     faults: dict[str, None] = field(default_factory=dict)  # in order, each once
-    signals: dict[tuple[Location, str, Signal], Samples] = field(default_factory=dict)
+    signals: dict[tuple[Location, str, ProtocolSignal], Samples] = field(default_factory=dict)
     outcomes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # that steps so far may have, by name
     modes_known: bool = True  # False behind a faulty `mode` step
     whole: bool = True  # False behind any faulty step
@@ -68,17 +68,17 @@ class Timeline:
 
     # -- faults and bounds --------------------------------------------------------------------------------------------
 
-    def complain(self, step: Step, keys: str | tuple[str | int, ...], message: str) -> None:
+    def complain(self, step: ProtocolStep, keys: str | tuple[str | int, ...], message: str) -> None:
         """Note a fault of this step, at a key or a path of keys in it."""
         path = (keys,) if isinstance(keys, str) else keys
         self.faults.setdefault(self.document.fault((*step.location, *path), message))
 
-    def complain_of_either(self, step: Step, keys: tuple[str, str], message: str) -> None:
+    def complain_of_either(self, step: ProtocolStep, keys: tuple[str, str], message: str) -> None:
         """Note a fault between two keys, at the one where a parameter was changed if it was at one only."""
         first, second = ((*step.location, key) in self.document.changed for key in keys)
         self.complain(step, keys[1] if second and not first else keys[0], message)
 
-    def charge(self, step: Step, steps: int = 1, duration_s: float = 0.0, samples: int = 0) -> None:
+    def charge(self, step: ProtocolStep, steps: int = 1, duration_s: float = 0.0, samples: int = 0) -> None:
         """Count what a step asks for.
 
         Raises
@@ -90,7 +90,7 @@ class Timeline:
         self._duration_s += duration_s
         self._samples += samples
 
-    def foresee(self, step: Step, steps: int, duration_s: float = 0.0, samples: int = 0) -> None:
+    def foresee(self, step: ProtocolStep, steps: int, duration_s: float = 0.0, samples: int = 0) -> None:
         """Refuse what a step is going to ask for at the least, before any of it is made.
 
         Raises
@@ -106,7 +106,7 @@ class Timeline:
                 message = f"the protocol reaches more than {bound:.0f} {what} here"
                 raise InputError(self.document.fault(step.location, message))
 
-    def check_times(self, step: Step, keys: tuple[str, str], hold_s: float, settle_s: float) -> None:
+    def check_times(self, step: ProtocolStep, keys: tuple[str, str], hold_s: float, settle_s: float) -> None:
         """A hold must be seen by the loop and outlast its settle window."""
         if settle_s >= hold_s:
             message = f"a settle window of {settle_s:g} s leaves nothing of {hold_s:g} s; less was expected"
@@ -116,7 +116,9 @@ class Timeline:
 
     # -- roles --------------------------------------------------------------------------------------------------------
 
-    def spelling(self, step: Step, role: str, block: Driven, under: tuple[str | int, ...] = ()) -> Spelling | None:
+    def spelling(
+        self, step: ProtocolStep, role: str, block: Driven, under: tuple[str | int, ...] = ()
+    ) -> Spelling | None:
         """How the role's setpoints are spelled at this point; None where the block says it otherwise, with faults."""
         if not self.modes_known:
             return None
@@ -141,7 +143,7 @@ class Timeline:
             fits = fits and not strange and not missing
         return spelling if fits else None
 
-    def known_setpoint(self, step: Step, role: str, why: str | tuple[str | int, ...]) -> float | None:
+    def known_setpoint(self, step: ProtocolStep, role: str, why: str | tuple[str | int, ...]) -> float | None:
         """Where a ramp begins; a fault where that is not known."""
         before = self.roles[role].setpoint
         if before is None and self.whole:
@@ -151,12 +153,12 @@ class Timeline:
 
     # -- actions ------------------------------------------------------------------------------------------------------
 
-    def add(self, step: Step, action: Action) -> None:
+    def add(self, step: ProtocolStep, action: Action) -> None:
         """Keep an action that is no segment."""
         self.charge(step)
         self.actions.append(action)
 
-    def engage(self, step: Step, modes: Mapping[str, Mode]) -> None:
+    def engage(self, step: ProtocolStep, modes: Mapping[str, Mode]) -> None:
         """Bring roles into modes: setpoint zero, except that an angle stays where it is, wherever that is."""
         for role, mode in modes.items():
             self.roles[role] = Followed(mode, None if mode in (Mode.OFF, Mode.ANGLE) else 0.0)
@@ -164,14 +166,14 @@ class Timeline:
 
     def segment(
         self,
-        step: Step,
+        step: ProtocolStep,
         name: str,
         duration_s: float,
-        setpoints: Mapping[str, Profile],
+        setpoints: Mapping[str, SetpointProfile],
         parameters: Mapping[str, float | str],
         settle_s: float = 0.0,
         until: Until | None = None,
-        trial: Trial | None = None,
+        trial: SearchTrial | None = None,
     ) -> None:
         """Keep a segment."""
         self.charge(step, duration_s=duration_s)
@@ -181,7 +183,7 @@ class Timeline:
 
     def hold(
         self,
-        step: Step,
+        step: ProtocolStep,
         name: str,
         times: tuple[float, float],
         role: str,
@@ -195,7 +197,7 @@ class Timeline:
 
     def ramp(
         self,
-        step: Step,
+        step: ProtocolStep,
         role: str,
         ends: tuple[float, float],
         duration_s: float,
@@ -207,7 +209,7 @@ class Timeline:
         self.segment(step, name, duration_s, {role: Ramp(*ends, duration_s)}, parameters)
 
     def approach(
-        self, step: Step, role: str, value: float, rate: float | None, parameters: Mapping[str, float | str]
+        self, step: ProtocolStep, role: str, value: float, rate: float | None, parameters: Mapping[str, float | str]
     ) -> bool:
         """Keep a ramp where a rate is given and there is a way to go; False where it is not known from where."""
         if rate is None or self.roles[role].setpoint == value:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from leactl.driver.batch import Record, RecordClock
+from leactl.driver.batch import FileRecord, RecordClock
 from leactl.errors import InputError
 from leactl.runfile import layout
 from leactl.runfile.align.alignment import NORMAL_95, Alignment, Tie, by_likeness, tied
@@ -32,10 +32,10 @@ MOST_TOLD = 8000  # bytes: attributes of an object share 64 KiB (HDF5 file forma
 
 
 @dataclass(frozen=True)
-class Joined:
+class AlignedRecord:
     """A record on the clock of a run, ready to be stored."""
 
-    record: Record
+    record: FileRecord
     alignment: Alignment
     time: Array  # s since the run's start
     values: Array  # (rows, channels)
@@ -73,7 +73,7 @@ class Joined:
         }
 
 
-def join(record: Record, clock: RecordClock, run: Run) -> Joined:
+def join(record: FileRecord, clock: RecordClock, run: Run) -> AlignedRecord:
     """Put a record on the clock of a run, and leave out what lies outside it.
 
     Raises
@@ -89,10 +89,10 @@ def join(record: Record, clock: RecordClock, run: Run) -> Joined:
             f"{record.files[0]}: a record of another time: on the run's clock it goes from {time[0]:.6g} to"
             f" {time[-1]:.6g} s, and the run from 0 to {end:.6g} s"
         )
-    return Joined(record, alignment, time[inside], record.values[inside], int(len(time) - inside.sum()))
+    return AlignedRecord(record, alignment, time[inside], record.values[inside], int(len(time) - inside.sum()))
 
 
-def aligned(record: Record, clock: RecordClock, run: Run) -> Alignment:
+def aligned(record: FileRecord, clock: RecordClock, run: Run) -> Alignment:
     """Tie the record's clock to the run's in the way that the settings ask for."""
     drift = 1e-6 * clock.drift_within_ppm
     if clock.wall_within_s is not None:
@@ -127,7 +127,7 @@ def aligned(record: Record, clock: RecordClock, run: Run) -> Alignment:
     return tied(f"onset of {wanted.channel} at jumps of {wanted.against} ({times})", ties, drift, systematic)
 
 
-def own_channel(record: Record, name: str) -> Array:
+def own_channel(record: FileRecord, name: str) -> Array:
     """Values of one channel of the record."""
     names = [spec.name for spec in record.channels]
     if name not in names:
@@ -135,7 +135,7 @@ def own_channel(record: Record, name: str) -> Array:
     return record.values[:, names.index(name)]
 
 
-def wall_offset(record: Record, run: Run) -> tuple[float, float]:
+def wall_offset(record: FileRecord, run: Run) -> tuple[float, float]:
     """Offset by what both clocks say the time of day is, and how far both may be off by how they are written.
 
     Raises
@@ -159,7 +159,7 @@ def wall_offset(record: Record, run: Run) -> tuple[float, float]:
     return record.began + 0.5 * record.resolution - start, 0.5 * (cut + START_S + record.resolution)
 
 
-def likely_offset(record: Record, run: Run) -> float:
+def likely_offset(record: FileRecord, run: Run) -> float:
     """Where to look for an offset: by the wall clocks where both tell, else as if both had begun together."""
     try:
         return wall_offset(record, run)[0]
@@ -167,7 +167,7 @@ def likely_offset(record: Record, run: Run) -> float:
         return 0.0
 
 
-def attach(path: Path, joined: Joined, settings: Mapping[str, Any], driver: str, replace: bool = False) -> None:
+def attach(path: Path, joined: AlignedRecord, settings: Mapping[str, Any], driver: str, replace: bool = False) -> None:
     """Store a record in its run.
 
     Parameters
@@ -197,7 +197,7 @@ def attach(path: Path, joined: Joined, settings: Mapping[str, Any], driver: str,
     amend(path, change, apart_from=(f"/streams/{record.stream}",))
 
 
-def refuse_taken(run: Run, record: Record, replace: bool) -> None:
+def refuse_taken(run: Run, record: FileRecord, replace: bool) -> None:
     """Refuse a record whose stream or channels the run has already."""
     faults = [
         fault for spec in record.channels for fault in faults_of_channel(f"streams/{record.stream}/{spec.name}", spec)
@@ -224,7 +224,7 @@ def refuse_taken(run: Run, record: Record, replace: bool) -> None:
         raise InputError([f"{run.path}: {fault}" for fault in faults])
 
 
-def provenance(joined: Joined, settings: Mapping[str, Any], driver: str) -> dict[str, str | float | int]:
+def provenance(joined: AlignedRecord, settings: Mapping[str, Any], driver: str) -> dict[str, str | float | int]:
     """What is kept beside the data: files, findings and the tie of the clocks."""
     record, alignment = joined.record, joined.alignment
     digests = []
@@ -248,7 +248,9 @@ def provenance(joined: Joined, settings: Mapping[str, Any], driver: str) -> dict
     }
 
 
-def write_stream(streams: Any, joined: Joined, attributes: Mapping[str, str | float | int], checked: bool) -> None:
+def write_stream(
+    streams: Any, joined: AlignedRecord, attributes: Mapping[str, str | float | int], checked: bool
+) -> None:
     """Write the stream in its lasting form."""
     record, rows = joined.record, len(joined.time)
     reserve(streams.file, 8 * rows * (1 + len(record.channels)) + (1 << 16))

@@ -24,7 +24,7 @@ from leactl.driver.contract import Confirmation, MotionDevice
 from leactl.driver.safe_state import doubt
 from leactl.errors import AcceptanceFailed, DeviceError, InputError, LeactlError, SafetyTrip, Stopped
 from leactl.model.motor import load_motor
-from leactl.protocol.plan import Plan, Record, SearchLimit, Supply
+from leactl.protocol.plan import Plan, SearchLimit, SetRecordRate, SetSupply
 from leactl.runfile.write.writer import RecordingFailed, RunInfo, RunWriter, new_run_id
 from leactl.runner import latch, locks, runs_underway, state
 from leactl.runner.bench_fit import check_fit, check_setup, limits_of, unwitnessed
@@ -263,7 +263,7 @@ def _left_on(plan: Plan, windings: Windings, bench: Bench) -> list[str]:
 
 
 def _switches_on(plan: Plan) -> bool:
-    return any(isinstance(action, Supply) for action in plan.actions)
+    return any(isinstance(action, SetSupply) for action in plan.actions)
 
 
 def _held_ready(request: Request, lasting: ExitStack) -> Latch | Ready:
@@ -454,7 +454,7 @@ def _check(request: Request) -> None:
 def _check_supplies(request: Request, supervisor: Supervisor) -> None:
     name, most = request.bench.name, supervisor.supplies.most
     for action in request.plan.actions:
-        for role, output in action.outputs.items() if isinstance(action, Supply) else ():
+        for role, output in action.outputs.items() if isinstance(action, SetSupply) else ():
             if role not in most:
                 raise InputError(
                     f"protocol '{request.plan.name}' supplies the leads of {role}; bench '{name}' has no supply there"
@@ -468,7 +468,7 @@ def _check_supplies(request: Request, supervisor: Supervisor) -> None:
 
 
 def _planned_bytes(plan: Plan, bench: Bench) -> float:
-    rates = [plan.record_Hz, *(action.rate_Hz for action in plan.actions if isinstance(action, Record))]
+    rates = [plan.record_Hz, *(action.rate_Hz for action in plan.actions if isinstance(action, SetRecordRate))]
     return planned_bytes(bench.streams(), max(rates), plan.rate_Hz, plan.duration_s, bench.fast_streams)
 
 

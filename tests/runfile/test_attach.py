@@ -11,7 +11,7 @@ from leactl_plugins.thermal_csv.emulator import series
 
 from leactl import yamlfile
 from leactl.bench.records import RecordDevice
-from leactl.driver.tables.writing import Dialect
+from leactl.driver.tables.writing import TableDialect
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.runfile import layout
@@ -64,7 +64,7 @@ def export(tmp_path):
         celsius = 25 + 1.8 * rises * np.exp(-rises / 12) + noise
         stamps = [stamp(k / rate) for k in range(frames)]
         path = tmp_path / name
-        path.write_bytes(series(stamps, {"R1 Avg": list(celsius)}, Dialect(delimiter=";")))
+        path.write_bytes(series(stamps, {"R1 Avg": list(celsius)}, TableDialect(delimiter=";")))
         return path
 
     return write

@@ -9,7 +9,7 @@ import pytest
 from leactl.errors import InputError
 from leactl.runfile.importing.importer import import_runs
 from leactl.runfile.importing.sources import registry
-from leactl.runfile.importing.sources.source import Listed, Tabulated
+from leactl.runfile.importing.sources.source import ListedColumn, ListedTable
 from leactl.runfile.importing.sources.trees import TreeSource
 from leactl.runfile.read.reader import Run
 
@@ -23,7 +23,7 @@ ROOM = {"csv", "json", "mat", "mcap", "npz", "parquet", "ros2", "sysid", "wpilog
 
 class HexSource(TreeSource):
     def tables(self):
-        return [Tabulated(None, (Listed("q"),))]
+        return [ListedTable(None, (ListedColumn("q"),))]
 
 
 def open_hex(path, request):

@@ -27,7 +27,7 @@ Where = Callable[[str, int], str]  # heading and row
 Mark = Annotated[str, StringConstraints(strict=True)]
 
 
-class TextForm(DriverSettings):
+class TableFormat(DriverSettings):
     """How the file is written; what is left out is found in the file, or refused where it cannot be."""
 
     encoding: Literal["utf-8", "utf-16", "utf-16-le", "utf-16-be", "gbk", "cp1252"] | None = None
@@ -37,13 +37,13 @@ class TextForm(DriverSettings):
     missing: tuple[Mark, ...] = ("", "-", "--", "---", "nan", "NaN", "NAN", "N/A", "n/a", "null")
 
     @model_validator(mode="after")
-    def _marks_differ(self) -> "TextForm":
+    def _marks_differ(self) -> "TableFormat":
         if self.decimal is not None and self.decimal in (self.thousands, self.delimiter):
             raise ValueError(f"decimal {self.decimal!r} is the thousands mark or the delimiter as well")
         return self
 
 
-class Convention(NamedTuple):
+class NumberFormat(NamedTuple):
     """Decimal and thousands marks of a file."""
 
     decimal: str
@@ -69,7 +69,7 @@ class Convention(NamedTuple):
         return f"decimal {self.decimal!r}, {kinds.get(self.thousands, f'thousands {self.thousands!r}')}"
 
 
-class Cell(NamedTuple):
+class NumberCell(NamedTuple):
     """A cell taken apart; `number` is empty where nothing was measured."""
 
     number: str
@@ -86,23 +86,23 @@ class Numbers(NamedTuple):
     outside: dict[str, int]  # over-range marks as they stand, and how often
 
 
-def take_apart(text: str, missing: frozenset[str]) -> Cell | None:
+def take_apart(text: str, missing: frozenset[str]) -> NumberCell | None:
     """The parts of a cell; None where it is neither a number nor a mark of nothing."""
     plain = text.translate(SPACES).strip()
     if plain in missing:
-        return Cell("")
+        return NumberCell("")
     found = CELL.fullmatch(plain)
     if found is None:
         return None
-    return Cell(found["number"].strip(), (found["unit"] or "").strip(), (found["outside"] or "")[:1])
+    return NumberCell(found["number"].strip(), (found["unit"] or "").strip(), (found["outside"] or "")[:1])
 
 
 def read_numbers(
     columns: Mapping[str, Sequence[str]],
-    form: TextForm,
+    form: TableFormat,
     place: Where,
     bounds: Mapping[str, tuple[float, float]],
-) -> tuple[dict[str, Numbers], Convention]:
+) -> tuple[dict[str, Numbers], NumberFormat]:
     """The numbers of columns of text that were written in one convention.
 
     Parameters
@@ -116,7 +116,7 @@ def read_numbers(
     InputError : a cell that is no number, no convention that reads all, or several that read them differently.
     """
     missing = frozenset(mark.translate(SPACES).strip() for mark in form.missing)
-    parts: dict[str, dict[str, Cell]] = {}
+    parts: dict[str, dict[str, NumberCell]] = {}
     faults: list[str] = []
     for heading, cells in columns.items():
         parts[heading] = {}
@@ -142,18 +142,18 @@ def read_numbers(
     return {heading: numbers(cells, parts[heading], values[heading]) for heading, cells in columns.items()}, convention
 
 
-def conventions(form: TextForm, parts: Mapping[str, Mapping[str, Cell]]) -> Iterator[Convention]:
+def conventions(form: TableFormat, parts: Mapping[str, Mapping[str, NumberCell]]) -> Iterator[NumberFormat]:
     """Those that the settings allow; a mark that stands nowhere makes no convention of its own."""
     used = set("".join(cell.number for cells in parts.values() for cell in cells.values()))
     for decimal in (".", ",") if form.decimal is None else (form.decimal,):
         for thousands in ("", *THOUSANDS) if form.thousands is None else (form.thousands,):
             if thousands != decimal and (thousands in used or not thousands or form.thousands is not None):
-                yield Convention(decimal, thousands)
+                yield NumberFormat(decimal, thousands)
 
 
 def read_as(
-    convention: Convention,
-    parts: Mapping[str, Mapping[str, Cell]],
+    convention: NumberFormat,
+    parts: Mapping[str, Mapping[str, NumberCell]],
     bounds: Mapping[str, tuple[float, float]],
 ) -> dict[str, dict[str, float]] | None:
     """Every distinct cell in this convention; None where one of them is no number, or cannot be."""
@@ -175,8 +175,8 @@ def read_as(
 def refuse_difference(
     columns: Mapping[str, Sequence[str]],
     place: Where,
-    one: tuple[Convention, Mapping[str, Mapping[str, float]]],
-    other: tuple[Convention, Mapping[str, Mapping[str, float]]],
+    one: tuple[NumberFormat, Mapping[str, Mapping[str, float]]],
+    other: tuple[NumberFormat, Mapping[str, Mapping[str, float]]],
 ) -> None:
     """Refuse a file that two conventions read differently, with the first cell where they do."""
     for heading, cells in columns.items():
@@ -190,8 +190,8 @@ def refuse_difference(
 
 def unreadable(
     columns: Mapping[str, Sequence[str]],
-    form: TextForm,
-    parts: Mapping[str, Mapping[str, Cell]],
+    form: TableFormat,
+    parts: Mapping[str, Mapping[str, NumberCell]],
     place: Where,
     bounds: Mapping[str, tuple[float, float]],
 ) -> str:
@@ -216,7 +216,7 @@ def unreadable(
     return f"{told}; no decimal and thousands mark reads every number of the file"
 
 
-def numbers(cells: Sequence[str], parts: Mapping[str, Cell], values: Mapping[str, float]) -> Numbers:
+def numbers(cells: Sequence[str], parts: Mapping[str, NumberCell], values: Mapping[str, float]) -> Numbers:
     """The column, its over-range marks turned into NaN and counted."""
     marks = {text for text, cell in parts.items() if cell.outside}
     nothing = {text for text, cell in parts.items() if not cell.number}

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from leactl.driver.tables.number_format import TextForm
+from leactl.driver.tables.number_format import TableFormat
 from leactl.errors import InputError
 from leactl.regular import open_regular
 
@@ -146,7 +146,7 @@ def other_readings(raw: bytes, encoding: str, start: int, told: bool) -> str:
     return f"not UTF-8 at byte {start}; its line reads {' or '.join(readings)}; encoding decides"
 
 
-def read_table(path: Path, form: TextForm, wanted: Sequence[str], every_row: bool = False) -> Table:
+def read_table(path: Path, form: TableFormat, wanted: Sequence[str], every_row: bool = False) -> Table:
     """Read the table that holds the wanted headings; with `every_row`, as where rows are the clock, empty ones count.
 
     Raises

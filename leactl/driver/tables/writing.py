@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 @dataclass(frozen=True)
-class Dialect:
+class TableDialect:
     """How a program writes a table."""
 
     encoding: str = "utf-8"

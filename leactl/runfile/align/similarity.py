@@ -14,7 +14,7 @@ MOST_STEPS = 2**21  # of the coarse search
 ENOUGH = 4000  # samples to look for the likeliest offset with
 
 
-class Peak(NamedTuple):
+class SimilarityPeak(NamedTuple):
     """A shift at which two channels are more alike than around it."""
 
     shift: float  # s
@@ -22,7 +22,9 @@ class Peak(NamedTuple):
     explained: float  # sum of squares of the channel that the reference makes up
 
 
-def peaks(time: Array, values: Array, base: Array, reference: Array, within: float, near: float = 0.0) -> list[Peak]:
+def peaks(
+    time: Array, values: Array, base: Array, reference: Array, within: float, near: float = 0.0
+) -> list[SimilarityPeak]:
     """Shifts of `time` at which values correlate with the reference, the likeliest first.
 
     Coarse over the whole range, then ten times finer around each until a hundredth of the shorter interval.
@@ -34,15 +36,15 @@ def peaks(time: Array, values: Array, base: Array, reference: Array, within: flo
     intervals = float(np.median(np.diff(time))), float(np.median(np.diff(base)))
     coarse = max(*intervals, (time[-1] - time[0] + base[-1] - base[0]) / MOST_STEPS)
 
-    def peak(shift: float, every: int = 1) -> Peak:
+    def peak(shift: float, every: int = 1) -> SimilarityPeak:
         moved, seen = time[::every] + shift, values[::every]
         inside = (moved >= base[0]) & (moved <= base[-1])
         if inside.sum() < FEWEST_COMMON:
-            return Peak(shift, -1.0, 0.0)
+            return SimilarityPeak(shift, -1.0, 0.0)
         own, there = seen[inside], np.interp(moved[inside], base, reference)
         spread = float(np.std(own) * np.std(there))
         alike = float(np.mean((own - own.mean()) * (there - there.mean()))) / spread if spread > 0 else -1.0
-        return Peak(shift, alike, max(alike, 0.0) ** 2 * float(np.var(own) * inside.sum() * every))
+        return SimilarityPeak(shift, alike, max(alike, 0.0) ** 2 * float(np.var(own) * inside.sum() * every))
 
     found = []
     for best in likely_shifts(time, values, base, reference, within, near, coarse):
@@ -55,12 +57,12 @@ def peaks(time: Array, values: Array, base: Array, reference: Array, within: flo
     return sorted(found, key=likest, reverse=True)
 
 
-def likest(peak: Peak) -> float:
+def likest(peak: SimilarityPeak) -> float:
     """What peaks are sorted by."""
     return peak.likeness
 
 
-def ends_search(peak: Peak, within: float, near: float) -> bool:
+def ends_search(peak: SimilarityPeak, within: float, near: float) -> bool:
     """Whether likeness rises up to the end of what is searched: its peak lies beyond."""
     return abs(abs(peak.shift - near) - within) < 1e-9 * within
 

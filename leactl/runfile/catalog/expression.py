@@ -44,7 +44,7 @@ Value = Callable[[Summary], Any]
 
 
 @dataclass(frozen=True)
-class Named:
+class NamedValue:
     """A name in an expression: what it stands for, and how a run's value is had; None where the run has none."""
 
     text: str
@@ -137,7 +137,7 @@ class _Reader:
 
     def _comparison(self, left: ast.expr, relation: ast.cmpop, right: ast.expr) -> Test:
         one, other = self._operand(left), self._operand(right)
-        if not isinstance(one, Named) and not isinstance(other, Named):
+        if not isinstance(one, NamedValue) and not isinstance(other, NamedValue):
             raise self._fault(f"{self._source(left)} and {self._source(right)} are compared, and neither is a name")
         match relation:
             case ast.Is() | ast.IsNot():
@@ -146,17 +146,17 @@ class _Reader:
                 test = self._membership(one, other, right)
                 if isinstance(relation, ast.In):
                     return test
-                value = one.of if isinstance(one, Named) else other.of
+                value = one.of if isinstance(one, NamedValue) else other.of
                 return lambda run: value(run) is not None and not test(run)
-        if not isinstance(one, Named):
-            assert isinstance(other, Named)
+        if not isinstance(one, NamedValue):
+            assert isinstance(other, NamedValue)
             return self._relation(other, TURNED.get(type(relation), type(relation)), one, left)
         return self._relation(one, type(relation), other, right)
 
-    def _relation(self, name: Named, relation: type[ast.cmpop], other: Any, node: ast.expr) -> Test:
+    def _relation(self, name: NamedValue, relation: type[ast.cmpop], other: Any, node: ast.expr) -> Test:
         """Compare a run's value with another of its values, or with one that stands in the expression."""
         compare, value = RELATIONS[relation], name.of
-        if isinstance(other, Named):
+        if isinstance(other, NamedValue):
             second = other.of
             return lambda run: _holds(compare, value(run), second(run))
         if name.kind == MOMENT:
@@ -164,7 +164,7 @@ class _Reader:
         self._refuse_kind(name, other, node)
         return lambda run: _holds(compare, value(run), other)
 
-    def _in_time(self, name: Named, relation: type[ast.cmpop], other: Any, node: ast.expr) -> Test:
+    def _in_time(self, name: NamedValue, relation: type[ast.cmpop], other: Any, node: ast.expr) -> Test:
         """Compare a moment with a day, which is whole, or with another moment."""
         try:
             first, after = span_of(other)
@@ -186,10 +186,10 @@ class _Reader:
 
     def _membership(self, one: Any, other: Any, node: ast.expr) -> Test:
         """Whether a value is one of a list, or a text is part of a text or a member of a list."""
-        if isinstance(other, list) and isinstance(one, Named):
+        if isinstance(other, list) and isinstance(one, NamedValue):
             tests = [self._relation(one, ast.Eq, item, node) for item in other]
             return lambda run: any(test(run) for test in tests)
-        if isinstance(other, Named) and not isinstance(one, Named):
+        if isinstance(other, NamedValue) and not isinstance(one, NamedValue):
             if other.kind in (NUMBER, MOMENT):
                 raise self._fault(f"{other.text} is {other.kind} and holds no others; it is compared by == or <")
             value = other.of
@@ -199,13 +199,13 @@ class _Reader:
         )
 
     def _missing(self, one: Any, other: Any, wanted: bool, node: ast.expr) -> Test:
-        if not isinstance(one, Named) or other is not None:
+        if not isinstance(one, NamedValue) or other is not None:
             raise self._fault(f"{self._source(node)} follows is; None was expected, and == elsewhere")
         value = one.of
         return lambda run: (value(run) is None) == wanted
 
     def _like(self, name: Any, pattern: str, node: ast.expr) -> Test:
-        if not isinstance(name, Named) or name.kind in (NUMBER, MOMENT):
+        if not isinstance(name, NamedValue) or name.kind in (NUMBER, MOMENT):
             raise self._fault(f"{self._source(node)}: the name of a text or of a list was expected first")
         fits, value = re.compile(translate(pattern)).match, name.of
 
@@ -233,17 +233,17 @@ class _Reader:
                 return -value
             case ast.List(items) | ast.Tuple(items):
                 values = [self._operand(item) for item in items]
-                if not any(isinstance(value, Named | list) for value in values):
+                if not any(isinstance(value, NamedValue | list) for value in values):
                     return values
         raise self._fault(f"{self._source(node)} stands where a name, a text, a number or a list of those was expected")
 
-    def _name(self, name: str, node: ast.expr) -> Named:
+    def _name(self, name: str, node: ast.expr) -> NamedValue:
         if name == "created":
-            return Named(name, MOMENT, lambda run: moment_of(run.created))
+            return NamedValue(name, MOMENT, lambda run: moment_of(run.created))
         if name == "tags":
-            return Named(name, TEXTS, lambda run: list(run.tags))
+            return NamedValue(name, TEXTS, lambda run: list(run.tags))
         if name in KINDS:
-            return Named(name, KINDS[name], operator.attrgetter(name))
+            return NamedValue(name, KINDS[name], operator.attrgetter(name))
         if name in self._parameters:
             return _parameter(name)
         raise self._fault(
@@ -257,7 +257,7 @@ class _Reader:
         more = f" and {len(there) - MOST_NAMED} more" if len(there) > MOST_NAMED else ""
         return f"; known: {', '.join(there[:MOST_NAMED]) or 'none'}{more}; a text stands in quotes"
 
-    def _refuse_kind(self, name: Named, other: Any, node: ast.expr) -> None:
+    def _refuse_kind(self, name: NamedValue, other: Any, node: ast.expr) -> None:
         expected = {TEXT: str, NUMBER: (int, float), TEXTS: list}.get(name.kind, object)
         if other is None:
             raise self._fault(f"{name.text} is compared with None; is None was expected")
@@ -277,8 +277,8 @@ def _cut(text: str) -> str:
     return line if len(line) <= LONGEST_TOLD else f"{line[:LONGEST_TOLD]} ..."
 
 
-def _parameter(name: str) -> Named:
-    return Named(name, "", lambda run: run.parameters.get(name))
+def _parameter(name: str) -> NamedValue:
+    return NamedValue(name, "", lambda run: run.parameters.get(name))
 
 
 def _holds(compare: Callable[[Any, Any], bool], value: Any, other: Any) -> bool:

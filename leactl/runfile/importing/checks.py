@@ -47,7 +47,7 @@ MOST_GAPS = 0.1  # share of the intervals: more of them are how the log was made
 SHORTEST_S, LONGEST_S = 1e-7, 3600.0  # between samples
 
 
-class Column(NamedTuple):
+class MappedColumn(NamedTuple):
     """A channel with its stamps, without the rows that it lacks."""
 
     place: str  # stream/channel
@@ -77,17 +77,17 @@ def notes_on_units(streams: dict[str, Stream], mapping: Mapping) -> Iterator[str
             yield from note(column, setpoint, setpoint.place, gain_by_setpoint(column, setpoint, quantity))
 
 
-def mapped_columns(streams: dict[str, Stream], mapping: Mapping) -> Iterator[tuple[tuple[str, str, str], Column]]:
+def mapped_columns(streams: dict[str, Stream], mapping: Mapping) -> Iterator[tuple[tuple[str, str, str], MappedColumn]]:
     """Every channel by its quantity, role and location."""
     for name, stream in streams.items():
         for spec, values in zip(stream.specs, stream.values, strict=True):
             known = np.isfinite(values)
             units = mapping.streams[name].channels[spec.name].units or spec.unit
-            column = Column(f"{name}/{spec.name}", stream.time[known], values[known], units, spec.unit)
+            column = MappedColumn(f"{name}/{spec.name}", stream.time[known], values[known], units, spec.unit)
             yield (spec.quantity, spec.role, spec.location), column
 
 
-def note(column: Column, other: Column, what: str, gain: Gain | None) -> Iterator[str]:
+def note(column: MappedColumn, other: MappedColumn, what: str, gain: Gain | None) -> Iterator[str]:
     """What a gain tells, where it is sure and not that of two channels in their units."""
     if gain is None or gain.explained < EXPLAINED or gain.std > SURE * abs(gain.value):
         return
@@ -104,7 +104,7 @@ def note(column: Column, other: Column, what: str, gain: Gain | None) -> Iterato
         yield f"{says}: is the sign of both right?"
 
 
-def unit_factors(column: Column, other: Column) -> list[tuple[float, str]]:
+def unit_factors(column: MappedColumn, other: MappedColumn) -> list[tuple[float, str]]:
     """What a gain is where a column is in another unit than its mapping says, and in which."""
     found = [*mistaken(column), *((1.0 / factor, named) for factor, named in mistaken(other))]
     if (column.units, other.units) == ("rad/s", "rad"):
@@ -113,7 +113,7 @@ def unit_factors(column: Column, other: Column) -> list[tuple[float, str]]:
     return [(factor, named) for factor, named in found if max(factor, 1.0 / factor) >= LOST]
 
 
-def mistaken(column: Column) -> list[tuple[float, str]]:
+def mistaken(column: MappedColumn) -> list[tuple[float, str]]:
     """What a channel is multiplied by where its column is in another unit, and in which."""
     table = CONVERSIONS[column.target]
     given = table[column.units][0]
@@ -121,7 +121,7 @@ def mistaken(column: Column) -> list[tuple[float, str]]:
     return [(factor, f"{column.place} in {unit} taken for {column.units}") for factor, unit in others.items()]
 
 
-def gain_by_travel(velocity: Column, angle: Column) -> Gain | None:
+def gain_by_travel(velocity: MappedColumn, angle: MappedColumn) -> Gain | None:
     """Travel by a velocity over travel by its angle, part by part of the record; None where there is too little."""
     if min(len(velocity.time), len(angle.time)) < FEWEST:
         return None
@@ -166,7 +166,7 @@ def unwrapped(steps: Array, by_velocity: Array, turn: float) -> Array:
     return np.asarray(steps + turn * np.round((by_velocity - steps) / turn), np.float64)
 
 
-def gain_by_setpoint(column: Column, setpoint: Column, quantity: str) -> Gain | None:
+def gain_by_setpoint(column: MappedColumn, setpoint: MappedColumn, quantity: str) -> Gain | None:
     """A measured channel over its setpoint; None where there is too little, or a zero that is anyone's."""
     both = (column.time >= setpoint.time[0]) & (column.time <= setpoint.time[-1])
     if both.sum() < FEWEST:

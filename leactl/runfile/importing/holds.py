@@ -28,7 +28,7 @@ ROUNDED = 1e-9  # of a channel's largest value, that a mean of equal numbers may
 WANDERS = 0.25  # of the least step from one level to the next, that a level may wander by beyond its noise
 
 
-class Hold(NamedTuple):
+class LevelHold(NamedTuple):
     """A stretch of rows at one level."""
 
     first: int
@@ -41,7 +41,7 @@ class NotDistinct(Exception):
     """Levels that cannot be told from noise; the message says where."""
 
 
-def held(time: Array, values: Array, least_s: float, settle_s: float, is_setpoint: bool) -> list[Hold]:
+def held(time: Array, values: Array, least_s: float, settle_s: float, is_setpoint: bool) -> list[LevelHold]:
     """Stretches of `least_s` or more in which a channel stays at its level.
 
     One row off a setpoint's level is a stray, two in a row end a stretch; a reading's stretch ends where its mean
@@ -60,7 +60,7 @@ def held(time: Array, values: Array, least_s: float, settle_s: float, is_setpoin
     # rows behind which a channel is silent for long, as a setpoint is in another mode of its drive
     silences = np.flatnonzero(np.diff(stamps, append=time[-1]) > least_s / WINDOWS) + 1
 
-    def lasting(holds: Iterable[Hold]) -> dict[Hold, Hold]:
+    def lasting(holds: Iterable[LevelHold]) -> dict[LevelHold, LevelHold]:
         """Parts of holds that last long enough, by known rows and among all."""
         parts = {part: among_all(part, known, silences, len(values)) for part in parted(holds, silences)}
         ends = {part: float(time[min(whole.after, len(time) - 1)]) for part, whole in parts.items()}
@@ -68,7 +68,7 @@ def held(time: Array, values: Array, least_s: float, settle_s: float, is_setpoin
 
     found = lasting(repeated(levels, rounded)) if is_setpoint or window < FEWEST else {}
     if not found and window >= FEWEST:
-        means = Means(levels, window)
+        means = WindowMeans(levels, window)
         found = lasting(between_changes(levels, means, rounded))
         refuse_wandering([*found], levels, means, stamps, settle_s, rounded)
     return [*found.values()]
@@ -82,7 +82,7 @@ def without_strays(values: Array) -> Array:
     return np.concatenate([values[:1], middle, values[-1:]])
 
 
-def parted(holds: Iterable[Hold], silences: Rows) -> Iterator[Hold]:
+def parted(holds: Iterable[LevelHold], silences: Rows) -> Iterator[LevelHold]:
     """The parts of holds between silences; what came before one is not known behind it."""
     for hold in holds:
         inside = silences[(silences > hold.first) & (silences < hold.after)].tolist()
@@ -90,7 +90,7 @@ def parted(holds: Iterable[Hold], silences: Rows) -> Iterator[Hold]:
             yield hold._replace(first=first, after=after, before=math.nan if first in silences else hold.before)
 
 
-def among_all(hold: Hold, known: Rows, silences: Rows, rows: int) -> Hold:
+def among_all(hold: LevelHold, known: Rows, silences: Rows, rows: int) -> LevelHold:
     """A hold of known rows among all: up to the next known one, or to the last one before a silence."""
     if hold.after in silences:
         after = int(known[hold.after - 1]) + 1
@@ -99,17 +99,17 @@ def among_all(hold: Hold, known: Rows, silences: Rows, rows: int) -> Hold:
     return hold._replace(first=int(known[hold.first]), after=after)
 
 
-def repeated(values: Array, rounded: float) -> list[Hold]:
+def repeated(values: Array, rounded: float) -> list[LevelHold]:
     """Stretches that repeat a value exactly."""
     changes = np.flatnonzero(np.abs(np.diff(values)) > rounded) + 1
     edges = [0, *changes.tolist(), len(values)]
     return [
-        Hold(first, after, float(values[first]), float(values[first - 1]) if first else math.nan)
+        LevelHold(first, after, float(values[first]), float(values[first - 1]) if first else math.nan)
         for first, after in pairwise(edges)
     ]
 
 
-class Means:
+class WindowMeans:
     """Means and scatter of the rows before and behind each row."""
 
     def __init__(self, values: Array, window: int) -> None:
@@ -153,7 +153,7 @@ def windowed(values: Array, window: int) -> Array:
     return np.asarray((sums[window:] - sums[:-window]) / window, np.float64)
 
 
-def between_changes(values: Array, means: Means, rounded: float) -> list[Hold]:
+def between_changes(values: Array, means: WindowMeans, rounded: float) -> list[LevelHold]:
     """Stretches between changes of level, each by the rows around that are no change."""
     window = means.window
     if len(values) < 2 * window:
@@ -180,7 +180,9 @@ def between_changes(values: Array, means: Means, rounded: float) -> list[Hold]:
     return [hold for hold in holds if hold is not None]
 
 
-def hold_around(values: Array, run: tuple[int, int], bounds: tuple[int, int], window: int, count: float) -> Hold | None:
+def hold_around(
+    values: Array, run: tuple[int, int], bounds: tuple[int, int], window: int, count: float
+) -> LevelHold | None:
     """The rows around a run without change that are at its level, one by one and as means; none where none is."""
     first, after = run
     level = float(np.median(values[first:after]))
@@ -197,7 +199,7 @@ def hold_around(values: Array, run: tuple[int, int], bounds: tuple[int, int], wi
     if not len(by_mean):
         return None
     start = int(by_mean[0])
-    return Hold(start, int(by_mean[-1]) + 1, level, came_from(values, start, level, near, window))
+    return LevelHold(start, int(by_mean[-1]) + 1, level, came_from(values, start, level, near, window))
 
 
 def runs_of(chosen: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
@@ -223,7 +225,7 @@ def came_from(values: Array, first: int, level: float, near: float, window: int)
 
 
 def refuse_wandering(
-    holds: list[Hold], values: Array, means: Means, stamps: Array, settle_s: float, rounded: float
+    holds: list[LevelHold], values: Array, means: WindowMeans, stamps: Array, settle_s: float, rounded: float
 ) -> None:
     """Refuse a level that wanders by more than its noise explains, and not by little beside a step.
 

@@ -23,8 +23,8 @@ from leactl.runfile.importing.joints import ALL, asks_for_joints, for_joint, joi
 from leactl.runfile.importing.mapping import PLACEHOLDER, FieldOf, Mapping
 from leactl.runfile.importing.parts import split
 from leactl.runfile.importing.sources.registry import is_log, names, open_source
-from leactl.runfile.importing.sources.source import Lacking, Source, SourceRequest, WantedColumn
-from leactl.runfile.importing.steps import Step, steps_of
+from leactl.runfile.importing.sources.source import LogSource, MissingColumn, SourceRequest, WantedColumn
+from leactl.runfile.importing.steps import ImportedStep, steps_of
 from leactl.runfile.importing.streams import Stream, build_streams, number
 from leactl.runfile.publish import move_without_overwriting, refuse_existing
 from leactl.runfile.write.description import RunInfo, faults_of
@@ -37,7 +37,7 @@ class Imported:
 
     info: RunInfo
     streams: dict[str, Stream]
-    steps: list[Step]
+    steps: list[ImportedStep]
     origin: str  # the source and the mapping
     notes: list[str]  # what a person should look at, with the source's name
 
@@ -163,7 +163,7 @@ def mappings_by_joint(
     return {joint: for_joint(document, joint) for joint in joints}
 
 
-def read_joint(source: Source, joint: str, mapping: Mapping, document: yamlfile.Document) -> list[Imported]:
+def read_joint(source: LogSource, joint: str, mapping: Mapping, document: yamlfile.Document) -> list[Imported]:
     """The runs of one joint, or those of a source without any."""
     streams = build_streams(source, mapping, document)
     doubtful = [f"{source.path}: {line}" for name, stream in streams.items() for line in implausible(name, stream)]
@@ -202,7 +202,7 @@ def labelled(mapping: Mapping) -> list[WantedColumn]:
 
 
 def describe(
-    source: Source,
+    source: LogSource,
     suffix: str,
     streams: dict[str, Stream],
     mapping: Mapping,
@@ -252,18 +252,18 @@ def digest_of(path: Path) -> str:
         return hashlib.file_digest(content, "sha256").hexdigest()
 
 
-def text(source: Source, value: str | FieldOf, place: tuple[str, ...], document: yamlfile.Document) -> str:
+def text(source: LogSource, value: str | FieldOf, place: tuple[str, ...], document: yamlfile.Document) -> str:
     """A text that the mapping gives, or the field that it points to."""
     if isinstance(value, str):
         return value
     try:
         found = source.field(value.field)
-    except Lacking as lacking:
+    except MissingColumn as lacking:
         raise InputError(document.fault((*place, "field"), str(lacking))) from None
     return found if isinstance(found, str) else f"{value.scale * found + value.offset:g}"
 
 
-def created(source: Source, mapping: Mapping, document: yamlfile.Document) -> str:
+def created(source: LogSource, mapping: Mapping, document: yamlfile.Document) -> str:
     """When the run was recorded: as the mapping says, else as the source says, else its file's time."""
     if mapping.run.created is None:
         moment = source.began or datetime.fromtimestamp(source.path.stat().st_mtime, UTC)

@@ -7,7 +7,7 @@ from typing import Any, Final, Literal
 
 from leactl.errors import InputError
 from leactl.runfile.importing.mapping import PLACEHOLDER, Mapping
-from leactl.runfile.importing.sources.source import Tabulated
+from leactl.runfile.importing.sources.source import ListedTable
 from leactl.yamlfile import Document
 
 ALL: Final[Literal["all"]] = "all"
@@ -24,7 +24,7 @@ def for_joint(document: Document, joint: str) -> tuple[Mapping, Document]:
     return of_joint.validate(Mapping), of_joint
 
 
-def joints_of(path: Path, mapping: Mapping, tables: Sequence[Tabulated], document: Document) -> list[str]:
+def joints_of(path: Path, mapping: Mapping, tables: Sequence[ListedTable], document: Document) -> list[str]:
     """Names of the joints that a source has in the records that the mapping takes by joint.
 
     Raises

@@ -11,7 +11,7 @@ from typing import Annotated, Final, Literal, Self, TypeGuard
 
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
-from leactl.driver.batch import Estimate
+from leactl.driver.batch import OffsetEstimate
 from leactl.quantities import UNITS
 from leactl.runfile.instruments import Instrument
 from leactl.units import converter, known_units
@@ -92,11 +92,11 @@ class TimeBase(Block):
         return self
 
 
-class Clock(Block):
+class StreamClock(Block):
     """How a stream's stamps lie on the clock of the run: a known offset, or one that is estimated."""
 
     offset_s: Number | None = None
-    estimate: Estimate | None = None
+    estimate: OffsetEstimate | None = None
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -148,11 +148,11 @@ class StreamMapping(Block):
 
     records: Text | None = None  # path of the list of records, struct or matrix that columns are looked up in
     time: TimeBase
-    clock: Clock | None = None
+    clock: StreamClock | None = None
     channels: Annotated[dict[Name, ChannelMapping], Field(min_length=1)]
 
 
-class Part(Block):
+class PartMapping(Block):
     """A part of the source that becomes a run of its own, from the first row or instant up to before the last."""
 
     suffix: Name
@@ -253,7 +253,7 @@ class Mapping(Block):
     instruments: dict[Name, Instrument] = {}
     csv: CsvForm = CsvForm()
     streams: Annotated[dict[Name, StreamMapping], Field(min_length=1)]
-    parts: tuple[Part, ...] = ()
+    parts: tuple[PartMapping, ...] = ()
     by_direction: ByDirection | None = None
     steps: tuple[StepAt, ...] = ()
     steps_by_column: StepsByColumn | None = None

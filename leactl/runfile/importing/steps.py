@@ -15,7 +15,7 @@ from leactl.yamlfile import Document
 MOST_SEEN = 10  # labels that a fault names
 
 
-class Step(NamedTuple):
+class ImportedStep(NamedTuple):
     """A step as the run file has it, times on the run's clock [s]."""
 
     name: str
@@ -25,7 +25,7 @@ class Step(NamedTuple):
     parameters: dict[str, Any]
 
 
-def steps_of(streams: dict[str, Stream], mapping: Mapping, document: Document, source: str) -> list[Step]:
+def steps_of(streams: dict[str, Stream], mapping: Mapping, document: Document, source: str) -> list[ImportedStep]:
     """Steps of one run, as its mapping tells them; none where it tells nothing.
 
     Raises
@@ -42,7 +42,7 @@ def steps_of(streams: dict[str, Stream], mapping: Mapping, document: Document, s
     return []
 
 
-def by_instants(mapping: Mapping, end: float, document: Document, source: str) -> list[Step]:
+def by_instants(mapping: Mapping, end: float, document: Document, source: str) -> list[ImportedStep]:
     """Steps that the mapping writes out."""
     faults, before = [], 0.0
     for index, step in enumerate(mapping.steps):
@@ -54,10 +54,10 @@ def by_instants(mapping: Mapping, end: float, document: Document, source: str) -
         before = step.stop_s
     if faults:
         raise InputError(faults)
-    return [Step(s.name, s.start_s, s.stop_s, s.settle_s, dict(s.parameters)) for s in mapping.steps]
+    return [ImportedStep(s.name, s.start_s, s.stop_s, s.settle_s, dict(s.parameters)) for s in mapping.steps]
 
 
-def by_column(streams: dict[str, Stream], by: StepsByColumn, document: Document, source: str) -> list[Step]:
+def by_column(streams: dict[str, Stream], by: StepsByColumn, document: Document, source: str) -> list[ImportedStep]:
     """A step for each stretch of rows with one label."""
     stream = streams[by.stream]
     labels = stream.labels or []
@@ -66,7 +66,7 @@ def by_column(streams: dict[str, Stream], by: StepsByColumn, document: Document,
     for first, after in pairwise([0, *changes, len(labels)]):
         if labels[first] in by.names:
             start, stop = during(stream, first, after)
-            found.append(Step(by.names[labels[first]], start, stop, by.settle_s, {}))
+            found.append(ImportedStep(by.names[labels[first]], start, stop, by.settle_s, {}))
             for name, value in by.parameters.items():
                 known = level(streams, value, start, stop, by.settle_s) if is_place(value) else value
                 if known is None:
@@ -81,7 +81,7 @@ def by_column(streams: dict[str, Stream], by: StepsByColumn, document: Document,
     return found
 
 
-def by_holds(streams: dict[str, Stream], by: StepsByHolds, document: Document, source: str) -> list[Step]:
+def by_holds(streams: dict[str, Stream], by: StepsByHolds, document: Document, source: str) -> list[ImportedStep]:
     """A step for each stretch in which a channel holds a level."""
     name, channel = by.channel.split("/")
     stream, values = streams[name], streams[name].channel(channel)
@@ -97,7 +97,7 @@ def by_holds(streams: dict[str, Stream], by: StepsByHolds, document: Document, s
         settled = values[hold.first : hold.after][stream.time[hold.first : hold.after] >= start + by.settle_s]
         held_at = float(np.nanmedian(settled))
         came = {} if math.isnan(hold.before) else {"direction": "rising" if hold.before < held_at else "falling"}
-        found.append(Step("hold", start, stop, by.settle_s, {by.parameter: held_at, **came, **by.parameters}))
+        found.append(ImportedStep("hold", start, stop, by.settle_s, {by.parameter: held_at, **came, **by.parameters}))
     if not found:
         told = f"{source}: {by.channel} holds no level for least_s {by.least_s:g}"
         raise InputError(document.fault(("steps_by_holds", "least_s"), told))

@@ -17,7 +17,7 @@ from leactl.runfile.importing.mapping import (
     StreamMapping,
     TimeBase,
 )
-from leactl.runfile.importing.sources.source import Lacking, Source
+from leactl.runfile.importing.sources.source import LogSource, MissingColumn
 from leactl.units import LINEAR, SECONDS, converter
 from leactl.yamlfile import Document
 
@@ -49,7 +49,7 @@ class Stream:
         return Stream(self.time[first:last], self.specs, columns, self.aligned, labels)
 
 
-def build_streams(source: Source, mapping: Mapping, document: Document) -> dict[str, Stream]:
+def build_streams(source: LogSource, mapping: Mapping, document: Document) -> dict[str, Stream]:
     """Read every mapped channel of a source onto the run's clock.
 
     Raises
@@ -86,7 +86,7 @@ def build_streams(source: Source, mapping: Mapping, document: Document) -> dict[
 
 
 def build_stream(
-    source: Source, name: str, wanted: StreamMapping, by: StepsByColumn | None, document: Document
+    source: LogSource, name: str, wanted: StreamMapping, by: StepsByColumn | None, document: Document
 ) -> Stream:
     """Read one stream on its own clock, with the labels of the column that steps are told by."""
     faults: list[str] = []
@@ -112,7 +112,7 @@ def build_stream(
 
 
 def labels_of(
-    source: Source,
+    source: LogSource,
     by: StepsByColumn,
     records: str | None,
     time: Array,
@@ -122,7 +122,7 @@ def labels_of(
     """The label of each row that is kept: that of its own, or the one in force at its stamp; empty before the first."""
     try:
         raw = source.labels(by.column, None if by.time else records)
-    except Lacking as lacking:
+    except MissingColumn as lacking:
         raise InputError(document.fault(("steps_by_column", "column"), str(lacking))) from None
     if by.time is None:
         if len(raw) != len(keep):
@@ -136,13 +136,13 @@ def labels_of(
 
 
 def build_channel(
-    source: Source, stream: str, name: str, mapped: ChannelMapping, records: str | None, document: Document
+    source: LogSource, stream: str, name: str, mapped: ChannelMapping, records: str | None, document: Document
 ) -> tuple[ChannelSpec, Array]:
     """Read one channel in the units of its quantity."""
     place = ("streams", stream, "channels", name)
     try:
         raw = source.column(mapped.column, records)
-    except Lacking as lacking:
+    except MissingColumn as lacking:
         raise InputError(document.fault((*place, "column"), str(lacking))) from None
     if isinstance(raw, list):
         raise InputError(f"{source.place(mapped.column, 0)}: {raw[0]!r} is not a number")
@@ -175,13 +175,13 @@ def build_channel(
     return spec, np.asarray(values, np.float64)
 
 
-def number(source: Source, value: float | FieldOf, place: tuple[str | int, ...], document: Document) -> float:
+def number(source: LogSource, value: float | FieldOf, place: tuple[str | int, ...], document: Document) -> float:
     """A number that the mapping gives, or the field that it points to."""
     if not isinstance(value, FieldOf):
         return value
     try:
         found = source.field(value.field)
-    except Lacking as lacking:
+    except MissingColumn as lacking:
         raise InputError(document.fault((*place, "field"), str(lacking))) from None
     if isinstance(found, str) or not np.isfinite(found):
         raise InputError(document.fault((*place, "field"), f"{source.path}: {found!r} is not a number"))
@@ -189,7 +189,7 @@ def number(source: Source, value: float | FieldOf, place: tuple[str | int, ...],
 
 
 def stamps(
-    source: Source, base: TimeBase, records: str | None, place: tuple[str, ...], rows: int, document: Document
+    source: LogSource, base: TimeBase, records: str | None, place: tuple[str, ...], rows: int, document: Document
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Stamps in seconds, strictly increasing, and which rows they keep."""
     everything: npt.NDArray[np.bool_] = np.ones(rows, bool)
@@ -198,7 +198,7 @@ def stamps(
         return np.asarray(base.start_s + step * np.arange(rows), np.float64), everything
     try:
         raw = source.column(base.column, records)
-    except Lacking as lacking:
+    except MissingColumn as lacking:
         raise InputError(document.fault((*place, "column"), str(lacking))) from None
     if len(raw) != rows:
         raise InputError(document.fault((*place, "column"), f"{len(raw)} stamps for {rows} rows"))
@@ -219,7 +219,7 @@ def stamps(
     return time, keep
 
 
-def seconds(source: Source, base: TimeBase, raw: Array | list[str]) -> Array:
+def seconds(source: LogSource, base: TimeBase, raw: Array | list[str]) -> Array:
     """Stamps as seconds."""
     assert base.column is not None
     if base.units != "iso8601":

@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Trace:
+class ChannelTrace:
     """A channel over a part of the run; where it is thinned, a pair of points for each of its bins, low and high."""
 
     name: str  # stream/channel
@@ -89,13 +89,13 @@ def part_of_run(run: Run, step: str, start: float | None, stop: float | None) ->
     return start, stop
 
 
-def trace(run: Run, name: str, start: float, stop: float, bins: int) -> Trace:
+def trace(run: Run, name: str, start: float, stop: float, bins: int) -> ChannelTrace:
     """Return a channel between two times [s], as its samples or, of more than two a bin, as the range in each bin."""
     channel = run.channel_at(name)
     inside = (channel.time >= start) & (channel.time <= stop)
     time, values = channel.time[inside], channel.values[inside]
     if len(time) <= 2 * bins:
-        return Trace(name, channel, time, values, 1.0)
+        return ChannelTrace(name, channel, time, values, 1.0)
     edges = np.linspace(start, stop, bins + 1)
     bin_of = np.clip(np.searchsorted(edges, time, side="right") - 1, 0, bins - 1)
     low, high = np.full(bins, np.inf), np.full(bins, -np.inf)
@@ -105,4 +105,4 @@ def trace(run: Run, name: str, start: float, stop: float, bins: int) -> Trace:
     empty = low > high
     low[empty], high[empty] = np.nan, np.nan
     centres = (edges[:-1] + edges[1:]) / 2
-    return Trace(name, channel, np.repeat(centres, 2), np.stack([low, high], axis=1).ravel(), len(time) / bins)
+    return ChannelTrace(name, channel, np.repeat(centres, 2), np.stack([low, high], axis=1).ravel(), len(time) / bins)

@@ -26,7 +26,7 @@ WHOLE = "values, names and attributes"
 
 
 @dataclass(frozen=True)
-class Examined:
+class Examination:
     """A run file as `verify` finds it."""
 
     path: Path
@@ -49,12 +49,12 @@ class Examined:
         return {"run": str(self.path), "status": self.status, "covered": covered, "findings": self.findings}
 
 
-def examine(path: Path) -> Examined:
+def examine(path: Path) -> Examination:
     """Look a run file through, with how it ended."""
     if findings := verify(path):
-        return Examined(path, findings)
+        return Examination(path, findings)
     with Run.open(path) as run:
-        return Examined(path, [], run.status, WHOLE if run.sealed else "values" if run.checked else "")
+        return Examination(path, [], run.status, WHOLE if run.sealed else "values" if run.checked else "")
 
 
 def verify(path: Path) -> list[str]:

@@ -14,7 +14,7 @@ from leactl.driver.far_end import I2cEmulator, Physics
 from leactl.driver.i2c_port import I2cPort
 from leactl.errors import DeviceError, NoAnswer
 from leactl.quantities import UNITS, ChannelSpec
-from leactl_plugins.ads1115.settings import MUX, RANGES_V, RATES_SPS, Ads1115Settings, Input
+from leactl_plugins.ads1115.settings import MUX, RANGES_V, RATES_SPS, AdcInput, Ads1115Settings
 
 CONVERSION, CONFIG = 0x00, 0x01
 START = 0x8000  # OS: start when written, idle when read
@@ -30,7 +30,7 @@ GIVE_UP_FACTOR = 4.0
 class _Converter:
     """What one input needs while the loop runs, worked out once."""
 
-    def __init__(self, device: str, settings: Input, single: bool) -> None:
+    def __init__(self, device: str, settings: AdcInput, single: bool) -> None:
         self.settings = settings
         self.stream = device if single else f"{device}_{settings.name}"
         code = RANGES_V[settings.range_V]

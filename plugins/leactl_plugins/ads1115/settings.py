@@ -14,7 +14,7 @@ TARE_SHARE = 0.05  # of the range: what a zero drifts by, and no load of note
 Volts = Annotated[float, Field(strict=True, ge=-6.144, le=6.144)]
 
 
-class Input(BaseModel):
+class AdcInput(BaseModel):
     """One input and the sensor behind it: value = sign x scale_per_V x (voltage - offset_V)."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -52,7 +52,7 @@ class Input(BaseModel):
         return self.sign * self.scale_per_V * (volts - self.offset_V)
 
     @model_validator(mode="after")
-    def _zero_in_window(self) -> "Input":
+    def _zero_in_window(self) -> "AdcInput":
         low, high = self.window_V
         if not low < high:
             raise ValueError(f"low_V to high_V leave nothing of the range of +-{self.range_V:g} V")
@@ -84,7 +84,7 @@ class Ads1115Settings(DriverSettings):
     """Address and inputs; several inputs are converted in turn."""
 
     address: Literal[0x48, 0x49, 0x4A, 0x4B] = 0x48
-    inputs: Annotated[tuple[Input, ...], Field(min_length=1, max_length=8)]
+    inputs: Annotated[tuple[AdcInput, ...], Field(min_length=1, max_length=8)]
 
     @property
     def bus_address(self) -> int:
@@ -101,7 +101,7 @@ class Ads1115Settings(DriverSettings):
 
     @field_validator("inputs")
     @classmethod
-    def _names_differ(cls, value: tuple[Input, ...]) -> tuple[Input, ...]:
+    def _names_differ(cls, value: tuple[AdcInput, ...]) -> tuple[AdcInput, ...]:
         names = [item.name for item in value]
         if len(set(names)) != len(names):
             raise ValueError(f"two inputs share a name among {', '.join(names)}")

@@ -8,7 +8,7 @@ from leactl.driver.conversation import Unreadable
 OK = b"OK"
 
 
-class Levels(NamedTuple):
+class LevelCounts(NamedTuple):
     """Voltage in steps of 0.1 V, current in steps of the model."""
 
     volts: int
@@ -34,7 +34,7 @@ def done(answer: bytes) -> None:
         raise Unreadable(f"{_shown(answer)} where OK was expected")
 
 
-def levels(answer: bytes) -> Levels:
+def levels(answer: bytes) -> LevelCounts:
     """Both settings, or both limits.
 
     Raises
@@ -44,7 +44,7 @@ def levels(answer: bytes) -> Levels:
     found = re.fullmatch(rb"([0-9]{3})([0-9]{3})\nOK", answer)
     if found is None:
         raise Unreadable(f"{_shown(answer)} where six digits and OK were expected")
-    return Levels(int(found[1]), int(found[2]))
+    return LevelCounts(int(found[1]), int(found[2]))
 
 
 def display(answer: bytes) -> Display:

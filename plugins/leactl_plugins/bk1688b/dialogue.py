@@ -8,16 +8,16 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from leactl.driver.contract import Confirmation
-from leactl.driver.conversation import Answer, Question, Script, Unreadable
-from leactl.driver.serial_supply import Progress, Reading
+from leactl.driver.conversation import Query, Reply, Script, Unreadable
+from leactl.driver.serial_supply import SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
 from leactl_plugins.bk1688b import answers
-from leactl_plugins.bk1688b.answers import OK, Display, Levels
+from leactl_plugins.bk1688b.answers import OK, Display, LevelCounts
 from leactl_plugins.bk1688b.models import HIGHEST, LEAST_V, STEP_V
 from leactl_plugins.bk1688b.settings import Bk1688bSettings
 
 ON, OFF = "SOUT0", "SOUT1"  # the manual's own sense
-DISPLAY = Question("GETD", answers.display, last=OK)
+DISPLAY = Query("GETD", answers.display, last=OK)
 LOOKS = 40  # at the display, some 40 ms each, until a switched output has risen or fallen
 MARKS = 10  # settings from 1.0 V to 1.9 V
 SETTINGS_S = 1.0  # between two looks at what is set, which a person may change at the panel
@@ -34,19 +34,19 @@ class Bk1688bDialogue:
 
     def __init__(self, settings: Bk1688bSettings) -> None:
         self._settings, self._step = settings, settings.rating.step_A
-        self._held = Levels(round(LEAST_V / STEP_V), 0)  # what was commanded
+        self._held = LevelCounts(round(LEAST_V / STEP_V), 0)  # what was commanded
         self._most = HIGHEST  # V and A; until it has told its own limits, it may be another model
         self._mark = 0
         self._looked = 0.0
         self._astray_since: float | None = None  # None: nothing has been put out since the last command
         self._panel = ""  # what was set there
 
-    def in_step(self) -> Script[Levels]:
+    def in_step(self) -> Script[LevelCounts]:
         """Ask for the settings: what comes before six digits was meant for an earlier question, and is dropped."""
-        held: Levels = yield from _asked(Question("GETS", _at_the_end(2, answers.levels), patient=True, last=OK))
+        held: LevelCounts = yield from _asked(Query("GETS", _at_the_end(2, answers.levels), patient=True, last=OK))
         return held
 
-    def output_off(self, progress: Progress) -> Script[Confirmation]:
+    def output_off(self, progress: SwitchOffTrouble) -> Script[Confirmation]:
         """Switch off until nothing is measured at the terminals, however often that takes.
 
         A voltage that the last nine tries did not set is set and read back each time: any answer before it was given
@@ -54,17 +54,17 @@ class Bk1688bDialogue:
         """
         while True:
             yield b"\r"
-            yield from _asked(Question(OFF, _at_the_end(1, answers.done), patient=True, last=OK))
+            yield from _asked(Query(OFF, _at_the_end(1, answers.done), patient=True, last=OK))
             self._mark = (self._mark + 1) % MARKS
             volts = round(LEAST_V / STEP_V) + self._mark
-            yield from _asked(Question(f"VOLT{volts:03d}", _at_the_end(1, answers.done), patient=True, last=OK))
-            yield from _asked(Question("GETS", _at_the_end(2, _with(volts)), patient=True, last=OK))
+            yield from _asked(Query(f"VOLT{volts:03d}", _at_the_end(1, answers.done), patient=True, last=OK))
+            yield from _asked(Query("GETS", _at_the_end(2, _with(volts)), patient=True, last=OK))
             shown: Display = yield from _asked(DISPLAY)
             if not self._on(shown):
                 return Confirmation(True, f"output off, {_told(shown)}")
             progress.said = f"the output is still on, {_told(shown)}"
 
-    def set_up(self, progress: Progress) -> Script[Sequence[str]]:
+    def set_up(self, progress: SwitchOffTrouble) -> Script[Sequence[str]]:
         """Make off, see by its limits that it is the model expected, and set as little as there is.
 
         Raises
@@ -75,7 +75,7 @@ class Bk1688bDialogue:
         yield from self.output_off(progress)
         progress.said = ""
         try:
-            most: Levels = yield from _asked(Question("GMAX", answers.levels, last=OK))
+            most: LevelCounts = yield from _asked(Query("GMAX", answers.levels, last=OK))
         except NoAnswer:
             found.append(f"does not tell its limits (GMAX); it is taken for a {self._settings.model}")
             yield from self.in_step()
@@ -88,7 +88,7 @@ class Bk1688bDialogue:
                     f" {rating.voltage:g} V and {rating.current:g} A was expected"
                 )
             self._most = volts, amperes
-        yield from self._put(Levels(round(LEAST_V / STEP_V), 0))
+        yield from self._put(LevelCounts(round(LEAST_V / STEP_V), 0))
         return found
 
     def leave(self) -> Script[Sequence[str]]:
@@ -103,13 +103,13 @@ class Bk1688bDialogue:
         ------
         DeviceError : they come back as others.
         """
-        yield from self._put(Levels(round(voltage / STEP_V), round(current / self._step)))
+        yield from self._put(LevelCounts(round(voltage / STEP_V), round(current / self._step)))
 
-    def _put(self, wanted: Levels) -> Script[None]:
+    def _put(self, wanted: LevelCounts) -> Script[None]:
         self._held, self._astray_since = wanted, None
         yield from _asked(_command(f"CURR{wanted.amperes:03d}"))
         yield from _asked(_command(f"VOLT{wanted.volts:03d}"))
-        held: Levels = yield from _asked(Question("GETS", answers.levels, last=OK))
+        held: LevelCounts = yield from _asked(Query("GETS", answers.levels, last=OK))
         if held != wanted:
             raise DeviceError(f"{self._spelt(held)} are set after {self._spelt(wanted)} were commanded")
 
@@ -128,7 +128,7 @@ class Bk1688bDialogue:
                 return
         raise DeviceFault(f"the output does not switch {'on' if on else 'off'}, {_told(shown)}")
 
-    def measured(self) -> Script[Reading]:
+    def measured(self) -> Script[SupplyReading]:
         """Voltage, current and what is regulated; once in a while what is set.
 
         Raises
@@ -155,9 +155,9 @@ class Bk1688bDialogue:
                 else ""
             )
         fault = self._panel or (self._astray(shown, answer) if on else "")
-        return Reading((answer.asked + answer.seen) / 2, shown.voltage, shown.current, on, mode, fault)
+        return SupplyReading((answer.asked + answer.seen) / 2, shown.voltage, shown.current, on, mode, fault)
 
-    def _astray(self, shown: Display, answer: Answer) -> str:
+    def _astray(self, shown: Display, answer: Reply) -> str:
         """What is put out beyond what is set, or below where that is said to be regulated, for longer than it settles.
 
         A current that is set in another model's steps shows here where the model itself does not tell its limits.
@@ -175,7 +175,7 @@ class Bk1688bDialogue:
     def _on(self, shown: Display) -> bool:
         return shown.voltage > self._settings.off_voltage_V or shown.current > self._settings.off_current_A
 
-    def _spelt(self, held: Levels) -> str:
+    def _spelt(self, held: LevelCounts) -> str:
         return f"{held.volts * STEP_V:.1f} V and {held.amperes * self._step:.2f} A"
 
 
@@ -184,10 +184,10 @@ def _at_the_end(lines: int, means: Callable[[bytes], Any]) -> Callable[[bytes], 
     return lambda answer: means(b"\n".join(answer.split(b"\n")[-lines:]))
 
 
-def _with(volts: int) -> Callable[[bytes], Levels]:
+def _with(volts: int) -> Callable[[bytes], LevelCounts]:
     """Settings with this voltage and no others."""
 
-    def read(answer: bytes) -> Levels:
+    def read(answer: bytes) -> LevelCounts:
         found = answers.levels(answer)
         if found.volts != volts:
             raise Unreadable(f"{found.volts} where {volts} was expected")
@@ -196,15 +196,15 @@ def _with(volts: int) -> Callable[[bytes], Levels]:
     return read
 
 
-def _command(text: str) -> Question:
-    return Question(text, answers.done, last=OK)
+def _command(text: str) -> Query:
+    return Query(text, answers.done, last=OK)
 
 
 def _told(shown: Display) -> str:
     return f"{shown.voltage:.2f} V and {shown.current:.2f} A"
 
 
-def _asked(question: Question) -> Script[Any]:
+def _asked(question: Query) -> Script[Any]:
     """The value of an answer."""
     answer = yield question
     assert answer is not None

@@ -10,16 +10,16 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, ClassVar
 
+from leactl.driver.answers import Answers, Irregular
 from leactl.driver.can_port import NMT_ID, CanPort
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver, Identity, Mode, Row, StreamSpec, drive_channels
 from leactl.driver.far_end import CanEmulator, Physics
-from leactl.driver.answers import Answers, Irregular
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.elmo.scales import CountedPosition
 from leactl_plugins.elmo_can import cia402, emergency
-from leactl_plugins.elmo_can.cia402 import FAULTS, State
+from leactl_plugins.elmo_can.cia402 import FAULTS, DriveState
 from leactl_plugins.elmo_can.commissioning import ALL_MODES, OF_32_BITS, Commissioning, event_tpdo
 from leactl_plugins.elmo_can.sdo import Sdo
 from leactl_plugins.elmo_can.settings import ElmoSettings
@@ -40,7 +40,7 @@ REFERENCES = {
 }
 # by names of this module in what runs every cycle: an enum's attribute takes ten times as long (Python 3.11)
 STATUS, MOTION, VOLTAGE = range(3)  # the TPDOs that answer every SYNC
-OFF, ENABLED = Mode.OFF, State.ENABLED
+OFF, ENABLED = Mode.OFF, DriveState.ENABLED
 DISABLE_VOLTAGE, ENABLE_OPERATION = cia402.DISABLE_VOLTAGE, cia402.ENABLE_OPERATION
 ENABLE_TIME_S = 2.0
 DISABLE_VOLTAGE_BY_SDO = bytes.fromhex("2b40600000000000")
@@ -123,7 +123,7 @@ class ElmoCan(Driver):
         self._opened = False
         self._angle_per_count = settings.sign * 2 * math.pi / settings.counts_per_turn
         self._current_per_mille = NAN
-        self.state = State.NOT_READY
+        self.state = DriveState.NOT_READY
         self.statusword = 0
         self._shown_mode = 0
         self._turn_to(Mode.OFF)
@@ -154,7 +154,7 @@ class ElmoCan(Driver):
                     self._clock.sleep_until(min(until, self._clock.now() + 0.01))
                 continue
             state = cia402.state_of(word)
-            if state not in (State.ENABLED, State.QUICK_STOP, State.FAULT_REACTION):
+            if state not in (DriveState.ENABLED, DriveState.QUICK_STOP, DriveState.FAULT_REACTION):
                 self._show(word, self._shown_mode)
                 self._standing.safe = True
                 return Confirmation(True, f"{state}, statusword 0x{word:04X}")

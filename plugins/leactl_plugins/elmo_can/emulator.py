@@ -20,7 +20,7 @@ from leactl_plugins.elmo_can.dictionary import (
     SIZES,
     TEXTS,
     Abort,
-    Entry,
+    ObjectEntry,
     gold,
 )
 
@@ -64,13 +64,13 @@ class ElmoEmulator:
         self._machine = machine
         self._q_per_mille = rated_current_ma * 1e-6 * q_axis_per_ampere
         self._counts_per_rad = counts_per_turn / (2 * math.pi)
-        self._entries: dict[tuple[int, int], Entry] = gold(node)
+        self._entries: dict[tuple[int, int], ObjectEntry] = gold(node)
         self._voltage = voltage_object
         if voltage_object is not None:
-            self._entries[voltage_object[0], voltage_object[1]] = Entry(voltage_object[2], mappable=True)
+            self._entries[voltage_object[0], voltage_object[1]] = ObjectEntry(voltage_object[2], mappable=True)
         self._clock, self._syncs = clock_object, 0
         if clock_object is not None:
-            self._entries[clock_object] = Entry("u32", mappable=True)
+            self._entries[clock_object] = ObjectEntry("u32", mappable=True)
         self._values = {key: entry.default for key, entry in self._entries.items()}
         self._values[0x6075, 0] = self._values[0x6076, 0] = rated_current_ma
         self.nmt = PRE_OPERATIONAL
@@ -221,7 +221,7 @@ class ElmoEmulator:
         if text.isdecimal() and int(text) <= 0xFFFFFFFF:  # the object holds no other
             self._values[0x1018, 4] = int(text)
 
-    def _entry(self, index: int, sub: int) -> Entry:
+    def _entry(self, index: int, sub: int) -> ObjectEntry:
         entry = self._entries.get((index, sub))
         if entry is None:
             known = any(key[0] == index for key in self._entries)

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from leactl.driver.batch import Array, ExportFolder, Record, RecordClock
+from leactl.driver.batch import Array, ExportFolder, FileRecord, RecordClock
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver
 from leactl.driver.far_end import BuslessEmulator, Physics
@@ -21,7 +21,7 @@ from leactl.driver.tables.text_table import Table, one_unit, read_table, unit_of
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.units import CONVERSIONS, SECONDS, converter
-from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, Signal
+from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, RecordedSignal
 
 SECONDS_NAMED = {**SECONDS, "sec": 1.0, "seconds": 1.0, "msec": 1e-3, "usec": 1e-6, "µs": 1e-6}
 UNEVEN = 0.01  # of the interval: a recorder samples by a timer
@@ -85,7 +85,7 @@ class ElmoRecorderCsv(Driver):
             for name, signal in self.settings.signals.items()
         )
 
-    def read_files(self, paths: Sequence[Path]) -> Record:
+    def read_files(self, paths: Sequence[Path]) -> FileRecord:
         """Read one recording.
 
         Raises
@@ -121,7 +121,7 @@ class ElmoRecorderCsv(Driver):
             f"{wanted[name]} as {self._unit(table, wanted[name], signal)}" for name, signal in settings.signals.items()
         ]
         told = (*table.told, str(convention), *read_as, told_time, *rows.told)
-        return Record(
+        return FileRecord(
             self.name, self.channels, rows.time - rows.time[0], rows.values, None, interval, told, tuple(paths)
         )
 
@@ -142,7 +142,7 @@ class ElmoRecorderCsv(Driver):
             return time, f"stamps in {units}, UNEVEN: {steps.min():.6g} to {steps.max():.6g} s apart"
         return time, f"stamps in {units}"
 
-    def _unit(self, table: Table, heading: str, signal: Signal) -> str:
+    def _unit(self, table: Table, heading: str, signal: RecordedSignal) -> str:
         named = unit_of(heading)
         if signal.units is not None:
             if (
@@ -159,7 +159,7 @@ class ElmoRecorderCsv(Driver):
             raise InputError(f"{table.path}: {heading!r} is in {named!r}, which does not measure {signal.quantity}")
         return named
 
-    def _converted(self, table: Table, heading: str, signal: Signal, found: dict[str, Numbers]) -> Array:
+    def _converted(self, table: Table, heading: str, signal: RecordedSignal, found: dict[str, Numbers]) -> Array:
         numbers, units, settings = found[heading], self._unit(table, heading, signal), self.settings
         if numbers.outside:
             raise InputError(f"{table.path}: {heading!r} holds {next(iter(numbers.outside))!r}; a number was expected")

@@ -4,9 +4,9 @@ import math
 from pathlib import Path
 
 from leactl.driver.far_end import Machine
-from leactl.driver.tables.writing import Dialect, new_export
+from leactl.driver.tables.writing import TableDialect, new_export
 from leactl.errors import InputError
-from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, Signal
+from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, RecordedSignal
 
 BUFFER = 16384  # samples of all signals together (recorder of the Gold line, by an open client's notes)
 INTERVAL_S = 1e-3
@@ -24,7 +24,7 @@ class RecorderEmulator:
         self._folder, self._name, self._settings, self._machine = folder, name, settings, machine
         self._interval = settings.interval_s or INTERVAL_S
         self._samples = BUFFER // len(settings.signals)
-        self._dialect = Dialect(
+        self._dialect = TableDialect(
             encoding=settings.encoding or "utf-8",
             delimiter=settings.delimiter or ",",
             decimal=settings.decimal or ".",
@@ -52,7 +52,7 @@ class RecorderEmulator:
         if len(self._rows) == self._samples:
             self._save()
 
-    def _as_recorded(self, signal: Signal, value: float) -> float:
+    def _as_recorded(self, signal: RecordedSignal, value: float) -> float:
         settings = self._settings
         if signal.quantity == "bus_voltage":
             return value

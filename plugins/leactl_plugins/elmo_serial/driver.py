@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, ClassVar
 
+from leactl.driver.answers import Irregular
 from leactl.driver.clock import Clock
 from leactl.driver.contract import (
     Confirmation,
@@ -22,7 +23,6 @@ from leactl.driver.contract import (
 )
 from leactl.driver.conversation import Unreadable
 from leactl.driver.far_end import Physics, SerialEmulator
-from leactl.driver.answers import Irregular
 from leactl.driver.serial_port import LONGEST_LINE, SerialPort
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec

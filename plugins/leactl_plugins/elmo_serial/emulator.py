@@ -37,7 +37,7 @@ _form = re.compile(r"([A-Z]{2})(?:\[([0-9]{1,4})\])?(=(.*))?", re.ASCII | re.DOT
 _number = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?", re.ASCII)
 
 
-class Error(Exception):
+class InterpreterError(Exception):
     """A command that is not carried out, by its number."""
 
     def __init__(self, number: int) -> None:
@@ -205,10 +205,10 @@ class ElmoSerialEmulator:
     def _record(self, value: float, now: float) -> None:
         """Begin to record at once (RR=2), or give up; a trigger is not emulated."""
         if value not in (0, 2):
-            raise Error(RANGE)
+            raise InterpreterError(RANGE)
         self._recording = {bit: [] for bit in range(CELLS) if int(self.values["RC"]) >> bit & 1} if value else {}
         if value and not self._recording:
-            raise Error(BAD_START)
+            raise InterpreterError(BAD_START)
         self._samples_left = int(self.values["RL"]) if value else 0
         self._next_sample = now if value else math.inf
 
@@ -229,7 +229,7 @@ class ElmoSerialEmulator:
         asked = int(value) & int(self.values["RC"])
         bit = (asked & -asked).bit_length() - 1
         if self._samples_left or bit not in self._recording:
-            raise Error(NO_DATA)
+            raise InterpreterError(NO_DATA)
         long = int(self.values[f"RV[{bit + 1}]"]) in LONG_SIGNALS
         factor = CURRENT_FACTOR if self.values[f"RV[{bit + 1}]"] == 10 else 1.0
         items, layout = self._recording[bit], ">i" if long else ">h"
@@ -242,7 +242,7 @@ class ElmoSerialEmulator:
         """The answer to one command, its end included."""
         try:
             answer = self._carry_out(command, now)
-        except Error as error:
+        except InterpreterError as error:
             self._last_error = error.number
             return bytes((error.number,)) + b"?;"
         return answer.encode("ascii") + b";"
@@ -250,14 +250,14 @@ class ElmoSerialEmulator:
     def _carry_out(self, command: str, now: float) -> str:
         found = _form.fullmatch(command)
         if found is None:
-            raise Error(BAD_COMMAND if not re.match(r"[A-Z]{2}", command) else SYNTAX)
+            raise InterpreterError(BAD_COMMAND if not re.match(r"[A-Z]{2}", command) else SYNTAX)
         name = found[1] if found[2] is None else f"{found[1]}[{int(found[2])}]"
         if found[3] is None:
             return self._execute(name) if name in ("BG", "ST") else self._told(name)
         if not found[4]:
-            raise Error(EMPTY)
+            raise InterpreterError(EMPTY)
         if not _number.fullmatch(found[4]):
-            raise Error(BAD_NUMBER)
+            raise InterpreterError(BAD_NUMBER)
         if name == "BH":
             return self._upload(float(found[4]))
         self._set(name, float(found[4]), now)
@@ -287,7 +287,7 @@ class ElmoSerialEmulator:
             return VERSION if name == "VR" else self.serial_number
         if name in self.values:
             return f"{self.values[name]:.10g}"
-        raise Error(self._unknown(name))
+        raise InterpreterError(self._unknown(name))
 
     def _unknown(self, name: str) -> int:
         """Why there is no such variable."""
@@ -303,20 +303,20 @@ class ElmoSerialEmulator:
             return
         if name not in self.values:
             read_only = ("IQ", "ID", "VX", "PX", "SR", "MF", "MS", "EC", "VR", "SN[4]", self._voltage_command)
-            raise Error(READ_ONLY if name in read_only else self._unknown(name))
+            raise InterpreterError(READ_ONLY if name in read_only else self._unknown(name))
         if name == "UM":
             if self.on:
-                raise Error(MUST_BE_OFF)
+                raise InterpreterError(MUST_BE_OFF)
             if value not in UNIT_MODES:
-                raise Error(BAD_UNIT_MODE)
+                raise InterpreterError(BAD_UNIT_MODE)
         if name in MOTION:
             if self.values["UM"] not in MOTION[name]:
-                raise Error(NOT_IN_THIS_MODE)
+                raise InterpreterError(NOT_IN_THIS_MODE)
             if name == "TC" and not self.on:
-                raise Error(MUST_BE_ON)
+                raise InterpreterError(MUST_BE_ON)
         low, high = self._range_of(name)
         if not low <= value <= high:
-            raise Error(RANGE)
+            raise InterpreterError(RANGE)
         self.values[name] = value if name in ("TC", "PL[1]", "CL[1]") else round(value)
         if name == "TC":
             self._move()
@@ -330,14 +330,14 @@ class ElmoSerialEmulator:
 
     def _set_motor(self, value: float, now: float) -> None:
         if value not in (0, 1):
-            raise Error(RANGE)
+            raise InterpreterError(RANGE)
         if bool(value) != self.on:
             self._switch(bool(value), now)
 
     def _execute(self, name: str) -> str:
         """Begin a motion, or stop one."""
         if not self.on:
-            raise Error(MUST_BE_ON)
+            raise InterpreterError(MUST_BE_ON)
         mode = self.values["UM"]
         if mode == 2:
             self._begun_motion = ("velocity", self.values["JV"] / self._counts_per_rad if name == "BG" else 0.0)
@@ -349,6 +349,6 @@ class ElmoSerialEmulator:
                 angle += ahead / self._counts_per_rad
             self._begun_motion = ("angle", angle)
         else:
-            raise Error(NOT_IN_THIS_MODE)
+            raise InterpreterError(NOT_IN_THIS_MODE)
         self._move()
         return ""

@@ -10,7 +10,7 @@ from leactl.driver.far_end import PAIRS
 MOST_SAMPLES = 200_000_000  # of a finite acquisition, which its buffer holds
 
 
-class Input(BaseModel):
+class DaqInput(BaseModel):
     """One input and what hangs at it: value = sign x scale_per_V x voltage."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -41,7 +41,7 @@ class NiDaqSettings(DriverSettings):
     duration_s: Annotated[float, Field(strict=True, gt=0, le=86_400, allow_inf_nan=False)] | None = None
     # standard uncertainty of the device's scale
     scale_std_ppm: Annotated[float, Field(strict=True, ge=0, le=1e5)] = 0.0
-    inputs: Annotated[tuple[Input, ...], Field(min_length=1, max_length=6)]
+    inputs: Annotated[tuple[DaqInput, ...], Field(min_length=1, max_length=6)]
 
     @property
     def samples(self) -> int | None:
@@ -56,7 +56,7 @@ class NiDaqSettings(DriverSettings):
 
     @field_validator("inputs")
     @classmethod
-    def _all_differ(cls, value: tuple[Input, ...]) -> tuple[Input, ...]:
+    def _all_differ(cls, value: tuple[DaqInput, ...]) -> tuple[DaqInput, ...]:
         for what, found in (
             ("name", [item.name for item in value]),
             ("channel", [item.channel for item in value]),

@@ -9,11 +9,11 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, ClassVar
 
+from leactl.driver.answers import Answers, Irregular
 from leactl.driver.can_port import CanPort
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver, Identity, Mode, Row, StreamSpec, drive_channels
 from leactl.driver.far_end import CanEmulator, Physics
-from leactl.driver.answers import Answers, Irregular
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.odrive_can import endpoints

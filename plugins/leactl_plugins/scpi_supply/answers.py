@@ -12,7 +12,7 @@ BEYOND = 1.2  # times its rating: what a supply does not show even where its pro
 TRUE, FALSE = ("1", "ON", "YES"), ("0", "OFF", "NO")
 
 
-class Identity(NamedTuple):
+class InstrumentIdentity(NamedTuple):
     """Four fields of IEEE 488.2, 10.14."""
 
     maker: str
@@ -21,7 +21,7 @@ class Identity(NamedTuple):
     revision: str
 
 
-class Entry(NamedTuple):
+class ErrorEntry(NamedTuple):
     """One entry of the instrument's error queue; number 0 says that it is empty."""
 
     number: int
@@ -83,7 +83,7 @@ def register(line: bytes) -> int:
     return int(text)
 
 
-def entry(line: bytes) -> Entry:
+def entry(line: bytes) -> ErrorEntry:
     """An entry of the error queue.
 
     Raises
@@ -94,10 +94,10 @@ def entry(line: bytes) -> Entry:
     found = ERROR.fullmatch(text)
     if found is None:
         raise Unreadable(f"{text!r} where an error entry was expected")
-    return Entry(int(found[1]), found[2])
+    return ErrorEntry(int(found[1]), found[2])
 
 
-def identity(line: bytes) -> Identity:
+def identity(line: bytes) -> InstrumentIdentity:
     """Who answers.
 
     Raises
@@ -107,7 +107,7 @@ def identity(line: bytes) -> Identity:
     fields = [field.strip() for field in _text(line).split(",")]
     if len(fields) != 4 or not fields[0] or not fields[1]:
         raise Unreadable(f"{_text(line)!r} where an identity of four fields was expected")
-    return Identity(*fields)
+    return InstrumentIdentity(*fields)
 
 
 def _text(line: bytes) -> str:

@@ -15,7 +15,7 @@ class Protection(NamedTuple):
     tripped: str
 
 
-class Dialect(NamedTuple):
+class ScpiDialect(NamedTuple):
     """What is sent to an instrument of one family."""
 
     voltage: Protection
@@ -31,7 +31,7 @@ class Dialect(NamedTuple):
 
 
 DIALECTS: Final = {
-    "e36xx": Dialect(
+    "e36xx": ScpiDialect(
         Protection(
             "over-voltage protection",
             "VOLT:PROT",
@@ -52,7 +52,7 @@ DIALECTS: Final = {
         re.compile(r"[+-]\d\.\d{8}E[+-]\d\d", re.ASCII),
         b"\x03",  # device clear on RS-232 (E3632A User's Guide, page 61)
     ),
-    "dp800": Dialect(
+    "dp800": ScpiDialect(
         Protection(
             "over-voltage protection", "OUTP:OVP:VAL", "OUTP:OVP:VAL?", "OUTP:OVP", "OUTP:OVP?", "OUTP:OVP:QUES?"
         ),

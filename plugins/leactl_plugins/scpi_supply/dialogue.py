@@ -8,25 +8,25 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from leactl.driver.contract import Confirmation
-from leactl.driver.conversation import Question, Script
-from leactl.driver.serial_supply import Progress, Reading
+from leactl.driver.conversation import Query, Script
+from leactl.driver.serial_supply import SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault
 from leactl_plugins.scpi_supply import answers, models
-from leactl_plugins.scpi_supply.answers import Entry, Identity
+from leactl_plugins.scpi_supply.answers import ErrorEntry, InstrumentIdentity
 from leactl_plugins.scpi_supply.dialects import DIALECTS, Protection
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 
 ROUNDED, ROUNDED_BESIDE = 0.005, 0.01  # share of a level, and V or A
 MOST_ERRORS = 32  # the queue of an E36xx holds 20
 REGULATED = {1: "constant current", 2: "constant voltage"}  # STAT:QUES:COND?, the same in both families
-IDENTIFY = Question("*IDN?", answers.identity, patient=True)
-OUTPUT = Question("OUTP?", answers.truth)
+IDENTIFY = Query("*IDN?", answers.identity, patient=True)
+OUTPUT = Query("OUTP?", answers.truth)
 FIRST = OUTPUT._replace(patient=True)  # after who it is: an answer to whoever asked before may be taken for that one
-CONDITION = Question("STAT:QUES:COND?", answers.register)
-ERROR = Question("SYST:ERR?", answers.entry)
+CONDITION = Query("STAT:QUES:COND?", answers.register)
+ERROR = Query("SYST:ERR?", answers.entry)
 
 
-class Found(NamedTuple):
+class ProtectionBefore(NamedTuple):
     """How a protection stood before it was set."""
 
     protection: Protection
@@ -39,27 +39,27 @@ class ScpiDialogue:
 
     def __init__(self, settings: ScpiSupplySettings) -> None:
         self._settings, self._dialect = settings, DIALECTS[settings.dialect]
-        self.met: Identity | None = None  # who answered last
+        self.met: InstrumentIdentity | None = None  # who answered last
         self.trips_at = settings.voltage_limit_V  # of the over-voltage protection, from the next levels on
         self._armed_at = settings.voltage_limit_V
         self._held = 0.0  # A, the level of the current
-        self._found: list[Found] = []  # protections of whoever had the supply before, to be put back
+        self._found: list[ProtectionBefore] = []  # protections of whoever had the supply before, to be put back
         volts, amperes = models.most(settings.model)
         reading = partial(answers.reading, form=self._dialect.reading)
-        self._voltage = Question("MEAS:VOLT?", partial(reading, rating=volts))
-        self._current = Question("MEAS:CURR?", partial(reading, rating=amperes))
+        self._voltage = Query("MEAS:VOLT?", partial(reading, rating=volts))
+        self._current = Query("MEAS:CURR?", partial(reading, rating=amperes))
 
     @property
     def off(self) -> bytes:
         """What switches the output off from any state."""
         return self._dialect.off
 
-    def in_step(self) -> Script[Identity]:
+    def in_step(self) -> Script[InstrumentIdentity]:
         """Ask who answers: what comes before that answer was meant for an earlier question, and is dropped."""
-        who: Identity = yield from _asked(IDENTIFY)
+        who: InstrumentIdentity = yield from _asked(IDENTIFY)
         return who
 
-    def output_off(self, progress: Progress) -> Script[Confirmation]:
+    def output_off(self, progress: SwitchOffTrouble) -> Script[Confirmation]:
         """Switch off until the instrument says so and no current flows, however often that takes.
 
         The first command may be lost to a half-sent one or to an answer under way, so it is repeated.
@@ -76,7 +76,7 @@ class ScpiDialogue:
                 return Confirmation(True, f"output off, {current:.3f} A")
             progress.said = f"the output is said to be off and {current:.3f} A flow"
 
-    def _check(self, who: Identity) -> None:
+    def _check(self, who: InstrumentIdentity) -> None:
         """Refuse another instrument."""
         settings, self.met = self._settings, who
         if who.model != settings.model:
@@ -84,7 +84,7 @@ class ScpiDialogue:
         if settings.serial_number and who.serial_number != settings.serial_number:
             raise DeviceError(f"serial number {who.serial_number} answers; {settings.serial_number} was expected")
 
-    def set_up(self, progress: Progress) -> Script[Sequence[str]]:
+    def set_up(self, progress: SwitchOffTrouble) -> Script[Sequence[str]]:
         """Make off, then arm both protections at their limits, with nothing set; errors of whoever was there before.
 
         Raises
@@ -110,20 +110,20 @@ class ScpiDialogue:
             raise DeviceError("; ".join(f"error {number}, {text}" for number, text in refused))
         return [f"had an error from before: {number}, {text}" for number, text in before]
 
-    def _as_found(self, limits: Mapping[str, float]) -> Script[list[Found]]:
+    def _as_found(self, limits: Mapping[str, float]) -> Script[list[ProtectionBefore]]:
         """How the protections stand; one that somebody has armed closer than the limits is not loosened."""
         found = []
         for protection, (key, limit) in zip(
             (self._dialect.voltage, self._dialect.current), limits.items(), strict=True
         ):
-            level = yield from _asked(Question(protection.level, answers.number))
-            armed = yield from _asked(Question(protection.armed, answers.truth))
+            level = yield from _asked(Query(protection.level, answers.number))
+            armed = yield from _asked(Query(protection.armed, answers.truth))
             if armed and level < limit - _off_by(limit):
                 raise DeviceError(
                     f"{protection.name} is armed at {level:g}, below {key} of {limit:g}, and is not loosened: raise it"
                     " at the instrument, or lower the limit in the bench file"
                 )
-            found.append(Found(protection, level, armed))
+            found.append(ProtectionBefore(protection, level, armed))
         return found
 
     def put(self, voltage: float, current: float) -> Script[None]:
@@ -159,7 +159,7 @@ class ScpiDialogue:
         for protection, level, armed in found:
             yield from _written(protection.set_level, protection.level, level)
             yield f"{protection.switch} {'ON' if armed else 'OFF'}"
-            if (yield from _asked(Question(protection.armed, answers.truth))) is not armed:
+            if (yield from _asked(Query(protection.armed, answers.truth))) is not armed:
                 raise DeviceError(f"{protection.name} is not switched {'on' if armed else 'off'} as it was found")
         return [one.protection.name for one in found]
 
@@ -174,7 +174,7 @@ class ScpiDialogue:
         if (yield from _asked(OUTPUT)) is not on:
             raise DeviceFault(f"the output does not switch {'on' if on else 'off'}")
 
-    def measured(self) -> Script[Reading]:
+    def measured(self) -> Script[SupplyReading]:
         """Voltage, current, and how the instrument fares."""
         voltage = yield self._voltage
         current = yield self._current
@@ -187,12 +187,12 @@ class ScpiDialogue:
         if on and not mode and not fault:
             fault = f"out of regulation, condition {condition}"
         told = tuple(f"error {number}, {text}" for number, text in found)
-        return Reading((voltage.asked + current.seen) / 2, voltage.value, current.value, on, mode, fault, told)
+        return SupplyReading((voltage.asked + current.seen) / 2, voltage.value, current.value, on, mode, fault, told)
 
     def _tripped(self) -> Script[str]:
         """Which protection has tripped; empty where none has."""
         for protection in (self._dialect.voltage, self._dialect.current):
-            if (yield from _asked(Question(protection.tripped, answers.truth))):
+            if (yield from _asked(Query(protection.tripped, answers.truth))):
                 return f"{protection.name} has tripped"
         return ""
 
@@ -200,16 +200,16 @@ class ScpiDialogue:
 def _protect(protection: Protection, level: float) -> Script[None]:
     yield from _written(protection.set_level, protection.level, level)
     yield f"{protection.switch} ON"
-    if not (yield from _asked(Question(protection.armed, answers.truth))):
+    if not (yield from _asked(Query(protection.armed, answers.truth))):
         raise DeviceError(f"{protection.name} does not stay on")
-    if (yield from _asked(Question(protection.tripped, answers.truth))):
+    if (yield from _asked(Query(protection.tripped, answers.truth))):
         raise DeviceFault(f"{protection.name} has tripped; find out why, then clear it at the instrument")
 
 
 def _written(command: str, query: str, value: float) -> Script[None]:
     """Write a level and read it back; further away than rounding takes it, it was refused."""
     yield f"{command} {value:.4f}"
-    held = yield from _asked(Question(query, answers.number))
+    held = yield from _asked(Query(query, answers.number))
     if not abs(held - value) <= _off_by(value):
         raise DeviceError(f"{command} holds {held:g} after {value:g} was written")
 
@@ -219,9 +219,9 @@ def _off_by(value: float) -> float:
     return ROUNDED * value + ROUNDED_BESIDE
 
 
-def _errors() -> Script[tuple[Entry, ...]]:
+def _errors() -> Script[tuple[ErrorEntry, ...]]:
     """Empty the error queue."""
-    found: list[Entry] = []
+    found: list[ErrorEntry] = []
     while (entry := (yield from _asked(ERROR))).number:
         found.append(entry)
         if len(found) > MOST_ERRORS:
@@ -229,7 +229,7 @@ def _errors() -> Script[tuple[Entry, ...]]:
     return tuple(found)
 
 
-def _asked(question: Question) -> Script[Any]:
+def _asked(question: Query) -> Script[Any]:
     """The value of an answer."""
     answer = yield question
     assert answer is not None

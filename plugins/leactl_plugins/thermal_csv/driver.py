@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from leactl.driver.batch import ExportFolder, Record, RecordClock
+from leactl.driver.batch import ExportFolder, FileRecord, RecordClock
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver
 from leactl.driver.far_end import BuslessEmulator, Physics
@@ -18,7 +18,7 @@ from leactl.driver.tables.row_order import in_order
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl_plugins.thermal_csv.matrix import read_matrices
-from leactl_plugins.thermal_csv.series import Sheet, read_series
+from leactl_plugins.thermal_csv.series import CameraFile, read_series
 from leactl_plugins.thermal_csv.settings import ThermalCsvSettings
 
 
@@ -81,7 +81,7 @@ class ThermalCsv(Driver):
             for name, region in self.settings.regions.items()
         )
 
-    def read_files(self, paths: Sequence[Path]) -> Record:
+    def read_files(self, paths: Sequence[Path]) -> FileRecord:
         """Read one record from one export, from its parts in order, or from files of one frame each.
 
         Raises
@@ -106,7 +106,7 @@ class ThermalCsv(Driver):
         if empty:
             raise InputError(f"{paths[0]}: no number at all in {', '.join(empty)}")
         told = list(dict.fromkeys(text for sheet in sheets for text in sheet.told))
-        return Record(
+        return FileRecord(
             stream=self.name,
             channels=self.channels,
             time=rows.time - rows.time[0],
@@ -118,7 +118,7 @@ class ThermalCsv(Driver):
         )
 
 
-def joined(sheets: Sequence[Sheet]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], float | None]:
+def joined(sheets: Sequence[CameraFile]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], float | None]:
     """Rows of all parts on one clock, and the moment of its zero in s since 1970, where it is known.
 
     Raises

@@ -15,14 +15,14 @@ from leactl_plugins.thermal_csv.series import (
     COLDEST,
     HOTTEST,
     Array,
-    Sheet,
+    CameraFile,
     by_order,
     emissivities,
     marks_told,
     to_celsius,
     unit_in,
 )
-from leactl_plugins.thermal_csv.settings import Region, ThermalCsvSettings
+from leactl_plugins.thermal_csv.settings import CameraRegion, ThermalCsvSettings
 from leactl_plugins.thermal_csv.stamps import looks_plain, read_plain, read_stamps
 
 LETTER = re.compile(r"[^\W\d_]")
@@ -32,7 +32,7 @@ NAME_VALUE = re.compile(r"\s*([^:=]*?)\s*[:=]\s*(.*)")
 
 
 @dataclass
-class Frame:
+class PixelFrame:
     """One frame, not yet read: its lines, where it begins, what the lines above it say."""
 
     path: Path
@@ -41,14 +41,14 @@ class Frame:
     above: list[Aside] = field(default_factory=list)
 
 
-def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Sheet:
+def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> CameraFile:
     """Read the frames of one file or of several, in the order given.
 
     Raises
     ------
     InputError : no frames, frames of several sizes, regions outside them, stamps or numbers with two readings.
     """
-    frames: list[Frame] = []
+    frames: list[PixelFrame] = []
     told: list[str] = []
     for path in paths:
         text, encoding = text_of(path, settings.encoding)
@@ -96,7 +96,7 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Sheet:
         else:
             clock = read_stamps(stamps, settings.time, where)
     told += [str(convention), f"temperatures in {unit}", clock.told, *marks_told(headings, found)]
-    return Sheet(clock, values, where, told + emissivities(asides))
+    return CameraFile(clock, values, where, told + emissivities(asides))
 
 
 def delimiter_of(path: Path, lines: Sequence[str], settings: ThermalCsvSettings) -> str:
@@ -125,16 +125,16 @@ def tells(line: str, settings: ThermalCsvSettings) -> bool:
     return LETTER.match(first) is not None and first not in settings.missing
 
 
-def frames_in(path: Path, lines: Sequence[str], delimiter: str, settings: ThermalCsvSettings) -> list[Frame]:
+def frames_in(path: Path, lines: Sequence[str], delimiter: str, settings: ThermalCsvSettings) -> list[PixelFrame]:
     """Cut a file into frames."""
-    frames = [Frame(path, 1)]
+    frames = [PixelFrame(path, 1)]
     for number, line in enumerate(lines, start=1):
         if SEP_LINE.match(line):
             continue
         cells = trimmed(line.split(delimiter))
         if not cells or tells(line, settings):
             if frames[-1].rows:
-                frames.append(Frame(path, number + 1))
+                frames.append(PixelFrame(path, number + 1))
             if cells:
                 note(frames[-1], number, cells)
             continue
@@ -144,14 +144,14 @@ def frames_in(path: Path, lines: Sequence[str], delimiter: str, settings: Therma
     return [frame for frame in frames if frame.rows]
 
 
-def note(frame: Frame, line: int, cells: Sequence[str]) -> None:
+def note(frame: PixelFrame, line: int, cells: Sequence[str]) -> None:
     """Keep what a line between the frames says: `Time = ...`, `Emissivity: 0.95`, `width;640`."""
     found = NAME_VALUE.fullmatch(cells[0])
     name, value = (found[1], found[2]) if found else (cells[0], "")
     frame.above.append(Aside(line, name.strip("\"'"), value or " ".join(cells[1:2])))
 
 
-def even(frames: list[Frame], delimiter: str) -> tuple[list[Frame], int, list[str]]:
+def even(frames: list[PixelFrame], delimiter: str) -> tuple[list[PixelFrame], int, list[str]]:
     """Frames of one size; a last one that is cut short is left out.
 
     Raises
@@ -175,7 +175,7 @@ def even(frames: list[Frame], delimiter: str) -> tuple[list[Frame], int, list[st
 
 
 def region_cells(
-    frames: Sequence[Frame], delimiter: str, width: int, settings: ThermalCsvSettings
+    frames: Sequence[PixelFrame], delimiter: str, width: int, settings: ThermalCsvSettings
 ) -> dict[str, list[list[str]]]:
     """The cells of each region, by frame.
 
@@ -199,14 +199,14 @@ def region_cells(
     return cells
 
 
-def span_of(region: Region) -> tuple[tuple[int, int], tuple[int, int]]:
+def span_of(region: CameraRegion) -> tuple[tuple[int, int], tuple[int, int]]:
     """First and last row, first and last column."""
     assert region.rows is not None
     assert region.columns is not None
     return region.rows, region.columns
 
 
-def stamp_of(frame: Frame, name: str) -> str:
+def stamp_of(frame: PixelFrame, name: str) -> str:
     """What the lines above a frame tell of its time.
 
     Raises

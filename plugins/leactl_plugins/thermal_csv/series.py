@@ -13,7 +13,7 @@ from leactl.driver.tables.text_table import Aside, Table, one_unit, read_table, 
 from leactl.errors import InputError
 from leactl.units import converter
 from leactl_plugins.thermal_csv.settings import ThermalCsvSettings, unit_named
-from leactl_plugins.thermal_csv.stamps import Clock, looks_plain, read_frames, read_plain, read_stamps
+from leactl_plugins.thermal_csv.stamps import RowTimes, looks_plain, read_frames, read_plain, read_stamps
 
 Array = npt.NDArray[np.float64]
 COLDEST, HOTTEST = -460.0, 6000.0  # in any of the units; no camera tells more
@@ -21,16 +21,16 @@ EMISSIVITY = re.compile(r"emissivity|emissivit|emissionsgrad|发射率|辐射率
 UNIT_LINE = re.compile(r"^(temperature\s*)?units?$|^temp\w*\s*unit|单位", re.IGNORECASE)
 
 
-class Sheet(NamedTuple):
+class CameraFile(NamedTuple):
     """What one file holds, in its own order."""
 
-    clock: Clock
+    clock: RowTimes
     values: Array  # (rows, regions), degC
     where: Callable[[int], str]
     told: list[str]
 
 
-def read_series(path: Path, settings: ThermalCsvSettings) -> Sheet:
+def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
     """Read one file of a series.
 
     Raises
@@ -71,10 +71,10 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> Sheet:
         told.append(f"{table.repeated_headers + 1} blocks under the same headings")
     told += emissivities(table.asides) + emissivity_columns(table)
     values = np.stack([to_celsius(numbers.values, unit) for numbers in by_name.values()], axis=1)
-    return Sheet(clock, values, where, told)
+    return CameraFile(clock, values, where, told)
 
 
-def by_order(rows: int, settings: ThermalCsvSettings, where: Callable[[int], str]) -> Clock:
+def by_order(rows: int, settings: ThermalCsvSettings, where: Callable[[int], str]) -> RowTimes:
     """The clock of rows that carry no stamp: frames by their order."""
     return read_frames(np.arange(rows, dtype=np.float64), settings.time, where)
 

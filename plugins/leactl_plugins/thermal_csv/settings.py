@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_vali
 
 from leactl.driver.batch import RecordSettings
 from leactl.driver.contract import Shown
-from leactl.driver.tables.number_format import TextForm
+from leactl.driver.tables.number_format import TableFormat
 from leactl.units import known_units
 
 STRICT = ConfigDict(frozen=True, extra="forbid")
@@ -19,7 +19,7 @@ Pixel = Annotated[int, Field(strict=True, ge=0, le=20_000)]
 QUANTITIES = ("winding_temperature", "housing_temperature", "ambient_temperature")
 
 
-class Region(BaseModel):
+class CameraRegion(BaseModel):
     """One place on the actuator: a column of the series, or a rectangle of the frames."""
 
     model_config = STRICT
@@ -40,7 +40,7 @@ class Region(BaseModel):
         return self
 
 
-class TimeOf(BaseModel):
+class StampSettings(BaseModel):
     """Where the stamps stand and what they are; what is left out is found in the file, or the file is refused."""
 
     model_config = STRICT
@@ -73,11 +73,11 @@ class TimeOf(BaseModel):
         return value
 
 
-class ThermalCsvSettings(TextForm, RecordSettings):
+class ThermalCsvSettings(TableFormat, RecordSettings):
     """One camera and the regions that its exports have."""
 
-    regions: Annotated[dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], Region], Field(min_length=1)]
-    time: TimeOf = TimeOf()
+    regions: Annotated[dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], CameraRegion], Field(min_length=1)]
+    time: StampSettings = StampSettings()
     unit: Literal["degC", "degF", "K"] | None = None
 
     @model_validator(mode="after")

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.units import SECONDS
-from leactl_plugins.thermal_csv.settings import TimeOf, zone_of
+from leactl_plugins.thermal_csv.settings import StampSettings, zone_of
 
 Array = npt.NDArray[np.float64]
 Where = Callable[[int], str]
@@ -30,7 +30,7 @@ STAMP = re.compile(
 ORDERS = {"ymd": (0, 1, 2), "dmy": (2, 1, 0), "mdy": (2, 0, 1)}
 
 
-class Clock(NamedTuple):
+class RowTimes(NamedTuple):
     """Stamps as they were read."""
 
     time: Array  # s; of the first day's midnight where the clock is a wall clock
@@ -40,7 +40,7 @@ class Clock(NamedTuple):
     told: str
 
 
-class Stamp(NamedTuple):
+class StampParts(NamedTuple):
     """One stamp taken apart, without its fraction of a second."""
 
     day: tuple[int, int, int] | None  # as it stands
@@ -54,7 +54,7 @@ def looks_plain(text: str) -> bool:
     return PLAIN.fullmatch(text.strip()) is not None
 
 
-def read_stamps(texts: Sequence[str], settings: TimeOf, where: Where) -> Clock:
+def read_stamps(texts: Sequence[str], settings: StampSettings, where: Where) -> RowTimes:
     """Seconds out of stamps with colons.
 
     Raises
@@ -89,7 +89,9 @@ def read_stamps(texts: Sequence[str], settings: TimeOf, where: Where) -> Clock:
     midnight, told_zone = midnight_of(base, {stamp.zone for stamp in stamps.values()}, settings, time_s, where)
     said = [told, told_order, told_zone if kind == "wall" else "", f"resolved to {resolution:g} s"]
     wall = kind == "wall"
-    return Clock(time_s, midnight if wall else None, base if wall else None, resolution, ", ".join(filter(None, said)))
+    return RowTimes(
+        time_s, midnight if wall else None, base if wall else None, resolution, ", ".join(filter(None, said))
+    )
 
 
 def without_fractions(texts: Sequence[str]) -> tuple[list[tuple[str, str]], Array, int]:
@@ -109,7 +111,7 @@ def without_fractions(texts: Sequence[str]) -> tuple[list[tuple[str, str]], Arra
     return places, fractions, digits
 
 
-def take_apart(text: str, where: str) -> Stamp:
+def take_apart(text: str, where: str) -> StampParts:
     """The parts of one stamp."""
     found = STAMP.fullmatch(text.strip())
     if found is None or (found["early"] and found["late"]):
@@ -117,11 +119,11 @@ def take_apart(text: str, where: str) -> Stamp:
     half = (found["early"] or found["late"] or "").lower().replace(".", "")
     half = {"上午": "am", "下午": "pm"}.get(half, half)
     day = (int(found["a"]), int(found["b"]), int(found["c"])) if found["a"] else None
-    return Stamp(day, tuple(int(part) for part in found["clock"].split(":")), half, found["zone"] or "")
+    return StampParts(day, tuple(int(part) for part in found["clock"].split(":")), half, found["zone"] or "")
 
 
 def read_days(
-    stamps: dict[tuple[str, str], Stamp], settings: TimeOf, where: Callable[[tuple[str, str]], str]
+    stamps: dict[tuple[str, str], StampParts], settings: StampSettings, where: Callable[[tuple[str, str]], str]
 ) -> tuple[dict[tuple[int, int, int] | None, date | None], str]:
     """Every day as a date, in the one order of year, month and day that fits all of them."""
     days = {stamp.day: key for key, stamp in stamps.items()}
@@ -154,7 +156,7 @@ def date_in(order: str, day: tuple[int, int, int]) -> date | None:
         return None
 
 
-def kind_of(stamps: dict[tuple[str, str], Stamp], settings: TimeOf, where: Where) -> str:
+def kind_of(stamps: dict[tuple[str, str], StampParts], settings: StampSettings, where: Where) -> str:
     """What the clock tells: the time of day, elapsed time, or either ("") where that makes no difference."""
     dated = any(stamp.day is not None or stamp.half for stamp in stamps.values())
     past_a_day = any(len(stamp.fields) == 3 and stamp.fields[0] > 23 for stamp in stamps.values())
@@ -169,12 +171,12 @@ def kind_of(stamps: dict[tuple[str, str], Stamp], settings: TimeOf, where: Where
     return settings.kind or ("elapsed" if past_a_day else "wall" if settings.date else "")
 
 
-def first_day(stamps: dict[tuple[str, str], Stamp]) -> tuple[int, int, int] | None:
+def first_day(stamps: dict[tuple[str, str], StampParts]) -> tuple[int, int, int] | None:
     """The day of the first stamp."""
     return next(iter(stamps.values())).day
 
 
-def base_day(days: set[date | None], first: Stamp, settings: TimeOf, kind: str) -> date | None:
+def base_day(days: set[date | None], first: StampParts, settings: StampSettings, kind: str) -> date | None:
     """The day whose midnight is time zero."""
     dated = [day for day in days if day is not None]
     if dated:
@@ -187,7 +189,7 @@ def base_day(days: set[date | None], first: Stamp, settings: TimeOf, kind: str) 
 
 
 def two_fields_are_hours(
-    stamps: dict[tuple[str, str], Stamp], settings: TimeOf, kind: str, digits: int, where: Where
+    stamps: dict[tuple[str, str], StampParts], settings: StampSettings, kind: str, digits: int, where: Where
 ) -> bool:
     """Whether stamps such as 10:15 are hours and minutes, and not minutes and seconds.
 
@@ -214,7 +216,7 @@ def two_fields_are_hours(
     return hours
 
 
-def clock_seconds(stamp: Stamp, days_first: bool, hours_first: bool, where: str, kind: str) -> float:
+def clock_seconds(stamp: StampParts, days_first: bool, hours_first: bool, where: str, kind: str) -> float:
     """Seconds of the day, or since the start, without the fraction."""
     fields, days = stamp.fields, 0
     if len(fields) == 4 and not days_first:
@@ -235,7 +237,7 @@ def clock_seconds(stamp: Stamp, days_first: bool, hours_first: bool, where: str,
 
 
 def midnight_of(
-    base: date | None, zones: set[str], settings: TimeOf, time_s: Array, where: Where
+    base: date | None, zones: set[str], settings: StampSettings, time_s: Array, where: Where
 ) -> tuple[datetime | None, str]:
     """Time zero as a moment, where the clock tells the day and the zone."""
     if len(zones) > 1:
@@ -261,7 +263,7 @@ def midnight_of(
     return (midnight - offset).replace(tzinfo=UTC), f"zone {name}"
 
 
-def read_plain(values: Array, heading_unit: str, settings: TimeOf, heading: str, where: Where) -> Clock:
+def read_plain(values: Array, heading_unit: str, settings: StampSettings, heading: str, where: Where) -> RowTimes:
     """Seconds out of plain numbers: elapsed time in its unit, or frames by their number.
 
     Raises
@@ -277,7 +279,7 @@ def read_plain(values: Array, heading_unit: str, settings: TimeOf, heading: str,
     if settings.kind != "frame" and unit is not None:
         spread = np.diff(np.unique(values[np.isfinite(values)]))
         resolution = SECONDS[unit] * float(spread.min()) if len(spread) else SECONDS[unit]
-        return Clock(values * SECONDS[unit], None, None, min(resolution, 1.0), f"elapsed time in {unit}")
+        return RowTimes(values * SECONDS[unit], None, None, min(resolution, 1.0), f"elapsed time in {unit}")
     if settings.kind == "elapsed":
         raise InputError(f"{where(0)}: elapsed time in no unit that {heading!r} names; time.units decides")
     if settings.kind != "frame":
@@ -286,7 +288,7 @@ def read_plain(values: Array, heading_unit: str, settings: TimeOf, heading: str,
     return read_frames(values, settings, where)
 
 
-def read_frames(values: Array, settings: TimeOf, where: Where) -> Clock:
+def read_frames(values: Array, settings: StampSettings, where: Where) -> RowTimes:
     """Seconds out of frame numbers."""
     if settings.frame_rate_Hz is None:
         raise InputError(f"{where(0)}: frames by number; time.frame_rate_Hz is needed")
@@ -294,4 +296,4 @@ def read_frames(values: Array, settings: TimeOf, where: Where) -> Clock:
     if len(wrong) and math.isfinite(values[wrong[0]]):
         raise InputError(f"{where(int(wrong[0]))}: {values[wrong[0]]:g} is no frame number")
     rate = settings.frame_rate_Hz
-    return Clock(values / rate, None, None, 1.0 / rate, f"frame numbers at {rate:g} Hz")
+    return RowTimes(values / rate, None, None, 1.0 / rate, f"frame numbers at {rate:g} Hz")

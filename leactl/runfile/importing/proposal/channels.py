@@ -19,7 +19,7 @@ from leactl.runfile.importing.proposal.evidence import (
     CLOSE,
     GEARED,
     TIGHT,
-    Series,
+    ColumnSeries,
     are_counts,
     follows,
     gain_of,
@@ -31,7 +31,7 @@ from leactl.runfile.importing.proposal.evidence import (
 )
 from leactl.runfile.importing.proposal.log_dialects import LogDialect
 from leactl.runfile.importing.proposal.survey import SeenTable, Survey
-from leactl.runfile.importing.sources.source import Listed, Tabulated
+from leactl.runfile.importing.sources.source import ListedColumn, ListedTable
 from leactl.units import SECONDS, converter, known_units
 
 Array = npt.NDArray[np.float64]
@@ -50,7 +50,7 @@ Answers = Mapping[tuple[str, ...], str]  # by keys of the mapping
 
 
 @dataclass
-class Proposed:
+class ProposedChannel:
     """One channel, as far as it is decided."""
 
     column: str | int
@@ -76,11 +76,11 @@ class ProposedStream:
     """The channels of one table."""
 
     name: str
-    table: Tabulated
-    time: Listed | None
+    table: ListedTable
+    time: ListedColumn | None
     time_units: tuple[str, ...]
     time_why: str
-    channels: dict[str, Proposed]
+    channels: dict[str, ProposedChannel]
     left_out: dict[str | int, str]  # columns that are no channel, and why
     stamps: list[Array]  # of each joint that was looked at, as they are written
     rate_Hz: float = 0.0  # of samples without stamps, where it is known  # noqa: N815 (a unit keeps its letter)
@@ -105,7 +105,7 @@ def stream_of(seen: SeenTable, taken: set[str]) -> ProposedStream:
     """The channels of a table by what is declared, documented or written in their names."""
     table, dialect = seen.table, seen.dialect
     time, time_units, time_why = time_of(seen)
-    channels: dict[str, Proposed] = {}
+    channels: dict[str, ProposedChannel] = {}
     left_out: dict[str | int, str] = {}
     for column in table.columns:
         values = [each[column.name] for each in seen.columns if column.name in each]
@@ -125,7 +125,7 @@ def stream_of(seen: SeenTable, taken: set[str]) -> ProposedStream:
     return ProposedStream(name, table, time, time_units, time_why, channels, left_out, stamps)
 
 
-def channel_of(column: Listed, table: Tabulated, dialect: LogDialect | None) -> Proposed | str:
+def channel_of(column: ListedColumn, table: ListedTable, dialect: LogDialect | None) -> ProposedChannel | str:
     """What a column is, or why it is no channel."""
     name = str(column.name)
     if isinstance(column.name, int):
@@ -135,7 +135,7 @@ def channel_of(column: Listed, table: Tabulated, dialect: LogDialect | None) -> 
             return f"{dialect.meaning} has it, and it is no channel of a run"
         role = meaning_of(name).role or "test"
         why = f"{' or '.join(known.units)} by {dialect.meaning}"
-        channel = Proposed(column.name, known.quantity, role, known.units, [why])
+        channel = ProposedChannel(column.name, known.quantity, role, known.units, [why])
         channel.scale, channel.scale_of, channel.sign = known.scale, known.scale_of, known.sign
         channel.location = known.location
         return channel
@@ -146,22 +146,24 @@ def channel_of(column: Listed, table: Tabulated, dialect: LogDialect | None) -> 
     role = said.role or "test"
     of_role = [f"role {role} by its name"] if said.role else []
     if column.units and converter(column.units, quantity):
-        return Proposed(
+        return ProposedChannel(
             column.name, quantity, role, (column.units,), [f"{column.units} by {column.declared_by}", *of_role]
         )
     if said.units:
-        return Proposed(column.name, quantity, role, (said.units,), [f"{said.units} stands in its name", *of_role])
+        return ProposedChannel(
+            column.name, quantity, role, (said.units,), [f"{said.units} stands in its name", *of_role]
+        )
     likely = [units for units in LIKELY[known_units(quantity)[0]] if converter(units, quantity)]
-    return Proposed(column.name, quantity, role, tuple(likely), [f"{quantity} by its name", *of_role])
+    return ProposedChannel(column.name, quantity, role, tuple(likely), [f"{quantity} by its name", *of_role])
 
 
-def time_of(seen: SeenTable) -> tuple[Listed | None, tuple[str, ...], str]:
+def time_of(seen: SeenTable) -> tuple[ListedColumn | None, tuple[str, ...], str]:
     """The column of stamps, the units that it may be in, and why."""
     table, dialect = seen.table, seen.dialect
     if table.time is not None:
         return table.time, (table.time.units,), table.time.declared_by
     if dialect is not None and dialect.time is not None:
-        return Listed(dialect.time.column), (dialect.time.units,), f"{dialect.time.units} by {dialect.meaning}"
+        return ListedColumn(dialect.time.column), (dialect.time.units,), f"{dialect.time.units} by {dialect.meaning}"
     for column in table.columns:
         values = seen.columns[0].get(column.name)
         if values is None or not is_time(str(column.name)) or not increases(values):
@@ -232,7 +234,7 @@ def decide_by_numbers(streams: list[ProposedStream]) -> None:
             channel.why.append("its range is wide for rad")
 
 
-def decide_by_range(channel: Proposed) -> None:
+def decide_by_range(channel: ProposedChannel) -> None:
     """Decide by what the numbers reach and how they jump; ask where that is not what is said of them."""
     units, why = units_by_range(channel.quantity, np.concatenate(channel.values))
     is_said = same(units, channel.units, channel.quantity)
@@ -243,7 +245,7 @@ def decide_by_range(channel: Proposed) -> None:
         channel.why.append(f"yet {why}")
 
 
-def belong(first: tuple[ProposedStream, Proposed], second: tuple[ProposedStream, Proposed]) -> bool:
+def belong(first: tuple[ProposedStream, ProposedChannel], second: tuple[ProposedStream, ProposedChannel]) -> bool:
     """Whether two channels are of one shaft, as far as their names say."""
     if first[1].role != second[1].role:
         return False
@@ -253,15 +255,18 @@ def belong(first: tuple[ProposedStream, Proposed], second: tuple[ProposedStream,
     return shaft_of(names[0]) == shaft_of(names[1])
 
 
-def series_of(stream: ProposedStream, channel: Proposed) -> list[Series]:
+def series_of(stream: ProposedStream, channel: ProposedChannel) -> list[ColumnSeries]:
     """A channel over its stamps, of each joint that was looked at."""
     factor = SECONDS[stream.time_units[0]]
     by_joint = zip(stream.stamps, channel.values, strict=False)
-    return [Series(stamps * factor, values) for stamps, values in by_joint if len(stamps) == len(values)]
+    return [ColumnSeries(stamps * factor, values) for stamps, values in by_joint if len(stamps) == len(values)]
 
 
 def decide_by_travel(
-    velocity: Proposed, velocity_series: list[Series], angle: Proposed, angle_series: list[Series]
+    velocity: ProposedChannel,
+    velocity_series: list[ColumnSeries],
+    angle: ProposedChannel,
+    angle_series: list[ColumnSeries],
 ) -> None:
     """Decide by the factor between a velocity and the change of its angle."""
     if velocity.scale_of or angle.scale_of or velocity.is_settled:
@@ -307,7 +312,10 @@ def same(units: str, among: tuple[str, ...], quantity: str) -> bool:
 
 
 def decide_by_setpoint(
-    reading: Proposed, reading_series: list[Series], setpoint: Proposed, setpoint_series: list[Series]
+    reading: ProposedChannel,
+    reading_series: list[ColumnSeries],
+    setpoint: ProposedChannel,
+    setpoint_series: list[ColumnSeries],
 ) -> None:
     """Decide by a setpoint that the reading follows one to one."""
     known, asked = (reading, setpoint) if len(reading.units) == 1 else (setpoint, reading)
@@ -318,7 +326,7 @@ def decide_by_setpoint(
         asked.decide(known.units[0], f"{known.units[0]}: {reading.column} follows {setpoint.column} one to one")
 
 
-def decide_by_kind(torque: Proposed, angle: Proposed) -> None:
+def decide_by_kind(torque: ProposedChannel, angle: ProposedChannel) -> None:
     """Decide between torque and force where the axis is known to be one or the other."""
     conversion = converter(angle.units[0], "angle")
     if set(torque.units) == {"N*m", "N"} and len(angle.units) == 1 and conversion is not None:
@@ -328,7 +336,7 @@ def decide_by_kind(torque: Proposed, angle: Proposed) -> None:
 
 def set_apart(streams: list[ProposedStream]) -> None:
     """Give channels of one quantity and role a location each, unless they have one."""
-    alike: dict[tuple[str, str, str], list[tuple[str, Proposed]]] = {}
+    alike: dict[tuple[str, str, str], list[tuple[str, ProposedChannel]]] = {}
     for stream in streams:
         for name, channel in stream.channels.items():
             key = (channel.quantity, channel.role, channel.location)

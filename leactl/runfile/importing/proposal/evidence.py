@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from leactl.runfile.importing.checks import Column, Gain, gain_by_setpoint, gain_by_travel
+from leactl.runfile.importing.checks import Gain, MappedColumn, gain_by_setpoint, gain_by_travel
 from leactl.units import CONVERSIONS, SECONDS, converter
 
 Array = npt.NDArray[np.float64]
@@ -37,7 +37,7 @@ VOLTS_OF_A_BUS: Final = (3.0, 1000.0)
 INDOORS_DEGC: Final = (5.0, 45.0)  # where a log's coldest reading lies; in degF that is -15 to 7 degC
 
 
-class Turned(NamedTuple):
+class AngleWrap(NamedTuple):
     """An angle whose jumps tell its unit."""
 
     units: str
@@ -45,7 +45,7 @@ class Turned(NamedTuple):
     jumps: int
 
 
-def turned(values: Array) -> Turned | None:
+def turned(values: Array) -> AngleWrap | None:
     """The unit of an angle that wraps; None where it does not, or by no turn of a unit."""
     known = values[np.isfinite(values)]
     if len(known) < FEWEST_JUMPS + 1:
@@ -55,29 +55,29 @@ def turned(values: Array) -> Turned | None:
     for period, units in TURNS.items():
         jumps = int((steps > 0.8 * period).sum())
         if 0.9 * period <= reach <= 1.001 * period and jumps >= FEWEST_JUMPS and jumps < 0.2 * len(steps):
-            return Turned(units, period, jumps)
+            return AngleWrap(units, period, jumps)
     return None
 
 
-class Series(NamedTuple):
+class ColumnSeries(NamedTuple):
     """A column over its stamps [s], in the units that it is written in."""
 
     time: Array
     values: Array
 
-    def known(self) -> "Series":
+    def known(self) -> "ColumnSeries":
         """Without the rows that it lacks."""
         rows = np.isfinite(self.values)
-        return Series(self.time[rows], self.values[rows])
+        return ColumnSeries(self.time[rows], self.values[rows])
 
 
-def gain_of(angle: Series, velocity: Series) -> Gain | None:
+def gain_of(angle: ColumnSeries, velocity: ColumnSeries) -> Gain | None:
     """A velocity over the change of its angle, both as they are written; None where the record does not tell it."""
     wrapped, of_angle, of_velocity = turned(angle.values), angle.known(), velocity.known()
     if min(len(of_angle.time), len(of_velocity.time)) < 2:
         return None
     plain = np.unwrap(of_angle.values, period=wrapped.period) if wrapped else of_angle.values
-    gain = gain_by_travel(Column("", *of_velocity, "", ""), Column("", of_angle.time, plain, "", ""))
+    gain = gain_by_travel(MappedColumn("", *of_velocity, "", ""), MappedColumn("", of_angle.time, plain, "", ""))
     if gain is None or gain.explained < EXPLAINED or gain.std > SURE * abs(gain.value):
         return None
     return gain
@@ -103,12 +103,12 @@ def is_gear(gain: float) -> bool:
     return abs(size / round(size) - 1.0) <= GEAR
 
 
-def follows(measured: Series, setpoint: Series, quantity: str) -> bool:
+def follows(measured: ColumnSeries, setpoint: ColumnSeries, quantity: str) -> bool:
     """Whether a reading is as large as its setpoint, which is so in one unit alone."""
     reading, wanted = measured.known(), setpoint.known()
     if min(len(reading.time), len(wanted.time)) < 2:
         return False
-    gain = gain_by_setpoint(Column("", *reading, "", ""), Column("", *wanted, "", ""), quantity)
+    gain = gain_by_setpoint(MappedColumn("", *reading, "", ""), MappedColumn("", *wanted, "", ""), quantity)
     return gain is not None and gain.explained >= EXPLAINED and abs(gain.value - 1.0) <= ALIKE
 
 

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from leactl import yamlfile
 from leactl.runfile.importing.mapping import Above, CsvForm, Text
-from leactl.runfile.importing.sources.source import Tabulated
+from leactl.runfile.importing.sources.source import ListedTable
 from leactl.yamlblock import Block
 
 
@@ -44,7 +44,7 @@ class LogDialect(Block):
     time: DialectTime | None = None
     channels: Annotated[tuple[DialectChannel, ...], Field(min_length=1)]
 
-    def speaks(self, table: Tabulated) -> bool:
+    def speaks(self, table: ListedTable) -> bool:
         """Whether a table is one of this program."""
         if self.kind:
             return table.kind == self.kind
@@ -66,7 +66,7 @@ def dialects() -> tuple[LogDialect, ...]:
     return tuple(yamlfile.parse(texts[name], name).validate(LogDialect) for name in sorted(texts))
 
 
-def dialect_of(table: Tabulated) -> LogDialect | None:
+def dialect_of(table: ListedTable) -> LogDialect | None:
     """The dialect of a table; None where no program is recognised."""
     return next((dialect for dialect in dialects() if dialect.speaks(table)), None)
 

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from leactl.errors import InputError
 from leactl.quantities import SETUPS
-from leactl.runfile.importing.proposal.channels import LEAVE_OUT, Answers, Proposed, ProposedStream, streams_of
+from leactl.runfile.importing.proposal.channels import LEAVE_OUT, Answers, ProposedChannel, ProposedStream, streams_of
 from leactl.runfile.importing.proposal.survey import Survey
 from leactl.units import SECONDS, known_units
 
@@ -126,7 +126,7 @@ def time_keys(stream: ProposedStream) -> str:
     return f"column: {plain(stream.time.name)}, units: {units}"
 
 
-def keys_of(channel: Proposed) -> Iterator[str]:
+def keys_of(channel: ProposedChannel) -> Iterator[str]:
     """The keys of a channel in a mapping."""
     yield f"column: {plain(channel.column)}"
     yield f"quantity: {channel.quantity}"
@@ -143,7 +143,7 @@ def keys_of(channel: Proposed) -> Iterator[str]:
         yield f"location: {channel.location}"
 
 
-def alternatives(channel: Proposed) -> str:
+def alternatives(channel: ProposedChannel) -> str:
     """What a person chooses from, as a comment."""
     choices = [" or ".join(channel.units)] if len(channel.units) != 1 else []
     choices += [f"scale: {channel.scale_of}"] if channel.scale_of else []

@@ -11,7 +11,7 @@ from leactl.errors import InputError
 from leactl.runfile.importing.mapping import PLACEHOLDER, CsvForm
 from leactl.runfile.importing.proposal.log_dialects import LogDialect, csv_forms, dialect_of
 from leactl.runfile.importing.sources.registry import format_of, open_source
-from leactl.runfile.importing.sources.source import Lacking, SourceRequest, Tabulated, WantedColumn
+from leactl.runfile.importing.sources.source import ListedTable, MissingColumn, SourceRequest, WantedColumn
 
 Array = npt.NDArray[np.float64]
 MOST_JOINTS: Final = 4  # whose numbers are looked at
@@ -21,7 +21,7 @@ MOST_JOINTS: Final = 4  # whose numbers are looked at
 class SeenTable:
     """A table with its numbers, of each joint that was looked at."""
 
-    table: Tabulated
+    table: ListedTable
     dialect: LogDialect | None
     columns: list[dict[str | int, Array]]
 
@@ -60,7 +60,7 @@ def survey(path: Path) -> Survey:
             for column in (*table.columns, *([table.time] if table.time else [])):
                 try:
                     values = source.column(*filled(column.name, table.records, joint))
-                except Lacking:
+                except MissingColumn:
                     continue  # of this joint, or nowhere a number
                 if not isinstance(values, list):
                     by_joint[-1][column.name] = values
@@ -68,9 +68,9 @@ def survey(path: Path) -> Survey:
     return Survey(path, name, form, seen)
 
 
-def tables_of(path: Path, name: str) -> tuple[CsvForm, list[Tabulated]]:
+def tables_of(path: Path, name: str) -> tuple[CsvForm, list[ListedTable]]:
     """The tables of a source, and how it is written where it is text: the form under which most columns are numbers."""
-    best: tuple[CsvForm, list[Tabulated]] = CsvForm(), []
+    best: tuple[CsvForm, list[ListedTable]] = CsvForm(), []
     faults: list[str] = []
     for form in csv_forms() if name == "csv" else [CsvForm()]:
         try:
@@ -85,7 +85,7 @@ def tables_of(path: Path, name: str) -> tuple[CsvForm, list[Tabulated]]:
     return best
 
 
-def joints_seen(table: Tabulated) -> tuple[str, ...]:
+def joints_seen(table: ListedTable) -> tuple[str, ...]:
     """Joints whose numbers are looked at; one without a name where a table has none."""
     return table.joints[:MOST_JOINTS] or ("",)
 

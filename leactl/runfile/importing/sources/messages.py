@@ -21,10 +21,10 @@ import numpy.typing as npt
 from leactl.errors import InputError
 from leactl.runfile.importing.mapping import as_label
 from leactl.runfile.importing.sources.source import (
-    Lacking,
-    Listed,
+    ListedColumn,
+    ListedTable,
+    MissingColumn,
     SourceRequest,
-    Tabulated,
     WantedColumn,
     as_float,
     reason_of,
@@ -76,7 +76,7 @@ class OpenLog(NamedTuple):
     messages: Callable[[Collection[str]], Iterator[Message]]  # of these topics, in any order; raises InputError
 
 
-class Way(NamedTuple):
+class ColumnPath(NamedTuple):
     """A column's way into a message."""
 
     topic: str
@@ -91,7 +91,7 @@ class MessageSource:
         self.path, self._log = log.path, log
         self.began: datetime | None = None
         self._first_ns: int | None = None
-        self._columns: dict[Way, _Gathered] = {}
+        self._columns: dict[ColumnPath, _Gathered] = {}
         self._counts = dict.fromkeys(log.topics, 0)
         self._samples: dict[str, list[Any]] = {}
         if request.columns is None:
@@ -100,7 +100,7 @@ class MessageSource:
         for wanted in (*request.columns, *request.labels):
             try:
                 path = self._path(wanted)
-            except Lacking:
+            except MissingColumn:
                 continue  # told where it is asked for
             self._columns.setdefault(path, _Gathered())
         self._read()
@@ -110,9 +110,9 @@ class MessageSource:
         path = self._path(WantedColumn(name, records))
         column = self._columns[path]
         if not column.rows:
-            raise Lacking(f"{self.path}: {self._nothing_of(path)}")
+            raise MissingColumn(f"{self.path}: {self._nothing_of(path)}")
         if column.error:
-            raise Lacking(column.error)
+            raise MissingColumn(column.error)
         order = column.order()
         if column.texts:
             return [column.texts[at] for at in order]
@@ -127,7 +127,7 @@ class MessageSource:
         values = self.column(name, None)
         different = set(values) if isinstance(values, list) else set(values[np.isfinite(values)].tolist())
         if len(different) != 1:
-            raise Lacking(f"{self.path}: {name!r} holds {len(different)} values where one was expected")
+            raise MissingColumn(f"{self.path}: {name!r} holds {len(different)} values where one was expected")
         only = different.pop()
         return only if isinstance(only, str) else float(only)
 
@@ -135,7 +135,7 @@ class MessageSource:
         """Name and message from 0."""
         return f"{self.path}: {name!r} message {row}"
 
-    def tables(self) -> list[Tabulated]:
+    def tables(self) -> list[ListedTable]:
         """A table for each topic that can be read, and for lists by joint."""
         return [table for name, samples in self._samples.items() for table in _tables(self._log.topics[name], samples)]
 
@@ -147,7 +147,7 @@ class MessageSource:
                 samples.append(self._decoded(message))
 
     def _read(self) -> None:
-        by_topic: dict[str, list[tuple[Way, _Gathered]]] = {}
+        by_topic: dict[str, list[tuple[ColumnPath, _Gathered]]] = {}
         for path, column in self._columns.items():
             by_topic.setdefault(path.topic, []).append((path, column))
         earliest: int | None = None
@@ -172,7 +172,7 @@ class MessageSource:
                 f"{self.path}: {message.topic} message {at}: cannot be decoded: {reason_of(error)}"
             ) from None
 
-    def _put(self, column: "_Gathered", path: Way, message: Message, tree: Any, names: Names) -> None:
+    def _put(self, column: "_Gathered", path: ColumnPath, message: Message, tree: Any, names: Names) -> None:
         if column.error:
             return
         try:
@@ -184,11 +184,11 @@ class MessageSource:
             else:
                 value = self._value(tree, path, message, names)
             column.put(value, message.log_ns)
-        except Lacking as lacking:
+        except MissingColumn as lacking:
             where = f"{self.path}: {message.topic} message {self._counts[message.topic] - 1}"
             column.error, column.rows = f"{where} {lacking}", column.rows + 1
 
-    def _value(self, tree: Any, path: Way, message: Message, names: Names) -> Any:
+    def _value(self, tree: Any, path: ColumnPath, message: Message, names: Names) -> Any:
         assert self._first_ns is not None
         if path.steps in RECORDER and _child(tree, path.steps[0]) is None:
             return ((message.log_ns if path.steps == RECORDER[0] else message.publish_ns) - self._first_ns) * 1e-9
@@ -198,12 +198,12 @@ class MessageSource:
             below = _element(node, step, names) if is_list else _child(node, step)
             if below is None:
                 has = ", ".join(_fields(node)) or f"a value of {type(node).__name__}"
-                raise Lacking(f"has no {step!r} in {done or 'it'}, which has {has}")
+                raise MissingColumn(f"has no {step!r} in {done or 'it'}, which has {has}")
             node, done = below, f"{done}.{step}".strip(".")
         stamp = _nanoseconds(node)
         return node if stamp is None else as_float(stamp - self._first_ns) * 1e-9
 
-    def _path(self, wanted: WantedColumn) -> Way:
+    def _path(self, wanted: WantedColumn) -> ColumnPath:
         """Where a column stands.
 
         Raises
@@ -219,23 +219,23 @@ class MessageSource:
             of_topic = _STEP.fullmatch(wanted.records[len(topic) :])
             joint, rest = of_topic[2] if of_topic else None, str(wanted.name)
         if why := self._log.topics[topic].unreadable:
-            raise Lacking(f"{self.path}: {topic} {why}")
+            raise MissingColumn(f"{self.path}: {topic} {why}")
         steps = tuple(_step(match) for match in _STEP.finditer(rest))
         only = self._log.topics[topic].only
         if only and (not steps or isinstance(steps[0], int)):
             steps = (only, *steps)
         if not steps:
-            raise Lacking(f"{self.path}: {wanted.name!r} is a topic; a field of it was expected")
-        return Way(topic, joint, steps)
+            raise MissingColumn(f"{self.path}: {wanted.name!r} is a topic; a field of it was expected")
+        return ColumnPath(topic, joint, steps)
 
     def _topic(self, text: str) -> str:
         begins = [name for name in self._log.topics if text == name or text.startswith((f"{name}.", f"{name}["))]
         if not begins:
             has = ", ".join(sorted(self._log.topics)) or "none"
-            raise Lacking(f"{self.path}: no topic begins {text!r}; it has {has}")
+            raise MissingColumn(f"{self.path}: no topic begins {text!r}; it has {has}")
         return max(begins, key=len)
 
-    def _nothing_of(self, path: Way) -> str:
+    def _nothing_of(self, path: ColumnPath) -> str:
         if path.joint is not None and self._counts[path.topic]:
             return f"no message of {path.topic} names {path.joint!r}"
         return f"topic {path.topic} has no message"
@@ -257,7 +257,7 @@ class _Gathered:
         elif isinstance(value, NUMBERS) and not self.texts:
             self.values.append(as_float(value))
         else:
-            raise Lacking(f"holds {_described(value)} where a number was expected")
+            raise MissingColumn(f"holds {_described(value)} where a number was expected")
         self.log_ns.append(log_ns)
         self.rows += 1
         self._was_reset |= log_ns < self._latest_ns - RESET_NS
@@ -310,7 +310,7 @@ def _names(tree: Any) -> Names:
 
 def _index_of(joint: str, names: Names) -> int | None:
     if names is None:
-        raise Lacking(f"has no list of names ({', '.join(NAMES)}) that could have {joint!r}")
+        raise MissingColumn(f"has no list of names ({', '.join(NAMES)}) that could have {joint!r}")
     return names.index(joint) if joint in names else None
 
 
@@ -319,7 +319,7 @@ def _cut(value: Any, index: int, length: int) -> Any:
     if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):
         return value
     if len(value) not in (0, length):
-        raise Lacking(f"has {len(value)} values for {length} names")
+        raise MissingColumn(f"has {len(value)} values for {length} names")
     return value[index] if len(value) else np.nan
 
 
@@ -343,25 +343,27 @@ def _described(value: Any) -> str:
     return f"a group of {', '.join(_fields(value))}" if _fields(value) else f"a {type(value).__name__}"
 
 
-def _tables(topic: Topic, samples: list[Any]) -> Iterator[Tabulated]:
+def _tables(topic: Topic, samples: list[Any]) -> Iterator[ListedTable]:
     """What a topic's messages hold, by joint where they name joints."""
     joints = list(dict.fromkeys(name for tree in samples for name in _names(tree) or ()))
     tree = samples[0]
     has_stamp = any(path == "header.stamp" for path, _ in _leaves(tree, "", 0))
-    time = Listed("header.stamp" if has_stamp else "log_time", "s", "a stamp of ROS" if has_stamp else "the recorder")
+    time = ListedColumn(
+        "header.stamp" if has_stamp else "log_time", "s", "a stamp of ROS" if has_stamp else "the recorder"
+    )
     plain, by_joint = [], []
     for path, value in _leaves(tree, "", 0):
         if isinstance(value, Sequence | np.ndarray):
             if joints and len(value) == len(_names(tree) or ()):
-                by_joint.append(Listed(path))
+                by_joint.append(ListedColumn(path))
             elif not joints and len(value) <= MOST_ELEMENTS:
-                plain += [Listed(f"{path}[{at}]") for at in range(len(value))]
+                plain += [ListedColumn(f"{path}[{at}]") for at in range(len(value))]
         elif not path.startswith("header."):
-            plain.append(Listed(path, topic.units, f"what {topic.name} declares" if topic.units else ""))
+            plain.append(ListedColumn(path, topic.units, f"what {topic.name} declares" if topic.units else ""))
     if by_joint:
-        yield Tabulated(f"{topic.name}[{{joint}}]", tuple(by_joint), topic.kind, time, tuple(joints))
+        yield ListedTable(f"{topic.name}[{{joint}}]", tuple(by_joint), topic.kind, time, tuple(joints))
     if plain:
-        yield Tabulated(topic.name, tuple(plain), topic.kind, time)
+        yield ListedTable(topic.name, tuple(plain), topic.kind, time)
 
 
 def _leaves(node: Any, path: str, depth: int) -> Iterator[tuple[str, Any]]:

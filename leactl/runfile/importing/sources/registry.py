@@ -19,7 +19,7 @@ from typing import Any
 
 from leactl.errors import InputError
 from leactl.regular import open_regular
-from leactl.runfile.importing.sources.source import Source, SourceRequest
+from leactl.runfile.importing.sources.source import LogSource, SourceRequest
 
 GROUP = "leactl.log_formats"
 ROOM = "leactl.runfile.importing.sources.formats"
@@ -112,7 +112,7 @@ def head_of(path: Path) -> bytes:
         return b""  # told by the format that its ending tells
 
 
-def open_source(path: Path, name: str | None, request: SourceRequest) -> Source:
+def open_source(path: Path, name: str | None, request: SourceRequest) -> LogSource:
     """Open a foreign file, in the format of its ending where none is named.
 
     Raises
@@ -121,7 +121,7 @@ def open_source(path: Path, name: str | None, request: SourceRequest) -> Source:
     """
     opened = load(name or format_of(path))
     try:
-        source: Source = opened.open_source(path, request)
+        source: LogSource = opened.open_source(path, request)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or ' '.join(str(error).split())}") from None
     return source

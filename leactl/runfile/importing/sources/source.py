@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 LONGEST_REASON = 200  # characters
 
 
-class Lacking(Exception):
+class MissingColumn(Exception):
     """The source has no such column or field; the message says what it has."""
 
 
@@ -37,7 +37,7 @@ def as_float(value: Any) -> float:
     try:
         return float(value)
     except OverflowError:
-        raise Lacking("holds a number beyond any float") from None
+        raise MissingColumn("holds a number beyond any float") from None
 
 
 class WantedColumn(NamedTuple):
@@ -62,7 +62,7 @@ class SourceRequest:
     csv: CsvForm = field(default_factory=CsvForm)
 
 
-class Listed(NamedTuple):
+class ListedColumn(NamedTuple):
     """A column of numbers as its file lists it, with the units that the file itself declares."""
 
     name: str | int
@@ -71,17 +71,17 @@ class Listed(NamedTuple):
     quantity: str = ""  # that the file itself declares
 
 
-class Tabulated(NamedTuple):
+class ListedTable(NamedTuple):
     """Columns that share their rows, as a mapping's stream takes them."""
 
     records: str | None
-    columns: tuple[Listed, ...]
+    columns: tuple[ListedColumn, ...]
     kind: str = ""  # type of a message, where the file says it
-    time: Listed | None = None  # the column of stamps, where the format itself says which it is
+    time: ListedColumn | None = None  # the column of stamps, where the format itself says which it is
     joints: tuple[str, ...] = ()  # that `{joint}` in `records` may stand for
 
 
-class Source(Protocol):
+class LogSource(Protocol):
     """One foreign file."""
 
     path: Path
@@ -99,5 +99,5 @@ class Source(Protocol):
     def place(self, name: str | int, row: int) -> str:
         """Where a row of a column stands, for messages."""
 
-    def tables(self) -> list[Tabulated]:
+    def tables(self) -> list[ListedTable]:
         """Everything that a mapping could take."""

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.runfile.importing.mapping import as_label
-from leactl.runfile.importing.sources.source import Lacking, Listed, Tabulated, as_float
+from leactl.runfile.importing.sources.source import ListedColumn, ListedTable, MissingColumn, as_float
 
 Array = npt.NDArray[np.float64]
 FEWEST_ROWS = 2  # of a table
@@ -47,13 +47,13 @@ class TreeSource:
             return value
         if isinstance(value, bool | int | float | np.number):
             return as_float(value)
-        raise Lacking(f"{self.path}: {name!r} holds {_described(value)} where one value was expected")
+        raise MissingColumn(f"{self.path}: {name!r} holds {_described(value)} where one value was expected")
 
     def place(self, name: str | int, row: int) -> str:
         """Name and row from 0."""
         return f"{self.path}: {name!r} row {row}"
 
-    def tables(self) -> list[Tabulated]:
+    def tables(self) -> list[ListedTable]:
         """Lists of records, matrices, and columns of one length beside one another."""
         return list(_tables(self._tree, ""))
 
@@ -63,7 +63,7 @@ class TreeSource:
             return base[:, index]
         if isinstance(base, list) and base and all(isinstance(row, list) and len(row) > index for row in base):
             return [row[index] for row in base]
-        raise Lacking(f"{self.path}: {where} has no column {index}; it is {_described(base)}")
+        raise MissingColumn(f"{self.path}: {where} has no column {index}; it is {_described(base)}")
 
     def _walk(self, node: Any, path: str) -> Any:
         if isinstance(node, dict) and path in node:
@@ -80,17 +80,17 @@ class TreeSource:
         if isinstance(key, int):
             if isinstance(node, list | np.ndarray) and key < len(node):
                 return node[key]
-            raise Lacking(f"{self.path}: {where} has no item {key}; it is {_described(node)}")
+            raise MissingColumn(f"{self.path}: {where} has no item {key}; it is {_described(node)}")
         if isinstance(node, dict):
             if key in node:
                 return node[key]
-            raise Lacking(f"{self.path}: {where} has no {key!r}; it has {', '.join(map(str, node)) or 'nothing'}")
+            raise MissingColumn(f"{self.path}: {where} has no {key!r}; it has {', '.join(map(str, node)) or 'nothing'}")
         if isinstance(node, list) and all(isinstance(item, dict) for item in node):
             if not any(key in item for item in node):
                 has = ", ".join(sorted({str(k) for item in node[:100] for k in item})) or "nothing"
-                raise Lacking(f"{self.path}: no record of {where} has {key!r}; they have {has}")
+                raise MissingColumn(f"{self.path}: no record of {where} has {key!r}; they have {has}")
             return [item.get(key) for item in node]  # None: that record lacks it
-        raise Lacking(f"{self.path}: {where} has no {key!r}; it is {_described(node)}")
+        raise MissingColumn(f"{self.path}: {where} has no {key!r}; it is {_described(node)}")
 
     def _as_column(self, found: Any, name: str | int) -> Array | list[str]:
         if isinstance(found, np.ndarray) and found.dtype.kind in "fiub":
@@ -107,10 +107,10 @@ class TreeSource:
                     raise InputError(f"{self.place(name, row)}: {shown} is not a number")
                 try:
                     out.append(np.nan if value is None else as_float(value))
-                except Lacking as lacking:
+                except MissingColumn as lacking:
                     raise InputError(f"{self.place(name, row)}: {lacking}") from None
             return np.frombuffer(out, np.float64)
-        raise Lacking(f"{self.path}: {name!r} holds {_described(found)} where a column of numbers was expected")
+        raise MissingColumn(f"{self.path}: {name!r} holds {_described(found)} where a column of numbers was expected")
 
 
 def _described(value: Any) -> str:
@@ -121,26 +121,26 @@ def _described(value: Any) -> str:
     return f"a list of {len(value)}" if isinstance(value, list) else f"{value!r}"[:60]
 
 
-def _tables(node: Any, path: str) -> Iterator[Tabulated]:
+def _tables(node: Any, path: str) -> Iterator[ListedTable]:
     """The tables at a path and below it."""
     records = path or None
     if isinstance(node, dict):
-        by_length: dict[int, list[Listed]] = {}
+        by_length: dict[int, list[ListedColumn]] = {}
         for name, value in node.items():
             if _is_column(value):
-                by_length.setdefault(np.size(value), []).append(Listed(str(name)))
+                by_length.setdefault(np.size(value), []).append(ListedColumn(str(name)))
             elif len(path) < LONGEST_PATH:
                 yield from _tables(value, f"{path}.{name}" if path else str(name))
         for columns in by_length.values():
-            yield Tabulated(records, tuple(columns))
+            yield ListedTable(records, tuple(columns))
     elif isinstance(node, list) and len(node) >= FEWEST_ROWS and all(isinstance(item, dict) for item in node):
-        yield Tabulated(records, tuple(map(Listed, _columns_of_records(node[:SURVEYED], ""))))
+        yield ListedTable(records, tuple(map(ListedColumn, _columns_of_records(node[:SURVEYED], ""))))
     elif isinstance(node, np.ndarray) and node.ndim == 2 and node.dtype.kind in "fiub" and len(node) >= FEWEST_ROWS:
-        yield Tabulated(records, tuple(map(Listed, range(min(node.shape[1], MOST_COLUMNS)))))
+        yield ListedTable(records, tuple(map(ListedColumn, range(min(node.shape[1], MOST_COLUMNS)))))
     elif isinstance(node, list) and len(node) >= FEWEST_ROWS and all(isinstance(row, list) for row in node):
         width = min(len(row) for row in node)
         numbers_at = [at for at in range(width) if all(_is_number(row[at]) for row in node[:SURVEYED])]
-        yield Tabulated(records, tuple(map(Listed, numbers_at)))
+        yield ListedTable(records, tuple(map(ListedColumn, numbers_at)))
 
 
 def _columns_of_records(items: list[dict[str, Any]], path: str) -> Iterator[str]:

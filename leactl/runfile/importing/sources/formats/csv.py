@@ -12,7 +12,13 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.runfile.importing.mapping import as_label
-from leactl.runfile.importing.sources.source import Lacking, Listed, SourceRequest, Tabulated, WantedColumn
+from leactl.runfile.importing.sources.source import (
+    ListedColumn,
+    ListedTable,
+    MissingColumn,
+    SourceRequest,
+    WantedColumn,
+)
 
 Array = npt.NDArray[np.float64]
 ENDINGS = (".csv", ".txt", ".tsv")
@@ -134,12 +140,12 @@ class CsvSource:
     def _known(self, name: str | int, kept: Iterable[int]) -> int:
         """Where a column that was asked for stands."""
         if isinstance(name, str) and self._names.count(name) > 1:
-            raise Lacking(f"{self.path}: the header has {name!r} {self._names.count(name)} times; give its index")
+            raise MissingColumn(f"{self.path}: the header has {name!r} {self._names.count(name)} times; give its index")
         at = self._at(name, max(len(self._names), *kept, 0) + 1)
         if at is None or at not in kept:
             has = ", ".join(self._names) if self._names else "no header"
             hint = "; is csv.delimiter right?" if len(self._names) == 1 else ""
-            raise Lacking(f"{self.path} has no column {name!r}; it has {has}{hint}")
+            raise MissingColumn(f"{self.path} has no column {name!r}; it has {has}{hint}")
         return at
 
     def field(self, name: str | int) -> float | str:
@@ -147,7 +153,7 @@ class CsvSource:
         values = self.column(name, None)
         different = set(values) if isinstance(values, list) else set(values[np.isfinite(values)].tolist())
         if len(different) != 1:
-            raise Lacking(f"{self.path}: column {name!r} holds {len(different)} values where one was expected")
+            raise MissingColumn(f"{self.path}: column {name!r} holds {len(different)} values where one was expected")
         only = different.pop()
         return only if isinstance(only, str) else float(only)
 
@@ -155,7 +161,7 @@ class CsvSource:
         """Line and column."""
         return f"{self.path}: line {self._lines[row]}, column {name!r}"
 
-    def tables(self) -> list[Tabulated]:
+    def tables(self) -> list[ListedTable]:
         """Its columns of numbers, by their headers, or by index where a header is missing or stands twice."""
         alike = {name: self._names.count(name) for name in self._names}
         listed = []
@@ -163,8 +169,8 @@ class CsvSource:
             name = self._names[at] if at < len(self._names) else ""
             texts = [str(cell) for cell in cells]
             if all(map(self._is_number, texts)) and not all(text in self._form.missing for text in texts):
-                listed.append(Listed(name if alike.get(name) == 1 and name else at))
-        return [Tabulated(None, tuple(listed))]
+                listed.append(ListedColumn(name if alike.get(name) == 1 and name else at))
+        return [ListedTable(None, tuple(listed))]
 
     def _is_number(self, cell: str) -> bool:
         if cell in self._form.missing or cell.lower() in ("true", "false"):

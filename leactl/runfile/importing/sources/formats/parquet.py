@@ -17,7 +17,7 @@ from leactl.errors import InputError
 from leactl.regular import open_regular
 from leactl.runfile.hdf5.tree import MOST_UNPACKED
 from leactl.runfile.importing.mapping import PLACEHOLDER
-from leactl.runfile.importing.sources.source import Listed, SourceRequest, Tabulated, reason_of
+from leactl.runfile.importing.sources.source import ListedColumn, ListedTable, SourceRequest, reason_of
 from leactl.runfile.importing.sources.trees import MOST_COLUMNS, TreeSource
 
 ENDINGS = (".parquet", ".pq")
@@ -30,11 +30,11 @@ META_DEPTH: Final = 3  # folders above an episode of LeRobot to its dataset: dat
 class ParquetSource(TreeSource):
     """Columns of a Parquet file with what it declares of them."""
 
-    def __init__(self, path: Path, tree: dict[str, Any], began: datetime | None, table: Tabulated) -> None:
+    def __init__(self, path: Path, tree: dict[str, Any], began: datetime | None, table: ListedTable) -> None:
         super().__init__(path, tree, began)
         self._table = table
 
-    def tables(self) -> list[Tabulated]:
+    def tables(self) -> list[ListedTable]:
         """One table."""
         return [self._table]
 
@@ -74,7 +74,7 @@ def open_source(path: Path, request: SourceRequest) -> ParquetSource:
         names_of = joint_names(path)
         tree, listed, began = columns_of(table, arrow, names_of)
     joints = tuple(dict.fromkeys(joint for name in names if name in names_of for joint in names_of[name]))
-    return ParquetSource(path, tree, began, Tabulated(None, tuple(listed), joints=joints))
+    return ParquetSource(path, tree, began, ListedTable(None, tuple(listed), joints=joints))
 
 
 @contextmanager
@@ -117,19 +117,19 @@ def refuse_swelling(path: Path, metadata: Any, names: Iterable[str]) -> None:
 
 def columns_of(
     table: Any, arrow: Any, elements: dict[str, list[str]]
-) -> tuple[dict[str, Any], list[Listed], datetime | None]:
+) -> tuple[dict[str, Any], list[ListedColumn], datetime | None]:
     """Columns by name with what is declared of them; the earliest instant that any has."""
     tree: dict[str, Any] = {}
-    listed: list[Listed] = []
+    listed: list[ListedColumn] = []
     began: list[datetime] = []
     for field, column in zip(table.schema, table.columns, strict=True):
         kind, about = field.type, {k.decode(): v.decode() for k, v in (field.metadata or {}).items()}
         units = about.get("units", "")
-        declared = Listed(field.name, units, "the file's metadata" if units else "", about.get("quantity", ""))
+        declared = ListedColumn(field.name, units, "the file's metadata" if units else "", about.get("quantity", ""))
         if arrow.types.is_timestamp(kind):
             tree[field.name], first = seconds(column, kind.unit, arrow)
             began += [first] if first else []
-            listed.append(Listed(field.name, "s", "the type of its column"))
+            listed.append(ListedColumn(field.name, "s", "the type of its column"))
         elif arrow.types.is_string(kind) or arrow.types.is_large_string(kind) or arrow.types.is_dictionary(kind):
             tree[field.name] = texts(column)
         elif is_list(kind, arrow):
@@ -138,9 +138,9 @@ def columns_of(
             tree |= {f"{field.name}[{at}]": values for at, values in enumerate(columns)}
             if columns and len(names) == len(columns):
                 tree |= {f"{field.name}[{name}]": values for name, values in zip(names, columns, strict=True)}
-                listed.append(Listed(f"{field.name}[{PLACEHOLDER}]"))
+                listed.append(ListedColumn(f"{field.name}[{PLACEHOLDER}]"))
             else:
-                listed += [Listed(f"{field.name}[{at}]") for at in range(len(columns))]
+                listed += [ListedColumn(f"{field.name}[{at}]") for at in range(len(columns))]
         elif is_number(kind, arrow):
             tree[field.name] = column.cast(arrow.float64(), safe=False).to_numpy()
             listed.append(declared)

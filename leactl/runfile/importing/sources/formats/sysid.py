@@ -10,7 +10,7 @@ from typing import Any, Final
 from leactl.errors import InputError
 from leactl.runfile.importing.mapping import PLACEHOLDER
 from leactl.runfile.importing.sources.formats.json import json_tree
-from leactl.runfile.importing.sources.source import Listed, SourceRequest, Tabulated
+from leactl.runfile.importing.sources.source import ListedColumn, ListedTable, SourceRequest
 from leactl.runfile.importing.sources.trees import TreeSource
 
 ENDINGS = ()
@@ -26,12 +26,12 @@ ROWS: Final = {  # columns of a row, by what was tested
 class SysidSource(TreeSource):
     """The tests of a SysId file."""
 
-    def tables(self) -> list[Tabulated]:
+    def tables(self) -> list[ListedTable]:
         """One table, of whichever test."""
         tests = tuple(self._tree)
         columns = tuple(self._tree[tests[0]])
-        listed = [Listed(name) for name in columns if name != TIME]
-        return [Tabulated(PLACEHOLDER, tuple(listed), "sysid", Listed(TIME, "s", "SysId"), tests)]
+        listed = [ListedColumn(name) for name in columns if name != TIME]
+        return [ListedTable(PLACEHOLDER, tuple(listed), "sysid", ListedColumn(TIME, "s", "SysId"), tests)]
 
 
 def recognises(path: Path, head: bytes) -> bool:

@@ -29,7 +29,7 @@ NUMBERS: Final = {"boolean": "?", "int64": "q", "float": "f", "double": "d"}
 TEXTS: Final = ("string", "json")
 
 
-class Record(NamedTuple):
+class WpiRecord(NamedTuple):
     """Where a record's payload lies."""
 
     entry: int
@@ -98,7 +98,7 @@ class WpiLog:
             raise InputError(f"{self._path}: truncated: it ends within its header")
         return len(head) + int(extra)
 
-    def _records(self) -> Iterator[Record]:
+    def _records(self) -> Iterator[WpiRecord]:
         data, at, end = self._data, self._first, len(self._data)
         while at < end:
             lengths = data[at]
@@ -113,10 +113,10 @@ class WpiLog:
             stamp_us = int.from_bytes(data[stamp_at:begins], "little")
             if lengths & 0x80 or (entry == 0 and begins == ends) or stamp_us > LATEST_US:
                 raise InputError(f"{self._path}: damaged: no record begins at byte {at}")
-            yield Record(entry, stamp_us, begins, ends)
+            yield WpiRecord(entry, stamp_us, begins, ends)
             at = ends
 
-    def _started(self, record: Record) -> tuple[int, str, str, str]:
+    def _started(self, record: WpiRecord) -> tuple[int, str, str, str]:
         """Number, name, type and metadata of an entry that a control record starts."""
         at = record.begins + 1
         entry = self._number(at, 4, record.ends)
