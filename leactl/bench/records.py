@@ -13,7 +13,7 @@ from leactl.driver.batch import BatchSource, FileRecord, RecordSettings
 from leactl.driver.clock import MonotonicClock
 from leactl.driver.contract import Driver, DriverSettings
 from leactl.errors import InputError
-from leactl.runfile.attach import AlignedRecord, attach, join
+from leactl.runfile.attach import AlignedRecord, align_record, attach
 from leactl.runfile.read.reader import Run
 
 
@@ -68,7 +68,7 @@ class RecordDevice:
             told = "is missing: wall_within_s, offset_s, estimate or onset ties the record's clock to the run's"
             raise InputError(self._document.fault((*self._place, "settings", "clock"), told))
         with Run.open(run) as opened:
-            return join(record, clock, opened)
+            return align_record(record, clock, opened)
 
     def attach(self, joined: AlignedRecord, run: Path, replace: bool = False) -> None:
         """Store a joined record in its run, with the settings that it was read with.

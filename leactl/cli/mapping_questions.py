@@ -41,7 +41,7 @@ def asked(seen: "Survey") -> "Proposal":
 def answer(question: "OpenQuestion") -> str:
     """One answer that can be used; asks again until it is."""
     from leactl.runfile.importing.proposal.channels import LEAVE_OUT
-    from leactl.runfile.importing.proposal.proposal import accepted
+    from leactl.runfile.importing.proposal.proposal import accepted_answer
 
     typer.echo(question.text, err=True)
     for number, choice in enumerate(question.choices, start=1):
@@ -53,7 +53,7 @@ def answer(question: "OpenQuestion") -> str:
         line = sys.stdin.readline()
         if not line:
             raise Stopped("no answer; nothing is imported")
-        given = accepted(question, line)
+        given = accepted_answer(question, line)
         if given is not None:
             return given
         typer.echo(f"{line.strip()!r} is no answer", err=True)

@@ -348,14 +348,14 @@ def import_foreign(
 ) -> None:
     """Import recordings of other rigs as run files; all sources are checked first, and nothing is overwritten."""
     from leactl import yamlfile
-    from leactl.runfile.importing.importer import read_by, targets_of, write
+    from leactl.runfile.importing.importer import read_by_mapping, targets_of, write_runs
     from leactl.runfile.importing.preview import preview, preview_lines
 
     if map_out is not None and str(mapping) != AUTO:
         raise InputError(f"--map-out {map_out}: goes with --map {AUTO}")
     document = proposed(sources, map_out, as_json) if str(mapping) == AUTO else yamlfile.load(mapping)
-    runs = read_by(sources, document, joint)
-    files = targets_of(runs, out) if check else write(runs, out)
+    runs = read_by_mapping(sources, document, joint)
+    files = targets_of(runs, out) if check else write_runs(runs, out)
     previews = [preview(run, file) for run, file in zip(runs, files, strict=True)] if check else []
     notes = list(dict.fromkeys(note for run in runs for note in run.notes))
     if as_json:
@@ -377,14 +377,14 @@ def proposed(sources: list[str], map_out: Path | None, as_json: bool) -> "yamlfi
     """
     from leactl import yamlfile
     from leactl.cli.mapping_questions import asked, is_attended
-    from leactl.runfile.importing.importer import expanded
+    from leactl.runfile.importing.importer import expand_patterns
     from leactl.runfile.importing.proposal.proposal import propose
     from leactl.runfile.importing.proposal.survey import survey
     from leactl.runfile.publish import new_file, refuse_existing
 
     if map_out is not None:
         refuse_existing(map_out)
-    seen = survey(expanded(sources)[0])
+    seen = survey(expand_patterns(sources)[0])
     proposal = asked(seen) if is_attended() else propose(seen, {})
     if map_out is not None:
         with new_file(map_out) as aside:
@@ -426,7 +426,7 @@ def plot(
     from leactl.report.run_plot import text
     from leactl.runfile.publish import replacement
     from leactl.runfile.read.reader import Run
-    from leactl.runfile.read.traces import channel_names, part_of_run, trace
+    from leactl.runfile.read.traces import channel_names, channel_trace, part_of_run
 
     if html:
         outputs.check([html], [run])
@@ -434,7 +434,7 @@ def plot(
     with Run.open(run) as opened:
         part = part_of_run(opened, step, start, stop)
         bins = BINS if html or as_json else 2 * columns
-        traces = [trace(opened, name, *part, bins) for name in channel_names(opened, channels or [])]
+        traces = [channel_trace(opened, name, *part, bins) for name in channel_names(opened, channels or [])]
         if html:
             with replacement(html) as path:
                 path.write_text(page(opened, traces, *part), encoding="utf-8")

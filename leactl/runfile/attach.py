@@ -1,4 +1,4 @@
-"""A foreign record joins a closed run as a stream of its own, on the run's clock, with where it came from.
+"""Attach a record of another device to a closed run, as a stream of its own on the run's clock, with its provenance.
 
 Nothing that the run holds is changed: the file is replaced by a copy with one stream more, once all other values have
 proved the same. The stream's attributes keep the files' checksums, what was found in them and how the clocks were tied;
@@ -18,7 +18,7 @@ import numpy as np
 from leactl.driver.batch import FileRecord, RecordClock
 from leactl.errors import InputError
 from leactl.runfile import layout
-from leactl.runfile.align.alignment import NORMAL_95, Alignment, Tie, by_likeness, tied
+from leactl.runfile.align.alignment import NORMAL_95, Alignment, Tie, align_by_similarity, fit_alignment
 from leactl.runfile.align.onsets import ties_by_onset
 from leactl.runfile.hdf5.space import reserve
 from leactl.runfile.read.reader import Array, Run
@@ -26,14 +26,14 @@ from leactl.runfile.verify.integrity import add_note, amend
 from leactl.runfile.write.description import faults_of_channel
 from leactl.runfile.write.repack import CHUNK_ROWS, COMPRESSION
 
-START_S = 0.2  # by which the first cycle may follow the moment that a run file calls its creation
+START_S = 0.2  # longest time from a run's `created` to its first cycle
 FEWEST_ROWS = 2
-MOST_TOLD = 8000  # bytes: attributes of an object share 64 KiB (HDF5 file format 3.0, IV.A.2.m)
+MOST_TOLD = 8000  # bytes of one text: attributes of an object share 64 KiB (HDF5 file format 3.0, IV.A.2.m)
 
 
 @dataclass(frozen=True)
 class AlignedRecord:
-    """A record on the clock of a run, ready to be stored."""
+    """A record with its stamps converted to the clock of a run, ready to be stored."""
 
     record: FileRecord
     alignment: Alignment
@@ -43,12 +43,12 @@ class AlignedRecord:
 
     @property
     def uncertainty(self) -> float:
-        """Half the 95 % interval of the stamp that is known worst [s]."""
-        own = (self.time[[0, -1]] - self.alignment.offset) / self.alignment.rate
-        return max(self.alignment.uncertainty(float(stamp)) for stamp in own)
+        """Half-width of the 95 % interval of the most uncertain stamp [s]."""
+        device_times = (self.time[[0, -1]] - self.alignment.offset) / self.alignment.rate
+        return max(self.alignment.uncertainty(float(stamp)) for stamp in device_times)
 
     def told(self) -> list[str]:
-        """What a person should know of it, one line each."""
+        """Lines for people: remarks on the record, the alignment, its uncertainty, and the rows kept and left out."""
         middle = float(np.mean((self.time[[0, -1]] - self.alignment.offset) / self.alignment.rate))
         rows = f"{len(self.time)} rows, {self.time[0]:.6g} to {self.time[-1]:.6g} s of the run"
         outside = f"; {self.left_out} rows outside the run left out" if self.left_out else ""
@@ -56,7 +56,7 @@ class AlignedRecord:
         return [*self.record.told, self.alignment.told(middle), worst, rows + outside]
 
     def as_json(self) -> dict[str, Any]:
-        """The same for scripts."""
+        """The same facts as a JSON object."""
         return {
             "stream": self.record.stream,
             "rows": len(self.time),
@@ -73,14 +73,14 @@ class AlignedRecord:
         }
 
 
-def join(record: FileRecord, clock: RecordClock, run: Run) -> AlignedRecord:
-    """Put a record on the clock of a run, and leave out what lies outside it.
+def align_record(record: FileRecord, clock: RecordClock, run: Run) -> AlignedRecord:
+    """Convert a record's stamps to the clock of a run and leave out the rows outside the run.
 
     Raises
     ------
-    InputError : clocks that cannot be tied, or a record of another time.
+    InputError : the clocks cannot be aligned, or fewer than two rows lie within the run.
     """
-    alignment = aligned(record, clock, run)
+    alignment = alignment_of(record, clock, run)
     time = alignment.on_run(record.time)
     end = max((float(run.time(name)[-1]) for name, rows in run.rows.items() if rows), default=0.0)
     inside = (time >= 0.0) & (time <= end)
@@ -92,43 +92,69 @@ def join(record: FileRecord, clock: RecordClock, run: Run) -> AlignedRecord:
     return AlignedRecord(record, alignment, time[inside], record.values[inside], int(len(time) - inside.sum()))
 
 
-def aligned(record: FileRecord, clock: RecordClock, run: Run) -> Alignment:
-    """Tie the record's clock to the run's in the way that the settings ask for."""
+def alignment_of(record: FileRecord, clock: RecordClock, run: Run) -> Alignment:
+    """Align the record's clock with the run's by the method that the settings name."""
     drift = 1e-6 * clock.drift_within_ppm
     if clock.wall_within_s is not None:
         offset, within = wall_offset(record, run)
         middle = 0.5 * float(record.time[-1])
         sd = (clock.wall_within_s + within) / NORMAL_95
-        return tied("both wall clocks", [Tie(middle, middle + offset, sd)], drift, 0.0)
+        return fit_alignment("both wall clocks", [Tie(middle, middle + offset, sd)], drift, 0.0)
     if clock.offset_s is not None:
         sd = max((clock.offset_within_s or 0.0) + 0.5 * record.resolution, 1e-9) / NORMAL_95
-        return tied("a given offset", [Tie(0.0, clock.offset_s, sd)], drift, 0.0)
-    wanted = clock.estimate or clock.onset
-    assert wanted is not None
-    own = own_channel(record, wanted.channel)
-    reference = run.channel_at(wanted.against)
-    near = clock.near_s if clock.near_s is not None else likely_offset(record, run)
-    what = f"{wanted.channel} and {wanted.against}"
+        return fit_alignment("a given offset", [Tie(0.0, clock.offset_s, sd)], drift, 0.0)
+    reference_settings = clock.estimate or clock.onset
+    assert reference_settings is not None
+    channel_values = record_channel(record, reference_settings.channel)
+    reference = run.channel_at(reference_settings.against)
+    near = clock.near_s if clock.near_s is not None else expected_offset(record, run)
+    what = f"{reference_settings.channel} and {reference_settings.against}"
     systematic = clock.delays_within_s + 0.5 * record.resolution
-    there = (reference.time, reference.values)
+    reference_channel = (reference.time, reference.values)
     try:
         if clock.estimate is not None:
-            return by_likeness((record.time, own), there, wanted.within_s, what, near, drift, systematic)
+            return align_by_similarity(
+                (record.time, channel_values),
+                reference_channel,
+                reference_settings.within_s,
+                what,
+                near,
+                drift,
+                systematic,
+            )
         assert clock.onset is not None
-        ties = ties_by_onset(record.time, own, *there, clock.onset.jump, near, clock.onset.within_s, clock.onset.fit_s)
+        ties = ties_by_onset(
+            record.time,
+            channel_values,
+            *reference_channel,
+            clock.onset.jump,
+            near,
+            clock.onset.within_s,
+            clock.onset.fit_s,
+        )
     except InputError as fault:
         raise InputError(f"{record.files[0]}: {fault}") from None
     if not ties:
         raise InputError(
-            f"{record.files[0]}: {wanted.channel} shows no onset within {wanted.within_s:g} s of a jump of"
-            f" {wanted.against} by {clock.onset.jump:g} {reference.units}, at offsets around {near:.6g} s"
+            f"{record.files[0]}: {clock.onset.channel} shows no onset within {clock.onset.within_s:g} s of a jump of"
+            f" {clock.onset.against} by {clock.onset.jump:g} {reference.units}, at offsets around {near:.6g} s"
         )
     times = ", ".join(f"{tie.run:.3f} s" for tie in ties[:4])
-    return tied(f"onset of {wanted.channel} at jumps of {wanted.against} ({times})", ties, drift, systematic)
+    return fit_alignment(
+        f"onset of {reference_settings.channel} at jumps of {reference_settings.against} ({times})",
+        ties,
+        drift,
+        systematic,
+    )
 
 
-def own_channel(record: FileRecord, name: str) -> Array:
-    """Values of one channel of the record."""
+def record_channel(record: FileRecord, name: str) -> Array:
+    """Values (n,) of one channel of the record.
+
+    Raises
+    ------
+    InputError : the record has no such channel.
+    """
     names = [spec.name for spec in record.channels]
     if name not in names:
         raise InputError(f"{record.files[0]}: the record has no channel {name!r}; it has {', '.join(names)}")
@@ -136,17 +162,17 @@ def own_channel(record: FileRecord, name: str) -> Array:
 
 
 def wall_offset(record: FileRecord, run: Run) -> tuple[float, float]:
-    """Offset by what both clocks say the time of day is, and how far both may be off by how they are written.
+    """Offset of the clocks by their times of day [s], and half its uncertainty from the resolution of both [s].
 
     Raises
     ------
-    InputError : one of them does not tell the moment.
+    InputError : the record has no date or no zone, or the run's `created` is no ISO 8601 time with a zone.
     """
     if record.began is None:
-        told = (
+        message = (
             "its clock tells no day or no zone; set time.date and time.zone, or tie it by offset_s, estimate or onset"
         )
-        raise InputError(f"{record.files[0]}: {told}")
+        raise InputError(f"{record.files[0]}: {message}")
     text = str(run.attributes.get("created", ""))
     try:
         created = datetime.fromisoformat(text)
@@ -159,8 +185,8 @@ def wall_offset(record: FileRecord, run: Run) -> tuple[float, float]:
     return record.began + 0.5 * record.resolution - start, 0.5 * (cut + START_S + record.resolution)
 
 
-def likely_offset(record: FileRecord, run: Run) -> float:
-    """Where to look for an offset: by the wall clocks where both tell, else as if both had begun together."""
+def expected_offset(record: FileRecord, run: Run) -> float:
+    """Offset to search around [s]: by the wall clocks if both have one, else 0."""
     try:
         return wall_offset(record, run)[0]
     except InputError:
@@ -168,20 +194,20 @@ def likely_offset(record: FileRecord, run: Run) -> float:
 
 
 def attach(path: Path, joined: AlignedRecord, settings: Mapping[str, Any], driver: str, replace: bool = False) -> None:
-    """Store a record in its run.
+    """Store an aligned record in its run.
 
     Parameters
     ----------
-    settings : what the files were read with; kept beside the data.
-    replace : an attached stream of this name gives way to this one.
+    settings : the settings that the files were read with; stored as an attribute of the stream.
+    replace : replace a stream of this name that was attached before.
 
     Raises
     ------
-    InputError : the run has a stream of this name, or the same quantities at the same places.
+    InputError : the run has a stream of this name, or channels of the same quantity, role and location.
     """
     record = joined.record
     with Run.open(path) as run:
-        refuse_taken(run, record, replace)
+        refuse_duplicates(run, record, replace)
         checked = run.checked
     attributes = provenance(joined, settings, driver)
 
@@ -197,19 +223,19 @@ def attach(path: Path, joined: AlignedRecord, settings: Mapping[str, Any], drive
     amend(path, change, apart_from=(f"/streams/{record.stream}",))
 
 
-def refuse_taken(run: Run, record: FileRecord, replace: bool) -> None:
-    """Refuse a record whose stream or channels the run has already."""
+def refuse_duplicates(run: Run, record: FileRecord, replace: bool) -> None:
+    """Raise InputError if the run already has the record's stream, or a channel of equal quantity, role and location."""
     faults = [
         fault for spec in record.channels for fault in faults_of_channel(f"streams/{record.stream}/{spec.name}", spec)
     ]
     if record.stream in run.streams:
-        known = run.attached(record.stream)
-        if not known:
+        attached = run.attached(record.stream)
+        if not attached:
             faults.append(f"stream {record.stream} was recorded with the run and stays; name the device otherwise")
         elif not replace:
-            taken = f"stream {record.stream} is attached already, from {known.get('record_files')}"
+            taken = f"stream {record.stream} is attached already, from {attached.get('record_files')}"
             faults.append(f"{taken}; --replace puts this record in its place")
-    held = {
+    holders = {
         (spec.quantity, spec.role, spec.location): f"{name}/{spec.name}"
         for name, specs in run.streams.items()
         if name != record.stream
@@ -218,14 +244,14 @@ def refuse_taken(run: Run, record: FileRecord, replace: bool) -> None:
     faults += [
         f"{record.stream}/{spec.name}: same quantity, role and location as {holder}"
         for spec in record.channels
-        if (holder := held.get((spec.quantity, spec.role, spec.location)))
+        if (holder := holders.get((spec.quantity, spec.role, spec.location)))
     ]
     if faults:
         raise InputError([f"{run.path}: {fault}" for fault in faults])
 
 
 def provenance(joined: AlignedRecord, settings: Mapping[str, Any], driver: str) -> dict[str, str | float | int]:
-    """What is kept beside the data: files, findings and the tie of the clocks."""
+    """Attributes of the stream: files with checksums, settings, remarks and the alignment of the clocks."""
     record, alignment = joined.record, joined.alignment
     digests = []
     for path in record.files:
@@ -251,14 +277,14 @@ def provenance(joined: AlignedRecord, settings: Mapping[str, Any], driver: str) 
 def write_stream(
     streams: Any, joined: AlignedRecord, attributes: Mapping[str, str | float | int], checked: bool
 ) -> None:
-    """Write the stream in its lasting form."""
+    """Write the stream compressed, as the streams of a closed run are; `checked` adds a checksum to each dataset."""
     record, rows = joined.record, len(joined.time)
     reserve(streams.file, 8 * rows * (1 + len(record.channels)) + (1 << 16))
     storage = {"shape": (rows,), "maxshape": (None,), "chunks": (min(CHUNK_ROWS, rows),), **COMPRESSION}
     group = layout.create_stream(streams, record.stream, list(record.channels), **storage)
     group["time"][:] = joined.time
-    for place, spec in enumerate(record.channels):
-        group[spec.name][:] = joined.values[:, place]
+    for column, spec in enumerate(record.channels):
+        group[spec.name][:] = joined.values[:, column]
     for dataset in group.values():
         if checked:
             dataset.attrs["sha256"] = layout.digest(dataset)

@@ -49,12 +49,12 @@ BLOCK_ROWS: Final = 1 << 18  # 2 MiB of float64 at a time, whatever the length o
 TEXT: Final = h5py.string_dtype("utf-8")
 
 
-def plain(value: Any) -> Any:
+def to_python(value: Any) -> Any:
     """An attribute as Python sees it: str for bytes, a scalar for the one-element arrays that MATLAB writes."""
     if isinstance(value, np.ndarray):
         if value.size == 1:
-            return plain(value.reshape(-1)[0])
-        return value.tolist() if value.dtype.kind in "fiub" else [plain(item) for item in value]
+            return to_python(value.reshape(-1)[0])
+        return value.tolist() if value.dtype.kind in "fiub" else [to_python(item) for item in value]
     if isinstance(value, bytes):
         return value.rstrip(b"\0").decode("utf-8", "replace")
     if isinstance(value, h5py.Empty):
@@ -64,8 +64,8 @@ def plain(value: Any) -> Any:
 
 def attributes(node: Any) -> dict[str, Any]:
     """Attributes of a group or dataset, without those that HDF5 keeps for its dimension scales."""
-    own = {"CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS"}
-    return {name: plain(node.attrs[name]) for name in node.attrs if name not in own}
+    of_hdf5 = {"CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS"}
+    return {name: to_python(node.attrs[name]) for name in node.attrs if name not in of_hdf5}
 
 
 def storable(text: str) -> str:
@@ -98,8 +98,8 @@ def describe(file: Any, parameters: Mapping[str, Any], instruments: Mapping[str,
 def parameters(file: Any) -> dict[str, Any]:
     """The protocol's parameters with the values that were used; empty where the file does not say."""
     group = file.get("parameters")
-    found = attributes(group) if isinstance(group, h5py.Group) else {}
-    return {name: value for name, value in found.items() if is_parameter(value)}
+    values = attributes(group) if isinstance(group, h5py.Group) else {}
+    return {name: value for name, value in values.items() if is_parameter(value)}
 
 
 def is_parameter(value: Any) -> bool:
@@ -142,7 +142,7 @@ def is_text(dataset: Any) -> bool:
 
 def texts(dataset: Any, rows: int | None = None) -> list[str]:
     """A 1-D string dataset, of fixed or variable length, as str."""
-    return [str(plain(value)) for value in dataset[:rows]]
+    return [str(to_python(value)) for value in dataset[:rows]]
 
 
 def create_stream(streams: Any, name: str, specs: list[ChannelSpec], **storage: Any) -> Any:
@@ -162,7 +162,7 @@ def create_stream(streams: Any, name: str, specs: list[ChannelSpec], **storage: 
 
 def channel_attributes(spec: ChannelSpec) -> dict[str, str | float]:
     """The attributes that a channel is found and read by; those that say nothing are left out."""
-    found: dict[str, str | float] = {
+    required: dict[str, str | float] = {
         "units": spec.unit,
         "quantity": spec.quantity,
         "role": spec.role,
@@ -175,16 +175,16 @@ def channel_attributes(spec: ChannelSpec) -> dict[str, str | float]:
         "skew": spec.skew_s,
         "scale_std": spec.scale_std,
     }
-    return found | {key: value for key, value in optional.items() if value}
+    return required | {key: value for key, value in optional.items() if value}
 
 
-def datasets(node: Any, place: str = "") -> Iterator[tuple[str, Any]]:
+def datasets(node: Any, parent_path: str = "") -> Iterator[tuple[str, Any]]:
     """Every dataset of the file with its path; links that lead out of the file are not followed."""
     for name in node:
         if not isinstance(node.get(name, getlink=True), h5py.HardLink):
             continue
         child = node[name]
-        path = f"{place}/{name}"
+        path = f"{parent_path}/{name}"
         if isinstance(child, h5py.Group):
             yield from datasets(child, path)
         elif isinstance(child, h5py.Dataset):
@@ -200,7 +200,7 @@ def digest(dataset: Any) -> str:
     sha = hashlib.sha256()
     if is_text(dataset):
         if dataset.shape == ():
-            sha.update(str(plain(dataset[()])).encode())
+            sha.update(str(to_python(dataset[()])).encode())
         else:
             for text in texts(dataset):
                 sha.update(text.encode() + b"\0")

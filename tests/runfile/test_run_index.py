@@ -364,13 +364,13 @@ values = st.none() | st.integers() | st.floats(allow_nan=False, allow_infinity=F
 
 @given(st.text(), st.integers(0), st.dictionaries(st.text(), values | st.lists(values)), st.floats(0, 1e300))
 def test_a_summary_comes_back_as_it_was_or_is_left_out(tmp_path_factory, text, number, parameters, seconds):
-    from leactl.runfile.catalog.run_index import Catalogue, FileStamp, Indexed, save
+    from leactl.runfile.catalog.run_index import Catalogue, FileStamp, IndexedRun, save
 
     folder = Path("runs")
     run = Summary(folder, "a.h5", 5, text, text, seed=number, duration=seconds, parameters=parameters)
     rows = {
-        "a.h5": Indexed(FileStamp(5, 1, 2, 3), run),
-        "b.h5": Indexed(FileStamp(5, 1, 2, 3), run._replace(file="b.h5")),
+        "a.h5": IndexedRun(FileStamp(5, 1, 2, 3), run),
+        "b.h5": IndexedRun(FileStamp(5, 1, 2, 3), run._replace(file="b.h5")),
     }
     path = tmp_path_factory.getbasetemp() / "index.sqlite"
     save(Catalogue(folder, rows), path)

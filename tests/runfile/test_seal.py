@@ -161,7 +161,7 @@ def test_any_single_change_of_the_tree_is_noticed(complete: Path, data):
                 name = data.draw(st.sampled_from(sorted(layout.attributes(node))))
                 old = node.attrs[name]
                 new = data.draw(st.one_of(st.floats(allow_nan=False), st.text(max_size=5).map(layout.storable)))
-                if layout.plain(old) == new:
+                if layout.to_python(old) == new:
                     return
                 node.attrs[name] = new
     assert verify(copy)

@@ -1,7 +1,7 @@
-"""What is asked of runs in one expression: `condition == 'loaded' and experiment == 'friction' and hold_s >= 6`.
+"""Select runs by an expression: `condition == 'loaded' and experiment == 'friction' and hold_s >= 6`.
 
-The grammar is a part of Python's and is read by Python's own parser, but Python evaluates nothing of it: each node that
-is known here becomes a test of a run, and any other is refused. A run without a value fits no comparison with it.
+The grammar is a subset of Python's and is parsed by Python's own parser, but never evaluated by Python: each known node
+becomes a test of a run and any other node is refused. A comparison with a value that a run lacks is false.
 """
 
 import ast
@@ -18,9 +18,9 @@ from typing import Any, Final, get_type_hints
 from leactl.errors import InputError
 from leactl.runfile.summary import Summary
 
-LONGEST: Final = 2000  # characters, which bounds how deeply it is nested, too
-LONGEST_TOLD: Final = 80  # characters of it in a message
-MOST_NAMED: Final = 30  # names of parameters in a message
+MOST_CHARACTERS: Final = 2000  # characters, which bounds how deeply it is nested, too
+MOST_CHARACTERS_SHOWN: Final = 80  # characters of it in a message
+MOST_NAMES_SHOWN: Final = 30  # names of parameters in a message
 TEXT, NUMBER, MOMENT, TEXTS = "a text", "a number", "a date", "a list of texts"
 # what a name stands for; whatever else a run has is a parameter of its protocol
 KINDS: Final = {
@@ -36,7 +36,7 @@ RELATIONS: Final[dict[type[ast.cmpop], Callable[[Any, Any], bool]]] = {
     ast.Gt: operator.gt,
     ast.GtE: operator.ge,
 }
-TURNED: Final = {ast.Lt: ast.Gt, ast.LtE: ast.GtE, ast.Gt: ast.Lt, ast.GtE: ast.LtE}
+MIRRORED: Final = {ast.Lt: ast.Gt, ast.LtE: ast.GtE, ast.Gt: ast.Lt, ast.GtE: ast.LtE}
 ALLOWED: Final = "comparisons of names with values, and, or, not, in, is None and like(NAME, 'PATTERN')"
 
 Test = Callable[[Summary], bool]
@@ -45,15 +45,15 @@ Value = Callable[[Summary], Any]
 
 @dataclass(frozen=True)
 class NamedValue:
-    """A name in an expression: what it stands for, and how a run's value is had; None where the run has none."""
+    """A name in an expression, the kind of its values, and the function that reads a run's value (None if it has none)."""
 
     text: str
     kind: str  # empty for a parameter, which may be anything
     of: Value
 
 
-def test_of(text: str, parameters: Collection[str]) -> Test:
-    """Read an expression as a test of runs.
+def read_expression(text: str, parameters: Collection[str]) -> Test:
+    """Parse an expression into a test of runs.
 
     Parameters
     ----------
@@ -61,17 +61,17 @@ def test_of(text: str, parameters: Collection[str]) -> Test:
 
     Raises
     ------
-    InputError : it cannot be read, or has a name that no run has; in one line.
+    InputError : the expression cannot be parsed, or has a name that no run has; in one line.
     """
     return _Reader(text, parameters).read()
 
 
 def span_of(text: str) -> tuple[datetime, datetime]:
-    """The first moment that a day or a moment stands for, and the first after it; without a zone it is of UTC.
+    """Start and end of a day, or a moment twice; a text without a zone is taken as UTC.
 
     Raises
     ------
-    ValueError : it is neither.
+    ValueError : the text is neither a date nor an ISO 8601 moment.
     """
     try:
         if len(text) == len("2026-01-31"):
@@ -85,7 +85,7 @@ def span_of(text: str) -> tuple[datetime, datetime]:
 
 
 def moment_of(created: str) -> datetime | None:
-    """When a run was made; None where its file does not say so in ISO 8601."""
+    """When a run was created (UTC); None if its file has no ISO 8601 text."""
     try:
         return _utc(datetime.fromisoformat(created))
     except (ValueError, OverflowError):
@@ -97,14 +97,14 @@ def _utc(moment: datetime) -> datetime:
 
 
 class _Reader:
-    """The nodes of one expression as tests."""
+    """Parser of one expression: turns its nodes into tests of runs."""
 
     def __init__(self, text: str, parameters: Collection[str]) -> None:
         self._text, self._parameters = text, parameters
 
     def read(self) -> Test:
-        if len(self._text) > LONGEST:
-            raise InputError(f"--where: {len(self._text)} characters; at most {LONGEST} were expected")
+        if len(self._text) > MOST_CHARACTERS:
+            raise InputError(f"--where: {len(self._text)} characters; at most {MOST_CHARACTERS} were expected")
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # what Python thinks of '\d'
@@ -135,37 +135,39 @@ class _Reader:
                 return self._like(self._operand(name), pattern, node)
         raise self._fault(f"{self._source(node)} stands where one of {ALLOWED} was expected")
 
-    def _comparison(self, left: ast.expr, relation: ast.cmpop, right: ast.expr) -> Test:
-        one, other = self._operand(left), self._operand(right)
-        if not isinstance(one, NamedValue) and not isinstance(other, NamedValue):
-            raise self._fault(f"{self._source(left)} and {self._source(right)} are compared, and neither is a name")
+    def _comparison(self, left_node: ast.expr, relation: ast.cmpop, right_node: ast.expr) -> Test:
+        left_value, right_value = self._operand(left_node), self._operand(right_node)
+        if not isinstance(left_value, NamedValue) and not isinstance(right_value, NamedValue):
+            raise self._fault(
+                f"{self._source(left_node)} and {self._source(right_node)} are compared, and neither is a name"
+            )
         match relation:
             case ast.Is() | ast.IsNot():
-                return self._missing(one, other, isinstance(relation, ast.Is), right)
+                return self._missing(left_value, right_value, isinstance(relation, ast.Is), right_node)
             case ast.In() | ast.NotIn():
-                test = self._membership(one, other, right)
+                test = self._membership(left_value, right_value, right_node)
                 if isinstance(relation, ast.In):
                     return test
-                value = one.of if isinstance(one, NamedValue) else other.of
+                value = left_value.of if isinstance(left_value, NamedValue) else right_value.of
                 return lambda run: value(run) is not None and not test(run)
-        if not isinstance(one, NamedValue):
-            assert isinstance(other, NamedValue)
-            return self._relation(other, TURNED.get(type(relation), type(relation)), one, left)
-        return self._relation(one, type(relation), other, right)
+        if not isinstance(left_value, NamedValue):
+            assert isinstance(right_value, NamedValue)
+            return self._relation(right_value, MIRRORED.get(type(relation), type(relation)), left_value, left_node)
+        return self._relation(left_value, type(relation), right_value, right_node)
 
     def _relation(self, name: NamedValue, relation: type[ast.cmpop], other: Any, node: ast.expr) -> Test:
-        """Compare a run's value with another of its values, or with one that stands in the expression."""
+        """Compare a run's value with another value of the run, or with a constant of the expression."""
         compare, value = RELATIONS[relation], name.of
         if isinstance(other, NamedValue):
             second = other.of
-            return lambda run: _holds(compare, value(run), second(run))
+            return lambda run: _compares(compare, value(run), second(run))
         if name.kind == MOMENT:
             return self._in_time(name, relation, other, node)
         self._refuse_kind(name, other, node)
-        return lambda run: _holds(compare, value(run), other)
+        return lambda run: _compares(compare, value(run), other)
 
     def _in_time(self, name: NamedValue, relation: type[ast.cmpop], other: Any, node: ast.expr) -> Test:
-        """Compare a moment with a day, which is whole, or with another moment."""
+        """Compare the time of a run with a constant; a date stands for the whole day."""
         try:
             first, after = span_of(other)
         except (ValueError, TypeError):
@@ -184,40 +186,42 @@ class _Reader:
         test = tests[relation]
         return lambda run: (moment := value(run)) is not None and test(moment)
 
-    def _membership(self, one: Any, other: Any, node: ast.expr) -> Test:
-        """Whether a value is one of a list, or a text is part of a text or a member of a list."""
-        if isinstance(other, list) and isinstance(one, NamedValue):
-            tests = [self._relation(one, ast.Eq, item, node) for item in other]
+    def _membership(self, member: Any, container: Any, node: ast.expr) -> Test:
+        """Test for `in`: a name in a list of constants, or a constant in a text or list of the run."""
+        if isinstance(container, list) and isinstance(member, NamedValue):
+            tests = [self._relation(member, ast.Eq, item, node) for item in container]
             return lambda run: any(test(run) for test in tests)
-        if isinstance(other, NamedValue) and not isinstance(one, NamedValue):
-            if other.kind in (NUMBER, MOMENT):
-                raise self._fault(f"{other.text} is {other.kind} and holds no others; it is compared by == or <")
-            value = other.of
-            return lambda run: _is_part(one, value(run))
+        if isinstance(container, NamedValue) and not isinstance(member, NamedValue):
+            if container.kind in (NUMBER, MOMENT):
+                raise self._fault(
+                    f"{container.text} is {container.kind} and holds no others; it is compared by == or <"
+                )
+            value = container.of
+            return lambda run: _contains(member, value(run))
         raise self._fault(
             f"{self._source(node)} follows in; a list such as ('a', 'b'), or the name of a text or a list was expected"
         )
 
-    def _missing(self, one: Any, other: Any, wanted: bool, node: ast.expr) -> Test:
-        if not isinstance(one, NamedValue) or other is not None:
+    def _missing(self, left_value: Any, right_value: Any, wanted: bool, node: ast.expr) -> Test:
+        if not isinstance(left_value, NamedValue) or right_value is not None:
             raise self._fault(f"{self._source(node)} follows is; None was expected, and == elsewhere")
-        value = one.of
+        value = left_value.of
         return lambda run: (value(run) is None) == wanted
 
     def _like(self, name: Any, pattern: str, node: ast.expr) -> Test:
         if not isinstance(name, NamedValue) or name.kind in (NUMBER, MOMENT):
             raise self._fault(f"{self._source(node)}: the name of a text or of a list was expected first")
-        fits, value = re.compile(translate(pattern)).match, name.of
+        matches, value = re.compile(translate(pattern)).match, name.of
 
         def test(run: Summary) -> bool:
-            found = value(run)
-            texts = found if isinstance(found, list | tuple) else [found]
-            return any(isinstance(text, str) and fits(text) is not None for text in texts)
+            run_value = value(run)
+            texts = run_value if isinstance(run_value, list | tuple) else [run_value]
+            return any(isinstance(text, str) and matches(text) is not None for text in texts)
 
         return test
 
     def _operand(self, node: ast.expr) -> Any:
-        """A name, or a value: text, number, None, or a list of those."""
+        """The operand of a node: a NamedValue, a text, a number, None, or a list of constants."""
         match node:
             case ast.Name(name):
                 return self._name(name, node)
@@ -253,9 +257,9 @@ class _Reader:
     def _hint(self, name: str, known: Collection[str]) -> str:
         if close := get_close_matches(name, known, n=1):
             return f"; did you mean {close[0]!r}"
-        there = sorted(known)
-        more = f" and {len(there) - MOST_NAMED} more" if len(there) > MOST_NAMED else ""
-        return f"; known: {', '.join(there[:MOST_NAMED]) or 'none'}{more}; a text stands in quotes"
+        names = sorted(known)
+        more = f" and {len(names) - MOST_NAMES_SHOWN} more" if len(names) > MOST_NAMES_SHOWN else ""
+        return f"; known: {', '.join(names[:MOST_NAMES_SHOWN]) or 'none'}{more}; a text stands in quotes"
 
     def _refuse_kind(self, name: NamedValue, other: Any, node: ast.expr) -> None:
         expected = {TEXT: str, NUMBER: (int, float), TEXTS: list}.get(name.kind, object)
@@ -274,15 +278,15 @@ class _Reader:
 
 def _cut(text: str) -> str:
     line = " ".join(text.split())
-    return line if len(line) <= LONGEST_TOLD else f"{line[:LONGEST_TOLD]} ..."
+    return line if len(line) <= MOST_CHARACTERS_SHOWN else f"{line[:MOST_CHARACTERS_SHOWN]} ..."
 
 
 def _parameter(name: str) -> NamedValue:
     return NamedValue(name, "", lambda run: run.parameters.get(name))
 
 
-def _holds(compare: Callable[[Any, Any], bool], value: Any, other: Any) -> bool:
-    """Whether two values compare so; a text, a number and a list are unequal, and none is the greater."""
+def _compares(compare: Callable[[Any, Any], bool], value: Any, other: Any) -> bool:
+    """Apply a comparison; values of different kinds (text, number, list) are unequal and have no order."""
     if value is None or other is None:
         return False
     numbers = isinstance(value, int | float), isinstance(other, int | float)
@@ -293,7 +297,7 @@ def _holds(compare: Callable[[Any, Any], bool], value: Any, other: Any) -> bool:
     return compare is operator.ne
 
 
-def _is_part(value: Any, whole: Any) -> bool:
+def _contains(value: Any, whole: Any) -> bool:
     if isinstance(whole, str):
         return isinstance(value, str) and value in whole
     return isinstance(whole, list | tuple) and value in whole

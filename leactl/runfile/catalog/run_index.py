@@ -1,9 +1,8 @@
-"""The index of a folder of runs: what the list knows of each file, kept so that unchanged files are not opened again.
+"""Index of a folder of runs: the summaries of its files, kept so that unchanged files are not opened again.
 
-It is a SQLite file without anything of its own: what it holds was read from the run files and can be read again. A row
-counts only where its file is the same by size, times of change and inode as when it was read. The index is read into
-memory whole and written as a new file that takes the place of the old one, so that no locks are needed: of two
-processes that write at once the later one's file stays.
+The index is a SQLite file and can be rebuilt from the run files at any time. A row is valid only if the size, times
+and inode of its file have not changed since it was read. The whole index is read into memory and written as a new
+file that replaces the old one, so that no locks are needed: of two writers at the same time the later one remains.
 """
 
 import json
@@ -54,12 +53,12 @@ MISTYPED: Final = " OR ".join(
 Tell = Callable[[str], None]
 
 
-def silent(line: str) -> None:
-    """Tell nobody."""
+def ignore(line: str) -> None:
+    """Discard a line."""
 
 
 class FileStamp(NamedTuple):
-    """What a file is the same by."""
+    """File status by which an unchanged file is recognised."""
 
     size: int
     mtime_ns: int
@@ -71,42 +70,42 @@ UNSETTLED: Final = FileStamp(0, 0, 0, 0)  # of a file that is read again next ti
 NOT_THERE: Final = FileStamp(-1, -1, -1, -1)  # of a link that leads nowhere
 
 
-class Indexed(NamedTuple):
-    """What the index holds of a file."""
+class IndexedRun(NamedTuple):
+    """A run of the index, and the status of its file when it was read."""
 
     stamp: FileStamp
     run: Summary
 
 
-class Unusable(Exception):
-    """Why an index is made anew."""
+class UnusableIndex(Exception):
+    """The index file cannot be used and is built anew; the message says why."""
 
 
 @dataclass
 class Catalogue:
-    """The runs of a folder, and what was opened to know them."""
+    """The runs of a folder, with counts of the files that were opened or are gone."""
 
     directory: Path
-    rows: dict[str, Indexed] = field(default_factory=dict)  # by file, as the names sort
-    read: int = 0  # files that were opened
-    gone: int = 0  # files that the index knew and the folder has no more
-    changed: bool = False  # whether the index is to be written again
-    behind: bool = False  # whether the runs are others than the index had
+    rows: dict[str, IndexedRun] = field(default_factory=dict)  # by file, as the names sort
+    read: int = 0  # number of files that were opened
+    gone: int = 0  # number of files of the index that no longer exist
+    changed: bool = False  # whether the index has to be written
+    behind: bool = False  # whether the runs differ from those of the index
 
     @property
     def runs(self) -> list[Summary]:
-        """The runs, oldest first as their names sort."""
+        """The runs sorted by file name, which puts the oldest first."""
         return [row.run for row in self.rows.values()]
 
-    def refresh(self, workers: Workers = HERE, tell: Tell = silent) -> None:
-        """Open the files that are new or not what they were, and forget those that are gone.
+    def refresh(self, workers: Workers = HERE, tell: Tell = ignore) -> None:
+        """Read new and changed files, and drop files that no longer exist.
 
-        Where a stop ends it, what was read until then stays.
+        If it is interrupted, the files read so far are kept.
 
         Parameters
         ----------
-        workers : who opens them.
-        tell : is told how many are read.
+        workers : processes that open the files.
+        tell : called with a line of progress.
 
         Raises
         ------
@@ -122,8 +121,8 @@ class Catalogue:
         try:
             for done in workers.in_order(_summaries, jobs):
                 for run in done.value():
-                    stamp = stamps[run.file] if settled(run, stamps[run.file], began) else UNSETTLED
-                    self.rows[run.file] = Indexed(stamp, run)
+                    stamp = stamps[run.file] if is_settled(run, stamps[run.file], began) else UNSETTLED
+                    self.rows[run.file] = IndexedRun(stamp, run)
                     self.read += 1
                 if self.read % TOLD_EVERY == 0:
                     tell(f"{self.read} of {len(due)} files read")
@@ -134,29 +133,29 @@ class Catalogue:
                 self.behind = {name: row.run for name, row in known.items()} != {run.file: run for run in self.runs}
 
 
-def settled(run: Summary, stamp: FileStamp, read_ns: int) -> bool:
-    """Whether a file that looks the same later holds the same.
+def is_settled(run: Summary, stamp: FileStamp, read_ns: int) -> bool:
+    """Whether an unchanged file status will mean unchanged content.
 
-    Not one that could not be read, since the reason may lie outside the file, nor one that is recorded or young.
+    Not for an unreadable file, since the reason may lie outside it, nor for one still recorded or changed just before.
     """
     return not run.fault and run.status != RECORDING and stamp.mtime_ns < read_ns - YOUNG_NS
 
 
 def stamps_of(directory: Path) -> dict[str, FileStamp]:
-    """The run files of a folder as their names sort, each with what it is the same by; none is opened.
+    """File status of each run file of a folder, sorted by name; no file is opened.
 
     Raises
     ------
-    InputError : it is no folder, or cannot be read.
+    InputError : not a folder, or it cannot be read.
     """
     try:
         with os.scandir(directory) as entries:
-            there = {entry.name: _stamp(entry) for entry in entries if is_run_name(entry.name)}
+            stamps = {entry.name: _stamp(entry) for entry in entries if is_run_name(entry.name)}
     except NotADirectoryError:
         raise InputError(f"{directory}: not a directory") from None
     except OSError as fault:
         raise InputError(f"{directory}: cannot be read: {fault.strerror}") from fault
-    return {name: there[name] for name in sorted(there)}
+    return {name: stamps[name] for name in sorted(stamps)}
 
 
 def _stamp(entry: "os.DirEntry[str]") -> FileStamp:
@@ -176,23 +175,23 @@ def _summaries(directory: Path, names: Sequence[str]) -> list[Summary]:
     return [summary(directory / name) for name in names]
 
 
-def list_runs(directory: Path, index: Path | None = None, remark: Tell = silent) -> list[Summary]:
-    """Every run file of a folder, oldest first as their names sort, with its tags.
+def list_runs(directory: Path, index: Path | None = None, remark: Tell = ignore) -> list[Summary]:
+    """Summaries of all run files of a folder with their tags, sorted by file name.
 
-    An index that is there is used and brought up to date.
+    An existing index is used and brought up to date.
 
     Parameters
     ----------
-    index : where the index is, if not in the folder.
-    remark : is told in a line where the index was not up to date, could not be used or could not be written.
+    index : path of the index, if it is not in the folder.
+    remark : called with a line if the index was out of date, unusable or could not be written.
 
     Raises
     ------
-    InputError : no folder, or none of the files that `index` names.
+    InputError : no such folder, or no file at `index`.
     """
     path = index or directory / NAME
     if os.path.lexists(path):
-        catalogue = opened(directory, path, remark)
+        catalogue = load_catalogue(directory, path, remark)
         was_usable = not catalogue.changed
         catalogue.refresh()
         if was_usable and catalogue.behind:
@@ -213,27 +212,27 @@ def list_runs(directory: Path, index: Path | None = None, remark: Tell = silent)
 
 
 def update(
-    directory: Path, index: Path | None = None, remark: Tell = silent, workers: Workers = HERE, tell: Tell = silent
+    directory: Path, index: Path | None = None, remark: Tell = ignore, workers: Workers = HERE, tell: Tell = ignore
 ) -> tuple[Path, Catalogue]:
-    """Make the index of a folder, or bring it up to date; a stop keeps what was read until then.
+    """Create the index of a folder or bring it up to date; an interrupt keeps what was read so far.
 
     Parameters
     ----------
     index, remark : as of `list_runs`.
-    workers : who reads the runs.
-    tell : is told how many runs are read.
+    workers : processes that read the runs.
+    tell : called with a line of progress.
 
     Returns
     -------
-    Where the index is, and what it holds.
+    Path of the index, and its content.
 
     Raises
     ------
-    InputError : no folder, or one that takes no index; `index` names a file of another kind.
+    InputError : no such folder, a folder that cannot be written, or `index` names a file that is no index.
     """
     path = index or directory / NAME
     stamps_of(directory)
-    catalogue = opened(directory, path, remark)
+    catalogue = load_catalogue(directory, path, remark)
     try:
         if not catalogue.rows:  # minutes of reading may follow
             save(catalogue, path)
@@ -247,30 +246,30 @@ def update(
     return path, catalogue
 
 
-def opened(directory: Path, path: Path, remark: Tell) -> Catalogue:
-    """What the index knows of the folder: nothing where there is none, or none that can be used, which is told.
+def load_catalogue(directory: Path, path: Path, remark: Tell) -> Catalogue:
+    """Load the index of a folder; empty if there is none, or if it is unusable, which `remark` is told.
 
     Raises
     ------
-    InputError : the file is of another kind.
+    InputError : the file is no index of runs.
     """
     catalogue = Catalogue(directory)
-    refuse_other_files(path)
+    refuse_foreign_file(path)
     if os.path.lexists(path):
         try:
             catalogue.rows = read(path, directory)
-        except Unusable as reason:
+        except UnusableIndex as reason:
             catalogue.changed = True
             remark(f"{path}: {reason}; made anew from the files")
     return catalogue
 
 
-def refuse_other_files(path: Path) -> None:
-    """Refuse to take the place of a file that is no index, such as one whose name was mistaken for that of the index.
+def refuse_foreign_file(path: Path) -> None:
+    """Refuse to replace a file that is no index, for example one whose name was given by mistake.
 
     Raises
     ------
-    InputError : it holds something else.
+    InputError : the file exists and is no index.
     """
     if path.name == NAME or not os.path.lexists(path):
         return
@@ -282,12 +281,12 @@ def refuse_other_files(path: Path) -> None:
 
 
 def is_index(data: bytes) -> bool:
-    """Whether bytes begin as those of an index of any version."""
+    """Whether bytes begin like an index of any version."""
     return data.startswith(MAGIC) and data[APPLICATION_AT] == APPLICATION.to_bytes(4, "big")
 
 
-def read(path: Path, directory: Path) -> dict[str, Indexed]:
-    """What an index holds.
+def read(path: Path, directory: Path) -> dict[str, IndexedRun]:
+    """Read the rows of an index.
 
     Raises
     ------
@@ -297,29 +296,29 @@ def read(path: Path, directory: Path) -> dict[str, Indexed]:
         with open_regular(path, MOST_BYTES) as file:
             data = file.read()
     except OSError as fault:
-        raise Unusable(f"cannot be read: {fault.strerror}") from None
+        raise UnusableIndex(f"cannot be read: {fault.strerror}") from None
     if not is_index(data):
-        raise Unusable("is no index of runs")
+        raise UnusableIndex("is no index of runs")
     if (version := int.from_bytes(data[VERSION_AT], "big")) != VERSION:
-        raise Unusable(f"is of version {version}, this program's is {VERSION}")
+        raise UnusableIndex(f"is of version {version}, this program's is {VERSION}")
     # from memory: no journal that lies beside the file counts, and no lock is asked for
     with closing(sqlite3.connect(":memory:")) as base:
         try:
             base.deserialize(data)
             base.execute("PRAGMA trusted_schema = OFF")
             if [sql for (sql,) in base.execute("SELECT sql FROM sqlite_schema WHERE sql NOT NULL")] != tables():
-                raise Unusable("has other columns than this program's")
+                raise UnusableIndex("has other columns than this program's")
             (digest,) = base.execute("SELECT sha256 FROM digest").fetchone()
             if not isinstance(digest, str) or len(digest) != DIGITS or digest_of(data, digest) != digest:
-                raise Unusable("is damaged")
+                raise UnusableIndex("is damaged")
             if base.execute(f"SELECT EXISTS (SELECT * FROM runs WHERE {MISTYPED})").fetchone() != (0,):
-                raise Unusable("is damaged")
+                raise UnusableIndex("is damaged")
             return rows_of(base.execute("SELECT * FROM runs"), directory)
         except (sqlite3.Error, TypeError, ValueError, RecursionError):
-            raise Unusable("is damaged") from None
+            raise UnusableIndex("is damaged") from None
 
 
-def rows_of(records: Iterable[tuple[Any, ...]], directory: Path) -> dict[str, Indexed]:
+def rows_of(records: Iterable[tuple[Any, ...]], directory: Path) -> dict[str, IndexedRun]:
     """Records of the table as rows; parameters that many runs share are one mapping."""
     parameters: dict[str, Mapping[str, Any]] = {}
     rows = {}
@@ -330,16 +329,16 @@ def rows_of(records: Iterable[tuple[Any, ...]], directory: Path) -> dict[str, In
         run = Summary._make([directory, *known, parameters[text], ()])
         if run.fault:
             run = run._replace(fault=f"{run.path}: {run.fault}")
-        rows[run.file] = Indexed(FileStamp(run.size, mtime_ns, ctime_ns, inode) if ctime_ns else UNSETTLED, run)
+        rows[run.file] = IndexedRun(FileStamp(run.size, mtime_ns, ctime_ns, inode) if ctime_ns else UNSETTLED, run)
     return rows
 
 
 def save(catalogue: Catalogue, path: Path) -> None:
-    """Write the index as a new file that takes the place of the old one.
+    """Write the index to a new file that replaces the old one.
 
     Raises
     ------
-    NotWritten : the folder takes no file.
+    NotWritten : the file cannot be written.
     """
     with closing(sqlite3.connect(":memory:")) as base:
         base.execute(f"PRAGMA application_id = {APPLICATION}")
@@ -359,8 +358,8 @@ def save(catalogue: Catalogue, path: Path) -> None:
         temporary.write_bytes(data.replace(mark.encode(), digest_of(data, mark).encode()))
 
 
-def record_of(row: Indexed) -> tuple[Any, ...]:
-    """A row as the table has it."""
+def record_of(row: IndexedRun) -> tuple[Any, ...]:
+    """Convert a row to a record of the SQLite table."""
     # the folder may go by another name next time
     run = row.run._replace(fault=row.run.fault.removeprefix(f"{row.run.path}: "))
     _, *known, parameters, _ = run
@@ -368,11 +367,11 @@ def record_of(row: Indexed) -> tuple[Any, ...]:
 
 
 def tables() -> list[str]:
-    """How the tables are made."""
+    """SQL statements that create the tables."""
     columns = ", ".join(f"{name} {TYPES[name]}" for name in (*KNOWN, *STAMP))
     return [f"CREATE TABLE runs ({columns})", "CREATE TABLE digest (sha256 TEXT)"]
 
 
 def digest_of(data: bytes, stored: str) -> str:
-    """SHA-256 of an index with zeros in the place of the digest that is stored in it."""
+    """SHA-256 of an index in which the stored digest is replaced by zeros."""
     return sha256(data.replace(stored.encode(), b"0" * len(stored))).hexdigest()

@@ -1,4 +1,4 @@
-"""Choose and order runs of a list by what they are of, when they were made and what they were run with."""
+"""Select and sort runs by attributes, by date and by the parameters of their protocol."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -8,7 +8,7 @@ from typing import Any
 
 from leactl import yamlfile
 from leactl.errors import InputError
-from leactl.runfile.catalog.expression import Test, moment_of, span_of, test_of
+from leactl.runfile.catalog.expression import Test, moment_of, read_expression, span_of
 from leactl.runfile.summary import STATUSES, Summary
 
 KEYS = ("file", "created", "duration", "status", "protocol", "actuator", "condition", "bench", "operator")
@@ -17,7 +17,7 @@ ATTRIBUTES = (*KEYS, "run_id", "seed")  # of a run, where no parameter has the n
 
 @dataclass(frozen=True)
 class Selection:
-    """What is asked of a run; what is empty is not asked."""
+    """Criteria for runs; an empty field sets no criterion."""
 
     protocol: str = ""
     actuator: str = ""
@@ -30,11 +30,11 @@ class Selection:
 
     @property
     def empty(self) -> bool:
-        """Whether every run fits."""
+        """Whether there is no criterion, so that every run fits."""
         return self == Selection()
 
     def fits(self, run: Summary) -> bool:
-        """Whether a run is what is asked for; one that cannot be read never is."""
+        """Whether a run meets all criteria; an unreadable run never does."""
         texts = all(
             getattr(self, name) in ("", getattr(run, name)) for name in ("protocol", "actuator", "condition", "status")
         )
@@ -61,11 +61,11 @@ def selection_of(
     until: str = "",
     where: Sequence[str] = (),
 ) -> Selection:
-    """Read what the options of a command line ask of runs; days are of UTC, and the last one counts whole.
+    """Build the selection from command-line options; days are UTC, and the day of `until` is included.
 
     Raises
     ------
-    InputError : one line for each word that no run could fit.
+    InputError : one line for each option that no run could meet.
     """
     faults: list[str] = []
     if status and status not in STATUSES:
@@ -78,7 +78,7 @@ def selection_of(
         name, _, text = word.partition("=")
         if not is_pair(word):
             try:
-                tests.append(test_of(word, parameters))
+                tests.append(read_expression(word, parameters))
             except InputError as fault:
                 faults += fault.faults
         elif name not in known:
@@ -92,22 +92,22 @@ def selection_of(
 
 
 def is_pair(word: str) -> bool:
-    """Whether a word is NAME=VALUE, the short form of NAME == VALUE for a name that needs no quotes."""
+    """Whether a word has the short form NAME=VALUE of the expression NAME == VALUE."""
     name, equals, text = word.partition("=")
     return bool(name and equals) and not text.startswith("=") and not re.search(r"[!<>()'\"\s]", name)
 
 
 def parameters_of(runs: Iterable[Summary]) -> set[str]:
-    """Names of the parameters that any run has."""
+    """Names of all parameters of all runs."""
     return {name for _, parameters in _alike(runs) for name in parameters}
 
 
 def ordered(runs: Iterable[Summary], key: str) -> list[Summary]:
-    """Runs by one of `KEYS` or by a parameter, those without it last, equal ones as they come.
+    """Sort runs by one of `KEYS` or by a parameter; runs without the parameter come last, and the sort is stable.
 
     Raises
     ------
-    InputError : no such key, and no run has such a parameter.
+    InputError : `key` is neither one of `KEYS` nor a parameter of any run.
     """
     rows = list(runs)
     if key in KEYS:
@@ -119,7 +119,7 @@ def ordered(runs: Iterable[Summary], key: str) -> list[Summary]:
 
 
 def differing(runs: Iterable[Summary]) -> set[tuple[str, str]]:
-    """Protocols with those of their parameters that are not the same in all their runs."""
+    """Pairs (protocol, parameter) whose value differs between runs of the protocol."""
     seen: dict[tuple[str, str], list[Any]] = {}
     for protocol, parameters in _alike(runs):
         for name, value in parameters.items():
@@ -130,7 +130,7 @@ def differing(runs: Iterable[Summary]) -> set[tuple[str, str]]:
 
 
 def _alike(runs: Iterable[Summary]) -> Iterable[tuple[str, Mapping[str, Any]]]:
-    """Protocols with parameters, once for all runs that share the mapping, as those of an index do."""
+    """(protocol, parameters) of the runs; runs that share one mapping object, as those of an index do, give one pair."""
     return {(run.protocol, id(run.parameters)): (run.protocol, run.parameters) for run in runs}.values()
 
 
@@ -146,7 +146,7 @@ def _rank(value: Any) -> tuple[int, float, str]:
 
 
 def _values(word: str, text: str, faults: list[str]) -> Sequence[Any]:
-    """A value as `--set` reads it, and the same as text; a list of one may be kept as its value."""
+    """Values that match a word: as `--set` reads it and as text; for a list of one, also its only item."""
     if not text.startswith("["):
         return yamlfile.scalar(text), text
     try:
@@ -158,7 +158,7 @@ def _values(word: str, text: str, faults: list[str]) -> Sequence[Any]:
 
 
 def _moment(option: str, text: str, end: int, faults: list[str]) -> datetime | None:
-    """The moment that a date or a date with a time stands for; with `end` 1 the first after it."""
+    """The moment of a date or a date with time; `end` 0 gives its start, `end` 1 the first moment after it."""
     if not text:
         return None
     try:

@@ -1,4 +1,4 @@
-"""Describe run files without reading their data; a file that cannot be read is described by the reason."""
+"""Summarise run files without reading their samples; the summary of an unreadable file holds the reason."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -30,12 +30,12 @@ TEXTS = (
 
 
 def files_of(directory: Path) -> list[Path]:
-    """The run files of a directory by their names, none of them opened."""
+    """Paths of the run files of a directory, sorted by name; no file is opened."""
     return [directory / name for name in sorted(path.name for path in directory.iterdir() if is_run_name(path.name))]
 
 
 def summary(path: Path) -> Summary:
-    """Summary of one file."""
+    """Summary of one run file; its `fault` is not empty if the file cannot be read."""
     try:
         size = path.stat().st_size
     except OSError:  # a link that leads nowhere, or removed meanwhile: the door says so
@@ -52,7 +52,7 @@ def summary(path: Path) -> Summary:
                 path.name,
                 size,
                 **texts,
-                experiment=asked_in(protocol_text(file)) or texts["protocol"],
+                experiment=analysis_in(protocol_text(file)) or texts["protocol"],
                 mechanical=str(layout.attributes(file["setup"]).get("mechanical", "")) if "setup" in file else "",
                 simulated=int(root.get("simulated") == 1),
                 seed=value if isinstance(value := root.get("seed"), int) else None,
@@ -66,18 +66,18 @@ def summary(path: Path) -> Summary:
 
 
 def protocol_text(file: Any) -> str:
-    """The protocol's YAML as it was used; empty where the file has none as a single text."""
+    """YAML text of the protocol that the run used; empty if the file has no such scalar text."""
     source = file.get("protocol/source")
     if not isinstance(source, h5py.Dataset) or source.shape != () or not layout.is_text(source):
         return ""  # an array may be packed, and nobody has looked at what it unpacks to
-    return str(layout.plain(source[()]))
+    return str(layout.to_python(source[()]))
 
 
 @lru_cache(maxsize=64)  # a folder of thousands has runs of a few protocols
-def asked_in(protocol: str) -> str:
-    """`analysis` of a protocol's text; empty where it has none.
+def analysis_in(protocol: str) -> str:
+    """The key `analysis` of a protocol's YAML text; empty if it is absent or the text is no YAML.
 
-    A text that cannot be read counts as none, since the run may come from elsewhere.
+    Faults are ignored because the run may have been written by another program.
     """
     try:
         data = yamlfile.parse(protocol).data
@@ -88,22 +88,22 @@ def asked_in(protocol: str) -> str:
 
 
 def duration(times: Sequence[Any]) -> float:
-    """The last stamp of any stream."""
+    """Largest finite last stamp of any stream [s]; 0 if there is none."""
     stamps = np.concatenate([*(last_value(time) for time in times if is_column(time)), np.zeros(1)])
     return float(stamps[np.isfinite(stamps)].max())
 
 
 def is_column(item: Any) -> bool:
-    """Whether it is a dataset of numbers, one after the other."""
+    """Whether an HDF5 object is a one-dimensional dataset of numbers."""
     return isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu" and item.ndim == 1
 
 
 def run_files(given: Sequence[Path]) -> list[Path]:
-    """Return run files, those of folders included, in the order in which they are given.
+    """Return run files in the order given; a folder stands for the run files in it.
 
     Raises
     ------
-    InputError : one line for each path that leads to none.
+    InputError : one line for each path without a run file, or no path was given.
     """
     faults, paths = [], []
     for path in given:

@@ -1,6 +1,6 @@
-"""Tags: words by which people find runs again, in a file beside the runs, whose own files stay as they are.
+"""Tags of runs: words that people give to runs to find them again, stored in `tags.json` beside the run files.
 
-A tag is no finding about a run, as a note is, and changes often; docs/decisions/0018 says why it is in no run file.
+Run files are not changed: tags change often and say nothing about the measurement (docs/decisions/0018).
 """
 
 import json
@@ -27,22 +27,22 @@ Tag = Annotated[str, Field(pattern=f"^{WORD}$")]
 
 
 class TagFile(Block):
-    """The tags of a folder, each with its runs: by `run_id`, or by the name of the file where a run has none."""
+    """The tags of a folder, each with its runs, identified by `run_id` or, without one, by file name."""
 
     format: Literal["leactl-tags"] = "leactl-tags"
     format_version: Literal[1] = 1
     tags: dict[Tag, tuple[str, ...]] = {}
 
     def by_run(self) -> dict[str, tuple[str, ...]]:
-        """The tags of each run, as their letters sort."""
-        found: dict[str, tuple[str, ...]] = {}
+        """The tags of each run in alphabetical order."""
+        tags_by_run: dict[str, tuple[str, ...]] = {}
         for tag in sorted(self.tags):
             for run in self.tags[tag]:
-                found[run] = (*found.get(run, ()), tag)
-        return found
+                tags_by_run[run] = (*tags_by_run.get(run, ()), tag)
+        return tags_by_run
 
     def changed(self, tag: str, runs: Sequence[str], remove: bool) -> "TagFile":
-        """The tags with one that was given to runs, or taken from them."""
+        """A copy in which `tag` was added to runs, or removed from them."""
         before = self.tags.get(tag, ())
         after = sorted({*before} - {*runs} if remove else {*before, *runs})
         kept = {name: members for name, members in self.tags.items() if name != tag}
@@ -50,24 +50,24 @@ class TagFile(Block):
 
 
 def with_tags(directory: Path, runs: Sequence[Summary], remark: Callable[[str], None]) -> list[Summary]:
-    """Runs of a folder with their tags; a file that cannot be read is told, and the runs have none."""
+    """Return runs with the tags of their folder; if the tags cannot be read, call `remark` and return them untagged."""
     try:
         tags = read_tags(directory).by_run()
     except InputError as fault:
         remark(f"{fault}; no tags are known")
         return list(runs)
-    return [run._replace(tags=tags[name]) if (name := name_of(run)) in tags else run for run in runs]
+    return [run._replace(tags=tags[name]) if (name := tag_key_of(run)) in tags else run for run in runs]
 
 
 def change_tags(paths: Sequence[Path], tag: str, remove: bool) -> list[Summary]:
-    """Give runs a tag, or take it from them; gives the runs with the tags that they have then.
+    """Add a tag to runs, or remove it from them; return the runs with their new tags.
 
     Raises
     ------
-    InputError : no word for a tag, a run that cannot be read, or a file of tags that is damaged or cannot be written;
-        nothing is changed then.
+    InputError : the tag is no allowed word, a run cannot be read, or the file of tags is damaged or cannot be
+        written; nothing is changed then.
     """
-    refuse_other_words(tag)
+    refuse_bad_tag(tag)
     from leactl.runfile.catalog.summaries import summary  # h5py, which a list that has an index does without
 
     runs = [summary(path) for path in paths]
@@ -78,33 +78,33 @@ def change_tags(paths: Sequence[Path], tag: str, remove: bool) -> list[Summary]:
         folders.setdefault(run.folder, []).append(run)
     tags: dict[Path, dict[str, tuple[str, ...]]] = {}
     for folder, members in folders.items():
-        with held(folder):
-            changed = read_tags(folder).changed(tag, [name_of(run) for run in members], remove)
+        with locked(folder):
+            changed = read_tags(folder).changed(tag, [tag_key_of(run) for run in members], remove)
             with replacement(folder / NAME) as path:
                 path.write_text(json.dumps(changed.model_dump(), indent=1) + "\n", encoding="utf-8")
         tags[folder] = changed.by_run()
-    return [run._replace(tags=tags[run.folder].get(name_of(run), ())) for run in runs]
+    return [run._replace(tags=tags[run.folder].get(tag_key_of(run), ())) for run in runs]
 
 
-def refuse_other_words(tag: str) -> None:
-    """Refuse what is no tag, above all the last run where the tag was forgotten."""
+def refuse_bad_tag(tag: str) -> None:
+    """Raise InputError if a word cannot be a tag, for example a run file because the tag was forgotten."""
     if is_run_name(tag) or not re.fullmatch(WORD, tag):
         raise InputError(
             f"{shown(tag)} is no tag; a word of letters, digits, '_', '-' and '.' was expected behind the runs"
         )
 
 
-def name_of(run: Summary) -> str:
-    """What a run goes by in the file of tags."""
+def tag_key_of(run: Summary) -> str:
+    """Key of a run in the file of tags: its `run_id`, else its file name."""
     return run.run_id or run.file
 
 
 def read_tags(directory: Path) -> TagFile:
-    """The tags of a folder; none where it has no file of them.
+    """Read the tags of a folder; empty if it has no such file.
 
     Raises
     ------
-    InputError : the file is damaged, or of another kind or version.
+    InputError : the file is damaged, or has another format or version.
     """
     path = directory / NAME
     if not os.path.lexists(path):
@@ -116,17 +116,17 @@ def read_tags(directory: Path) -> TagFile:
         raise InputError(f"{path}: cannot be read: {fault.strerror}") from None
     except ValidationError as fault:
         first = fault.errors(include_url=False)[0]
-        place = ".".join(map(str, first["loc"]))
-        raise InputError(f"{path}: {f'{place}: ' if place else ''}{first['msg']}") from None
+        key_path = ".".join(map(str, first["loc"]))
+        raise InputError(f"{path}: {f'{key_path}: ' if key_path else ''}{first['msg']}") from None
     except (ValueError, RecursionError) as fault:
         raise InputError(f"{path}: is damaged: {' '.join(str(fault).split())}") from None
 
 
 @contextmanager
-def held(folder: Path) -> Iterator[None]:
-    """Keep other processes from changing the tags of a folder while the block lasts, where it can be locked.
+def locked(folder: Path) -> Iterator[None]:
+    """Lock a folder while the block runs, so that no other process changes its tags.
 
-    Some network folders cannot, nor can systems without POSIX: of two changes at once the later one stays there.
+    Some network folders and systems without POSIX cannot lock: of two changes at the same time the later one remains.
     """
     try:
         import fcntl

@@ -17,12 +17,12 @@ MORE: Final = 1 << 12  # bytes, and a thousandth, that deflate may add to what i
 
 def chunks(dataset: Any) -> list[Any]:
     """Every chunk of a dataset that was written, with its place in the dataset and in the file and its size there."""
-    found: list[Any] = []
-    dataset.chunk_iter(found.append)
-    return found
+    infos: list[Any] = []
+    dataset.chunk_iter(infos.append)
+    return infos
 
 
-def gives_more(dataset: Any, chunk: Any, most: int) -> bool:
+def exceeds_announced(dataset: Any, chunk: Any, most: int) -> bool:
     """Whether a packed chunk takes or gives more bytes than it announces; where it is damaged, HDF5 says so itself."""
     if chunk.size > most + most // 1000 + MORE:
         return True
@@ -35,23 +35,23 @@ def gives_more(dataset: Any, chunk: Any, most: int) -> bool:
 
 def unpacked(dataset: Any, chunk: Any, most: int, value_size: int) -> bytes | None:
     """The bytes of a packed chunk; None where it is damaged or gives more bytes than it announces."""
-    left: bytes = dataset.read_direct_chunk(chunk.chunk_offset)[1]
+    data: bytes = dataset.read_direct_chunk(chunk.chunk_offset)[1]
     used = [code for bit, code in enumerate(filters(dataset.get_create_plist())) if not chunk.filter_mask >> bit & 1]
-    room = most + CHECKSUM * (h5py.h5z.FILTER_FLETCHER32 in used)
+    most_bytes = most + CHECKSUM * (h5py.h5z.FILTER_FLETCHER32 in used)
     for code in reversed(used):
         if code == h5py.h5z.FILTER_FLETCHER32:
-            left = left[:-CHECKSUM]
+            data = data[:-CHECKSUM]
         elif code == h5py.h5z.FILTER_SHUFFLE:  # first bytes of all values, second bytes of all values ...
-            rows = len(left) // value_size
-            left = np.frombuffer(left, np.uint8, rows * value_size).reshape(value_size, rows).T.tobytes()
+            rows = len(data) // value_size
+            data = np.frombuffer(data, np.uint8, rows * value_size).reshape(value_size, rows).T.tobytes()
         else:
             try:
-                left = zlib.decompressobj().decompress(left, room + 1)
+                data = zlib.decompressobj().decompress(data, most_bytes + 1)
             except zlib.error:
                 return None
-            if len(left) > room:
+            if len(data) > most_bytes:
                 return None
-    return left
+    return data
 
 
 def last_value(dataset: Any) -> "np.ndarray[Any, Any]":
@@ -65,7 +65,7 @@ def last_value(dataset: Any) -> "np.ndarray[Any, Any]":
     if rows and dataset.chunks and h5py.h5z.FILTER_DEFLATE in filters(dataset.id.get_create_plist()):
         length = dataset.chunks[0]
         chunk = dataset.id.get_chunk_info_by_coord(((rows - 1) // length * length,))
-        if chunk.size and gives_more(dataset.id, chunk, length * dataset.dtype.itemsize):
+        if chunk.size and exceeds_announced(dataset.id, chunk, length * dataset.dtype.itemsize):
             raise OSError(f"the last chunk of {dataset.name} unpacks to more than it announces")
     values: np.ndarray[Any, Any] = dataset[-1:]
     return values

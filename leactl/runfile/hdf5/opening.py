@@ -67,11 +67,11 @@ def open_run_file(path: Path, root: dict[str, Any] | None = None, values: bool =
             try:
                 file = h5py.File(AsClosed(raw) if live else path, "r")
             except DAMAGE as fault:
-                raise InputError(f"{path}: {why(fault)}") from fault
+                raise InputError(f"{path}: {open_failure(fault)}") from fault
             try:
                 faults = faults_of_form(file, head) or faults_of_file(file, raw, {} if root is None else root, values)
             except DAMAGE as fault:
-                faults = [damage(fault)]
+                faults = [damage_text(fault)]
             if faults:
                 file.close()
             if not (tries and live and any(BEYOND_ITS_END in fault for fault in faults)):
@@ -96,13 +96,13 @@ def open_foreign(path: Path) -> Any:
         try:
             file = h5py.File(path, "r")
         except DAMAGE as fault:
-            raise InputError(f"{path}: {why(fault)}") from fault
+            raise InputError(f"{path}: {open_failure(fault)}") from fault
         try:
             faults = faults_of_sizes(file) or faults_of_foreign_tree(file, raw, longest_text(raw))
         except InputError as fault:
             faults = fault.faults
         except DAMAGE as fault:
-            faults = [damage(fault)]
+            faults = [damage_text(fault)]
         if faults:
             file.close()
             raise InputError([f"{path}: {fault}" for fault in faults])
@@ -138,16 +138,16 @@ def faults_of_file(file: Any, raw: BinaryIO, root: dict[str, Any], values: bool)
 
 
 @contextmanager
-def reading(path: Path, place: str = "") -> Iterator[None]:
+def reading(path: Path, hdf5_path: str = "") -> Iterator[None]:
     """Turn what HDF5 says of damaged data into one line with file and place."""
     try:
         yield
     except DAMAGE as fault:
-        where = f"{path}: {place}" if place else f"{path}"
-        raise InputError(f"{where}: {damage(fault)}") from fault
+        where = f"{path}: {hdf5_path}" if hdf5_path else f"{path}"
+        raise InputError(f"{where}: {damage_text(fault)}") from fault
 
 
-def damage(fault: Exception) -> str:
+def damage_text(fault: Exception) -> str:
     """What HDF5 says of data that it cannot read, in words a person can act on."""
     if isinstance(fault, MemoryError):
         return "holds more than fits into the memory of this computer"
@@ -155,7 +155,7 @@ def damage(fault: Exception) -> str:
     return TOO_NEW if "bad version number" in text else f"damaged: {text}"
 
 
-def why(fault: Exception) -> str:
+def open_failure(fault: Exception) -> str:
     """HDF5's reason in words a person can act on."""
     text = str(fault)
     if "signature not found" in text:
@@ -178,7 +178,7 @@ def faults_of_root(file: Any, longest: int, root: dict[str, Any]) -> list[str]:
             return faults
         root |= layout.attributes(file)
     except DAMAGE as fault:
-        return [f"its attributes cannot be read: {damage(fault)}"]
+        return [f"its attributes cannot be read: {damage_text(fault)}"]
     if root.get("format") != layout.FORMAT:
         return [f"not a run file: attribute 'format' is {shown(root.get('format'))}, expected {layout.FORMAT!r}"]
     if root.get("format_version") != layout.VERSION:

@@ -53,9 +53,9 @@ class AsClosed(io.RawIOBase):
         count = len(data)
         view[:count] = data
         if self._at < LENGTH:
-            told = as_closed(read_at(self._descriptor, LENGTH, 0), os.fstat(self._descriptor).st_size)
-            told = told[self._at : self._at + count]
-            view[: len(told)] = told
+            superblock = as_closed(read_at(self._descriptor, LENGTH, 0), os.fstat(self._descriptor).st_size)
+            superblock = superblock[self._at : self._at + count]
+            view[: len(superblock)] = superblock
         self._at += count
         return count
 
@@ -68,12 +68,12 @@ class AsClosed(io.RawIOBase):
 
 def as_closed(head: bytes, size: int) -> bytes:
     """The superblock of a live file as that of a closed one of this size; a spoiled one keeps a wrong checksum."""
-    told = bytearray(head)
-    told[FLAGS_AT] = 0
-    told[END_AT] = size.to_bytes(8, "little")
-    spoiled = checksum(head[: CHECKSUM_AT.start]) ^ int.from_bytes(head[CHECKSUM_AT], "little")
-    told[CHECKSUM_AT] = (checksum(bytes(told[: CHECKSUM_AT.start])) ^ spoiled).to_bytes(4, "little")
-    return bytes(told)
+    superblock = bytearray(head)
+    superblock[FLAGS_AT] = 0
+    superblock[END_AT] = size.to_bytes(8, "little")
+    checksum_error = checksum(head[: CHECKSUM_AT.start]) ^ int.from_bytes(head[CHECKSUM_AT], "little")
+    superblock[CHECKSUM_AT] = (checksum(bytes(superblock[: CHECKSUM_AT.start])) ^ checksum_error).to_bytes(4, "little")
+    return bytes(superblock)
 
 
 def checksum(data: bytes) -> int:
@@ -82,14 +82,14 @@ def checksum(data: bytes) -> int:
     for at in range(0, len(data), BLOCK.size):
         if at:
             for turn in (4, 6, 8, 16, 19, 4):
-                a, b, c = b, (c + b) & WORD, ((a - c) & WORD) ^ turned(c, turn)
+                a, b, c = b, (c + b) & WORD, ((a - c) & WORD) ^ rotated_left(c, turn)
         words = BLOCK.unpack(data[at : at + BLOCK.size].ljust(BLOCK.size, b"\0"))
         a, b, c = ((have + word) & WORD for have, word in zip((a, b, c), words, strict=True))
     for turn in (14, 11, 25, 16, 4, 14, 24):
-        a, b, c = b, ((c ^ b) - turned(b, turn)) & WORD, a
+        a, b, c = b, ((c ^ b) - rotated_left(b, turn)) & WORD, a
     return b
 
 
-def turned(word: int, bits: int) -> int:
+def rotated_left(word: int, bits: int) -> int:
     """A word of 32 bits rotated to the left."""
     return (word << bits | word >> (32 - bits)) & WORD

@@ -15,7 +15,7 @@ import numpy as np
 
 from leactl.errors import InputError
 from leactl.runfile import layout
-from leactl.runfile.hdf5.chunks import DEFLATE_AT_MOST, chunks, filters, gives_more, unpacked
+from leactl.runfile.hdf5.chunks import DEFLATE_AT_MOST, chunks, exceeds_announced, filters, unpacked
 
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 DEEPEST: Final = 8  # groups in one another; the layout has 3
@@ -186,7 +186,7 @@ class Tree:
             stored[h5py.h5o.get_info(item).addr] = taken
             size = max(0, storage.size - (DEFLATE_AT_MOST if storage.is_packed else 1) * taken)
             unwritten += size
-            largest = max(largest, (path, size), key=lambda one: one[1])
+            largest = max(largest, (path, size), key=lambda candidate: candidate[1])
         if unwritten > MOST_UNWRITTEN:
             return [
                 f"{largest[0]}: announces {largest[1]} bytes of values that were never written; at most"
@@ -228,21 +228,23 @@ class Tree:
         """
         size = TEXT_IN_HEAP.itemsize
         if storage.is_packed:
-            given = [unpacked(item, chunk, storage.chunk_size, size) for chunk in chunks(item)]
-            if any(one is None for one in given):
+            chunks_unpacked = [unpacked(item, chunk, storage.chunk_size, size) for chunk in chunks(item)]
+            if any(chunk_bytes is None for chunk_bytes in chunks_unpacked):
                 return None
-            taken = b"".join(one for one in given if one is not None)
-            return np.frombuffer(taken, TEXT_IN_HEAP, len(taken) // size)["length"].astype(np.int64)
+            references = b"".join(chunk_bytes for chunk_bytes in chunks_unpacked if chunk_bytes is not None)
+            return np.frombuffer(references, TEXT_IN_HEAP, len(references) // size)["length"].astype(np.int64)
         if storage.chunk_values:
             parts = [(chunk.byte_offset, chunk.size) for chunk in chunks(item)]
         else:
             parts = [(item.get_offset(), storage.announced * TEXT_IN_HEAP.itemsize)]
-        taken = b""
+        references = b""
         for at, size in parts:
             if at is not None:  # None: not written, or in the header
                 self._raw.seek(at)
-                taken += self._raw.read(min(size, self._file_size))
-        return np.frombuffer(taken, TEXT_IN_HEAP, len(taken) // TEXT_IN_HEAP.itemsize)["length"].astype(np.int64)
+                references += self._raw.read(min(size, self._file_size))
+        return np.frombuffer(references, TEXT_IN_HEAP, len(references) // TEXT_IN_HEAP.itemsize)["length"].astype(
+            np.int64
+        )
 
     def faults_of_packing(self) -> list[str]:
         """Chunks that unpack to more than they announce; where all of them together give little, none is looked at."""
@@ -252,23 +254,23 @@ class Tree:
         return [
             f"{path}: damaged: a chunk unpacks to more than the {storage.chunk_size} bytes that it announces"
             for path, item, storage in packed
-            if any(gives_more(item, chunk, storage.chunk_size) for chunk in chunks(item))
+            if any(exceeds_announced(item, chunk, storage.chunk_size) for chunk in chunks(item))
         ]
 
 
 def walk(group: Any, faults: list[str], deepest: int, path: str = "", depth: int = 0) -> Iterator[Node]:
     """Every group and dataset below a group; links that lead elsewhere become faults and are not followed."""
     for name, kind in links(group):
-        place = f"{path}/{name.decode('utf-8', 'surrogateescape')}"
+        node_path = f"{path}/{name.decode('utf-8', 'surrogateescape')}"
         if depth == deepest:  # as where a group holds itself: what else is in it does not count
-            raise InputError(f"{place}: lies in more than {deepest} groups; fewer were expected")
+            raise InputError(f"{node_path}: lies in more than {deepest} groups; fewer were expected")
         if kind != h5py.h5l.TYPE_HARD:
-            faults.append(f"{place}: a link instead of data; no link is followed")
+            faults.append(f"{node_path}: a link instead of data; no link is followed")
             continue
-        node = Node(place, h5py.h5o.open(group, name))
+        node = Node(node_path, h5py.h5o.open(group, name))
         yield node
         if isinstance(node.item, h5py.h5g.GroupID):
-            yield from walk(node.item, faults, deepest, place, depth + 1)
+            yield from walk(node.item, faults, deepest, node_path, depth + 1)
 
 
 def links(group: Any) -> list[tuple[bytes, int]]:
@@ -283,22 +285,22 @@ def links(group: Any) -> list[tuple[bytes, int]]:
     return named
 
 
-def faults_of_dataset(storage: Storage, place: str, foreign: bool = False) -> list[str]:
+def faults_of_dataset(storage: Storage, hdf5_path: str, foreign: bool = False) -> list[str]:
     """Values that lie elsewhere or cannot be had; a run has texts, a foreign file references to its own objects."""
     faults = []
     if storage.elsewhere:
-        faults.append(f"{place}: its values lie in another file; no other is opened")
-    faults += [f"{place}: filter {code} is neither gzip nor shuffle" for code in {*storage.filters} - KNOWN_FILTERS]
+        faults.append(f"{hdf5_path}: its values lie in another file; no other is opened")
+    faults += [f"{hdf5_path}: filter {code} is neither gzip nor shuffle" for code in {*storage.filters} - KNOWN_FILTERS]
     if len({*storage.filters}) < len(storage.filters):
-        faults.append(f"{place}: packed more than once")
+        faults.append(f"{hdf5_path}: packed more than once")
     if storage.shape is None:
-        faults.append(f"{place}: a dataset without values")
+        faults.append(f"{hdf5_path}: a dataset without values")
     elif storage.chunk_size > LARGEST_CHUNK:
-        faults.append(f"{place}: chunks of {storage.chunk_size} bytes; at most {LARGEST_CHUNK} were expected")
+        faults.append(f"{hdf5_path}: chunks of {storage.chunk_size} bytes; at most {LARGEST_CHUNK} were expected")
     elif storage.dtype.hasobject and not (is_reference(storage) if foreign else storage.is_text):
-        faults.append(f"{place}: values that are neither numbers nor {'references' if foreign else 'text'}")
+        faults.append(f"{hdf5_path}: values that are neither numbers nor {'references' if foreign else 'text'}")
     elif storage.dtype.hasobject and foreign and storage.announced > MOST_OBJECTS:
-        faults.append(f"{place}: {storage.announced} references; at most {MOST_OBJECTS} were expected")
+        faults.append(f"{hdf5_path}: {storage.announced} references; at most {MOST_OBJECTS} were expected")
     return faults
 
 
@@ -307,11 +309,11 @@ def is_reference(storage: Storage) -> bool:
     return h5py.check_ref_dtype(storage.dtype) is h5py.Reference
 
 
-def faults_of_attributes(size: int, place: str) -> list[str]:
+def faults_of_attributes(size: int, hdf5_path: str) -> list[str]:
     """Whether the attributes of one object are more than anybody writes."""
     if size <= MOST_ATTRIBUTES:
         return []
-    return [f"{place}: {size} bytes of attributes; at most {MOST_ATTRIBUTES} were expected"]
+    return [f"{hdf5_path}: {size} bytes of attributes; at most {MOST_ATTRIBUTES} were expected"]
 
 
 def attribute_bytes(item: Any) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.quantities import UNITS
-from leactl.runfile.align.alignment import autocorrelated
+from leactl.runfile.align.alignment import autocorrelated_variance
 from leactl.runfile.importing.mapping import Mapping
 from leactl.runfile.importing.streams import Stream
 from leactl.units import CONVERSIONS, TURN
@@ -21,10 +21,10 @@ Array = npt.NDArray[np.float64]
 FEWEST = 50  # rows that both channels have
 CALIBRATION = 0.05  # relative, between two sensors or a loop and its setpoint: a few percent, where units are right
 ERRORS = 4.0  # standard errors of the gain that a unit's factor may be off on top of that
-SURE = 0.1  # relative standard error above which a gain tells nothing
+LARGEST_GAIN_ERROR = 0.1  # relative standard error above which a gain tells nothing
 EXPLAINED = 0.9  # share of one channel that the other has to explain: what lags or is limited is no factor
-LOST = 2.0  # a factor less than this is what friction, ripple and limits make
-FACTOR = 20.0  # that is told although no unit makes it
+SMALLEST_TOLD_FACTOR = 2.0  # a factor less than this is what friction, ripple and limits make
+LARGEST_UNTOLD_FACTOR = 20.0  # that is told although no unit makes it
 VARIES = 0.1  # of a setpoint's root mean square: one that stays where it is shows a gain by its level alone
 BLOCKS = 40  # of a record, over which angles and velocities are compared as travel: counts and noise average out
 SETPOINTS: Final = {name.removesuffix("_reference"): name for name in UNITS if name.endswith("_reference")}
@@ -71,10 +71,10 @@ def notes_on_units(streams: dict[str, Stream], mapping: Mapping) -> Iterator[str
     for (quantity, role, location), column in columns.items():
         angle = columns.get(("angle", role, location)) if quantity == "velocity" else None
         if angle and column.target == f"{angle.target}/s":
-            yield from note(column, angle, f"the change of {angle.place}", gain_by_travel(column, angle))
+            yield from notes_on_gain(column, angle, f"the change of {angle.place}", gain_by_travel(column, angle))
         setpoint = columns.get((SETPOINTS.get(quantity, ""), role, location))
         if setpoint and column.target == setpoint.target:
-            yield from note(column, setpoint, setpoint.place, gain_by_setpoint(column, setpoint, quantity))
+            yield from notes_on_gain(column, setpoint, setpoint.place, gain_by_setpoint(column, setpoint, quantity))
 
 
 def mapped_columns(streams: dict[str, Stream], mapping: Mapping) -> Iterator[tuple[tuple[str, str, str], MappedColumn]]:
@@ -87,33 +87,36 @@ def mapped_columns(streams: dict[str, Stream], mapping: Mapping) -> Iterator[tup
             yield (spec.quantity, spec.role, spec.location), column
 
 
-def note(column: MappedColumn, other: MappedColumn, what: str, gain: Gain | None) -> Iterator[str]:
+def notes_on_gain(column: MappedColumn, other: MappedColumn, what: str, gain: Gain | None) -> Iterator[str]:
     """What a gain tells, where it is sure and not that of two channels in their units."""
-    if gain is None or gain.explained < EXPLAINED or gain.std > SURE * abs(gain.value):
+    if gain is None or gain.explained < EXPLAINED or gain.std > LARGEST_GAIN_ERROR * abs(gain.value):
         return
     size = abs(gain.value)
-    off = [(abs(math.log(size / factor)), named) for factor, named in [(1.0, ""), *unit_factors(column, other)]]
+    distances = [(abs(math.log(size / factor)), named) for factor, named in [(1.0, ""), *unit_factors(column, other)]]
     within = math.log1p(CALIBRATION) + ERRORS * gain.std / size
-    near = [named for distance, named in sorted(off) if distance <= within]
-    says = f"{column.place} reads {gain.value:.4g} times {what}"
-    if near and all(near):
-        yield f"{says}: {', or '.join(near)}? a gear of that ratio would look alike"
-    elif not 1.0 / FACTOR < size < FACTOR:
-        yield f"{says}: are scale and units of both right? a gear of that ratio would look alike"
+    candidates = [named for distance, named in sorted(distances) if distance <= within]
+    finding = f"{column.place} reads {gain.value:.4g} times {what}"
+    if candidates and all(candidates):
+        yield f"{finding}: {', or '.join(candidates)}? a gear of that ratio would look alike"
+    elif not 1.0 / LARGEST_UNTOLD_FACTOR < size < LARGEST_UNTOLD_FACTOR:
+        yield f"{finding}: are scale and units of both right? a gear of that ratio would look alike"
     elif gain.value < 0.0:
-        yield f"{says}: is the sign of both right?"
+        yield f"{finding}: is the sign of both right?"
 
 
 def unit_factors(column: MappedColumn, other: MappedColumn) -> list[tuple[float, str]]:
     """What a gain is where a column is in another unit than its mapping says, and in which."""
-    found = [*mistaken(column), *((1.0 / factor, named) for factor, named in mistaken(other))]
+    factors = [
+        *factors_of_mistaken_unit(column),
+        *((1.0 / factor, named) for factor, named in factors_of_mistaken_unit(other)),
+    ]
     if (column.units, other.units) == ("rad/s", "rad"):
         factor = CONVERSIONS["rad"]["deg"][0] / CONVERSIONS["rad/s"]["rpm"][0]
-        found.append((factor, f"{column.place} in rpm and {other.place} in deg, both taken for SI units"))
-    return [(factor, named) for factor, named in found if max(factor, 1.0 / factor) >= LOST]
+        factors.append((factor, f"{column.place} in rpm and {other.place} in deg, both taken for SI units"))
+    return [(factor, named) for factor, named in factors if max(factor, 1.0 / factor) >= SMALLEST_TOLD_FACTOR]
 
 
-def mistaken(column: MappedColumn) -> list[tuple[float, str]]:
+def factors_of_mistaken_unit(column: MappedColumn) -> list[tuple[float, str]]:
     """What a channel is multiplied by where its column is in another unit, and in which."""
     table = CONVERSIONS[column.target]
     given = table[column.units][0]
@@ -133,7 +136,7 @@ def gain_by_travel(velocity: MappedColumn, angle: MappedColumn) -> Gain | None:
         return None
     by_angle = unwrapped_steps(angle.values[both], by_velocity, angle.target)
     parts = np.linspace(0, len(by_angle), BLOCKS, endpoint=False).astype(int)
-    return fitted(np.add.reduceat(by_velocity, parts), np.add.reduceat(by_angle, parts))
+    return gain_through_zero(np.add.reduceat(by_velocity, parts), np.add.reduceat(by_angle, parts))
 
 
 def unwrapped_steps(angle: Array, by_velocity: Array, units: str) -> Array:
@@ -146,9 +149,9 @@ def unwrapped_steps(angle: Array, by_velocity: Array, units: str) -> Array:
     if units != "rad" or reach == 0.0:
         return steps
     if np.abs(steps).max() > 0.5 * reach:
-        return unwrapped(steps, by_velocity, turn_of(steps, reach))
+        return add_turns(steps, by_velocity, turn_of(steps, reach))
     # what turns by about whole turns from row to row seems to stand, or to turn slowly
-    turned = unwrapped(steps, by_velocity, TURN)
+    turned = add_turns(steps, by_velocity, TURN)
     changed = (turned != steps) & (CALIBRATION * np.abs(by_velocity) < 0.125 * TURN)
     close = np.abs(turned - by_velocity)[changed] <= CALIBRATION * np.abs(by_velocity)[changed]
     return turned if reach <= TURN and (not changed.any() or close.mean() > 0.5) else steps
@@ -161,7 +164,7 @@ def turn_of(steps: Array, reach: float) -> float:
     return TURN if abs(turn / TURN - 1.0) < CALIBRATION else turn
 
 
-def unwrapped(steps: Array, by_velocity: Array, turn: float) -> Array:
+def add_turns(steps: Array, by_velocity: Array, turn: float) -> Array:
     """Steps of a wrapped angle with as many turns added as bring each nearest to what the velocity says."""
     return np.asarray(steps + turn * np.round((by_velocity - steps) / turn), np.float64)
 
@@ -173,36 +176,36 @@ def gain_by_setpoint(column: MappedColumn, setpoint: MappedColumn, quantity: str
         return None
     measured, wanted = column.values[both], np.interp(column.time[both], setpoint.time, setpoint.values)
     if np.std(wanted) > VARIES * math.sqrt(float(np.mean(wanted**2))):
-        return fitted(measured - measured.mean(), wanted - wanted.mean())
-    return fitted(measured, wanted) if quantity != "angle" else None
+        return gain_through_zero(measured - measured.mean(), wanted - wanted.mean())
+    return gain_through_zero(measured, wanted) if quantity != "angle" else None
 
 
-def fitted(measured: Array, expected: Array) -> Gain | None:
+def gain_through_zero(measured: Array, expected: Array) -> Gain | None:
     """The line through zero of one channel over another; its error takes the residual's autocorrelation in."""
     power, squares = float(expected @ expected), float(measured @ measured)
     if power == 0.0 or squares == 0.0:
         return None
     gain = float(measured @ expected) / power
     residual = measured - gain * expected
-    std = math.sqrt(autocorrelated(residual * expected)) / power
+    std = math.sqrt(autocorrelated_variance(residual * expected)) / power
     return Gain(gain, std, 1.0 - float(residual @ residual) / squares)
 
 
-def implausible(stream: str, found: Stream) -> Iterator[str]:
+def implausible_values(name: str, stream: Stream) -> Iterator[str]:
     """What is wrong with a stream's numbers, one line each."""
-    if len(found.time) < 2:
-        yield f"stream {stream}: {len(found.time)} row; at least 2 were expected"
+    if len(stream.time) < 2:
+        yield f"stream {name}: {len(stream.time)} row; at least 2 were expected"
         return
-    interval = float(np.median(np.diff(found.time)))
+    interval = float(np.median(np.diff(stream.time)))
     if not SHORTEST_S <= interval <= LONGEST_S:
-        yield f"stream {stream}: {interval:.3g} s between samples; are time.units right?"
-    for spec, values in zip(found.specs, found.values, strict=True):
+        yield f"stream {name}: {interval:.3g} s between samples; are time.units right?"
+    for spec, values in zip(stream.specs, stream.values, strict=True):
         low, high = PLAUSIBLE.get(spec.unit, (-np.inf, np.inf))
         wrong = np.flatnonzero((values < low) | (values > high))
         if len(wrong):
             worst = values[wrong[0]]
-            told = f"{worst:.6g} {spec.unit} at {found.time[wrong[0]]:.6g} s is outside {low:g} .. {high:g}"
-            yield f"stream {stream}, channel {spec.name}: {told}; are units and scale right?"
+            finding = f"{worst:.6g} {spec.unit} at {stream.time[wrong[0]]:.6g} s is outside {low:g} .. {high:g}"
+            yield f"stream {name}, channel {spec.name}: {finding}; are units and scale right?"
 
 
 def notes_on_gaps(streams: dict[str, Stream]) -> Iterator[str]:

@@ -142,15 +142,15 @@ def units_named(text: str) -> str:
 
 def shaft_of(name: str) -> frozenset[str]:
     """The words of a name that say whose column it is, not what it measures or in which unit."""
-    said = {word for rule in table()["rules"] for group in rule["all"] for word in group}
-    said |= {
+    other_words = {word for rule in table()["rules"] for group in rule["all"] for word in group}
+    other_words |= {
         *table()["setpoint"],
         "value",
         "measured",
         "actual",
         *(alias for known in ALIASES.values() for alias in known),
     }
-    return frozenset(words_of(name)) - said
+    return frozenset(words_of(name)) - other_words
 
 
 def is_time(name: str) -> bool:

@@ -41,7 +41,7 @@ class NotDistinct(Exception):
     """Levels that cannot be told from noise; the message says where."""
 
 
-def held(time: Array, values: Array, least_s: float, settle_s: float, is_setpoint: bool) -> list[LevelHold]:
+def find_holds(time: Array, values: Array, least_s: float, settle_s: float, is_setpoint: bool) -> list[LevelHold]:
     """Stretches of `least_s` or more in which a channel stays at its level.
 
     One row off a setpoint's level is a stray, two in a row end a stretch; a reading's stretch ends where its mean
@@ -51,30 +51,33 @@ def held(time: Array, values: Array, least_s: float, settle_s: float, is_setpoin
     ------
     NotDistinct : a noisy channel without a change of level, or a level that wanders by more than noise explains.
     """
-    known = np.flatnonzero(np.isfinite(values))
-    if not len(known):
+    finite_rows = np.flatnonzero(np.isfinite(values))
+    if not len(finite_rows):
         return []
-    stamps, levels = time[known], without_strays(values[known])
+    stamps, levels = time[finite_rows], median_of_three(values[finite_rows])
     rounded = ROUNDED * float(np.abs(levels).max())
-    window = round(len(known) * least_s / WINDOWS / max(float(stamps[-1] - stamps[0]), least_s))
+    window = round(len(finite_rows) * least_s / WINDOWS / max(float(stamps[-1] - stamps[0]), least_s))
     # rows behind which a channel is silent for long, as a setpoint is in another mode of its drive
     silences = np.flatnonzero(np.diff(stamps, append=time[-1]) > least_s / WINDOWS) + 1
 
     def lasting(holds: Iterable[LevelHold]) -> dict[LevelHold, LevelHold]:
         """Parts of holds that last long enough, by known rows and among all."""
-        parts = {part: among_all(part, known, silences, len(values)) for part in parted(holds, silences)}
+        parts = {
+            part: rows_among_all(part, finite_rows, silences, len(values))
+            for part in split_at_silences(holds, silences)
+        }
         ends = {part: float(time[min(whole.after, len(time) - 1)]) for part, whole in parts.items()}
         return {part: whole for part, whole in parts.items() if ends[part] - time[whole.first] >= least_s}
 
-    found = lasting(repeated(levels, rounded)) if is_setpoint or window < FEWEST else {}
-    if not found and window >= FEWEST:
+    holds = lasting(constant_stretches(levels, rounded)) if is_setpoint or window < FEWEST else {}
+    if not holds and window >= FEWEST:
         means = WindowMeans(levels, window)
-        found = lasting(between_changes(levels, means, rounded))
-        refuse_wandering([*found], levels, means, stamps, settle_s, rounded)
-    return [*found.values()]
+        holds = lasting(between_changes(levels, means, rounded))
+        refuse_wandering([*holds], levels, means, stamps, settle_s, rounded)
+    return [*holds.values()]
 
 
-def without_strays(values: Array) -> Array:
+def median_of_three(values: Array) -> Array:
     """The median of each row and its neighbours: a row by itself is gone, an edge stays where it is."""
     if len(values) < 3:
         return values
@@ -82,7 +85,7 @@ def without_strays(values: Array) -> Array:
     return np.concatenate([values[:1], middle, values[-1:]])
 
 
-def parted(holds: Iterable[LevelHold], silences: Rows) -> Iterator[LevelHold]:
+def split_at_silences(holds: Iterable[LevelHold], silences: Rows) -> Iterator[LevelHold]:
     """The parts of holds between silences; what came before one is not known behind it."""
     for hold in holds:
         inside = silences[(silences > hold.first) & (silences < hold.after)].tolist()
@@ -90,7 +93,7 @@ def parted(holds: Iterable[LevelHold], silences: Rows) -> Iterator[LevelHold]:
             yield hold._replace(first=first, after=after, before=math.nan if first in silences else hold.before)
 
 
-def among_all(hold: LevelHold, known: Rows, silences: Rows, rows: int) -> LevelHold:
+def rows_among_all(hold: LevelHold, known: Rows, silences: Rows, rows: int) -> LevelHold:
     """A hold of known rows among all: up to the next known one, or to the last one before a silence."""
     if hold.after in silences:
         after = int(known[hold.after - 1]) + 1
@@ -99,7 +102,7 @@ def among_all(hold: LevelHold, known: Rows, silences: Rows, rows: int) -> LevelH
     return hold._replace(first=int(known[hold.first]), after=after)
 
 
-def repeated(values: Array, rounded: float) -> list[LevelHold]:
+def constant_stretches(values: Array, rounded: float) -> list[LevelHold]:
     """Stretches that repeat a value exactly."""
     changes = np.flatnonzero(np.abs(np.diff(values)) > rounded) + 1
     edges = [0, *changes.tolist(), len(values)]
@@ -115,7 +118,7 @@ class WindowMeans:
     def __init__(self, values: Array, window: int) -> None:
         rows = np.arange(len(values)) - 0.5 * (len(values) - 1)
         centred = values - values.mean()
-        mean, square, moment = (windowed(column, window) for column in (centred, centred**2, rows * centred))
+        mean, square, moment = (window_means(column, window) for column in (centred, centred**2, rows * centred))
         # without a slope, which is no noise: what a ramp leaves beside it is
         middle = rows[: len(mean)] + 0.5 * (window - 1)
         sloping = (moment - middle * mean) ** 2 / ((window**2 - 1) / 12.0)
@@ -147,7 +150,7 @@ class WindowMeans:
         self.colour = colour
 
 
-def windowed(values: Array, window: int) -> Array:
+def window_means(values: Array, window: int) -> Array:
     """The mean of every window, by the row that it begins at."""
     sums = np.concatenate([[0.0], np.cumsum(values)])
     return np.asarray((sums[window:] - sums[:-window]) / window, np.float64)
@@ -190,16 +193,16 @@ def hold_around(
     inner = values[first + window // 2 : after - window // 2]
     off = (inner if len(inner) >= window else values[first:after]) - level
     near = max(BEYOND * float(np.quantile(np.abs(off), TAIL)), count)
-    sway = max(CHANGE * float(np.std(smoothed(off, window // WINDOWS))), 0.5 * count)
+    sway = max(CHANGE * float(np.std(moving_mean(off, window // WINDOWS))), 0.5 * count)
     by_row = bounds[0] + np.flatnonzero(np.abs(values[bounds[0] : bounds[1]] - level) <= near)
     if not len(by_row):
         return None
     begin, end = int(by_row[0]), int(by_row[-1]) + 1
-    by_mean = begin + np.flatnonzero(np.abs(smoothed(values[begin:end] - level, window // WINDOWS)) <= sway)
+    by_mean = begin + np.flatnonzero(np.abs(moving_mean(values[begin:end] - level, window // WINDOWS)) <= sway)
     if not len(by_mean):
         return None
     start = int(by_mean[0])
-    return LevelHold(start, int(by_mean[-1]) + 1, level, came_from(values, start, level, near, window))
+    return LevelHold(start, int(by_mean[-1]) + 1, level, level_before(values, start, level, near, window))
 
 
 def runs_of(chosen: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
@@ -208,14 +211,14 @@ def runs_of(chosen: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
 
-def smoothed(values: Array, rows: int) -> Array:
+def moving_mean(values: Array, rows: int) -> Array:
     """The mean of so many rows around each."""
     from scipy.ndimage import uniform_filter1d
 
     return np.asarray(uniform_filter1d(values, rows, mode="nearest"), np.float64)
 
 
-def came_from(values: Array, first: int, level: float, near: float, window: int) -> float:
+def level_before(values: Array, first: int, level: float, near: float, window: int) -> float:
     """Where a channel was before it came to a level: the last row off it, or the mean of some where none is."""
     before = values[max(first - window, 0) : first]
     off = before[np.abs(before - level) > near]

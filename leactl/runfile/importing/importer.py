@@ -18,21 +18,21 @@ import numpy as np
 
 from leactl import __version__, yamlfile
 from leactl.errors import InputError
-from leactl.runfile.importing.checks import implausible, notes_on_gaps, notes_on_units
+from leactl.runfile.importing.checks import implausible_values, notes_on_gaps, notes_on_units
 from leactl.runfile.importing.joints import ALL, asks_for_joints, for_joint, joints_of
 from leactl.runfile.importing.mapping import PLACEHOLDER, FieldOf, Mapping
-from leactl.runfile.importing.parts import split
+from leactl.runfile.importing.parts import split_recording
 from leactl.runfile.importing.sources.registry import is_log, names, open_source
 from leactl.runfile.importing.sources.source import LogSource, MissingColumn, SourceRequest, WantedColumn
 from leactl.runfile.importing.steps import ImportedStep, steps_of
-from leactl.runfile.importing.streams import Stream, build_streams, number
+from leactl.runfile.importing.streams import Stream, build_streams, number_value
 from leactl.runfile.publish import move_without_overwriting, refuse_existing
 from leactl.runfile.write.description import RunInfo, faults_of
 from leactl.runfile.write.writer import RunWriter
 
 
 @dataclass
-class Imported:
+class ImportedRun:
     """A run that is ready to be written."""
 
     info: RunInfo
@@ -53,10 +53,10 @@ def import_runs(sources: Sequence[str], mapping_path: Path, out: Path, joints: S
     ------
     InputError : a fault in the mapping or in a source, one line each, or a file that exists already.
     """
-    return write(read_runs(sources, mapping_path, joints), out)
+    return write_runs(read_runs(sources, mapping_path, joints), out)
 
 
-def read_runs(sources: Sequence[str], mapping_path: Path, joints: Sequence[str] = ()) -> list[Imported]:
+def read_runs(sources: Sequence[str], mapping_path: Path, joints: Sequence[str] = ()) -> list[ImportedRun]:
     """Read every source under one mapping into runs that are ready to be written.
 
     Parameters
@@ -68,39 +68,41 @@ def read_runs(sources: Sequence[str], mapping_path: Path, joints: Sequence[str] 
     ------
     InputError : a fault in the mapping or in a source, one line each.
     """
-    return read_by(sources, yamlfile.load(mapping_path), joints)
+    return read_by_mapping(sources, yamlfile.load(mapping_path), joints)
 
 
-def read_by(sources: Sequence[str], document: yamlfile.Document, joints: Sequence[str] = ()) -> list[Imported]:
+def read_by_mapping(
+    sources: Sequence[str], document: yamlfile.Document, joints: Sequence[str] = ()
+) -> list[ImportedRun]:
     """Read every source under a mapping that is loaded already."""
     mapping = document.validate(Mapping)
     if mapping.format is not None and mapping.format not in names():
-        told = f"{mapping.format!r} is no format; one of {', '.join(names())} was expected"
-        raise InputError(document.fault(("format",), told))
+        message = f"{mapping.format!r} is no format; one of {', '.join(names())} was expected"
+        raise InputError(document.fault(("format",), message))
     if joints:
         mapping = mapping.model_copy(update={"joints": ALL if ALL in joints else tuple(dict.fromkeys(joints))})
-    runs: list[Imported] = []
+    runs: list[ImportedRun] = []
     faults: list[str] = []
-    for path in expanded(sources):
+    for path in expand_patterns(sources):
         try:
-            runs += read(path, mapping, document)
+            runs += read_source(path, mapping, document)
         except InputError as error:
             faults += [line for line in error.faults if line not in faults]
     run_ids = [run.info.run_id for run in runs]
-    faults += [f"{name}.h5: several sources make this run; import them apart" for name in repeated(run_ids)]
+    faults += [f"{name}.h5: several sources make this run; import them apart" for name in duplicates(run_ids)]
     if faults:
         raise InputError(faults)
     return runs
 
 
-def repeated(names: Sequence[str]) -> list[str]:
+def duplicates(names: Sequence[str]) -> list[str]:
     """Names that stand more than once."""
     return sorted({name for name in names if names.count(name) > 1})
 
 
-def expanded(sources: Sequence[str]) -> list[Path]:
+def expand_patterns(sources: Sequence[str]) -> list[Path]:
     """The files that paths and patterns stand for, each once."""
-    found: list[Path] = []
+    paths: list[Path] = []
     for text in sources:
         if is_log(Path(text)):
             matches = [text]
@@ -111,11 +113,11 @@ def expanded(sources: Sequence[str]) -> list[Path]:
         if not matches:
             is_there = Path(text).exists()
             raise InputError(f"{text}: {'a regular file was expected; this is none' if is_there else 'no such file'}")
-        found += [Path(match) for match in matches if Path(match) not in found]
-    return found
+        paths += [Path(match) for match in matches if Path(match) not in paths]
+    return paths
 
 
-def read(path: Path, mapping: Mapping, document: yamlfile.Document) -> list[Imported]:
+def read_source(path: Path, mapping: Mapping, document: yamlfile.Document) -> list[ImportedRun]:
     """Read one source into the runs that its mapping makes of it.
 
     Raises
@@ -123,10 +125,10 @@ def read(path: Path, mapping: Mapping, document: yamlfile.Document) -> list[Impo
     InputError : everything that is wrong with it, one line each.
     """
     mappings = mappings_by_joint(path, mapping, document)
-    columns = [column for each, _ in mappings.values() for column in wanted(each)]
-    labels = [column for each, _ in mappings.values() for column in labelled(each)]
+    columns = [column for each, _ in mappings.values() for column in wanted_columns(each)]
+    labels = [column for each, _ in mappings.values() for column in label_columns(each)]
     source = open_source(path, mapping.format, SourceRequest(columns, labels, mapping.csv))
-    runs: list[Imported] = []
+    runs: list[ImportedRun] = []
     faults: list[str] = []
     for joint, (each, its_document) in mappings.items():
         try:
@@ -149,30 +151,34 @@ def mappings_by_joint(
     """
     if not asks_for_joints(document):
         if mapping.joints:
-            told = f"joints are asked for, and {PLACEHOLDER} stands in no path of the mapping"
-            raise InputError(document.fault(("joints",), told))
+            message = f"joints are asked for, and {PLACEHOLDER} stands in no path of the mapping"
+            raise InputError(document.fault(("joints",), message))
         return {"": (mapping, document)}
     joints = mapping.joints
     if joints == ALL or not joints:
-        listed = open_source(path, mapping.format, SourceRequest(None, csv=mapping.csv)).tables()
-        known = joints_of(path, mapping, listed, document)
+        tables = open_source(path, mapping.format, SourceRequest(None, csv=mapping.csv)).tables()
+        known = joints_of(path, mapping, tables, document)
         if not joints:
-            told = f"{PLACEHOLDER} stands in the mapping; give joints: or --joint as all or some of {', '.join(known)}"
-            raise InputError(document.fault(("joints",), told))
+            message = (
+                f"{PLACEHOLDER} stands in the mapping; give joints: or --joint as all or some of {', '.join(known)}"
+            )
+            raise InputError(document.fault(("joints",), message))
         joints = tuple(known)
     return {joint: for_joint(document, joint) for joint in joints}
 
 
-def read_joint(source: LogSource, joint: str, mapping: Mapping, document: yamlfile.Document) -> list[Imported]:
+def read_joint(source: LogSource, joint: str, mapping: Mapping, document: yamlfile.Document) -> list[ImportedRun]:
     """The runs of one joint, or those of a source without any."""
     streams = build_streams(source, mapping, document)
-    doubtful = [f"{source.path}: {line}" for name, stream in streams.items() for line in implausible(name, stream)]
+    doubtful = [
+        f"{source.path}: {line}" for name, stream in streams.items() for line in implausible_values(name, stream)
+    ]
     if doubtful:
         raise InputError(doubtful)
     notes = [f"{source.path}: {line}" for line in (*notes_on_gaps(streams), *notes_on_units(streams, mapping))]
-    parts = split(source.path, streams, mapping, document)
+    parts = split_recording(source.path, streams, mapping, document)
     runs = [
-        describe(source, "-".join(filter(None, (joint, suffix))), part, mapping, document, notes)
+        describe_run(source, "-".join(filter(None, (joint, suffix))), part, mapping, document, notes)
         for suffix, part in parts
     ]
     faults = [fault for run in runs for fault in faults_of(run.info, {n: s.specs for n, s in run.streams.items()})]
@@ -181,7 +187,7 @@ def read_joint(source: LogSource, joint: str, mapping: Mapping, document: yamlfi
     return runs
 
 
-def wanted(mapping: Mapping) -> list[WantedColumn]:
+def wanted_columns(mapping: Mapping) -> list[WantedColumn]:
     """Every column and field that a mapping speaks of."""
     columns: list[WantedColumn] = []
     fields = [*mapping.setup.values(), *mapping.parameters.values(), *(value for _, value in mapping.run)]
@@ -190,34 +196,42 @@ def wanted(mapping: Mapping) -> list[WantedColumn]:
         for channel in stream.channels.values():
             columns.append(WantedColumn(channel.column, stream.records))
             fields += [channel.scale, channel.offset]
-    by = mapping.steps_by_column
-    columns += [WantedColumn(by.time.column)] if by and by.time and by.time.column is not None else []
+    by_column = mapping.steps_by_column
+    columns += (
+        [WantedColumn(by_column.time.column)]
+        if by_column and by_column.time and by_column.time.column is not None
+        else []
+    )
     return columns + [WantedColumn(value.field) for value in fields if isinstance(value, FieldOf)]
 
 
-def labelled(mapping: Mapping) -> list[WantedColumn]:
+def label_columns(mapping: Mapping) -> list[WantedColumn]:
     """The column that steps are named by, where there is one."""
-    by = mapping.steps_by_column
-    return [WantedColumn(by.column, None if by.time else mapping.streams[by.stream].records)] if by else []
+    by_column = mapping.steps_by_column
+    return (
+        [WantedColumn(by_column.column, None if by_column.time else mapping.streams[by_column.stream].records)]
+        if by_column
+        else []
+    )
 
 
-def describe(
+def describe_run(
     source: LogSource,
     suffix: str,
     streams: dict[str, Stream],
     mapping: Mapping,
     document: yamlfile.Document,
     notes: list[str],
-) -> Imported:
+) -> ImportedRun:
     """Put together what is known of one run."""
     about = {
-        name: text(source, value, ("run", name), document)
+        name: text_value(source, value, ("run", name), document)
         for name, value in mapping.run
         if name not in ("created", "simulated")
     }
     setup, parameters = (
         {
-            name: value if isinstance(value, str) else number(source, value, (block, name), document)
+            name: value if isinstance(value, str) else number_value(source, value, (block, name), document)
             for name, value in getattr(mapping, block).items()
         }
         for block in ("setup", "parameters")
@@ -228,7 +242,7 @@ def describe(
         simulated=mapping.run.simulated,
         mechanical=mapping.mechanical,
         software=f"leactl {__version__}",
-        created=created(source, mapping, document),
+        created=created_text(source, mapping, document),
         setup=setup,
         parameters=parameters,
         instruments={name: instrument.facts for name, instrument in mapping.instruments.items()},
@@ -240,7 +254,7 @@ def describe(
     )
     steps = steps_of(streams, mapping, document, str(source.path))
     origin = f"{source.path.name} (SHA-256 {digest_of(source.path)}) by {Path(document.name).name}"
-    return Imported(info, streams, steps, origin, notes)
+    return ImportedRun(info, streams, steps, origin, notes)
 
 
 def digest_of(path: Path) -> str:
@@ -252,31 +266,31 @@ def digest_of(path: Path) -> str:
         return hashlib.file_digest(content, "sha256").hexdigest()
 
 
-def text(source: LogSource, value: str | FieldOf, place: tuple[str, ...], document: yamlfile.Document) -> str:
+def text_value(source: LogSource, value: str | FieldOf, keys: tuple[str, ...], document: yamlfile.Document) -> str:
     """A text that the mapping gives, or the field that it points to."""
     if isinstance(value, str):
         return value
     try:
-        found = source.field(value.field)
+        field_value = source.field(value.field)
     except MissingColumn as lacking:
-        raise InputError(document.fault((*place, "field"), str(lacking))) from None
-    return found if isinstance(found, str) else f"{value.scale * found + value.offset:g}"
+        raise InputError(document.fault((*keys, "field"), str(lacking))) from None
+    return field_value if isinstance(field_value, str) else f"{value.scale * field_value + value.offset:g}"
 
 
-def created(source: LogSource, mapping: Mapping, document: yamlfile.Document) -> str:
+def created_text(source: LogSource, mapping: Mapping, document: yamlfile.Document) -> str:
     """When the run was recorded: as the mapping says, else as the source says, else its file's time."""
     if mapping.run.created is None:
         moment = source.began or datetime.fromtimestamp(source.path.stat().st_mtime, UTC)
     else:
-        given = text(source, mapping.run.created, ("run", "created"), document)
+        written = text_value(source, mapping.run.created, ("run", "created"), document)
         try:
-            moment = datetime.fromisoformat(given)
+            moment = datetime.fromisoformat(written)
         except ValueError:
-            raise InputError(document.fault(("run", "created"), f"{given!r} is no ISO 8601 date")) from None
+            raise InputError(document.fault(("run", "created"), f"{written!r} is no ISO 8601 date")) from None
     return f"{(moment if moment.tzinfo else moment.replace(tzinfo=UTC)).astimezone(UTC):%Y-%m-%dT%H:%M:%SZ}"
 
 
-def targets_of(runs: Sequence[Imported], out: Path) -> list[Path]:
+def targets_of(runs: Sequence[ImportedRun], out: Path) -> list[Path]:
     """The file that each run gets.
 
     Raises
@@ -289,7 +303,7 @@ def targets_of(runs: Sequence[Imported], out: Path) -> list[Path]:
     return targets
 
 
-def write(runs: Sequence[Imported], out: Path) -> list[Path]:
+def write_runs(runs: Sequence[ImportedRun], out: Path) -> list[Path]:
     """Write all runs aside, then give each its name."""
     targets = targets_of(runs, out)
     try:

@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 Streams = dict[str, Stream]
 
 
-def split(path: Path, streams: Streams, mapping: Mapping, document: Document) -> list[tuple[str, Streams]]:
+def split_recording(path: Path, streams: Streams, mapping: Mapping, document: Document) -> list[tuple[str, Streams]]:
     """The runs of a recording with their suffixes; the whole under an empty one where nothing is split.
 
     Raises
@@ -26,7 +26,7 @@ def split(path: Path, streams: Streams, mapping: Mapping, document: Document) ->
         return by_direction(path, streams, mapping.by_direction, document)
     if not mapping.parts:
         return [("", streams)]
-    faults, found = [], []
+    faults, runs = [], []
     for index, part in enumerate(mapping.parts):
         if part.rows is not None:
             first, last = part.rows
@@ -34,34 +34,34 @@ def split(path: Path, streams: Streams, mapping: Mapping, document: Document) ->
             reached = last <= min(len(stream.time) for stream in streams.values())
         else:
             begin, end = part.time_s or (0.0, 0.0)
-            cut = during(streams, begin, end)
+            cut = cut_to(streams, begin, end)
             reached = end <= max(float(stream.time[-1]) for stream in streams.values()) * (1 + 1e-9) + 1e-9
         if not reached or any(len(stream.time) < 2 for stream in cut.values()):
             rows = ", ".join(f"{n} {len(s.time)} rows, {s.time[-1]:.6g} s" for n, s in streams.items())
             faults.append(document.fault(("parts", index), f"{path}: reaches beyond the recording ({rows})"))
         else:
-            found.append((part.suffix, from_zero(cut)))
+            runs.append((part.suffix, from_zero(cut)))
     if faults:
         raise InputError(faults)
-    return found
+    return runs
 
 
-def by_direction(path: Path, streams: Streams, wanted: ByDirection, document: Document) -> list[tuple[str, Streams]]:
+def by_direction(path: Path, streams: Streams, settings: ByDirection, document: Document) -> list[tuple[str, Streams]]:
     """One run for each sweep."""
-    name, channel = wanted.channel.split("/")
+    name, channel = settings.channel.split("/")
     stream = streams[name]
-    found: list[tuple[str, Streams]] = []
-    counted = {"forward": 0, "reverse": 0}
-    for first, last, ahead in sweeps(stream.channel(channel), wanted.least):
+    runs: list[tuple[str, Streams]] = []
+    counts = {"forward": 0, "reverse": 0}
+    for first, last, ahead in sweeps(stream.channel(channel), settings.least):
         direction = "forward" if ahead else "reverse"
-        counted[direction] += 1
-        suffix = direction if counted[direction] == 1 else f"{direction}-{counted[direction]}"
+        counts[direction] += 1
+        suffix = direction if counts[direction] == 1 else f"{direction}-{counts[direction]}"
         end = stream.time[last - 1] + 0.5 * (stream.time[last - 1] - stream.time[last - 2])
-        found.append((suffix, from_zero(during(streams, float(stream.time[first]), float(end)))))
-    if not found:
-        told = f"{path}: {wanted.channel} never travels {wanted.least:g} in one direction"
-        raise InputError([document.fault(("by_direction", "least"), told)])
-    return found
+        runs.append((suffix, from_zero(cut_to(streams, float(stream.time[first]), float(end)))))
+    if not runs:
+        message = f"{path}: {settings.channel} never travels {settings.least:g} in one direction"
+        raise InputError([document.fault(("by_direction", "least"), message)])
+    return runs
 
 
 def sweeps(values: Array, least: float) -> list[tuple[int, int, bool]]:
@@ -71,10 +71,10 @@ def sweeps(values: Array, least: float) -> list[tuple[int, int, bool]]:
     place is no turn.
     """
     turns: list[tuple[int, bool]] = []  # extreme, whether it ends a way ahead
-    good = np.flatnonzero(np.isfinite(values))
-    low = high = int(good[0])
+    finite_rows = np.flatnonzero(np.isfinite(values))
+    low = high = int(finite_rows[0])
     ahead: bool | None = None
-    for index in good.tolist():
+    for index in finite_rows.tolist():
         if values[index] > values[high]:
             high = index
         if values[index] < values[low]:
@@ -91,8 +91,8 @@ def sweeps(values: Array, least: float) -> list[tuple[int, int, bool]]:
         return []
     ends = [*turns, ((high if ahead else low), ahead)]
     starts = [ends[0][0], *(turn + 1 for turn, _ in ends[1:-1])]  # a turning point ends its sweep and begins none
-    found = [(first, last + 1, up) for first, (last, up) in zip(starts, ends[1:], strict=True)]
-    return [(first, last, up) for first, last, up in found if travel(values[first:last]) >= least]
+    stretches = [(first, last + 1, up) for first, (last, up) in zip(starts, ends[1:], strict=True)]
+    return [(first, last, up) for first, last, up in stretches if travel(values[first:last]) >= least]
 
 
 def travel(values: Array) -> float:
@@ -100,7 +100,7 @@ def travel(values: Array) -> float:
     return float(np.nanmax(values) - np.nanmin(values))
 
 
-def during(streams: Streams, begin: float, end: float) -> Streams:
+def cut_to(streams: Streams, begin: float, end: float) -> Streams:
     """What every stream has from one instant up to before another."""
     return {
         name: stream.rows(int(np.searchsorted(stream.time, begin)), int(np.searchsorted(stream.time, end)))

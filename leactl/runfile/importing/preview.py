@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from leactl.runfile.importing.importer import Imported
+from leactl.runfile.importing.importer import ImportedRun
 from leactl.runfile.importing.streams import Stream
 
 
-def preview(run: Imported, target: Path) -> dict[str, Any]:
+def preview(run: ImportedRun, target: Path) -> dict[str, Any]:
     """One run as JSON has it."""
     return {
         "file": str(target),
@@ -47,24 +47,24 @@ def stream_preview(stream: Stream) -> dict[str, Any]:
     }
 
 
-def preview_lines(about: dict[str, Any]) -> Iterator[str]:
+def preview_lines(run: dict[str, Any]) -> Iterator[str]:
     """One run for people."""
-    yield f"{about['file']}: {about['mechanical']}, created {about['created']}; not written"
+    yield f"{run['file']}: {run['mechanical']}, created {run['created']}; not written"
     for name in ("protocol", "actuator"):
-        if about[name]:
-            yield f"  {name} {about[name]}"
-    for name, value in (about["setup"] | about["parameters"]).items():
+        if run[name]:
+            yield f"  {name} {run[name]}"
+    for name, value in (run["setup"] | run["parameters"]).items():
         yield f"  {name} = {value}"
-    for name, stream in about["streams"].items():
+    for name, stream in run["streams"].items():
         span = f"{stream['start_s']:.6g} .. {stream['stop_s']:.6g} s, every {stream['interval_s']:.4g} s"
         yield f"  stream {name}: {stream['rows']} rows, {span}{'; ' * bool(stream['aligned'])}{stream['aligned']}"
         for channel in stream["channels"]:
             numbers = "no number" if channel["low"] is None else f"{channel['low']:.6g} .. {channel['high']:.6g}"
             missing = f", {channel['missing']} missing" if channel["missing"] else ""
-            told = f"{numbers} {channel['units']}{missing}"
-            yield f"    {channel['name']:<12} {channel['role']:<6} {channel['quantity']:<26} {told}"
-    yield f"  {len(about['steps'])} steps"
-    for step in about["steps"]:
+            summary = f"{numbers} {channel['units']}{missing}"
+            yield f"    {channel['name']:<12} {channel['role']:<6} {channel['quantity']:<26} {summary}"
+    yield f"  {len(run['steps'])} steps"
+    for step in run["steps"]:
         parameters = ", ".join(
             f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"
             for name, value in step["parameters"].items()

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from leactl.errors import InputError
-from leactl.runfile.importing.holds import NotDistinct, held
+from leactl.runfile.importing.holds import NotDistinct, find_holds
 from leactl.runfile.importing.mapping import Mapping, StepsByColumn, StepsByHolds, is_place
 from leactl.runfile.importing.streams import Stream
 from leactl.yamlfile import Document
@@ -61,24 +61,24 @@ def by_column(streams: dict[str, Stream], by: StepsByColumn, document: Document,
     """A step for each stretch of rows with one label."""
     stream = streams[by.stream]
     labels = stream.labels or []
-    changes = [row for row, (one, other) in enumerate(pairwise(labels), start=1) if one != other]
-    found = []
+    changes = [row for row, (label, next_label) in enumerate(pairwise(labels), start=1) if label != next_label]
+    steps = []
     for first, after in pairwise([0, *changes, len(labels)]):
         if labels[first] in by.names:
-            start, stop = during(stream, first, after)
-            found.append(ImportedStep(by.names[labels[first]], start, stop, by.settle_s, {}))
+            start, stop = instants_of(stream, first, after)
+            steps.append(ImportedStep(by.names[labels[first]], start, stop, by.settle_s, {}))
             for name, value in by.parameters.items():
-                known = level(streams, value, start, stop, by.settle_s) if is_place(value) else value
-                if known is None:
-                    why = f"{source}: {value} has no reading from {start + by.settle_s:g} s to {stop:g} s"
-                    raise InputError(document.fault(("steps_by_column", "settle_s"), f"{why}; a shorter one has"))
-                if not (isinstance(known, float) and math.isnan(known)):
-                    found[-1].parameters[name] = known
-    if not found:
-        seen = ", ".join(list(dict.fromkeys(labels))[:MOST_SEEN])
-        told = f"{source}: none of {', '.join(by.names)} stands in column {by.column!r}, which has {seen}"
-        raise InputError(document.fault(("steps_by_column", "names"), told))
-    return found
+                parameter = median_level(streams, value, start, stop, by.settle_s) if is_place(value) else value
+                if parameter is None:
+                    reason = f"{source}: {value} has no reading from {start + by.settle_s:g} s to {stop:g} s"
+                    raise InputError(document.fault(("steps_by_column", "settle_s"), f"{reason}; a shorter one has"))
+                if not (isinstance(parameter, float) and math.isnan(parameter)):
+                    steps[-1].parameters[name] = parameter
+    if not steps:
+        present = ", ".join(list(dict.fromkeys(labels))[:MOST_SEEN])
+        message = f"{source}: none of {', '.join(by.names)} stands in column {by.column!r}, which has {present}"
+        raise InputError(document.fault(("steps_by_column", "names"), message))
+    return steps
 
 
 def by_holds(streams: dict[str, Stream], by: StepsByHolds, document: Document, source: str) -> list[ImportedStep]:
@@ -87,31 +87,33 @@ def by_holds(streams: dict[str, Stream], by: StepsByHolds, document: Document, s
     stream, values = streams[name], streams[name].channel(channel)
     is_setpoint = stream.spec(channel).quantity.endswith("_reference")
     try:
-        holds = held(stream.time, values, by.least_s, by.settle_s, is_setpoint)
+        holds = find_holds(stream.time, values, by.least_s, by.settle_s, is_setpoint)
     except NotDistinct as why:
-        told = f"{source}: levels of {by.channel} are not distinct from noise: {why}; a setpoint, steps or"
-        raise InputError(document.fault(("steps_by_holds", "channel"), f"{told} steps_by_column can tell")) from None
-    found = []
+        message = f"{source}: levels of {by.channel} are not distinct from noise: {why}; a setpoint, steps or"
+        raise InputError(document.fault(("steps_by_holds", "channel"), f"{message} steps_by_column can tell")) from None
+    steps = []
     for hold in holds:
-        start, stop = during(stream, hold.first, hold.after)
+        start, stop = instants_of(stream, hold.first, hold.after)
         settled = values[hold.first : hold.after][stream.time[hold.first : hold.after] >= start + by.settle_s]
-        held_at = float(np.nanmedian(settled))
-        came = {} if math.isnan(hold.before) else {"direction": "rising" if hold.before < held_at else "falling"}
-        found.append(ImportedStep("hold", start, stop, by.settle_s, {by.parameter: held_at, **came, **by.parameters}))
-    if not found:
-        told = f"{source}: {by.channel} holds no level for least_s {by.least_s:g}"
-        raise InputError(document.fault(("steps_by_holds", "least_s"), told))
-    return found
+        level = float(np.nanmedian(settled))
+        came = {} if math.isnan(hold.before) else {"direction": "rising" if hold.before < level else "falling"}
+        steps.append(ImportedStep("hold", start, stop, by.settle_s, {by.parameter: level, **came, **by.parameters}))
+    if not steps:
+        message = f"{source}: {by.channel} holds no level for least_s {by.least_s:g}"
+        raise InputError(document.fault(("steps_by_holds", "least_s"), message))
+    return steps
 
 
-def during(stream: Stream, first: int, after: int) -> tuple[float, float]:
+def instants_of(stream: Stream, first: int, after: int) -> tuple[float, float]:
     """Instants of a stretch of rows: from its first to that of the row after it, or to the end."""
     return float(stream.time[first]), float(stream.time[min(after, len(stream.time) - 1)])
 
 
-def level(streams: dict[str, Stream], place: str, start: float, stop: float, settle: float) -> float | None:
+def median_level(
+    streams: dict[str, Stream], channel_path: str, start: float, stop: float, settle: float
+) -> float | None:
     """Median of a channel in the settled part of a step; NaN where it is silent in all of it, None in that alone."""
-    name, channel = place.split("/")
+    name, channel = channel_path.split("/")
     stream = streams[name]
     values = stream.channel(channel)
     if not np.isfinite(values[(stream.time >= start) & (stream.time < stop)]).any():

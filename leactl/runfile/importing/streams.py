@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
-from leactl.runfile.align.alignment import Alignment, by_likeness
+from leactl.runfile.align.alignment import Alignment, align_by_similarity
 from leactl.runfile.importing.mapping import (
     ChannelMapping,
     FieldOf,
@@ -62,23 +62,23 @@ def build_streams(source: LogSource, mapping: Mapping, document: Document) -> di
         try:
             by = mapping.steps_by_column
             streams[name] = build_stream(source, name, wanted, by if by and by.stream == name else None, document)
-        except InputError as found:
-            faults += found.faults
+        except InputError as error:
+            faults += error.faults
     if faults:
         raise InputError(faults)
     for name, wanted in mapping.streams.items():
         if wanted.clock is not None:
-            tied = aligned(streams, name, wanted, document)
-            streams[name].time = streams[name].time + (tied.offset if tied else wanted.clock.offset_s or 0.0)
-            streams[name].aligned = tied.told() if tied else ""
+            alignment = alignment_of(streams, name, wanted, document)
+            streams[name].time = streams[name].time + (alignment.offset if alignment else wanted.clock.offset_s or 0.0)
+            streams[name].aligned = alignment.told() if alignment else ""
     begins = {name: float(s.time[0]) for name, s in streams.items()}
     ends = {name: float(s.time[-1]) for name, s in streams.items()}
     late, early = max(begins, key=lambda n: begins[n]), min(ends, key=lambda n: ends[n])
     if begins[late] > ends[early]:
-        told = (
+        message = (
             f"{source.path}: it begins at {begins[late]:.6g} s, after stream {early!r} has ended at {ends[early]:.6g} s"
         )
-        raise InputError(document.fault(("streams", late), f"{told}; set clock.offset_s or clock.estimate"))
+        raise InputError(document.fault(("streams", late), f"{message}; set clock.offset_s or clock.estimate"))
     start = min(begins.values())
     for stream in streams.values():
         stream.time = stream.time - start
@@ -86,16 +86,16 @@ def build_streams(source: LogSource, mapping: Mapping, document: Document) -> di
 
 
 def build_stream(
-    source: LogSource, name: str, wanted: StreamMapping, by: StepsByColumn | None, document: Document
+    source: LogSource, name: str, settings: StreamMapping, by: StepsByColumn | None, document: Document
 ) -> Stream:
     """Read one stream on its own clock, with the labels of the column that steps are told by."""
     faults: list[str] = []
     specs, values, columns = [], [], []
-    for channel, mapped in wanted.channels.items():
+    for channel, mapped in settings.channels.items():
         try:
-            spec, column = build_channel(source, name, channel, mapped, wanted.records, document)
-        except InputError as found:
-            faults += found.faults
+            spec, column = build_channel(source, name, channel, mapped, settings.records, document)
+        except InputError as error:
+            faults += error.faults
             continue
         specs.append(spec)
         values.append(column)
@@ -104,10 +104,10 @@ def build_stream(
         raise InputError(faults)
     lengths = {len(column) for column in values}
     if len(lengths) > 1:
-        told = ", ".join(f"{spec.name} {len(column)}" for spec, column in zip(specs, values, strict=True))
-        raise InputError(document.fault(("streams", name), f"{source.path}: columns of different length: {told}"))
-    time, keep = stamps(source, wanted.time, wanted.records, ("streams", name, "time"), lengths.pop(), document)
-    labels = labels_of(source, by, wanted.records, time, keep, document) if by is not None else None
+        counts = ", ".join(f"{spec.name} {len(column)}" for spec, column in zip(specs, values, strict=True))
+        raise InputError(document.fault(("streams", name), f"{source.path}: columns of different length: {counts}"))
+    time, keep = stamps(source, settings.time, settings.records, ("streams", name, "time"), lengths.pop(), document)
+    labels = labels_of(source, by, settings.records, time, keep, document) if by is not None else None
     return Stream(time[keep], specs, [column[keep] for column in values], labels=labels)
 
 
@@ -126,9 +126,9 @@ def labels_of(
         raise InputError(document.fault(("steps_by_column", "column"), str(lacking))) from None
     if by.time is None:
         if len(raw) != len(keep):
-            told = f"{source.path}: {len(raw)} labels for {len(keep)} rows"
+            message = f"{source.path}: {len(raw)} labels for {len(keep)} rows"
             hint = "; give steps_by_column.time where labels have stamps of their own"
-            raise InputError(document.fault(("steps_by_column", "column"), told + hint))
+            raise InputError(document.fault(("steps_by_column", "column"), message + hint))
         return [label for label, kept in zip(raw, keep, strict=True) if kept]
     since, kept = stamps(source, by.time, None, ("steps_by_column", "time"), len(raw), document)
     in_force = ["", *(label for label, is_kept in zip(raw, kept, strict=True) if is_kept)]
@@ -139,15 +139,15 @@ def build_channel(
     source: LogSource, stream: str, name: str, mapped: ChannelMapping, records: str | None, document: Document
 ) -> tuple[ChannelSpec, Array]:
     """Read one channel in the units of its quantity."""
-    place = ("streams", stream, "channels", name)
+    keys = ("streams", stream, "channels", name)
     try:
         raw = source.column(mapped.column, records)
     except MissingColumn as lacking:
-        raise InputError(document.fault((*place, "column"), str(lacking))) from None
+        raise InputError(document.fault((*keys, "column"), str(lacking))) from None
     if isinstance(raw, list):
         raise InputError(f"{source.place(mapped.column, 0)}: {raw[0]!r} is not a number")
-    scale = number(source, mapped.scale, (*place, "scale"), document)
-    offset = number(source, mapped.offset, (*place, "offset"), document)
+    scale = number_value(source, mapped.scale, (*keys, "scale"), document)
+    offset = number_value(source, mapped.offset, (*keys, "offset"), document)
     conversion = converter(mapped.units or "", mapped.quantity)
     units = conversion.target if conversion else ""
     values = mapped.sign * (scale * raw + offset)
@@ -175,47 +175,47 @@ def build_channel(
     return spec, np.asarray(values, np.float64)
 
 
-def number(source: LogSource, value: float | FieldOf, place: tuple[str | int, ...], document: Document) -> float:
+def number_value(source: LogSource, value: float | FieldOf, keys: tuple[str | int, ...], document: Document) -> float:
     """A number that the mapping gives, or the field that it points to."""
     if not isinstance(value, FieldOf):
         return value
     try:
-        found = source.field(value.field)
+        field_value = source.field(value.field)
     except MissingColumn as lacking:
-        raise InputError(document.fault((*place, "field"), str(lacking))) from None
-    if isinstance(found, str) or not np.isfinite(found):
-        raise InputError(document.fault((*place, "field"), f"{source.path}: {found!r} is not a number"))
-    return value.scale * found + value.offset
+        raise InputError(document.fault((*keys, "field"), str(lacking))) from None
+    if isinstance(field_value, str) or not np.isfinite(field_value):
+        raise InputError(document.fault((*keys, "field"), f"{source.path}: {field_value!r} is not a number"))
+    return value.scale * field_value + value.offset
 
 
 def stamps(
-    source: LogSource, base: TimeBase, records: str | None, place: tuple[str, ...], rows: int, document: Document
+    source: LogSource, base: TimeBase, records: str | None, keys: tuple[str, ...], rows: int, document: Document
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Stamps in seconds, strictly increasing, and which rows they keep."""
-    everything: npt.NDArray[np.bool_] = np.ones(rows, bool)
+    every_row: npt.NDArray[np.bool_] = np.ones(rows, bool)
     if base.column is None:
         step = base.step_s or 1.0 / (base.rate_Hz or 1.0)
-        return np.asarray(base.start_s + step * np.arange(rows), np.float64), everything
+        return np.asarray(base.start_s + step * np.arange(rows), np.float64), every_row
     try:
         raw = source.column(base.column, records)
     except MissingColumn as lacking:
-        raise InputError(document.fault((*place, "column"), str(lacking))) from None
+        raise InputError(document.fault((*keys, "column"), str(lacking))) from None
     if len(raw) != rows:
-        raise InputError(document.fault((*place, "column"), f"{len(raw)} stamps for {rows} rows"))
+        raise InputError(document.fault((*keys, "column"), f"{len(raw)} stamps for {rows} rows"))
     time = seconds(source, base, raw)
     missing = np.flatnonzero(~np.isfinite(time))
     if len(missing):
         raise InputError(f"{source.place(base.column, int(missing[0]))}: no stamp; {len(missing)} rows have none")
-    keep = np.concatenate([[True], np.diff(time) != 0]) if base.repeated == "drop" else everything
+    keep = np.concatenate([[True], np.diff(time) != 0]) if base.repeated == "drop" else every_row
     kept = np.flatnonzero(keep)
     wrong = np.flatnonzero(np.diff(time[kept]) <= 0)
     if len(wrong):
         row = int(kept[wrong[0] + 1])
         before, here = time[kept[wrong[0]]], time[row]
-        told = "stands twice" if here == before else f"goes back from {before:.9g} s"
+        finding = "stands twice" if here == before else f"goes back from {before:.9g} s"
         hint = "; time.repeated: drop leaves the later rows out" if here == before else ""
         more = f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""
-        raise InputError(f"{source.place(base.column, row)}: stamp {here:.9g} s {told}{more}{hint}")
+        raise InputError(f"{source.place(base.column, row)}: stamp {here:.9g} s {finding}{more}{hint}")
     return time, keep
 
 
@@ -236,17 +236,17 @@ def seconds(source: LogSource, base: TimeBase, raw: Array | list[str]) -> Array:
     return out
 
 
-def aligned(streams: dict[str, Stream], name: str, wanted: StreamMapping, document: Document) -> Alignment | None:
+def alignment_of(streams: dict[str, Stream], name: str, wanted: StreamMapping, document: Document) -> Alignment | None:
     """How a stream's stamps are put on the run's clock; None where its offset is given, or none."""
     clock = wanted.clock
     if clock is None or clock.estimate is None:
         return None
     other, channel = clock.estimate.against.split("/")
-    own, reference = streams[name], streams[other]
+    stream, reference = streams[name], streams[other]
     what = f"{clock.estimate.channel} and {clock.estimate.against}"
     try:
-        return by_likeness(
-            (own.time, own.channel(clock.estimate.channel)),
+        return align_by_similarity(
+            (stream.time, stream.channel(clock.estimate.channel)),
             (reference.time, reference.channel(channel)),
             within=clock.estimate.within_s,
             what=what,

@@ -26,13 +26,13 @@ class Searched:
 def searches(steps: Sequence[Step]) -> Iterator[Searched]:
     """Every search that has come to its end, in order."""
     for step in steps:
-        told = step.parameters
-        key = next((key for key in told if key.startswith("resolution_")), "")
+        parameters = step.parameters
+        key = next((key for key in parameters if key.startswith("resolution_")), "")
         unit = key.removeprefix("resolution_")
-        lower, upper, resolution = (_number(told.get(name)) for name in (f"lower_{unit}", f"upper_{unit}", key))
-        if isinstance(told.get("bisect"), str) and resolution is not None:
-            yield Searched(step.name, told["bisect"], lower, upper, resolution, unit)
+        lower, upper, resolution = (_number(parameters.get(name)) for name in (f"lower_{unit}", f"upper_{unit}", key))
+        if isinstance(parameters.get("bisect"), str) and resolution is not None:
+            yield Searched(step.name, parameters["bisect"], lower, upper, resolution, unit)
 
 
-def _number(told: object) -> float | None:
-    return float(told) if isinstance(told, int | float) and not isinstance(told, bool) else None
+def _number(value: object) -> float | None:
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None

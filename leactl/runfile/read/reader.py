@@ -51,9 +51,9 @@ class Channel:
         return np.array(self.values, dtype) if copy else np.asarray(self.values, dtype)
 
     def __repr__(self) -> str:
-        place = f" at {self.location}" if self.location else ""
+        location = f" at {self.location}" if self.location else ""
         span = f", {self.time[0]:.6g} to {self.time[-1]:.6g} s" if len(self.time) else ""
-        return f"<Channel {self.quantity} of {self.role}{place} [{self.units}]: {len(self)} values{span}>"
+        return f"<Channel {self.quantity} of {self.role}{location} [{self.units}]: {len(self)} values{span}>"
 
 
 @dataclass(frozen=True)
@@ -110,11 +110,11 @@ class Run:
         ------
         InputError : not a run file, cut short, or breaking the format; one line for each fault.
         """
-        place = Path(path)
-        file, live = open_run_file(place)
+        file_path = Path(path)
+        file, live = open_run_file(file_path)
         try:
-            with reading(place):
-                return cls(place, file, live)
+            with reading(file_path):
+                return cls(file_path, file, live)
         except InputError:
             file.close()
             raise
@@ -162,9 +162,9 @@ class Run:
 
     def source(self, name: str) -> str | None:
         """The YAML text of the `protocol`, the `bench` or the `model` as it was used; None where the file has none."""
-        place = f"{name}/source"
-        with reading(self.path, place):
-            return str(layout.plain(self._file[place][()])) if place in self._file else None
+        hdf5_path = f"{name}/source"
+        with reading(self.path, hdf5_path):
+            return str(layout.to_python(self._file[hdf5_path][()])) if hdf5_path in self._file else None
 
     def has(self, quantity: str, role: str = "test") -> bool:
         """Whether the run has a channel of this quantity and role."""
@@ -182,16 +182,16 @@ class Run:
         MissingChannel : the run has none.
         InputError : it has several; ask for a location.
         """
-        found = self._find(quantity, role)
+        matches = self._find(quantity, role)
         if location is not None:
-            found = [(stream, spec) for stream, spec in found if spec.location == location]
-        if not found:
-            place = f" at {location!r}" if location is not None else ""
-            raise MissingChannel(f"{self.path}: no {quantity} of {role}{place}; the run has {self._contents()}")
-        if len(found) > 1:
-            places = ", ".join(spec.location or f"{stream}/{spec.name}" for stream, spec in found)
+            matches = [(stream, spec) for stream, spec in matches if spec.location == location]
+        if not matches:
+            where = f" at {location!r}" if location is not None else ""
+            raise MissingChannel(f"{self.path}: no {quantity} of {role}{where}; the run has {self._contents()}")
+        if len(matches) > 1:
+            places = ", ".join(spec.location or f"{stream}/{spec.name}" for stream, spec in matches)
             raise InputError(f"{self.path}: several channels of {quantity} of {role}: {places}; ask for one location")
-        return self._read(*found[0])
+        return self._read(*matches[0])
 
     def __getitem__(self, wanted: str | tuple[str, ...]) -> Channel:
         """The channel of `run["torque"]`, `run["torque", "load"]` or with a location behind, as `channel` gives it."""
@@ -214,24 +214,24 @@ class Run:
 
         return dataset(self)
 
-    def channel_at(self, place: str) -> Channel:
+    def channel_at(self, channel_path: str) -> Channel:
         """The channel that stands at `stream/name`.
 
         Raises
         ------
         MissingChannel : there is none.
         """
-        stream, _, name = place.partition("/")
+        stream, _, name = channel_path.partition("/")
         for spec in self.streams.get(stream, ()):
             if spec.name == name:
                 return self._read(stream, spec)
         known = ", ".join(f"{stream}/{spec.name}" for stream, specs in self.streams.items() for spec in specs)
-        raise MissingChannel(f"{self.path}: no channel {place}; the run has {known or 'none'}")
+        raise MissingChannel(f"{self.path}: no channel {channel_path}; the run has {known or 'none'}")
 
     def attached(self, stream: str) -> dict[str, Any]:
         """Where a stream that joined the run later came from and how its clock was tied; empty for a recorded one."""
-        found = layout.attributes(self._streams[stream])
-        return {name: value for name, value in found.items() if name.startswith(("record_", "alignment_"))}
+        attributes = layout.attributes(self._streams[stream])
+        return {name: value for name, value in attributes.items() if name.startswith(("record_", "alignment_"))}
 
     @property
     def checked(self) -> bool:
@@ -306,12 +306,12 @@ class Run:
 
     def _parameters(self, index: int, text: str) -> dict[str, Any]:
         try:
-            found = json.loads(text or "{}")
+            parameters = json.loads(text or "{}")
         except (ValueError, RecursionError):  # the latter of thousands of brackets
-            found = None
-        if not isinstance(found, dict):
+            parameters = None
+        if not isinstance(parameters, dict):
             raise InputError(f"{self.path}: /steps/parameters[{index}]: {shown(text)} is not a JSON object")
-        return found
+        return parameters
 
     def _table(self, name: str, columns: dict[str, int | None]) -> list[tuple[Any, ...]]:
         """Rows of parallel arrays, of an unfinished run cut to the shortest; empty where the file has none."""
@@ -333,9 +333,9 @@ def channel_specs(group: Any) -> list[ChannelSpec]:
     for name in group:
         if name != "time":
             attributes = layout.attributes(group[name])
-            found = {key: str(value) for key, value in attributes.items()}
+            texts = {key: str(value) for key, value in attributes.items()}
             keys = ("quantity", "role", "device", "long_name", "location", "sampling", "units")
-            fields = {key: found.get(key, "") for key in keys}
+            fields = {key: texts.get(key, "") for key in keys}
             skew, scale_std = (float(attributes.get(key, 0.0)) for key in ("skew", "scale_std"))
             dtype = group[name].dtype.str[1:]
             specs.append(ChannelSpec(name, **fields, dtype=dtype, skew_s=skew, scale_std=scale_std))

@@ -89,7 +89,7 @@ def part_of_run(run: Run, step: str, start: float | None, stop: float | None) ->
     return start, stop
 
 
-def trace(run: Run, name: str, start: float, stop: float, bins: int) -> ChannelTrace:
+def channel_trace(run: Run, name: str, start: float, stop: float, bins: int) -> ChannelTrace:
     """Return a channel between two times [s], as its samples or, of more than two a bin, as the range in each bin."""
     channel = run.channel_at(name)
     inside = (channel.time >= start) & (channel.time <= stop)

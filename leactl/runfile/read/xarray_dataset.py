@@ -24,8 +24,8 @@ def dataset(run: "Run") -> "xarray.Dataset":
             name = _name(spec)
             name = f"{name}_{stream}" if name in variables else name
             variables[name] = (stream, run.values(stream, spec.name, 0, run.rows[stream]), _about(spec))
-    told = {name: value for name, value in run.attributes.items() if isinstance(value, str | int | float)}
-    return xarray.Dataset(variables, coordinates, told)
+    attributes = {name: value for name, value in run.attributes.items() if isinstance(value, str | int | float)}
+    return xarray.Dataset(variables, coordinates, attributes)
 
 
 def _name(spec: ChannelSpec) -> str:

@@ -1,4 +1,4 @@
-"""Rewrite closed runs in the HDF5 format that the writer uses, for libraries that read no newer one."""
+"""Rewrite closed runs in the HDF5 format of the writer, for libraries that cannot read newer formats."""
 
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,11 @@ from leactl.runfile.verify.integrity import checksums
 
 
 def convert(path: Path) -> None:
-    """Rewrite a run in place, every name, attribute and value as it was.
+    """Rewrite a run in place; every name, attribute and value stays the same.
 
     Raises
     ------
-    InputError : not a run file, one that is still being written, or a checksum that does not hold.
+    InputError : not a run file, a run that is still being written, or a checksum that does not match.
     """
     with Run.open(path) as run:
         if run.unfinished:
@@ -48,7 +48,7 @@ def copy_group(source: Any, target: Any) -> None:
 
 
 def copy_dataset(source: Any, target: Any) -> None:
-    """Copy a dataset in blocks, with its shape, chunks and compression."""
+    """Copy a dataset block by block, with its shape, chunks and compression."""
     kept = ("dtype", "maxshape", "chunks", "compression", "compression_opts", "shuffle", "fillvalue")
     kinds = {key: getattr(source, key) for key in kept} if source.chunks else {"dtype": source.dtype}
     dataset = target.create_dataset(source.name.rsplit("/", 1)[-1], source.shape, **kinds)
@@ -62,17 +62,17 @@ def copy_dataset(source: Any, target: Any) -> None:
 
 
 def bytes_of(values: Any) -> int:
-    """Return how many bytes values take in a file, strings of variable length with some more to find them again."""
+    """Bytes that values take in a file; 64 are added for each string of variable length, for HDF5's reference to it."""
     array = np.asarray(values)
     return sum(len(text) + 64 for text in array.flat) if array.dtype == object else array.nbytes
 
 
 def attach_scales(source: Any, target: Any) -> None:
-    """Make the dimension scales of a file's datasets again."""
-    for place, dataset in layout.datasets(source):
+    """Attach the dimension scales of the source's datasets to those of the target."""
+    for hdf5_path, dataset in layout.datasets(source):
         if dataset.is_scale:
-            target[place].make_scale(place.rsplit("/", 1)[-1])
-    for place, dataset in layout.datasets(source):
+            target[hdf5_path].make_scale(hdf5_path.rsplit("/", 1)[-1])
+    for hdf5_path, dataset in layout.datasets(source):
         for axis, dimension in enumerate(dataset.dims) if dataset.shape else ():
             for scale in dimension.values():
-                target[place].dims[axis].attach_scale(target[scale.name])
+                target[hdf5_path].dims[axis].attach_scale(target[scale.name])

@@ -14,7 +14,7 @@ import h5py
 
 from leactl.errors import InputError
 from leactl.runfile import layout, seal
-from leactl.runfile.hdf5.opening import DAMAGE, damage, open_run_file, reading
+from leactl.runfile.hdf5.opening import DAMAGE, damage_text, open_run_file, reading
 from leactl.runfile.hdf5.space import reserve, trim
 from leactl.runfile.publish import new_file, refuse_existing, replacement
 from leactl.runfile.read.reader import Run
@@ -22,7 +22,7 @@ from leactl.runfile.read.stream_checks import faults_of_streams, uneven_tables, 
 from leactl.runfile.summary import RECORDING, STATUSES
 from leactl.runfile.write.repack import repack, text_bytes, write_table
 
-WHOLE = "values, names and attributes"
+ALL_PARTS = "values, names and attributes"
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Examination:
         how = self.status or "no status"
         if not self.covered:
             return f"{how}; no checksums: nothing tells whether it was changed"
-        names = "" if self.covered == WHOLE else "; no seal: names and attributes are not covered"
+        names = "" if self.covered == ALL_PARTS else "; no seal: names and attributes are not covered"
         return f"{how}; {self.covered} are as they were closed{names}"
 
     def as_json(self) -> dict[str, Any]:
@@ -54,7 +54,7 @@ def examine(path: Path) -> Examination:
     if findings := verify(path):
         return Examination(path, findings)
     with Run.open(path) as run:
-        return Examination(path, [], run.status, WHOLE if run.sealed else "values" if run.checked else "")
+        return Examination(path, [], run.status, ALL_PARTS if run.sealed else "values" if run.checked else "")
 
 
 def verify(path: Path) -> list[str]:
@@ -69,14 +69,14 @@ def verify(path: Path) -> list[str]:
     with file:
         try:
             findings = [
-                *unfinished(file, live),
+                *unfinished_findings(file, live),
                 *missing_attributes(file),
                 *uneven_tables(file),
             ]
             findings += faults_of_streams(file.get("streams", {}), unfinished=False)
             return [f"{path}: {finding}" for finding in [*findings, *altered_parts(file)]]
         except DAMAGE as fault:
-            return [f"{path}: {damage(fault)}"]
+            return [f"{path}: {damage_text(fault)}"]
 
 
 def altered(path: Path) -> list[str]:
@@ -109,12 +109,12 @@ def refuse_findings(findings: Sequence[str]) -> None:
 
 def altered_parts(file: Any) -> list[str]:
     """Values, names and attributes that are not those of the closed run."""
-    return [*wrong_checksums(file), *seal.broken(file)]
+    return [*wrong_checksums(file), *seal.seal_findings(file)]
 
 
-def unfinished(file: Any, live: bool) -> list[str]:
+def unfinished_findings(file: Any, live: bool) -> list[str]:
     """Whether the recording came to its orderly end."""
-    status = layout.plain(file.attrs.get("status", ""))
+    status = layout.to_python(file.attrs.get("status", ""))
     if live or status == RECORDING:
         return ["incomplete recording: still being written or left by a kill; run: leactl runs recover"]
     if status and status not in STATUSES:
@@ -124,15 +124,15 @@ def unfinished(file: Any, live: bool) -> list[str]:
 
 def missing_attributes(file: Any) -> list[str]:
     """Attributes that the format asks for and the file does not have."""
-    wanted: list[tuple[str, Any, tuple[str, ...]]] = [("", file, layout.ROOT_ATTRIBUTES)]
+    expected: list[tuple[str, Any, tuple[str, ...]]] = [("", file, layout.ROOT_ATTRIBUTES)]
     if "mechanical" not in layout.attributes(file.get("setup", file)):
-        wanted.append(("/setup", file.get("setup", file), ("mechanical",)))
-    for place, dataset in layout.datasets(file.get("streams", {}), "/streams"):
-        if not place.endswith("/time"):
-            wanted.append((place, dataset, layout.CHANNEL_ATTRIBUTES))
+        expected.append(("/setup", file.get("setup", file), ("mechanical",)))
+    for hdf5_path, dataset in layout.datasets(file.get("streams", {}), "/streams"):
+        if not hdf5_path.endswith("/time"):
+            expected.append((hdf5_path, dataset, layout.CHANNEL_ATTRIBUTES))
     return [
-        f"{place or '/'}: no attribute {name!r}"
-        for place, node, names in wanted
+        f"{hdf5_path or '/'}: no attribute {name!r}"
+        for hdf5_path, node, names in expected
         for name in names
         if name not in node.attrs
     ]
@@ -141,21 +141,26 @@ def missing_attributes(file: Any) -> list[str]:
 def wrong_checksums(file: Any) -> list[str]:
     """Datasets whose values are not those that were stored at close."""
     findings = []
-    stored = {place: str(layout.plain(dataset.attrs.get("sha256", ""))) for place, dataset in layout.datasets(file)}
-    without = [place for place, expected in stored.items() if not expected]
-    if without and any(sha for place, sha in stored.items() if not place.startswith("/notes/")):
-        more = f" and {len(without) - 1} more" if len(without) > 1 else ""
-        findings.append(f"{without[0]}{more}: no checksum, though other datasets have one")
-    for place, expected in stored.items():
+    stored = {
+        hdf5_path: str(layout.to_python(dataset.attrs.get("sha256", "")))
+        for hdf5_path, dataset in layout.datasets(file)
+    }
+    unchecked = [hdf5_path for hdf5_path, expected in stored.items() if not expected]
+    if unchecked and any(sha for hdf5_path, sha in stored.items() if not hdf5_path.startswith("/notes/")):
+        more = f" and {len(unchecked) - 1} more" if len(unchecked) > 1 else ""
+        findings.append(f"{unchecked[0]}{more}: no checksum, though other datasets have one")
+    for hdf5_path, expected in stored.items():
         if not expected:
             continue
         try:
-            found = layout.digest(file[place])
+            computed = layout.digest(file[hdf5_path])
         except (OSError, RuntimeError) as fault:
-            findings.append(f"{place}: cannot be read: {' '.join(str(fault).split())}")
+            findings.append(f"{hdf5_path}: cannot be read: {' '.join(str(fault).split())}")
             continue
-        if found != expected:
-            findings.append(f"{place}: checksum mismatch: values give {found[:12]}..., stored {expected[:12]}...")
+        if computed != expected:
+            findings.append(
+                f"{hdf5_path}: checksum mismatch: values give {computed[:12]}..., stored {expected[:12]}..."
+            )
     return findings
 
 
@@ -174,7 +179,7 @@ def recover(path: Path) -> Path:
     with file, reading(path):
         streams = file.get("streams", {})
         uneven = faults_of_streams(streams, unfinished=False)
-        if not (live or uneven or layout.plain(file.attrs.get("status", "")) == RECORDING):
+        if not (live or uneven or layout.to_python(file.attrs.get("status", "")) == RECORDING):
             raise InputError(f"{path}: the recording ended in order; there is nothing to recover")
         if faults := faults_of_streams(streams, unfinished=True):
             raise InputError([f"{path}: {fault}" for fault in faults])
@@ -269,9 +274,13 @@ def checksums(path: Path, apart_from: Sequence[str] = ()) -> dict[str, str]:
     ----------
     apart_from : places below which datasets are left out.
     """
-    left_out = tuple(f"{place}/" for place in apart_from)
+    left_out = tuple(f"{hdf5_path}/" for hdf5_path in apart_from)
     file, _ = open_run_file(path)
     with file, reading(path):
         if findings := wrong_checksums(file):
             raise InputError([f"{path}: {finding}" for finding in findings])
-        return {place: layout.digest(item) for place, item in layout.datasets(file) if not place.startswith(left_out)}
+        return {
+            hdf5_path: layout.digest(item)
+            for hdf5_path, item in layout.datasets(file)
+            if not hdf5_path.startswith(left_out)
+        }

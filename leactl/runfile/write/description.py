@@ -1,4 +1,4 @@
-"""What is known of a run before it starts, and whether a file that says so keeps to the format."""
+"""Description of a run before it starts (its root attributes), and the checks that it fits the file format."""
 
 import re
 import secrets
@@ -15,7 +15,7 @@ from leactl.runfile import layout
 
 @dataclass(frozen=True)
 class RunInfo:
-    """What is known of a run before it starts; it becomes the root attributes."""
+    """Description of a run before it starts; it becomes the root attributes of the file."""
 
     run_id: str
     protocol: str
@@ -35,13 +35,13 @@ class RunInfo:
 
 
 def new_run_id(protocol: str, when: datetime) -> str:
-    """A name that sorts by time and never repeats: `20261120T101530Z-torque-constant-7f3a`."""
+    """A new run identifier that sorts by time and does not repeat: `20261120T101530Z-torque-constant-7f3a`."""
     slug = re.sub(r"[^a-z0-9]+", "-", protocol.lower()).strip("-") or "run"
     return f"{when.astimezone(UTC):%Y%m%dT%H%M%SZ}-{slug}-{secrets.token_hex(2)}"
 
 
 def faults_of(info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> list[str]:
-    """Everything that would make the file break its own format."""
+    """One line for each part of the description or of the channels that the file format does not allow."""
     faults = []
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", info.run_id):
         faults.append(f"run_id: {info.run_id!r} is no file name; use letters, digits, '.', '_' and '-'")
@@ -54,29 +54,32 @@ def faults_of(info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> li
     for stream, specs in streams.items():
         names = [spec.name for spec in specs]
         for spec in specs:
-            place = f"streams/{stream}/{spec.name}"
-            faults += faults_of_channel(place, spec)
+            channel_path = f"streams/{stream}/{spec.name}"
+            faults += faults_of_channel(channel_path, spec)
             if names.count(spec.name) > 1:
-                faults.append(f"{place}: the name occurs twice in its stream")
-            known = seen.setdefault((spec.quantity, spec.role, spec.location), place)
-            if known != place:
-                faults.append(f"{place}: same quantity, role and location as {known}; give each a location")
+                faults.append(f"{channel_path}: the name occurs twice in its stream")
+            known = seen.setdefault((spec.quantity, spec.role, spec.location), channel_path)
+            if known != channel_path:
+                faults.append(f"{channel_path}: same quantity, role and location as {known}; give each a location")
     return faults
 
 
-def faults_of_channel(place: str, spec: ChannelSpec) -> list[str]:
-    """What is wrong with one channel's description."""
+def faults_of_channel(channel_path: str, spec: ChannelSpec) -> list[str]:
+    """One line for each fault of a channel's name, quantity, unit, role, sampling or data type."""
     faults = []
-    if any(not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", part) for part in place.split("/")) or spec.name == "time":
-        faults.append(f"{place}: not a usable name for a channel")
+    if (
+        any(not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", part) for part in channel_path.split("/"))
+        or spec.name == "time"
+    ):
+        faults.append(f"{channel_path}: not a usable name for a channel")
     if spec.quantity not in UNITS:
-        return [*faults, f"{place}: quantity {spec.quantity!r} is not in the vocabulary"]
+        return [*faults, f"{channel_path}: quantity {spec.quantity!r} is not in the vocabulary"]
     if spec.unit not in accepted_units(spec.quantity):
-        faults.append(f"{place}: unit {spec.unit!r} is none of {', '.join(accepted_units(spec.quantity))}")
+        faults.append(f"{channel_path}: unit {spec.unit!r} is none of {', '.join(accepted_units(spec.quantity))}")
     if spec.role not in ROLES:
-        faults.append(f"{place}: role {spec.role!r} is none of {', '.join(ROLES)}")
+        faults.append(f"{channel_path}: role {spec.role!r} is none of {', '.join(ROLES)}")
     if spec.sampling not in ("", "instant", "mean"):
-        faults.append(f"{place}: sampling {spec.sampling!r} is neither instant nor mean")
+        faults.append(f"{channel_path}: sampling {spec.sampling!r} is neither instant nor mean")
     if np.dtype(spec.dtype).kind != "f":
-        faults.append(f"{place}: dtype {spec.dtype!r} cannot hold NaN for a missed sample; use f4 or f8")
+        faults.append(f"{channel_path}: dtype {spec.dtype!r} cannot hold NaN for a missed sample; use f4 or f8")
     return faults

@@ -78,7 +78,7 @@ def copy_setup_and_sources(source: Any, clean: Any) -> None:
             setup.attrs[name] = source["setup"].attrs[name]
     for name in layout.SOURCES:
         if f"{name}/source" in source:
-            text = layout.plain(source[f"{name}/source"][()])
+            text = layout.to_python(source[f"{name}/source"][()])
             reserve(clean, text_bytes(text))
             write_source(clean, name, text)
 

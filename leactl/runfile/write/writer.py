@@ -119,8 +119,8 @@ class RunWriter:
 
     def notes(self) -> list[str]:
         """What a person should know of the file since this was asked last."""
-        told, self._notes = self._notes, []
-        return told
+        notes, self._notes = self._notes, []
+        return notes
 
     def close(self, status: str, reason: str = "") -> None:
         """Write what is left, repack compressed with checksums, and replace the live file in one step."""
@@ -168,10 +168,10 @@ class RunWriter:
 
     def _stay_in_place(self) -> None:
         """Where the file or its folder was removed, moved or exchanged, go on in a copy that can be found."""
-        own = os.fstat(self._file.id.get_vfd_handle())
+        open_file = os.fstat(self._file.id.get_vfd_handle())
         with suppress(OSError):
-            there = os.lstat(self.path)
-            if (there.st_dev, there.st_ino) == (own.st_dev, own.st_ino):
+            file_at_path = os.lstat(self.path)
+            if (file_at_path.st_dev, file_at_path.st_ino) == (open_file.st_dev, open_file.st_ino):
                 return
         self._on_disk(self._go_on_elsewhere)
 
@@ -183,7 +183,7 @@ class RunWriter:
             self._file.close()
             with os.fdopen(descriptor, "rb", closefd=False) as rows:
                 places = [before.parent, *working_directory(), Path(tempfile.gettempdir())]
-                self.path = copied(rows, before.name, places)
+                self.path = copy_to_first(rows, before.name, places)
         finally:
             os.close(descriptor)
         self._file = h5py.File(self.path, "r+", libver=layout.HDF5_FORMAT)
@@ -218,7 +218,7 @@ class RunWriter:
             action()
         # HDF5 reports a full disk as OSError while writing and as RuntimeError while flushing or closing
         except (OSError, RuntimeError, NotWritten) as fault:
-            hint = f"{advice(fault)}, then run: leactl runs recover"
+            hint = f"{advice_for(fault)}, then run: leactl runs recover"
             self._fault = f"{self.path}: recording failed: {one_line(str(fault))}; {hint}"
             self._abandon()
             raise RecordingFailed(self._fault) from fault
@@ -242,7 +242,7 @@ ADVICE = {
 }
 
 
-def advice(fault: BaseException) -> str:
+def advice_for(fault: BaseException) -> str:
     """What helps where a file takes no more; HDF5 tells no cause of what it could not write, and that is the room."""
     number = getattr(fault, "errno", None)
     return next((text for text, numbers in ADVICE.items() if number in numbers), "free space on the disk")
@@ -256,7 +256,7 @@ def working_directory() -> list[Path]:
         return []
 
 
-def copied(rows: BinaryIO, name: str, folders: Sequence[Path]) -> Path:
+def copy_to_first(rows: BinaryIO, name: str, folders: Sequence[Path]) -> Path:
     """Copy a file into the first folder that takes it; nothing is overwritten.
 
     Raises
@@ -329,18 +329,18 @@ def opened_columns(stream: Any, specs: Sequence[ChannelSpec]) -> list[tuple[int,
 
     Once a stamp is in the file, so is its whole row.
     """
-    places = {spec.name: place for place, spec in enumerate(specs, start=1)} | {"time": 0}
-    return [(place, stream[name].id, stream[name].dtype) for name, place in places.items()]
+    indices = {spec.name: index for index, spec in enumerate(specs, start=1)} | {"time": 0}
+    return [(index, stream[name].id, stream[name].dtype) for name, index in indices.items()]
 
 
 def write_rows(columns: Sequence[tuple[int, Any, np.dtype[Any]]], written: int, rows: np.ndarray[Any, Any]) -> None:
     """Append rows by HDF5's own calls: short blocks of many columns take h5py's slices three times as long."""
-    memory, where = h5s.create_simple((len(rows),)), h5s.create_simple((written + len(rows),))
-    where.select_hyperslab((written,), (len(rows),))  # of every column, which are of one length
+    memory, rows_in_file = h5s.create_simple((len(rows),)), h5s.create_simple((written + len(rows),))
+    rows_in_file.select_hyperslab((written,), (len(rows),))  # of every column, which are of one length
     with np.errstate(over="ignore"):  # beyond float32 becomes inf
-        for place, dataset, dtype in columns:
+        for index, dataset, dtype in columns:
             extend(dataset, written + len(rows))
-            dataset.write(memory, where, np.ascontiguousarray(rows[:, place], dtype))
+            dataset.write(memory, rows_in_file, np.ascontiguousarray(rows[:, index], dtype))
             dataset.flush()
 
 
@@ -351,7 +351,7 @@ def write_live_table(
     for column, width in columns.items():
         dataset = group[column]
         extend(dataset.id, written + len(rows))
-        values = [row[column] if width is None else fitted(row[column], width) for row in rows]
+        values = [row[column] if width is None else cut_to_width(row[column], width) for row in rows]
         dataset[written : written + len(rows)] = np.array(values, dataset.dtype)
         dataset.flush()
 
@@ -362,7 +362,7 @@ def extend(dataset: Any, rows: int) -> None:
         dataset.set_extent((rows,))
 
 
-def fitted(value: Any, width: int) -> bytes:
+def cut_to_width(value: Any, width: int) -> bytes:
     """Text within so many bytes; parameters lose whole entries from the end, so that the JSON stays JSON."""
     if isinstance(value, Mapping):
         entries = dict(value)

@@ -16,27 +16,29 @@ import numpy.typing as npt
 from leactl.runfile.importing.column_names import is_time, meaning_of, shaft_of
 from leactl.runfile.importing.mapping import PLACEHOLDER
 from leactl.runfile.importing.proposal.evidence import (
-    CLOSE,
-    GEARED,
-    TIGHT,
+    PAIR_GAIN_TOLERANCE,
+    UNIT_GAIN_TOLERANCE,
+    UNITS_LIKE_A_GEAR,
     ColumnSeries,
     are_counts,
-    follows,
+    equals_setpoint,
     gain_of,
     is_gear,
     is_wide_for_rad,
-    pairs_of,
+    unit_pairs_with_gain,
     units_by_range,
     units_of_time,
 )
 from leactl.runfile.importing.proposal.log_dialects import LogDialect
-from leactl.runfile.importing.proposal.survey import SeenTable, Survey
+from leactl.runfile.importing.proposal.survey import Survey, SurveyedTable
 from leactl.runfile.importing.sources.source import ListedColumn, ListedTable
 from leactl.units import SECONDS, converter, known_units
 
 Array = npt.NDArray[np.float64]
 LEAVE_OUT: Final = "-"  # what a person answers of a channel or a stream that is not to be imported
-LIKELY: Final[dict[str, tuple[str, ...]]] = {  # by the unit of a run file, what is asked for; others can be written
+LIKELY_UNITS: Final[
+    dict[str, tuple[str, ...]]
+] = {  # by the unit of a run file, what is asked for; others can be written
     "rad": ("rad", "deg", "turn", "m"),
     "rad/s": ("rad/s", "deg/s", "rpm", "turn/s", "m/s"),
     "N*m": ("N*m", "mN*m", "N"),
@@ -94,14 +96,14 @@ def streams_of(seen: Survey, answers: Answers) -> list[ProposedStream]:
         if stream.channels:
             streams.append(stream)
     for stream in streams:
-        answered(stream, answers)
+        apply_answers(stream, answers)
     decide_by_numbers(streams)
     streams = [stream for stream in streams if stream.channels]
-    set_apart(streams)
+    add_locations(streams)
     return streams
 
 
-def stream_of(seen: SeenTable, taken: set[str]) -> ProposedStream:
+def stream_of(seen: SurveyedTable, taken: set[str]) -> ProposedStream:
     """The channels of a table by what is declared, documented or written in their names."""
     table, dialect = seen.table, seen.dialect
     time, time_units, time_why = time_of(seen)
@@ -119,8 +121,8 @@ def stream_of(seen: SeenTable, taken: set[str]) -> ProposedStream:
             left_out[column.name] = proposed
             continue
         proposed.values = values
-        channels[free(slug(str(column.name)), channels)] = proposed
-    name = free(slug((table.records or "loop").replace(f"[{PLACEHOLDER}]", "")), taken)
+        channels[free_name(slug(str(column.name)), channels)] = proposed
+    name = free_name(slug((table.records or "loop").replace(f"[{PLACEHOLDER}]", "")), taken)
     stamps = [each[time.name] for each in seen.columns if time.name in each] if time else []
     return ProposedStream(name, table, time, time_units, time_why, channels, left_out, stamps)
 
@@ -130,34 +132,34 @@ def channel_of(column: ListedColumn, table: ListedTable, dialect: LogDialect | N
     name = str(column.name)
     if isinstance(column.name, int):
         name = f"{table.records or ''}[{column.name}]"
-    if dialect is not None and (known := dialect.channel(name)):
-        if not known.quantity:
+    if dialect is not None and (documented := dialect.channel(name)):
+        if not documented.quantity:
             return f"{dialect.meaning} has it, and it is no channel of a run"
         role = meaning_of(name).role or "test"
-        why = f"{' or '.join(known.units)} by {dialect.meaning}"
-        channel = ProposedChannel(column.name, known.quantity, role, known.units, [why])
-        channel.scale, channel.scale_of, channel.sign = known.scale, known.scale_of, known.sign
-        channel.location = known.location
+        why = f"{' or '.join(documented.units)} by {dialect.meaning}"
+        channel = ProposedChannel(column.name, documented.quantity, role, documented.units, [why])
+        channel.scale, channel.scale_of, channel.sign = documented.scale, documented.scale_of, documented.sign
+        channel.location = documented.location
         return channel
-    said = meaning_of(f"{table.records or ''}.{name}" if name == "value" else name)
-    quantity = column.quantity or said.quantity
+    meaning = meaning_of(f"{table.records or ''}.{name}" if name == "value" else name)
+    quantity = column.quantity or meaning.quantity
     if not quantity:
-        return said.why_not
-    role = said.role or "test"
-    of_role = [f"role {role} by its name"] if said.role else []
+        return meaning.why_not
+    role = meaning.role or "test"
+    of_role = [f"role {role} by its name"] if meaning.role else []
     if column.units and converter(column.units, quantity):
         return ProposedChannel(
             column.name, quantity, role, (column.units,), [f"{column.units} by {column.declared_by}", *of_role]
         )
-    if said.units:
+    if meaning.units:
         return ProposedChannel(
-            column.name, quantity, role, (said.units,), [f"{said.units} stands in its name", *of_role]
+            column.name, quantity, role, (meaning.units,), [f"{meaning.units} stands in its name", *of_role]
         )
-    likely = [units for units in LIKELY[known_units(quantity)[0]] if converter(units, quantity)]
+    likely = [units for units in LIKELY_UNITS[known_units(quantity)[0]] if converter(units, quantity)]
     return ProposedChannel(column.name, quantity, role, tuple(likely), [f"{quantity} by its name", *of_role])
 
 
-def time_of(seen: SeenTable) -> tuple[ListedColumn | None, tuple[str, ...], str]:
+def time_of(seen: SurveyedTable) -> tuple[ListedColumn | None, tuple[str, ...], str]:
     """The column of stamps, the units that it may be in, and why."""
     table, dialect = seen.table, seen.dialect
     if table.time is not None:
@@ -168,9 +170,13 @@ def time_of(seen: SeenTable) -> tuple[ListedColumn | None, tuple[str, ...], str]
         values = seen.columns[0].get(column.name)
         if values is None or not is_time(str(column.name)) or not increases(values):
             continue
-        said = column.units or meaning_of(str(column.name)).units
-        if said in SECONDS:
-            return column, (said,), f"{said} stands {'in its name' if not column.units else 'in ' + column.declared_by}"
+        units = column.units or meaning_of(str(column.name)).units
+        if units in SECONDS:
+            return (
+                column,
+                (units,),
+                f"{units} stands {'in its name' if not column.units else 'in ' + column.declared_by}",
+            )
         likely, why = units_of_time(values)
         return column, tuple(likely), why
     return None, (), "no column of stamps by its name"
@@ -182,7 +188,7 @@ def increases(values: Array) -> bool:
     return len(steps) > 0 and bool(np.isfinite(values).all()) and float((steps > 0).mean()) > 0.5 and steps.sum() > 0
 
 
-def answered(stream: ProposedStream, answers: Answers) -> None:
+def apply_answers(stream: ProposedStream, answers: Answers) -> None:
     """Put what a person has said in its place."""
     of_time = {key: answers.get(("streams", stream.name, "time", key)) for key in ("units", "rate_Hz")}
     if LEAVE_OUT in of_time.values():
@@ -213,7 +219,7 @@ def decide_by_numbers(streams: list[ProposedStream]) -> None:
         if channel.values and not channel.is_settled:
             decide_by_range(channel)
     timed = [(stream, channel) for stream, channel in everything if stream.stamps and len(stream.time_units) == 1]
-    pairs = [(first, second) for first in timed for second in timed if belong(first, second)]
+    pairs = [(first, second) for first in timed for second in timed if are_of_one_shaft(first, second)]
     while True:
         before = [channel.units for _, channel in timed]
         for (stream, channel), (other_stream, other) in pairs:
@@ -237,15 +243,17 @@ def decide_by_numbers(streams: list[ProposedStream]) -> None:
 def decide_by_range(channel: ProposedChannel) -> None:
     """Decide by what the numbers reach and how they jump; ask where that is not what is said of them."""
     units, why = units_by_range(channel.quantity, np.concatenate(channel.values))
-    is_said = same(units, channel.units, channel.quantity)
-    if units and is_said and len(channel.units) > 1:
+    agrees_with_name = is_same_unit(units, channel.units, channel.quantity)
+    if units and agrees_with_name and len(channel.units) > 1:
         channel.decide(units, f"{units} by {why}")
-    elif units and not is_said and (len(channel.units) > 1 or channel.quantity.startswith("angle")):
+    elif units and not agrees_with_name and (len(channel.units) > 1 or channel.quantity.startswith("angle")):
         channel.units, channel.is_settled = (units, *channel.units), True
         channel.why.append(f"yet {why}")
 
 
-def belong(first: tuple[ProposedStream, ProposedChannel], second: tuple[ProposedStream, ProposedChannel]) -> bool:
+def are_of_one_shaft(
+    first: tuple[ProposedStream, ProposedChannel], second: tuple[ProposedStream, ProposedChannel]
+) -> bool:
     """Whether two channels are of one shaft, as far as their names say."""
     if first[1].role != second[1].role:
         return False
@@ -278,14 +286,16 @@ def decide_by_travel(
     best = min(known, key=lambda gain: gain.std / abs(gain.value))
     gain = abs(best.value) * (velocity.scale or 1.0) / (angle.scale or 1.0)
     factor = f"{velocity.column} is {gain:.4g} times the change of {angle.column}"
-    is_one = abs(gain - 1.0) <= CLOSE
-    pairs = pairs_of(gain, CLOSE if is_one else TIGHT)
+    is_one = abs(gain - 1.0) <= UNIT_GAIN_TOLERANCE
+    pairs = unit_pairs_with_gain(gain, UNIT_GAIN_TOLERANCE if is_one else PAIR_GAIN_TOLERANCE)
     fitting = [
-        pair for pair in pairs if same(pair[0], angle.units, "angle") and same(pair[1], velocity.units, "velocity")
+        pair
+        for pair in pairs
+        if is_same_unit(pair[0], angle.units, "angle") and is_same_unit(pair[1], velocity.units, "velocity")
     ]
     decided = [len(channel.units) == 1 for channel in (angle, velocity)]
     if all(decided):
-        others = [pair for pair in pairs if same(pair[0], angle.units, "angle")]
+        others = [pair for pair in pairs if is_same_unit(pair[0], angle.units, "angle")]
         if not fitting and others and not is_gear(gain):  # what one of both is said to be in is wrong
             velocity.units, velocity.is_settled = (others[0][1], *velocity.units), True
             velocity.why.append(f"yet {factor}, as {others[0][1]} would be")
@@ -293,20 +303,20 @@ def decide_by_travel(
     alone = len({pair[0] for pair in fitting}) == 1 and len({pair[1] for pair in fitting}) == 1
     if alone and is_one and any(decided):
         for channel, units in zip((angle, velocity), fitting[0], strict=True):
-            if len(channel.units) > 1 and not channel.is_settled and units not in GEARED:
+            if len(channel.units) > 1 and not channel.is_settled and units not in UNITS_LIKE_A_GEAR:
                 channel.decide(units, f"{units}: {factor}")
-    by_gain = [of_velocity for of_angle, of_velocity in pairs if same(of_angle, angle.units, "angle")]
+    by_gain = [of_velocity for of_angle, of_velocity in pairs if is_same_unit(of_angle, angle.units, "angle")]
     if not fitting and decided[0]:
         velocity.units = tuple(dict.fromkeys((*by_gain, *velocity.units)))
     for channel, at in ((angle, 0), (velocity, 1)):
         fit = tuple(pair[at] for pair in fitting)
-        likely = [units for units in channel.units if same(units, fit, channel.quantity)]
+        likely = [units for units in channel.units if is_same_unit(units, fit, channel.quantity)]
         if len(channel.units) > 1:
             channel.units = (*likely, *(units for units in channel.units if units not in likely))
             channel.why += [factor] if factor not in channel.why else []
 
 
-def same(units: str, among: tuple[str, ...], quantity: str) -> bool:
+def is_same_unit(units: str, among: tuple[str, ...], quantity: str) -> bool:
     """Whether a unit of a quantity is one of these, by whatever name."""
     return any(converter(units, quantity) == converter(each, quantity) for each in among)
 
@@ -318,12 +328,12 @@ def decide_by_setpoint(
     setpoint_series: list[ColumnSeries],
 ) -> None:
     """Decide by a setpoint that the reading follows one to one."""
-    known, asked = (reading, setpoint) if len(reading.units) == 1 else (setpoint, reading)
-    if len(known.units) != 1 or len(asked.units) == 1 or known.units[0] not in asked.units:
+    decided, undecided = (reading, setpoint) if len(reading.units) == 1 else (setpoint, reading)
+    if len(decided.units) != 1 or len(undecided.units) == 1 or decided.units[0] not in undecided.units:
         return
     by_joint = zip(reading_series, setpoint_series, strict=False)
-    if any(follows(measured, wanted, reading.quantity) for measured, wanted in by_joint):
-        asked.decide(known.units[0], f"{known.units[0]}: {reading.column} follows {setpoint.column} one to one")
+    if any(equals_setpoint(measured, wanted, reading.quantity) for measured, wanted in by_joint):
+        undecided.decide(decided.units[0], f"{decided.units[0]}: {reading.column} follows {setpoint.column} one to one")
 
 
 def decide_by_kind(torque: ProposedChannel, angle: ProposedChannel) -> None:
@@ -334,16 +344,16 @@ def decide_by_kind(torque: ProposedChannel, angle: ProposedChannel) -> None:
         torque.decide(units, f"{units}: {angle.column} is in {angle.units[0]}")
 
 
-def set_apart(streams: list[ProposedStream]) -> None:
+def add_locations(streams: list[ProposedStream]) -> None:
     """Give channels of one quantity and role a location each, unless they have one."""
-    alike: dict[tuple[str, str, str], list[tuple[str, ProposedChannel]]] = {}
+    by_quantity: dict[tuple[str, str, str], list[tuple[str, ProposedChannel]]] = {}
     for stream in streams:
         for name, channel in stream.channels.items():
             key = (channel.quantity, channel.role, channel.location)
-            alike.setdefault(key, []).append((f"{stream.name}_{name}" if len(streams) > 1 else name, channel))
-    for several in alike.values():
-        if len(several) > 1:
-            for name, channel in several:
+            by_quantity.setdefault(key, []).append((f"{stream.name}_{name}" if len(streams) > 1 else name, channel))
+    for channels in by_quantity.values():
+        if len(channels) > 1:
+            for name, channel in channels:
                 channel.location = name
                 channel.why.append(f"location {name}: others measure the same by their names")
 
@@ -354,7 +364,7 @@ def slug(text: str) -> str:
     return name if name[:1].isalpha() and name.lower() not in ("null", "true", "false") else f"column_{name}".strip("_")
 
 
-def free(name: str, taken: Mapping[str, object] | set[str]) -> str:
+def free_name(name: str, taken: Mapping[str, object] | set[str]) -> str:
     """A name that is not taken; `time` is that of the stamps."""
     names = [name, *(f"{name}_{count}" for count in range(2, len(taken) + 3))]
     return next(each for each in names if each not in taken and each != "time")

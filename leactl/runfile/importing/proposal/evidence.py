@@ -20,14 +20,14 @@ ANGLES: Final = ("rad", "deg", "turn", "m", "mm")  # that logs are written in; `
 VELOCITIES: Final = ("rad/s", "deg/s", "rpm", "turn/s", "m/s", "mm/s")
 MOST_DEGREES: Final = 400.0  # of a limb, in whole ones
 WIDE_RAD: Final = 6.0 * math.pi  # which no limb reaches
-GEARED: Final = ("deg/s", "rpm", "turn/s")  # a gear of 6 or 60 apart, which there are
+UNITS_LIKE_A_GEAR: Final = ("deg/s", "rpm", "turn/s")  # a gear of 6 or 60 apart, which there are
 TURNS: Final = {2.0 * math.pi: "rad", 360.0: "deg", 1.0: "turn"}  # what a wrapped angle jumps by
-CLOSE: Final = 0.004  # relative, of a gain to 1, where the unit of one of both is known
-TIGHT: Final = 0.003  # of a gain to the factor of two units that differ, which are then the likeliest
-GEAR: Final = 0.003  # of a gain to a whole number, which is a gear's as well
-SURE: Final = 0.001  # relative standard error of a gain that decides
-EXPLAINED: Final = 0.95  # share of a velocity that the angle's change has to explain
-ALIKE: Final = 0.05  # relative, of a reading to its setpoint
+UNIT_GAIN_TOLERANCE: Final = 0.004  # relative, of a gain to 1, where the unit of one of both is known
+PAIR_GAIN_TOLERANCE: Final = 0.003  # of a gain to the factor of two units that differ, which are then the likeliest
+GEAR_TOLERANCE: Final = 0.003  # of a gain to a whole number, which is a gear's as well
+LARGEST_GAIN_ERROR: Final = 0.001  # relative standard error of a gain that decides
+LEAST_EXPLAINED: Final = 0.95  # share of a velocity that the angle's change has to explain
+SETPOINT_TOLERANCE: Final = 0.05  # relative, of a reading to its setpoint
 FEWEST_JUMPS: Final = 2
 AMPERES: Final = (0.05, 5.0)  # largest of a log: no actuator moves on as many mA
 VOLTS: Final = (0.5, 60.0)  # largest of a log: no winding shows as few mV, and rigs above low voltage are asked for
@@ -45,7 +45,7 @@ class AngleWrap(NamedTuple):
     jumps: int
 
 
-def turned(values: Array) -> AngleWrap | None:
+def find_wrap(values: Array) -> AngleWrap | None:
     """The unit of an angle that wraps; None where it does not, or by no turn of a unit."""
     known = values[np.isfinite(values)]
     if len(known) < FEWEST_JUMPS + 1:
@@ -73,17 +73,17 @@ class ColumnSeries(NamedTuple):
 
 def gain_of(angle: ColumnSeries, velocity: ColumnSeries) -> Gain | None:
     """A velocity over the change of its angle, both as they are written; None where the record does not tell it."""
-    wrapped, of_angle, of_velocity = turned(angle.values), angle.known(), velocity.known()
+    wrapped, of_angle, of_velocity = find_wrap(angle.values), angle.known(), velocity.known()
     if min(len(of_angle.time), len(of_velocity.time)) < 2:
         return None
     plain = np.unwrap(of_angle.values, period=wrapped.period) if wrapped else of_angle.values
     gain = gain_by_travel(MappedColumn("", *of_velocity, "", ""), MappedColumn("", of_angle.time, plain, "", ""))
-    if gain is None or gain.explained < EXPLAINED or gain.std > SURE * abs(gain.value):
+    if gain is None or gain.explained < LEAST_EXPLAINED or gain.std > LARGEST_GAIN_ERROR * abs(gain.value):
         return None
     return gain
 
 
-def pairs_of(gain: float, within: float) -> list[tuple[str, str]]:
+def unit_pairs_with_gain(gain: float, within: float) -> list[tuple[str, str]]:
     """Units of an angle and its velocity whose factor is that of a gain."""
     pairs = []
     for angle in ANGLES:
@@ -100,16 +100,16 @@ def pairs_of(gain: float, within: float) -> list[tuple[str, str]]:
 def is_gear(gain: float) -> bool:
     """Whether a factor is near a whole number, or near one over it."""
     size = max(abs(gain), 1.0 / abs(gain))
-    return abs(size / round(size) - 1.0) <= GEAR
+    return abs(size / round(size) - 1.0) <= GEAR_TOLERANCE
 
 
-def follows(measured: ColumnSeries, setpoint: ColumnSeries, quantity: str) -> bool:
+def equals_setpoint(measured: ColumnSeries, setpoint: ColumnSeries, quantity: str) -> bool:
     """Whether a reading is as large as its setpoint, which is so in one unit alone."""
     reading, wanted = measured.known(), setpoint.known()
     if min(len(reading.time), len(wanted.time)) < 2:
         return False
     gain = gain_by_setpoint(MappedColumn("", *reading, "", ""), MappedColumn("", *wanted, "", ""), quantity)
-    return gain is not None and gain.explained >= EXPLAINED and abs(gain.value - 1.0) <= ALIKE
+    return gain is not None and gain.explained >= LEAST_EXPLAINED and abs(gain.value - 1.0) <= SETPOINT_TOLERANCE
 
 
 def units_of_time(stamps: Array, known: Sequence[str] = tuple(EPOCHS)) -> tuple[list[str], str]:
@@ -162,6 +162,6 @@ def units_by_range(quantity: str, values: Array) -> tuple[str, str]:
             return "degC", f"{its_range}; in degF it would begin at {factor * (low - zero):.3g} degC"
         if low > 250.0 and high < 600.0:
             return "K", f"{its_range}; no log begins so hot in degC or degF"
-    if quantity.startswith("angle") and (wrapped := turned(values)):
+    if quantity.startswith("angle") and (wrapped := find_wrap(values)):
         return wrapped.units, f"{wrapped.jumps} jumps by {wrapped.period:.4g}, a turn in {wrapped.units}"
     return "", ""

@@ -46,7 +46,7 @@ def propose(seen: Survey, answers: Answers) -> Proposal:
         raise InputError(f"{seen.path}: every channel was left out")
     if not streams:
         columns = ", ".join(str(column.name) for table in seen.tables for column in table.table.columns)
-        raise InputError(comment(f"{seen.path}: no name says what a column measures: {columns}; write a mapping"))
+        raise InputError(one_line(f"{seen.path}: no name says what a column measures: {columns}; write a mapping"))
     return Proposal(mapping_text(seen, streams, answers), questions_of(streams, answers))
 
 
@@ -62,19 +62,19 @@ def questions_of(streams: list[ProposedStream], answers: Answers) -> list[OpenQu
             questions.append(OpenQuestion((*key, "rate_Hz"), text, ()))
         elif len(stream.time_units) != 1 and stream.time is not None:
             text = f"stream {stream.name}, stamps {stream.time.name!r}: {stream.time_why}"
-            questions.append(OpenQuestion((*key, "units"), comment(text), stream.time_units or tuple(SECONDS)))
+            questions.append(OpenQuestion((*key, "units"), one_line(text), stream.time_units or tuple(SECONDS)))
         for name, channel in stream.channels.items():
             key = ("streams", stream.name, "channels", name)
             about = f"stream {stream.name}, {channel.column!r} ({channel.quantity})"
             if len(channel.units) != 1:
-                text = comment(f"{about}: {'; '.join(channel.why)}")
+                text = one_line(f"{about}: {'; '.join(channel.why)}")
                 questions.append(OpenQuestion((*key, "units"), text, channel.units, channel.quantity))
             if channel.scale_of:
-                questions.append(OpenQuestion((*key, "scale"), comment(f"{about}: scale is {channel.scale_of}"), ()))
+                questions.append(OpenQuestion((*key, "scale"), one_line(f"{about}: scale is {channel.scale_of}"), ()))
     return questions
 
 
-def accepted(question: OpenQuestion, text: str) -> str | None:
+def accepted_answer(question: OpenQuestion, text: str) -> str | None:
     """An answer as the mapping has it; None where it is none: a choice, its number from 1, a unit, a scale, or `-`."""
     text = text.strip()
     if text == LEAVE_OUT and question.may_be_left_out:
@@ -94,7 +94,7 @@ def accepted(question: OpenQuestion, text: str) -> str | None:
 def mapping_text(seen: Survey, streams: list[ProposedStream], answers: Answers) -> str:
     """The proposal as a mapping file, each channel under its evidence."""
     lines = [
-        f"# Proposed from {comment(seen.path.name)}; every line is to be read before it is used.",
+        f"# Proposed from {one_line(seen.path.name)}; every line is to be read before it is used.",
         f"format: {seen.format}",
     ]
     form = seen.csv.model_dump(exclude_defaults=True)
@@ -108,13 +108,13 @@ def mapping_text(seen: Survey, streams: list[ProposedStream], answers: Answers) 
         lines += [f"  {stream.name}:"]
         if stream.table.records:
             lines.append(f"    records: {quoted(stream.table.records)}")
-        lines.append(f"    time: {{{time_keys(stream)}}}  # {comment(stream.time_why)}")
+        lines.append(f"    time: {{{time_keys(stream)}}}  # {one_line(stream.time_why)}")
         lines.append("    channels:")
         for name, channel in stream.channels.items():
-            lines.append(f"      # {comment('; '.join(channel.why))}")
+            lines.append(f"      # {one_line('; '.join(channel.why))}")
             lines.append(f"      {name}: {{{', '.join(keys_of(channel))}}}{alternatives(channel)}")
         for column, why in stream.left_out.items():
-            lines.append(f"      # {comment(str(column))}: left out, {comment(why)}")
+            lines.append(f"      # {one_line(str(column))}: left out, {one_line(why)}")
     return "\n".join(lines) + "\n"
 
 
@@ -123,16 +123,16 @@ def time_keys(stream: ProposedStream) -> str:
     if stream.time is None:
         return f"rate_Hz: {stream.rate_Hz!r}" if stream.rate_Hz else f"rate_Hz: {UNDECIDED}"
     units = stream.time_units[0] if len(stream.time_units) == 1 else UNDECIDED
-    return f"column: {plain(stream.time.name)}, units: {units}"
+    return f"column: {yaml_value(stream.time.name)}, units: {units}"
 
 
 def keys_of(channel: ProposedChannel) -> Iterator[str]:
     """The keys of a channel in a mapping."""
-    yield f"column: {plain(channel.column)}"
+    yield f"column: {yaml_value(channel.column)}"
     yield f"quantity: {channel.quantity}"
     if channel.role != "test":
         yield f"role: {channel.role}"
-    yield f"units: {plain(channel.units[0]) if len(channel.units) == 1 else UNDECIDED}"
+    yield f"units: {yaml_value(channel.units[0]) if len(channel.units) == 1 else UNDECIDED}"
     if channel.scale_of:
         yield f"scale: {UNDECIDED}"
     elif channel.scale is not None:
@@ -152,10 +152,10 @@ def alternatives(channel: ProposedChannel) -> str:
 
 def streams_joints(streams: list[ProposedStream]) -> list[str]:
     """Every joint that is listed."""
-    return list(dict.fromkeys(comment(joint) for stream in streams for joint in stream.table.joints))
+    return list(dict.fromkeys(one_line(joint) for stream in streams for joint in stream.table.joints))
 
 
-def plain(value: str | int) -> str:
+def yaml_value(value: str | int) -> str:
     """A value as YAML takes it inside braces."""
     if isinstance(value, int) or re.fullmatch(r"[A-Za-z_/][A-Za-z0-9_./-]*", value):
         is_word = isinstance(value, str) and value.lower() in ("null", "true", "false")  # which YAML takes for no text
@@ -168,6 +168,6 @@ def quoted(text: str) -> str:
     return "".join(['"', *(c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in text), '"'])
 
 
-def comment(text: str) -> str:
+def one_line(text: str) -> str:
     """A text that stays on its line."""
     return "".join(character if character.isprintable() else " " for character in text)

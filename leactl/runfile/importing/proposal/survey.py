@@ -18,7 +18,7 @@ MOST_JOINTS: Final = 4  # whose numbers are looked at
 
 
 @dataclass
-class SeenTable:
+class SurveyedTable:
     """A table with its numbers, of each joint that was looked at."""
 
     table: ListedTable
@@ -33,7 +33,7 @@ class Survey:
     path: Path
     format: str
     csv: CsvForm
-    tables: list[SeenTable]
+    tables: list[SurveyedTable]
 
 
 def survey(path: Path) -> Survey:
@@ -46,25 +46,25 @@ def survey(path: Path) -> Survey:
     name = format_of(path)
     form, tables = tables_of(path, name)
     wanted = [
-        WantedColumn(*filled(column.name, table.records, joint))
+        WantedColumn(*fill_joint(column.name, table.records, joint))
         for table in tables
-        for joint in joints_seen(table)
+        for joint in joints_surveyed(table)
         for column in ((*table.columns, table.time) if table.time else table.columns)
     ]
     source = open_source(path, name, SourceRequest(wanted, csv=form))
     seen = []
     for table in tables:
         by_joint: list[dict[str | int, Array]] = []
-        for joint in joints_seen(table):
+        for joint in joints_surveyed(table):
             by_joint.append({})
             for column in (*table.columns, *([table.time] if table.time else [])):
                 try:
-                    values = source.column(*filled(column.name, table.records, joint))
+                    values = source.column(*fill_joint(column.name, table.records, joint))
                 except MissingColumn:
                     continue  # of this joint, or nowhere a number
                 if not isinstance(values, list):
                     by_joint[-1][column.name] = values
-        seen.append(SeenTable(table, dialect_of(table), by_joint))
+        seen.append(SurveyedTable(table, dialect_of(table), by_joint))
     return Survey(path, name, form, seen)
 
 
@@ -85,12 +85,12 @@ def tables_of(path: Path, name: str) -> tuple[CsvForm, list[ListedTable]]:
     return best
 
 
-def joints_seen(table: ListedTable) -> tuple[str, ...]:
+def joints_surveyed(table: ListedTable) -> tuple[str, ...]:
     """Joints whose numbers are looked at; one without a name where a table has none."""
     return table.joints[:MOST_JOINTS] or ("",)
 
 
-def filled(column: str | int, records: str | None, joint: str) -> tuple[str | int, str | None]:
+def fill_joint(column: str | int, records: str | None, joint: str) -> tuple[str | int, str | None]:
     """A column with a joint's name in place of `{joint}`."""
     name = column.replace(PLACEHOLDER, joint) if isinstance(column, str) else column
     return name, records.replace(PLACEHOLDER, joint) if records else None

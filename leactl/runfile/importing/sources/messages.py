@@ -27,7 +27,7 @@ from leactl.runfile.importing.sources.source import (
     SourceRequest,
     WantedColumn,
     as_float,
-    reason_of,
+    reason_text,
 )
 
 Array = npt.NDArray[np.float64]
@@ -169,7 +169,7 @@ class MessageSource:
         except Exception as error:  # noqa: BLE001 (a decoder meets damaged bytes with whatever it stumbles over)
             at = self._counts[message.topic]
             raise InputError(
-                f"{self.path}: {message.topic} message {at}: cannot be decoded: {reason_of(error)}"
+                f"{self.path}: {message.topic} message {at}: cannot be decoded: {reason_text(error)}"
             ) from None
 
     def _put(self, column: "_Gathered", path: ColumnPath, message: Message, tree: Any, names: Names) -> None:
@@ -192,14 +192,14 @@ class MessageSource:
         assert self._first_ns is not None
         if path.steps in RECORDER and _child(tree, path.steps[0]) is None:
             return ((message.log_ns if path.steps == RECORDER[0] else message.publish_ns) - self._first_ns) * 1e-9
-        node, done = tree, ""
+        node, path_so_far = tree, ""
         for step in path.steps:
             is_list = not isinstance(node, str | dict) and isinstance(node, Sequence | np.ndarray)
             below = _element(node, step, names) if is_list else _child(node, step)
             if below is None:
-                has = ", ".join(_fields(node)) or f"a value of {type(node).__name__}"
-                raise MissingColumn(f"has no {step!r} in {done or 'it'}, which has {has}")
-            node, done = below, f"{done}.{step}".strip(".")
+                fields = ", ".join(_fields(node)) or f"a value of {type(node).__name__}"
+                raise MissingColumn(f"has no {step!r} in {path_so_far or 'it'}, which has {fields}")
+            node, path_so_far = below, f"{path_so_far}.{step}".strip(".")
         stamp = _nanoseconds(node)
         return node if stamp is None else as_float(stamp - self._first_ns) * 1e-9
 

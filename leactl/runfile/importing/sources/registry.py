@@ -94,13 +94,13 @@ def recognised(path: Path) -> str:
 
 def loadable() -> dict[str, Any]:
     """Every format that loads, by name, shipped ones before others."""
-    known = {}
+    formats = {}
     for name in (*sorted(shipped()), *sorted(foreign())):
         try:
-            known[name] = load(name)
+            formats[name] = load(name)
         except InputError:
             continue  # told where a mapping asks for it by name
-    return known
+    return formats
 
 
 def head_of(path: Path) -> bytes:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from leactl.errors import InputError
-from leactl.runfile.importing.sources.source import reason_of
+from leactl.runfile.importing.sources.source import reason_text
 
 MOST_PARTS: Final = 10_000  # of a message: rosbags writes code for each
 UNDERWAY: Final = 0  # of a message whose parts are being counted
@@ -83,7 +83,7 @@ class RosTypes:
                 return f"has a definition of more than {MOST_PARTS} parts; fewer were expected"
             self._store.register({name: fields for name, fields in types.items() if name not in known})
         except (TypesysError, UnicodeDecodeError, RecursionError, KeyError, ValueError) as error:
-            return f"has a definition that cannot be read: {reason_of(error)}"
+            return f"has a definition that cannot be read: {reason_text(error)}"
         return ""
 
 

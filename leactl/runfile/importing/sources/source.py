@@ -22,7 +22,7 @@ class MissingColumn(Exception):
     """The source has no such column or field; the message says what it has."""
 
 
-def reason_of(error: BaseException) -> str:
+def reason_text(error: BaseException) -> str:
     """What a library says of a file, on one line and not for long."""
     return " ".join(str(error).split())[:LONGEST_REASON] or type(error).__name__
 

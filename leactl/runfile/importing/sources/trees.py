@@ -31,8 +31,8 @@ class TreeSource:
     def column(self, name: str | int, records: str | None) -> Array | list[str]:
         """A column by path, below the records where they are given."""
         base = self._walk(self._tree, records) if records else self._tree
-        found = self._indexed(base, name, records) if isinstance(name, int) else self._walk(base, name)
-        return self._as_column(found, name)
+        node = self._indexed(base, name, records) if isinstance(name, int) else self._walk(base, name)
+        return self._as_column(node, name)
 
     def labels(self, name: str | int, records: str | None) -> list[str]:
         """A column by path, as labels."""
@@ -68,15 +68,15 @@ class TreeSource:
     def _walk(self, node: Any, path: str) -> Any:
         if isinstance(node, dict) and path in node:
             return node[path]
-        done = ""
+        path_so_far = ""
         for match in _STEP.finditer(path):
             key: str | int = match[1] if match[1] is not None else int(match[2])
-            node = self._child(node, key, done)
-            done = path[: match.end()]
+            node = self._child(node, key, path_so_far)
+            path_so_far = path[: match.end()]
         return node
 
-    def _child(self, node: Any, key: str | int, done: str) -> Any:
-        where = done or "the file"
+    def _child(self, node: Any, key: str | int, parent_path: str) -> Any:
+        where = parent_path or "the file"
         if isinstance(key, int):
             if isinstance(node, list | np.ndarray) and key < len(node):
                 return node[key]
@@ -92,25 +92,25 @@ class TreeSource:
             return [item.get(key) for item in node]  # None: that record lacks it
         raise MissingColumn(f"{self.path}: {where} has no {key!r}; it is {_described(node)}")
 
-    def _as_column(self, found: Any, name: str | int) -> Array | list[str]:
-        if isinstance(found, np.ndarray) and found.dtype.kind in "fiub":
-            flat = found.reshape(-1) if found.size == max(found.shape, default=0) else found
+    def _as_column(self, node: Any, name: str | int) -> Array | list[str]:
+        if isinstance(node, np.ndarray) and node.dtype.kind in "fiub":
+            flat = node.reshape(-1) if node.size == max(node.shape, default=0) else node
             if flat.ndim == 1:
                 return flat.astype(np.float64)
-        if isinstance(found, list) and found:
-            if all(isinstance(value, str) for value in found):
-                return found
-            out = array("d")
-            for row, value in enumerate(found):
+        if isinstance(node, list) and node:
+            if all(isinstance(value, str) for value in node):
+                return node
+            numbers = array("d")
+            for row, value in enumerate(node):
                 if value is not None and not isinstance(value, bool | int | float | np.number):
                     shown = repr(value) if isinstance(value, str) else _described(value)
                     raise InputError(f"{self.place(name, row)}: {shown} is not a number")
                 try:
-                    out.append(np.nan if value is None else as_float(value))
+                    numbers.append(np.nan if value is None else as_float(value))
                 except MissingColumn as lacking:
                     raise InputError(f"{self.place(name, row)}: {lacking}") from None
-            return np.frombuffer(out, np.float64)
-        raise MissingColumn(f"{self.path}: {name!r} holds {_described(found)} where a column of numbers was expected")
+            return np.frombuffer(numbers, np.float64)
+        raise MissingColumn(f"{self.path}: {name!r} holds {_described(node)} where a column of numbers was expected")
 
 
 def _described(value: Any) -> str:

@@ -118,8 +118,8 @@ class CsvSource:
         return repr(self._names[at]) if at < len(self._names) else str(at)
 
     def _found(self, wanted: Sequence[WantedColumn], width: int) -> list[int]:
-        places = {self._at(each.name, width) for each in wanted}
-        return sorted(at for at in places if at is not None)
+        indices = {self._at(each.name, width) for each in wanted}
+        return sorted(at for at in indices if at is not None)
 
     def _at(self, wanted: str | int, width: int) -> int | None:
         if isinstance(wanted, int):
@@ -128,8 +128,8 @@ class CsvSource:
 
     def column(self, name: str | int, records: str | None) -> Array | list[str]:
         """A column by header or index."""
-        found = self._columns[self._known(name, self._columns)]
-        return found if isinstance(found, list) else np.frombuffer(found, np.float64)
+        values = self._columns[self._known(name, self._columns)]
+        return values if isinstance(values, list) else np.frombuffer(values, np.float64)
 
     def labels(self, name: str | int, records: str | None) -> list[str]:
         """A column by header or index, as labels."""

@@ -56,10 +56,10 @@ def refuse_swelling(path: Path) -> None:
     ------
     InputError : it does.
     """
-    times, beside = MOST_UNPACKED
+    times, extra = MOST_UNPACKED
     with open_regular(path) as raw:
         size = os.fstat(raw.fileno()).st_size
-        left = times * size + beside
+        bytes_left = times * size + extra
         head = raw.read(MAT_HEADER)
         order: Literal["big", "little"] = "big" if head.endswith(b"MI") else "little"
         while len(tag := raw.read(8)) == 8 and int.from_bytes(tag[:4], order) == MAT_PACKED:
@@ -67,12 +67,12 @@ def refuse_swelling(path: Path) -> None:
             deflate = zlib.decompressobj()
             while packed:
                 try:
-                    left -= len(deflate.decompress(packed, BLOCK))
+                    bytes_left -= len(deflate.decompress(packed, BLOCK))
                 except zlib.error:
                     return  # damaged, as scipy will say
                 packed = deflate.unconsumed_tail
-                if left < 0:
-                    raise InputError(f"{path}: unpacks to more than {times * size + beside} bytes; fewer were expected")
+                if bytes_left < 0:
+                    raise InputError(f"{path}: unpacks to more than {times * size + extra} bytes; fewer were expected")
 
 
 def hdf5_tree(path: Path) -> Any:

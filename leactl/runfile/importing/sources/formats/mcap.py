@@ -18,7 +18,7 @@ from leactl.errors import InputError
 from leactl.regular import open_regular
 from leactl.runfile.importing.sources.messages import Message, MessageSource, OpenLog, Topic
 from leactl.runfile.importing.sources.ros_types import RosTypes, packages
-from leactl.runfile.importing.sources.source import SourceRequest, reason_of
+from leactl.runfile.importing.sources.source import SourceRequest, reason_text
 
 ENDINGS = (".mcap",)
 LARGEST_CHUNK: Final = 1 << 28  # bytes unpacked: recorders write some megabytes
@@ -111,10 +111,10 @@ class McapFile:
         except (EndOfFile, InvalidMagic):  # its beginning is that of MCAP, so it is its end that lacks
             raise InputError(f"{self._path}: {TRUNCATED}") from None
         except McapError as error:
-            raise InputError(f"{self._path}: damaged: {reason_of(error)}") from None
+            raise InputError(f"{self._path}: damaged: {reason_text(error)}") from None
         # it meets damaged lengths with whatever it stumbles over
         except (ValueError, LookupError, MemoryError, OverflowError, EOFError, OSError, struct.error) as error:
-            raise InputError(f"{self._path}: damaged: {reason_of(error)}") from None
+            raise InputError(f"{self._path}: damaged: {reason_text(error)}") from None
 
     def _unpacked(self, chunk: Any) -> Any:
         """The chunk without its compression.

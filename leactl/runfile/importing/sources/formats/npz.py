@@ -10,7 +10,7 @@ import numpy as np
 from leactl.errors import InputError
 from leactl.regular import open_regular
 from leactl.runfile.hdf5.tree import MOST_UNPACKED
-from leactl.runfile.importing.sources.source import SourceRequest, reason_of
+from leactl.runfile.importing.sources.source import SourceRequest, reason_text
 from leactl.runfile.importing.sources.trees import MOST_COLUMNS, TreeSource
 
 ENDINGS = (".npz",)
@@ -35,7 +35,7 @@ def open_source(path: Path, request: SourceRequest) -> TreeSource:
                 for info in archive.infolist():
                     arrays[info.filename.removesuffix(".npy")] = read_array(path, archive, info)
         except DAMAGE as fault:
-            raise InputError(f"{path}: not an NPZ archive that can be read: {reason_of(fault)}") from None
+            raise InputError(f"{path}: not an NPZ archive that can be read: {reason_text(fault)}") from None
     return TreeSource(path, arrays | columns_of(arrays))
 
 
@@ -57,9 +57,9 @@ def refuse_swelling(path: Path, archive: zipfile.ZipFile, raw: BinaryIO) -> None
     infos = archive.infolist()
     if len(infos) > MOST_ARRAYS:
         raise InputError(f"{path}: {len(infos)} arrays; at most {MOST_ARRAYS} were expected")
-    times, beside = MOST_UNPACKED
+    times, extra = MOST_UNPACKED
     size = raw.seek(0, 2)
-    most = times * size + beside
+    most = times * size + extra
     if (unpacked := sum(info.file_size for info in infos)) > most:
         raise InputError(f"{path}: unpacks to {unpacked} bytes from {size}; at most {most} were expected")
 
@@ -78,9 +78,9 @@ def read_array(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> A
         shape, fortran, dtype = HEADERS[version](member, max_header_size=LONGEST_HEADER)
         if dtype.hasobject:
             raise InputError(f"{path}: {info.filename}: an array of objects; numbers or text were expected")
-        said = int(np.prod(shape, dtype=object)) * dtype.itemsize
-        if (stored := info.file_size - member.tell()) != said:
-            raise InputError(f"{path}: {info.filename}: its header says {said} bytes; {stored} are stored")
-        flat = np.frombuffer(member.read(said), dtype)
+        announced = int(np.prod(shape, dtype=object)) * dtype.itemsize
+        if (stored := info.file_size - member.tell()) != announced:
+            raise InputError(f"{path}: {info.filename}: its header says {announced} bytes; {stored} are stored")
+        flat = np.frombuffer(member.read(announced), dtype)
     array = flat.reshape(shape, order="F" if fortran else "C")
     return [str(text) for text in flat] if dtype.kind in "U" and array.ndim == 1 else array

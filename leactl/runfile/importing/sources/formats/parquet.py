@@ -17,7 +17,7 @@ from leactl.errors import InputError
 from leactl.regular import open_regular
 from leactl.runfile.hdf5.tree import MOST_UNPACKED
 from leactl.runfile.importing.mapping import PLACEHOLDER
-from leactl.runfile.importing.sources.source import ListedColumn, ListedTable, SourceRequest, reason_of
+from leactl.runfile.importing.sources.source import ListedColumn, ListedTable, SourceRequest, reason_text
 from leactl.runfile.importing.sources.trees import MOST_COLUMNS, TreeSource
 
 ENDINGS = (".parquet", ".pq")
@@ -85,7 +85,7 @@ def readable(path: Path, arrow: Any) -> Iterator[None]:
     except (arrow.ArrowException, OSError, ValueError, MemoryError) as fault:
         if isinstance(fault, InputError):
             raise
-        raise InputError(f"{path}: not a Parquet file that can be read: {reason_of(fault)}") from None
+        raise InputError(f"{path}: not a Parquet file that can be read: {reason_text(fault)}") from None
 
 
 def asked_for(name: str, request: SourceRequest) -> bool:
@@ -108,10 +108,10 @@ def refuse_swelling(path: Path, metadata: Any, names: Iterable[str]) -> None:
             column = metadata.row_group(group).column(at)
             if column.path_in_schema.split(".")[0] in wanted or column.path_in_schema in wanted:
                 values += max(column.num_values, 0)
-    times, beside = MOST_UNPACKED
+    times, extra = MOST_UNPACKED
     size = path.stat().st_size
-    if VALUE_BYTES * values > times * size + beside:
-        most = (times * size + beside) // VALUE_BYTES
+    if VALUE_BYTES * values > times * size + extra:
+        most = (times * size + extra) // VALUE_BYTES
         raise InputError(f"{path}: {values} values in a file of {size} bytes; at most {most} were expected")
 
 

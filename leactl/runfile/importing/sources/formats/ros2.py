@@ -15,7 +15,7 @@ from leactl.regular import open_regular
 from leactl.runfile.importing.sources.formats.mcap import LARGEST_RECORD, McapFile
 from leactl.runfile.importing.sources.messages import Message, MessageSource, OpenLog, Topic
 from leactl.runfile.importing.sources.ros_types import RosTypes, packages
-from leactl.runfile.importing.sources.source import SourceRequest, reason_of
+from leactl.runfile.importing.sources.source import SourceRequest, reason_text
 
 ENDINGS = (".db3",)
 METADATA: Final = "metadata.yaml"
@@ -153,4 +153,4 @@ class BagFile:
         except InputError:
             raise
         except (ReaderError, apsw.Error, ValueError, LookupError, TypeError, OSError) as error:
-            raise InputError(f"{self._path}: damaged, or no bag: {reason_of(error)}") from None
+            raise InputError(f"{self._path}: damaged, or no bag: {reason_text(error)}") from None
