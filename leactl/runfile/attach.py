@@ -1,8 +1,8 @@
 """Attach a record of another device to a closed run, as a stream of its own on the run's clock, with its provenance.
 
-Nothing that the run holds is changed: the file is replaced by a copy with one stream more, once all other values have
-proved the same. The stream's attributes keep the files' checksums, what was found in them and how the clocks were tied;
-the stamps are a straight line of the record's own, so that those can be had back.
+The run's own values stay as they are: the file is replaced by a copy with one more stream, after all other values have
+been compared. The stream's attributes keep the files' checksums, remarks on their content and the alignment of the
+clocks. The new stamps are a linear function of the record's own, which can therefore be restored.
 """
 
 import hashlib
@@ -224,7 +224,7 @@ def attach(path: Path, joined: AlignedRecord, settings: Mapping[str, Any], drive
 
 
 def refuse_duplicates(run: Run, record: FileRecord, replace: bool) -> None:
-    """Raise InputError if the run already has the record's stream, or a channel of equal quantity, role and location."""
+    """Raise InputError if the run has the record's stream, or a channel of equal quantity, role and location."""
     faults = [
         fault for spec in record.channels for fault in faults_of_channel(f"streams/{record.stream}/{spec.name}", spec)
     ]

@@ -69,7 +69,7 @@ def csv_writers(run: Run) -> dict[str, Writer]:
 
 
 def heading(text: str) -> str:
-    """A heading that no spreadsheet takes for a formula: a leading `=`, `+`, `-` or `@` gets an apostrophe before it."""
+    """A heading that no spreadsheet takes for a formula: an apostrophe stands before a leading `=`, `+`, `-` or `@`."""
     plain = CONTROL.sub("\N{REPLACEMENT CHARACTER}", text)
     return f"'{plain}" if plain.startswith(FORMULA) else plain
 

@@ -1,9 +1,9 @@
-"""The seal of a run file: what every object of the tree was when the run was closed, names and attributes included.
+"""The seal of a run file: digests of all its objects, names and attributes included, when the run was closed.
 
 `/seal` lists each group and dataset with a digest of its kind, its attributes and the checksum of its values; the
-root's attribute `seal` is the digest of that list. What is added later carries a `seal` of its own, over its own tree,
-and the root's attribute `additions` is the digest of those. How a value is stored (compression, chunks, the version of
-HDF5 or of h5py, a scalar or an array of one) is in no digest: a rewritten file keeps its seal.
+root's attribute `seal` is the digest of that list. A group that is added later has a `seal` of its own tree, and the
+root's attribute `additions` is the digest of those. The storage of a value (compression, chunks, version of HDF5 or
+h5py, scalar or array of one) is in no digest, so that a rewritten file keeps its seal.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ MOST_LISTED: Final = 5  # places with a line each
 
 
 def entries(node: Any, path: str = "/") -> Iterator[tuple[str, str]]:
-    """Every object of a tree, the node itself first, with its digest; additions and the list itself are left out."""
+    """Path and digest of every object of a tree, the node itself first; without additions and `/seal`."""
     yield path, object_digest(node)
     if not isinstance(node, h5py.Group):
         return
@@ -39,7 +39,7 @@ def entries(node: Any, path: str = "/") -> Iterator[tuple[str, str]]:
 
 
 def object_digest(node: Any) -> str:
-    """Digest of what a group or dataset is: its kind, shape, attributes, and the stored checksum of its values."""
+    """Digest of a group or dataset: its kind, shape, attributes, and the stored checksum of its values."""
     digests = {SEAL, ADDITIONS if node.name == "/" else "sha256" if isinstance(node, h5py.Dataset) else SEAL}
     attributes = {name: value for name, value in layout.attributes(node).items() if name not in digests}
     if isinstance(node, h5py.Dataset):
@@ -51,23 +51,23 @@ def object_digest(node: Any) -> str:
 
 
 def digest_of(value: Any) -> str:
-    """SHA-256 of a value as JSON with sorted keys and the shortest numbers that read back the same."""
+    """SHA-256 of a value as JSON with sorted keys and shortest round-trip numbers."""
     text = json.dumps(value, sort_keys=True, ensure_ascii=True, separators=(",", ":"), default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def table_of(file: Any) -> list[dict[str, str]]:
-    """The rows of `/seal` for a file as it is now."""
+    """Rows of `/seal` for the present state of a file."""
     return [{"path": path, "sha256": digest} for path, digest in sorted(entries(file))]
 
 
 def digest_of_table(rows: list[dict[str, str]]) -> str:
-    """What the root's `seal` holds."""
+    """Value of the root's attribute `seal` for these rows."""
     return digest_of([[row["path"], row["sha256"]] for row in rows])
 
 
 def additions(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """What was added after the run was closed: the groups below the root that carry a seal of their own."""
+    """Path and object of each addition after the close: the objects that have a seal of their own."""
     for name in node:
         child_path = f"{path}/{name}"
         if child_path == f"/{SEAL}" or not isinstance(node.get(name, getlink=True), h5py.HardLink):
@@ -80,7 +80,7 @@ def additions(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def seal_additions(file: Any, hdf5_paths: Iterable[str]) -> None:
-    """Seal what was added at these places, or taken from them, where the file is sealed itself."""
+    """Update the seals of additions at these paths and the root's digest of them; does nothing in an unsealed file."""
     if SEAL not in file.attrs:
         return
     for hdf5_path in hdf5_paths:
@@ -90,12 +90,12 @@ def seal_additions(file: Any, hdf5_paths: Iterable[str]) -> None:
 
 
 def digest_of_additions(file: Any) -> str:
-    """What the root's `additions` holds."""
+    """Value of the root's attribute `additions`."""
     return digest_of(sorted((hdf5_path, layout.to_python(node.attrs[SEAL])) for hdf5_path, node in additions(file)))
 
 
 def seal_findings(file: Any) -> list[str]:
-    """What is not as it was when the run was closed or the addition made; empty for a file without a seal."""
+    """One line for each difference to the closed run or to its sealed additions; empty for a file without a seal."""
     sealed = SEAL in file.attrs
     if not sealed and SEAL not in file:
         return []
@@ -132,14 +132,14 @@ def seal_findings(file: Any) -> list[str]:
 
 
 def more_than_the_list(group: Any) -> str:
-    """What else the group of the list holds, which the list does not cover itself; empty where that is nothing."""
+    """Members and attributes of `/seal` beside its list, which no digest covers; empty if there are none."""
     members = [name for name in group if name not in COLUMNS]
     columns = {name for column in COLUMNS for name in layout.attributes(group[column])}
     return ", ".join(map(repr, [*members, *layout.attributes(group), *(columns - {"sha256"})]))
 
 
 def findings_for(paths: Iterable[str], reason: str) -> list[str]:
-    """A line for each path, or one for all of them where they are many."""
+    """A line for each path, or one line for all if there are more than `MOST_LISTED`."""
     in_order = sorted(paths)
     if len(in_order) > MOST_LISTED:
         return [f"{in_order[0]} and {len(in_order) - 1} more: {reason}"]
@@ -147,5 +147,5 @@ def findings_for(paths: Iterable[str], reason: str) -> list[str]:
 
 
 def without_members(paths: set[str]) -> set[str]:
-    """The topmost of paths that lie below one another."""
+    """The paths that do not lie below another one of them."""
     return {path for path in paths if not any(path.startswith(f"{other}/") for other in paths if other != path)}

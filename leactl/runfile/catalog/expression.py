@@ -45,7 +45,7 @@ Value = Callable[[Summary], Any]
 
 @dataclass(frozen=True)
 class NamedValue:
-    """A name in an expression, the kind of its values, and the function that reads a run's value (None if it has none)."""
+    """A name in an expression, the kind of its values, and the function that reads a run's value or None."""
 
     text: str
     kind: str  # empty for a parameter, which may be anything

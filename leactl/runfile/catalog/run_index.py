@@ -290,7 +290,7 @@ def read(path: Path, directory: Path) -> dict[str, IndexedRun]:
 
     Raises
     ------
-    Unusable : it is damaged, of another version, or no index.
+    UnusableIndex : it is damaged, of another version, or no index.
     """
     try:
         with open_regular(path, MOST_BYTES) as file:

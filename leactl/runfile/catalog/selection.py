@@ -130,7 +130,7 @@ def differing(runs: Iterable[Summary]) -> set[tuple[str, str]]:
 
 
 def _alike(runs: Iterable[Summary]) -> Iterable[tuple[str, Mapping[str, Any]]]:
-    """(protocol, parameters) of the runs; runs that share one mapping object, as those of an index do, give one pair."""
+    """(protocol, parameters) of the runs, once for runs that share one mapping object, as those of an index do."""
     return {(run.protocol, id(run.parameters)): (run.protocol, run.parameters) for run in runs}.values()
 
 

@@ -1,7 +1,7 @@
-"""What packed chunks unpack to: HDF5 believes no header here, but unpacks a chunk to its end, however much that is.
+"""Sizes of compressed chunks: HDF5 decompresses a chunk to its end, whatever size its header announces.
 
-A chunk that is announced with 8 KiB may give a thousand times the bytes that it takes in the file, and HDF5 keeps all
-of them in memory as long as the dataset is open.
+A chunk announced with 8 KiB may decompress to a thousand times its size in the file, and HDF5 keeps all of it in memory
+as long as the dataset is open.
 """
 
 import zlib
@@ -16,14 +16,14 @@ MORE: Final = 1 << 12  # bytes, and a thousandth, that deflate may add to what i
 
 
 def chunks(dataset: Any) -> list[Any]:
-    """Every chunk of a dataset that was written, with its place in the dataset and in the file and its size there."""
+    """Chunk infos of a dataset's written chunks: offset in the dataset, offset in the file, and stored size."""
     infos: list[Any] = []
     dataset.chunk_iter(infos.append)
     return infos
 
 
 def exceeds_announced(dataset: Any, chunk: Any, most: int) -> bool:
-    """Whether a packed chunk takes or gives more bytes than it announces; where it is damaged, HDF5 says so itself."""
+    """Whether a compressed chunk takes or decompresses to more than `most` bytes; False if it is damaged."""
     if chunk.size > most + most // 1000 + MORE:
         return True
     _, packed = dataset.read_direct_chunk(chunk.chunk_offset)
@@ -34,7 +34,7 @@ def exceeds_announced(dataset: Any, chunk: Any, most: int) -> bool:
 
 
 def unpacked(dataset: Any, chunk: Any, most: int, value_size: int) -> bytes | None:
-    """The bytes of a packed chunk; None where it is damaged or gives more bytes than it announces."""
+    """Decompressed bytes of a chunk; None if it is damaged or decompresses to more than `most` bytes."""
     data: bytes = dataset.read_direct_chunk(chunk.chunk_offset)[1]
     used = [code for bit, code in enumerate(filters(dataset.get_create_plist())) if not chunk.filter_mask >> bit & 1]
     most_bytes = most + CHECKSUM * (h5py.h5z.FILTER_FLETCHER32 in used)
@@ -55,11 +55,11 @@ def unpacked(dataset: Any, chunk: Any, most: int, value_size: int) -> bytes | No
 
 
 def last_value(dataset: Any) -> "np.ndarray[Any, Any]":
-    """The last value of a dataset of one dimension, none where it has none.
+    """The last value of a one-dimensional dataset, as an array of length 1; of length 0 if the dataset is empty.
 
     Raises
     ------
-    OSError : its chunk unpacks to more than it announces.
+    OSError : its last chunk decompresses to more than it announces.
     """
     rows = len(dataset)
     if rows and dataset.chunks and h5py.h5z.FILTER_DEFLATE in filters(dataset.id.get_create_plist()):
@@ -72,5 +72,5 @@ def last_value(dataset: Any) -> "np.ndarray[Any, Any]":
 
 
 def filters(plist: Any) -> tuple[int, ...]:
-    """The filters that a dataset's chunks went through, in their order."""
+    """HDF5 filter codes of a dataset's chunks, in the order in which they were applied."""
     return tuple(plist.get_filter(index)[0] for index in range(plist.get_nfilters()))

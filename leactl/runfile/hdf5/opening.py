@@ -1,6 +1,6 @@
-"""Open a run file at the door: say in one line why it is none, or hand over an open HDF5 file.
+"""Open a run file safely: return an open HDF5 file, or raise one line that says why it is no run file.
 
-A file left by a kill, or one still being written, opens only in HDF5's SWMR reading mode; a foreign or cut file never.
+A recording that was killed or is still being written opens too (see `swmr`); foreign or truncated files are refused.
 """
 
 from collections.abc import Iterator
@@ -33,18 +33,18 @@ TOO_NEW = (
 )
 # h5py meets a spoiled header with any of these: a type without a NumPy one is TypeError, a wrong length ValueError
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError)
-GROWING = 3  # times that a live file is opened anew where it grew meanwhile
-BEYOND_ITS_END = "addr overflow"  # what HDF5 calls a place behind the end that a file had when it was opened
+GROWING = 3  # times that a live file is reopened because it grew while it was checked
+BEYOND_ITS_END = "addr overflow"  # HDF5's error for an address beyond the size that the file had when it was opened
 USUAL_SIZES = (8, 8)  # bytes of addresses and of lengths
 
 
 def open_run_file(path: Path, root: dict[str, Any] | None = None, values: bool = True) -> tuple[Any, bool]:
-    """Open a run file for reading; says whether a writer has it open or was killed while it had.
+    """Open a run file for reading; the second result says whether a writer has it open or was killed.
 
     Parameters
     ----------
-    root : gets the attributes of the root, which are read here in any case.
-    values : whether more values will be read than the last of each stream, by `packing.last_value`.
+    root : receives the attributes of the root group.
+    values : whether more than the last value of each stream will be read, so that compressed chunks are checked too.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def open_run_file(path: Path, root: dict[str, Any] | None = None, values: bool =
 
 
 def open_foreign(path: Path) -> Any:
-    """Open an HDF5 file that is no run for reading, such as a MAT file of version 7.3.
+    """Open an HDF5 file that is no run, such as a MAT file of version 7.3, for reading.
 
     Raises
     ------
@@ -110,26 +110,26 @@ def open_foreign(path: Path) -> Any:
 
 
 def is_hdf5(head: bytes) -> bool:
-    """Whether a file begins as HDF5."""
+    """Whether the first bytes of a file are the HDF5 signature."""
     return head.startswith(SIGNATURE)
 
 
 def faults_of_form(file: Any, head: bytes) -> list[str]:
-    """Whether HDF5's own structures begin with the first byte and are of the usual sizes."""
+    """A line if the file does not begin with HDF5's signature, or its addresses have an unusual size."""
     if not is_hdf5(head):
         return ["begins with bytes that are not HDF5's; none were expected before its part"]
     return faults_of_sizes(file)
 
 
 def faults_of_sizes(file: Any) -> list[str]:
-    """Whether its texts can be looked through, whose heaps are of the usual sizes."""
+    """A line if addresses or lengths have an unusual size, for which the text heaps cannot be checked."""
     if (sizes := file.id.get_create_plist().get_sizes()) != USUAL_SIZES:
         return [f"its addresses and lengths have {sizes[0]} and {sizes[1]} bytes; 8 were expected"]
     return []
 
 
 def faults_of_file(file: Any, raw: BinaryIO, root: dict[str, Any], values: bool) -> list[str]:
-    """Whether the file is a run, and everything that makes it unfit to be read; adds its attributes to `root`."""
+    """One line for each reason why the file is no readable run; adds the root attributes to `root`."""
     try:
         longest = longest_text(raw)
         return faults_of_root(file, longest, root) or faults_of_tree(file, raw, longest, values)
@@ -139,7 +139,7 @@ def faults_of_file(file: Any, raw: BinaryIO, root: dict[str, Any], values: bool)
 
 @contextmanager
 def reading(path: Path, hdf5_path: str = "") -> Iterator[None]:
-    """Turn what HDF5 says of damaged data into one line with file and place."""
+    """Convert HDF5's errors in the block to an InputError of one line with file and HDF5 path."""
     try:
         yield
     except DAMAGE as fault:
@@ -148,7 +148,7 @@ def reading(path: Path, hdf5_path: str = "") -> Iterator[None]:
 
 
 def damage_text(fault: Exception) -> str:
-    """What HDF5 says of data that it cannot read, in words a person can act on."""
+    """One line, in words a person can act on, for an error while HDF5 reads data."""
     if isinstance(fault, MemoryError):
         return "holds more than fits into the memory of this computer"
     text = " ".join(str(fault).split())
@@ -156,7 +156,7 @@ def damage_text(fault: Exception) -> str:
 
 
 def open_failure(fault: Exception) -> str:
-    """HDF5's reason in words a person can act on."""
+    """One line, in words a person can act on, for an error while HDF5 opens a file."""
     text = str(fault)
     if "signature not found" in text:
         return "not an HDF5 file"
@@ -166,7 +166,7 @@ def open_failure(fault: Exception) -> str:
 
 
 def faults_of_root(file: Any, longest: int, root: dict[str, Any]) -> list[str]:
-    """Whether the file is a run of a version that this program reads; adds its attributes to `root`."""
+    """A line if the root attributes are not those of a run of a supported version; adds them to `root`."""
     try:
         if (names := int(h5py.h5a.get_num_attrs(file.id))) > MOST_NAMES:
             return [f"/: {names} attributes; at most {MOST_NAMES} were expected"]

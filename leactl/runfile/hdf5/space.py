@@ -1,7 +1,7 @@
-"""Take disk space before HDF5 asks for it, so that a full disk is an error here and not a crash there.
+"""Reserve disk space before HDF5 writes, so that a full disk raises an error here instead of crashing HDF5.
 
-A write that fails inside HDF5 leaves its cache inconsistent and the process dies with a segmentation fault when the
-file is closed (seen with HDF5 2.0); in the middle of a run that would leave a bench without its control loop.
+A write that fails inside HDF5 leaves its cache inconsistent, and the process dies with a segmentation fault when the
+file is closed (seen with HDF5 2.0). During a run, that would leave a bench without its control loop.
 """
 
 import errno
@@ -10,14 +10,14 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-RESERVE = 1 << 20  # HDF5's own tables, some kB a column, and then some
+RESERVE = 1 << 20  # bytes beside the data, for HDF5's own tables of some kB per column
 # where each version of the superblock keeps the end of the file (HDF5 file format 3.0, II.A)
 END_OF_FILE = {0: slice(40, 48), 2: slice(28, 36), 3: slice(28, 36)}
 VERSION_AT, OFFSET_SIZE_AT = 8, {0: 13, 2: 9, 3: 9}
 
 
 def reserve(file: Any, size: int) -> None:
-    """Have room for so many bytes more, or raise OSError with the file as it was."""
+    """Reserve disk space for `size` more bytes; raises OSError and leaves the file as it was if there is none."""
     descriptor = file.id.get_vfd_handle()
     have = os.fstat(descriptor).st_size
     lacking = file.id.get_filesize() + size + RESERVE - have
@@ -37,7 +37,7 @@ def reserve(file: Any, size: int) -> None:
 
 
 def trim(path: Path) -> None:
-    """Give back what was reserved and not used, after the file is closed."""
+    """Release reserved space that was not used; call it after the file is closed."""
     with path.open("r+b") as raw:
         head = raw.read(48)
         version = head[VERSION_AT]

@@ -1,9 +1,9 @@
-"""A recording that is still being written, or was left by a kill, as the closed file that it would be at this moment.
+"""Read a recording that is still being written, or was killed, as if it had been closed at this moment.
 
-HDF5 opens such a file in its SWMR mode alone, and there it takes a checksum that does not hold for the writer's doing:
-it waits for the writer to mend it, twice as long each time, for ever where a disk spoiled one byte. As a closed file a
-spoiled one is an error at once, and what the writer has flushed is read alike: it never leaves a reference to what it
-has not written before (HDF5, single-writer/multiple-reader mode).
+HDF5 opens such a file only in its SWMR mode. There it takes a wrong checksum for an unfinished write and waits for the
+writer to finish, twice as long each time, for ever if a disk has damaged one byte. If the superblock says "closed", a
+damaged byte is an error at once, and flushed data are read just as well: the writer never stores a reference before
+the data that it refers to (HDF5, single-writer/multiple-reader mode).
 """
 
 import io
@@ -23,31 +23,31 @@ BLOCK: Final = struct.Struct("<3L")
 
 
 class AsClosed(io.RawIOBase):
-    """A file of HDF5's superblock version 3 whose first bytes say that nobody writes it and that it is whole."""
+    """File object that shows a live HDF5 file (superblock version 3) with the superblock of a closed one."""
 
     def __init__(self, raw: BinaryIO) -> None:
         self._descriptor = os.dup(raw.fileno())
         self._at = 0
 
     def seekable(self) -> bool:
-        """HDF5 goes to and fro."""
+        """True: HDF5 seeks."""
         return True
 
     def readable(self) -> bool:
-        """HDF5 only reads."""
+        """True: HDF5 reads."""
         return True
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Go to a byte, counted from the start or from the end as it is now."""
+        """Go to a byte, counted from the start or from the present end of the file."""
         self._at = offset + (os.fstat(self._descriptor).st_size if whence == os.SEEK_END else 0)
         return self._at
 
     def tell(self) -> int:
-        """Where the next byte is read."""
+        """Position of the next byte."""
         return self._at
 
     def readinto(self, buffer: Any) -> int:
-        """Read from here; of the superblock what it would be."""
+        """Read bytes; those of the superblock are replaced by the superblock of a closed file."""
         view = memoryview(buffer).cast("B")
         data = read_at(self._descriptor, len(view), self._at)
         count = len(data)
@@ -60,14 +60,14 @@ class AsClosed(io.RawIOBase):
         return count
 
     def close(self) -> None:
-        """Let go of the file; also when nobody refers to it any more."""
+        """Close the file descriptor."""
         if not self.closed:
             os.close(self._descriptor)
         super().close()
 
 
 def as_closed(head: bytes, size: int) -> bytes:
-    """The superblock of a live file as that of a closed one of this size; a spoiled one keeps a wrong checksum."""
+    """Superblock of a closed file of `size` bytes, made from that of a live one; a wrong checksum stays wrong."""
     superblock = bytearray(head)
     superblock[FLAGS_AT] = 0
     superblock[END_AT] = size.to_bytes(8, "little")

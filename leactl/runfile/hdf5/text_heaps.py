@@ -1,9 +1,9 @@
-"""Look through the heaps that hold a file's texts before HDF5 reads one: a blank in one keeps HDF5 busy for ever.
+"""Check the heaps that hold a file's texts before HDF5 reads them: a length of 0 in a heap keeps HDF5 busy for ever.
 
-A heap is a row of objects, each with its length, and the last of them, number 0, is what is free: its length counts its
-header too, so that it is never 0. HDF5 takes steps of these lengths without asking, and none of a heap's bytes is in a
-checksum (HDF5 file format 3.0, III.E). What else may be wrong with a heap HDF5 finds itself. How long the longest text
-is bounds what many references to one and the same text may swell to.
+A heap is a sequence of objects, each with its length. The last one, number 0, is the free space; its length includes
+its header and so is never 0. HDF5 steps by these lengths unchecked, and no checksum covers a heap (HDF5 file format
+3.0, III.E). Other faults of a heap are found by HDF5 itself. The length of the longest text bounds the memory that
+many references to one text can take.
 """
 
 import struct
@@ -22,11 +22,11 @@ MOST_STEPS: Final = 1 << 19  # heaps and the objects in them; a run has some hun
 
 
 def longest_text(stream: BinaryIO) -> int:
-    """Bytes of the longest text in the heaps of an HDF5 file whose lengths have 8 bytes.
+    """Length [bytes] of the longest text in the heaps of an HDF5 file with 8-byte lengths.
 
     Raises
     ------
-    InputError : HDF5 would not come to the end of a heap, or there are more texts, or longer ones, than a run has.
+    InputError : HDF5 would never reach the end of a heap, or there are more or longer texts than a run can have.
     """
     longest = steps = 0
     for at in heaps(stream):
@@ -43,7 +43,7 @@ def longest_text(stream: BinaryIO) -> int:
 
 
 def heaps(stream: BinaryIO) -> Iterator[int]:
-    """Where the heaps of a file begin; it is read block by block, for it may be larger than the memory."""
+    """Byte offsets of the heaps of a file; read block by block, since the file may be larger than the memory."""
     begin, block = 0, bytes_at(stream, 0, BLOCK)
     while len(block) >= len(HEAD):
         at = block.find(HEAD)
@@ -55,7 +55,7 @@ def heaps(stream: BinaryIO) -> Iterator[int]:
 
 
 def objects(stream: BinaryIO, at: int) -> Iterator[tuple[int, int]]:
-    """Number and length of each object of a heap, as far as HDF5 would step; the heap itself counts as a first one."""
+    """Number and length of each object of a heap, preceded by (1, 0) for the heap itself."""
     yield 1, 0
     head = bytes_at(stream, at, HEADER.size)
     if len(head) < HEADER.size:
@@ -69,6 +69,6 @@ def objects(stream: BinaryIO, at: int) -> Iterator[tuple[int, int]]:
 
 
 def bytes_at(stream: BinaryIO, at: int, count: int) -> bytes:
-    """Bytes of a file, fewer where it ends before."""
+    """`count` bytes of a file from byte `at`; fewer at its end."""
     stream.seek(at)
     return stream.read(count)

@@ -1,8 +1,8 @@
-"""What the tree of a run file may be, before anything of it is read: what it names, how large, how deep, of what kind.
+"""Check the object tree of an HDF5 file before its values are read: names, sizes, depth and kinds of its objects.
 
 A file of a few kB may announce a channel of 1e12 values that were never written, attributes that fill the memory, a
-text that is referred to a million times, chunks that unpack without end, or groups that hold themselves. Each is
-refused from what the object headers, references and packed bytes say, no value being read by HDF5.
+text that is referred to a million times, chunks that decompress without end, or groups that contain themselves. All of
+these are refused by object headers, references and compressed bytes alone; HDF5 reads no value.
 """
 
 import math
@@ -29,24 +29,24 @@ MOST_ATTRIBUTES: Final = 1 << 20  # bytes of one object; what is written here sh
 MOST_ATTRIBUTES_OF_FILE: Final = 1 << 24  # bytes
 MOST_UNWRITTEN: Final = 1 << 26  # bytes of values that were announced and not written, as a kill leaves them
 ATTRIBUTE_HEADER: Final = 64  # bytes, about, of an attribute beside its value
-MOST_UNPACKED: Final = 32, 1 << 28  # bytes of all values: times those of the file, and as many beside
+MOST_UNPACKED: Final = 32, 1 << 28  # limit of all values [bytes]: 32 times the file's size plus 256 MiB
 TEXT_IN_HEAP: Final = np.dtype([("length", "<u4"), ("heap", "<u8"), ("number", "<u4")])  # as a dataset holds a text
-MOST_UNSEEN: Final = 1 << 26  # bytes that the chunks of a file may give without being looked at
-LARGEST_CHUNK: Final = 1 << 26  # bytes, which HDF5 takes at once to read a single value
+MOST_UNSEEN: Final = 1 << 26  # bytes that the chunks of a file may decompress to without being checked
+LARGEST_CHUNK: Final = 1 << 26  # bytes; HDF5 reads a whole chunk for a single value
 
 GROUPS: Final = ("setup", "streams", "notes", *layout.SOURCES, *layout.TABLES)
 TABLES: Final[dict[str, dict[str, int | None]]] = {**layout.TABLES, "notes": layout.NOTES}
 
 
 class Node(NamedTuple):
-    """An object of the tree and its path."""
+    """A group or dataset with its path in the file."""
 
     path: str
     item: Any  # its identifier of the low-level API, at a third of the cost of a `Group` or `Dataset`
 
 
 class Storage(NamedTuple):
-    """What the values of a dataset are and how they are stored, from its header."""
+    """Type, shape and storage of a dataset's values, from its object header."""
 
     dtype: "np.dtype[Any]"
     shape: tuple[int, ...] | None  # None where it has no values
@@ -57,7 +57,7 @@ class Storage(NamedTuple):
 
     @classmethod
     def of(cls, dataset: Any) -> Self:
-        """Ask once: every question to a dataset for its shape or its properties copies them all."""
+        """Read the header once, because each access to a dataset's shape or properties copies all of them."""
         plist = dataset.get_create_plist()
         form = plist.get_layout()
         return cls(
@@ -71,54 +71,54 @@ class Storage(NamedTuple):
 
     @property
     def announced(self) -> int:
-        """How many values it has, written or not."""
+        """Number of values, written or not."""
         return 0 if self.shape is None else math.prod(self.shape)
 
     @property
     def size(self) -> int:
-        """Bytes of its values, a text of any length as a reference."""
+        """Size of the values [bytes]; a text of variable length counts as its reference."""
         return self.announced * self.dtype.itemsize
 
     @property
     def chunk_size(self) -> int:
-        """Bytes of one chunk, unpacked; 0 where it is not chunked."""
+        """Size of one decompressed chunk [bytes]; 0 if the dataset is not chunked."""
         value = TEXT_IN_HEAP if self.is_text_of_any_length else self.dtype
         return self.chunk_values * int(value.itemsize)
 
     @property
     def is_packed(self) -> bool:
-        """Whether its chunks are packed."""
+        """Whether the chunks are compressed."""
         return h5py.h5z.FILTER_DEFLATE in self.filters
 
     @property
     def is_text(self) -> bool:
-        """Whether its values are texts."""
+        """Whether the values are texts."""
         return h5py.check_string_dtype(self.dtype) is not None
 
     @property
     def is_text_of_any_length(self) -> bool:
-        """Whether its values are references to texts in the file's heaps."""
+        """Whether the values are references to texts in the file's heaps."""
         kind = h5py.check_string_dtype(self.dtype)
         return kind is not None and kind.length is None
 
     @property
     def rank(self) -> int:
-        """Its dimensions; 0 of a single value, or none."""
+        """Number of dimensions; 0 for a scalar or a dataset without values."""
         return len(self.shape or ())
 
     def holds(self, text: bool) -> bool:
-        """Whether its values are texts, or else numbers."""
+        """Whether the values are texts (`text` True) or numbers (`text` False)."""
         return self.is_text if text else self.dtype.kind in "fiu"
 
 
 def faults_of_tree(file: Any, raw: BinaryIO, longest: int, values: bool = True) -> list[str]:
-    """Everything that makes a file unfit to be read, one line each.
+    """One line for each reason why a run file cannot be read safely.
 
     Parameters
     ----------
-    raw : the bytes of the file.
-    longest : bytes of the longest text in its heaps.
-    values : whether more of the packed values will be read than `packing.last_value` looks at itself.
+    raw : the file, opened for reading bytes.
+    longest : length of the longest text in its heaps [bytes].
+    values : whether more than the last value of each stream will be read, so that compressed chunks are checked too.
     """
     tree = Tree(raw, longest)
     try:
@@ -129,7 +129,7 @@ def faults_of_tree(file: Any, raw: BinaryIO, longest: int, values: bool = True) 
 
 
 def faults_of_foreign_tree(file: Any, raw: BinaryIO, longest: int) -> list[str]:
-    """The like of a file that is no run, as a MAT file of version 7.3 is none."""
+    """One line for each reason why an HDF5 file that is no run, such as a MAT file, cannot be read safely."""
     tree = Tree(raw, longest, foreign=True)
     try:
         return tree.faults_of_nodes(file) or tree.faults_of_packing()
@@ -138,7 +138,7 @@ def faults_of_foreign_tree(file: Any, raw: BinaryIO, longest: int) -> list[str]:
 
 
 class Tree:
-    """The objects of a file with what they take, added up while it is walked through."""
+    """The objects of a file, with sums of their sizes that are updated while the tree is walked."""
 
     def __init__(self, raw: BinaryIO, longest: int, foreign: bool = False) -> None:
         self.items: dict[str, Any] = {}  # by path: of a dataset its storage
@@ -147,7 +147,7 @@ class Tree:
         self._datasets: list[tuple[str, Any, Storage]] = []
 
     def faults_of_nodes(self, file: Any) -> list[str]:
-        """What no object of a run has, and what all of them are not to have together, each with its path."""
+        """Faults of single objects and of their sums, one line each, with the object's path."""
         faults: list[str] = []
         nodes: list[Node] = []
         attributes = names = 0
@@ -176,7 +176,7 @@ class Tree:
         )
 
     def _faults_of_sizes(self) -> list[str]:
-        """Values that are not there, that lie over one another, or that are more than can be looked at."""
+        """A line if values were never written, overlap one another, or exceed what is read."""
         unwritten, largest = 0, ("", 0)
         stored: dict[int, int] = {}  # by address: an object may have two names
         for path, item, storage in self._datasets:
@@ -200,7 +200,7 @@ class Tree:
         return []
 
     def _faults_of_texts(self) -> list[str]:
-        """Texts that are many, or long, or one text that is referred to again and again."""
+        """A line if the texts are too many or too long, repeated references included."""
         count = size = 0
         for path, item, storage in self._datasets:
             if not storage.is_text:
@@ -222,9 +222,9 @@ class Tree:
         return [] if size <= MOST_TEXT else [f"{size} bytes of text; at most {MOST_TEXT} were expected"]
 
     def _lengths(self, item: Any, storage: Storage) -> "np.ndarray[Any, Any] | None":
-        """How long the texts of a dataset are, from its references; none where these are in its header.
+        """Lengths of a dataset's texts [bytes], from its references; empty if these are in the object header.
 
-        None stands for references that cannot be had.
+        None if the references cannot be read.
         """
         size = TEXT_IN_HEAP.itemsize
         if storage.is_packed:
@@ -247,7 +247,10 @@ class Tree:
         )
 
     def faults_of_packing(self) -> list[str]:
-        """Chunks that unpack to more than they announce; where all of them together give little, none is looked at."""
+        """A line for each dataset with a chunk that decompresses to more than it announces.
+
+        No chunk is decompressed if all of them together cannot exceed `MOST_UNSEEN`.
+        """
         packed = [(path, item, storage) for path, item, storage in self._datasets if storage.is_packed]
         if DEFLATE_AT_MOST * sum(int(item.get_storage_size()) for _, item, _ in packed) <= MOST_UNSEEN:
             return []
@@ -259,7 +262,7 @@ class Tree:
 
 
 def walk(group: Any, faults: list[str], deepest: int, path: str = "", depth: int = 0) -> Iterator[Node]:
-    """Every group and dataset below a group; links that lead elsewhere become faults and are not followed."""
+    """Every group and dataset below a group; soft and external links are added to `faults` and not followed."""
     for name, kind in links(group):
         node_path = f"{path}/{name.decode('utf-8', 'surrogateescape')}"
         if depth == deepest:  # as where a group holds itself: what else is in it does not count
@@ -274,7 +277,7 @@ def walk(group: Any, faults: list[str], deepest: int, path: str = "", depth: int
 
 
 def links(group: Any) -> list[tuple[bytes, int]]:
-    """Name and type of each link of a group, up to one more than a whole file may have objects."""
+    """Name and type of each link of a group, at most one more than a file may have objects."""
     named: list[tuple[bytes, int]] = []
 
     def take(name: bytes, link: Any) -> bool | None:
@@ -286,7 +289,10 @@ def links(group: Any) -> list[tuple[bytes, int]]:
 
 
 def faults_of_dataset(storage: Storage, hdf5_path: str, foreign: bool = False) -> list[str]:
-    """Values that lie elsewhere or cannot be had; a run has texts, a foreign file references to its own objects."""
+    """One line for each reason why a dataset's values cannot be read.
+
+    Besides numbers, a run may have texts; a foreign file may have references to its own objects.
+    """
     faults = []
     if storage.elsewhere:
         faults.append(f"{hdf5_path}: its values lie in another file; no other is opened")
@@ -305,19 +311,19 @@ def faults_of_dataset(storage: Storage, hdf5_path: str, foreign: bool = False) -
 
 
 def is_reference(storage: Storage) -> bool:
-    """Whether its values refer to whole objects of the file."""
+    """Whether the values are references to objects of the file."""
     return h5py.check_ref_dtype(storage.dtype) is h5py.Reference
 
 
 def faults_of_attributes(size: int, hdf5_path: str) -> list[str]:
-    """Whether the attributes of one object are more than anybody writes."""
+    """A line if the attributes of one object exceed `MOST_ATTRIBUTES` bytes."""
     if size <= MOST_ATTRIBUTES:
         return []
     return [f"{hdf5_path}: {size} bytes of attributes; at most {MOST_ATTRIBUTES} were expected"]
 
 
 def attribute_bytes(item: Any) -> int:
-    """What the attributes of an object take in the file, as their headers say."""
+    """Size of an object's attributes [bytes], by their headers."""
     least = int(h5py.h5a.get_num_attrs(item)) * ATTRIBUTE_HEADER
     if not 0 < least <= MOST_ATTRIBUTES:
         return least
@@ -328,14 +334,14 @@ def attribute_bytes(item: Any) -> int:
 
 
 def faults_of_texts_in_attributes(nodes: Iterable[Node], size: int, longest: int, most: int) -> list[str]:
-    """Attributes whose texts are longer than all others may be.
+    """A line if texts in attributes exceed the limits.
 
     Parameters
     ----------
-    nodes : objects that have attributes.
-    size : bytes of these, a text as its reference.
-    longest : bytes of the longest text in the file's heaps; as long as none is too long at this, none is read.
-    most : bytes of all texts.
+    nodes : the objects whose attributes are checked.
+    size : size of all their attributes [bytes]; a text counts as its reference.
+    longest : length of the longest text in the file's heaps [bytes]; if it rules out an excess, no text is read.
+    most : limit of the size of all texts [bytes].
     """
     if size // TEXT_IN_HEAP.itemsize * longest <= most:
         return []
@@ -367,7 +373,7 @@ def attribute_names(item: Any) -> list[bytes]:
 
 
 def faults_of_kinds(items: Mapping[str, Any]) -> list[str]:
-    """Groups of the layout that are none, and columns of tables and texts that are of another kind."""
+    """One line for each object of the run format that is not the group, table column or text that it should be."""
     faults = [
         f"/{name}: a dataset where a group was expected"
         for name in GROUPS

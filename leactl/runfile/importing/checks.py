@@ -18,17 +18,17 @@ from leactl.runfile.importing.streams import Stream
 from leactl.units import CONVERSIONS, TURN
 
 Array = npt.NDArray[np.float64]
-FEWEST = 50  # rows that both channels have
+FEWEST = 50  # rows common to both channels
 CALIBRATION = 0.05  # relative, between two sensors or a loop and its setpoint: a few percent, where units are right
-ERRORS = 4.0  # standard errors of the gain that a unit's factor may be off on top of that
+ERRORS = 4.0  # standard errors of the gain, added to `CALIBRATION` as tolerance of a unit's factor
 LARGEST_GAIN_ERROR = 0.1  # relative standard error above which a gain tells nothing
-EXPLAINED = 0.9  # share of one channel that the other has to explain: what lags or is limited is no factor
+EXPLAINED = 0.9  # least share of one channel's squares that the other explains: a lag or a limit is no factor
 SMALLEST_TOLD_FACTOR = 2.0  # a factor less than this is what friction, ripple and limits make
 LARGEST_UNTOLD_FACTOR = 20.0  # that is told although no unit makes it
-VARIES = 0.1  # of a setpoint's root mean square: one that stays where it is shows a gain by its level alone
-BLOCKS = 40  # of a record, over which angles and velocities are compared as travel: counts and noise average out
+VARIES = 0.1  # of a setpoint's root mean square; a setpoint that varies less shows its gain only by its level
+BLOCKS = 40  # parts of a record in which travel by angle and by velocity are compared, so that noise averages out
 SETPOINTS: Final = {name.removesuffix("_reference"): name for name in UNITS if name.endswith("_reference")}
-# the widest range that electric machines are met in, from watchmaking to traction
+# the widest ranges of electric machines, from watchmaking to traction
 PLAUSIBLE: Final[dict[str, tuple[float, float]]] = {
     "A": (-5e4, 5e4),
     "V": (-1e5, 1e5),
@@ -43,22 +43,22 @@ PLAUSIBLE: Final[dict[str, tuple[float, float]]] = {
 }
 GAP = 10.0  # usual intervals
 SHORTEST_GAP_S = 0.1  # which no scheduler of a log makes by itself
-MOST_GAPS = 0.1  # share of the intervals: more of them are how the log was made
+MOST_GAPS = 0.1  # share of the intervals; more long intervals than this are the log's normal sampling
 SHORTEST_S, LONGEST_S = 1e-7, 3600.0  # between samples
 
 
 class MappedColumn(NamedTuple):
-    """A channel with its stamps, without the rows that it lacks."""
+    """The finite samples of a channel, with the units of its column and of its quantity."""
 
-    place: str  # stream/channel
+    path: str  # stream/channel
     time: Array
     values: Array
-    units: str  # that the mapping says its column is in
-    target: str  # that it is kept in
+    units: str  # of the source's column, by the mapping
+    target: str  # units of the run file
 
 
 class Gain(NamedTuple):
-    """A channel over another one that should be equal."""
+    """Ratio of a channel to another channel that should be equal, by least squares."""
 
     value: float
     std: float
@@ -66,19 +66,19 @@ class Gain(NamedTuple):
 
 
 def notes_on_units(streams: dict[str, Stream], mapping: Mapping) -> Iterator[str]:
-    """A note for each channel that is a factor of what it should equal."""
+    """A note for each channel that differs by a factor from the channel that it should equal."""
     columns = {key: column for key, column in mapped_columns(streams, mapping)}
     for (quantity, role, location), column in columns.items():
         angle = columns.get(("angle", role, location)) if quantity == "velocity" else None
         if angle and column.target == f"{angle.target}/s":
-            yield from notes_on_gain(column, angle, f"the change of {angle.place}", gain_by_travel(column, angle))
+            yield from notes_on_gain(column, angle, f"the change of {angle.path}", gain_by_travel(column, angle))
         setpoint = columns.get((SETPOINTS.get(quantity, ""), role, location))
         if setpoint and column.target == setpoint.target:
-            yield from notes_on_gain(column, setpoint, setpoint.place, gain_by_setpoint(column, setpoint, quantity))
+            yield from notes_on_gain(column, setpoint, setpoint.path, gain_by_setpoint(column, setpoint, quantity))
 
 
 def mapped_columns(streams: dict[str, Stream], mapping: Mapping) -> Iterator[tuple[tuple[str, str, str], MappedColumn]]:
-    """Every channel by its quantity, role and location."""
+    """Each channel with its key (quantity, role, location)."""
     for name, stream in streams.items():
         for spec, values in zip(stream.specs, stream.values, strict=True):
             known = np.isfinite(values)
@@ -88,14 +88,14 @@ def mapped_columns(streams: dict[str, Stream], mapping: Mapping) -> Iterator[tup
 
 
 def notes_on_gain(column: MappedColumn, other: MappedColumn, what: str, gain: Gain | None) -> Iterator[str]:
-    """What a gain tells, where it is sure and not that of two channels in their units."""
+    """A note if a well-known gain is that of a mistaken unit, beyond a factor of 20, or negative."""
     if gain is None or gain.explained < EXPLAINED or gain.std > LARGEST_GAIN_ERROR * abs(gain.value):
         return
     size = abs(gain.value)
     distances = [(abs(math.log(size / factor)), named) for factor, named in [(1.0, ""), *unit_factors(column, other)]]
     within = math.log1p(CALIBRATION) + ERRORS * gain.std / size
     candidates = [named for distance, named in sorted(distances) if distance <= within]
-    finding = f"{column.place} reads {gain.value:.4g} times {what}"
+    finding = f"{column.path} reads {gain.value:.4g} times {what}"
     if candidates and all(candidates):
         yield f"{finding}: {', or '.join(candidates)}? a gear of that ratio would look alike"
     elif not 1.0 / LARGEST_UNTOLD_FACTOR < size < LARGEST_UNTOLD_FACTOR:
@@ -105,27 +105,27 @@ def notes_on_gain(column: MappedColumn, other: MappedColumn, what: str, gain: Ga
 
 
 def unit_factors(column: MappedColumn, other: MappedColumn) -> list[tuple[float, str]]:
-    """What a gain is where a column is in another unit than its mapping says, and in which."""
+    """Gains that a mistaken unit of either column would give, each with the unit in words."""
     factors = [
         *factors_of_mistaken_unit(column),
         *((1.0 / factor, named) for factor, named in factors_of_mistaken_unit(other)),
     ]
     if (column.units, other.units) == ("rad/s", "rad"):
         factor = CONVERSIONS["rad"]["deg"][0] / CONVERSIONS["rad/s"]["rpm"][0]
-        factors.append((factor, f"{column.place} in rpm and {other.place} in deg, both taken for SI units"))
+        factors.append((factor, f"{column.path} in rpm and {other.path} in deg, both taken for SI units"))
     return [(factor, named) for factor, named in factors if max(factor, 1.0 / factor) >= SMALLEST_TOLD_FACTOR]
 
 
 def factors_of_mistaken_unit(column: MappedColumn) -> list[tuple[float, str]]:
-    """What a channel is multiplied by where its column is in another unit, and in which."""
+    """Factors by which a channel is wrong if its column has another unit of the quantity, with that unit in words."""
     table = CONVERSIONS[column.target]
     given = table[column.units][0]
     others = {given / factor: unit for unit, (factor, _) in reversed(table.items()) if factor != given}
-    return [(factor, f"{column.place} in {unit} taken for {column.units}") for factor, unit in others.items()]
+    return [(factor, f"{column.path} in {unit} taken for {column.units}") for factor, unit in others.items()]
 
 
 def gain_by_travel(velocity: MappedColumn, angle: MappedColumn) -> Gain | None:
-    """Travel by a velocity over travel by its angle, part by part of the record; None where there is too little."""
+    """Ratio of a velocity's integral to the change of its angle, over blocks; None if there are too few samples."""
     if min(len(velocity.time), len(angle.time)) < FEWEST:
         return None
     steps = np.diff(velocity.time) * 0.5 * (velocity.values[1:] + velocity.values[:-1])
@@ -140,9 +140,9 @@ def gain_by_travel(velocity: MappedColumn, angle: MappedColumn) -> Gain | None:
 
 
 def unwrapped_steps(angle: Array, by_velocity: Array, units: str) -> Array:
-    """How far an angle goes from row to row; one that wraps, as near to what the velocity says as whole turns let it.
+    """Changes of an angle from row to row; whole turns are added so that they are nearest to the velocity's integral.
 
-    An angle that was sampled too slowly to be unwrapped so agrees with any velocity, and tells nothing.
+    An angle sampled too slowly to be unwrapped then agrees with any velocity, and gives no information.
     """
     steps = np.asarray(np.diff(angle), np.float64)
     reach = float(np.ptp(angle))
@@ -158,19 +158,19 @@ def unwrapped_steps(angle: Array, by_velocity: Array, units: str) -> Array:
 
 
 def turn_of(steps: Array, reach: float) -> float:
-    """What a wrapped angle jumps by: the steps before and at a jump differ by it."""
+    """Size of the jumps of a wrapped angle: the difference of the steps at a jump and before it."""
     jumps = np.flatnonzero((np.abs(steps[1:]) > 0.5 * reach) & (steps[1:] * steps[:-1] < 0.0)) + 1
     turn = float(np.median(np.abs(steps[jumps] - steps[jumps - 1]))) if len(jumps) else reach
     return TURN if abs(turn / TURN - 1.0) < CALIBRATION else turn
 
 
 def add_turns(steps: Array, by_velocity: Array, turn: float) -> Array:
-    """Steps of a wrapped angle with as many turns added as bring each nearest to what the velocity says."""
+    """Add to each step the number of turns that brings it nearest to the step of the velocity's integral."""
     return np.asarray(steps + turn * np.round((by_velocity - steps) / turn), np.float64)
 
 
 def gain_by_setpoint(column: MappedColumn, setpoint: MappedColumn, quantity: str) -> Gain | None:
-    """A measured channel over its setpoint; None where there is too little, or a zero that is anyone's."""
+    """Ratio of a measured channel to its setpoint; None if samples are too few or an angle's zero is arbitrary."""
     both = (column.time >= setpoint.time[0]) & (column.time <= setpoint.time[-1])
     if both.sum() < FEWEST:
         return None
@@ -181,7 +181,7 @@ def gain_by_setpoint(column: MappedColumn, setpoint: MappedColumn, quantity: str
 
 
 def gain_through_zero(measured: Array, expected: Array) -> Gain | None:
-    """The line through zero of one channel over another; its error takes the residual's autocorrelation in."""
+    """Fit a line through zero; the standard error includes the autocorrelation of the residual."""
     power, squares = float(expected @ expected), float(measured @ measured)
     if power == 0.0 or squares == 0.0:
         return None
@@ -192,7 +192,7 @@ def gain_through_zero(measured: Array, expected: Array) -> Gain | None:
 
 
 def implausible_values(name: str, stream: Stream) -> Iterator[str]:
-    """What is wrong with a stream's numbers, one line each."""
+    """One line for each fault of a stream: too few rows, an implausible interval, or values outside `PLAUSIBLE`."""
     if len(stream.time) < 2:
         yield f"stream {name}: {len(stream.time)} row; at least 2 were expected"
         return
@@ -209,7 +209,7 @@ def implausible_values(name: str, stream: Stream) -> Iterator[str]:
 
 
 def notes_on_gaps(streams: dict[str, Stream]) -> Iterator[str]:
-    """A note for each stream whose stamps leave far more than its usual interval out."""
+    """A note for each stream with gaps far longer than its usual sampling interval."""
     for name, stream in streams.items():
         intervals = np.diff(stream.time)
         usual = float(np.median(intervals))

@@ -1,4 +1,4 @@
-"""What the name of a column says: what it measures, whose it is, and the unit that is written behind it."""
+"""Read quantity, role and unit from the name of a column, such as `motor_current_A` or `load.velocity [rpm]`."""
 
 import re
 from functools import cache
@@ -57,7 +57,7 @@ ONLY_IN_BRACKETS: Final = ("m", "N", "K")  # behind an underscore they are "meas
 
 
 class Meaning(NamedTuple):
-    """What a name says, each part empty where it says nothing."""
+    """Quantity, role and unit that a name tells; a part that it does not tell is empty."""
 
     quantity: str
     role: str
@@ -67,19 +67,19 @@ class Meaning(NamedTuple):
 
 @cache
 def table() -> dict[str, Any]:
-    """The words, as `column_words.yaml` has them."""
+    """Content of `column_words.yaml`."""
     entry = resources.files("leactl.runfile.importing") / "column_words.yaml"
     words: dict[str, Any] = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data
     return words
 
 
 def words_of(name: str) -> list[str]:
-    """The words of a name, in lower case: those behind the last dot, slash or bracket count first."""
+    """The words of a name in lower case: `motorSpeed_rpm` gives motor, speed, rpm."""
     return [word.lower() for word in _WORD.findall(name)]
 
 
 def meaning_of(name: str) -> Meaning:
-    """What a column's name says; its last part alone where that says what it measures, else the whole of it."""
+    """Meaning of a column's name: of its part after the last dot or slash if that has a quantity, else of the whole."""
     plain = _BRACKETS.sub("", name) if units_in_brackets(name) else name
     last = re.split(r"[./]", re.sub(r"\[[^\]]*\]$", "", plain))[-1]
     whole = words_of(plain)
@@ -97,7 +97,7 @@ def meaning_of(name: str) -> Meaning:
 
 
 def quantity_of(words: list[str]) -> str:
-    """The quantity of the first rule that the words meet; empty where none does."""
+    """Quantity of the first rule that the words satisfy; empty if there is none."""
     for rule in table()["rules"]:
         if all(any(word in group for word in words) for group in rule["all"]):
             return str(rule["quantity"])
@@ -105,13 +105,13 @@ def quantity_of(words: list[str]) -> str:
 
 
 def units_in_brackets(name: str) -> str:
-    """What stands in brackets behind a name; empty where that is no unit, such as an index."""
+    """The unit in brackets at the end of a name; empty if the brackets hold no unit, such as an index."""
     brackets = _BRACKETS.search(name)
     return brackets[1] if brackets and any(brackets[1].lower() in known for known in ALIASES.values()) else ""
 
 
 def units_of(name: str, known: list[str]) -> str:
-    """The unit behind a name, in brackets or after an underscore, as one of those that are known; else empty."""
+    """The unit at the end of a name, in brackets or after an underscore, if it is one of `known`; else empty."""
     written = units_in_brackets(name)
     tail = re.split(r"[./]", name)[-1].split("_")
     endings = [written] if written else ["_".join(tail[-count:]) for count in (2, 1) if len(tail) > count]
@@ -126,22 +126,22 @@ def units_of(name: str, known: list[str]) -> str:
 
 
 def _case(ending: str, units: str) -> bool:
-    """Whether an ending of one letter has the case of its unit: `_v` and `_a` are a velocity and an angle as well."""
+    """Whether a one-letter ending has the case of the unit; `_v` and `_a` also stand for velocity and angle."""
     return len(ending) > 1 or ending == units[-1]
 
 
 def words_alone(name: str) -> str:
-    """`rpm`, which as a word of a name is a unit."""
+    """`rpm` if it is a word of the name, which is a unit anywhere in a name; else empty."""
     return "rpm" if "rpm" in words_of(name) and "erpm" not in name.lower() else ""
 
 
 def units_named(text: str) -> str:
-    """The unit that a text names, as a mapping writes it; empty where it names none."""
+    """The unit that a text names, in the spelling of a mapping; empty if it names none."""
     return next((units for units, aliases in ALIASES.items() if text.strip().lower() in aliases), "")
 
 
 def shaft_of(name: str) -> frozenset[str]:
-    """The words of a name that say whose column it is, not what it measures or in which unit."""
+    """The words of a name without those of quantity, setpoint and unit: they identify the shaft."""
     other_words = {word for rule in table()["rules"] for group in rule["all"] for word in group}
     other_words |= {
         *table()["setpoint"],
@@ -154,6 +154,6 @@ def shaft_of(name: str) -> frozenset[str]:
 
 
 def is_time(name: str) -> bool:
-    """Whether a name is that of stamps."""
+    """Whether a name is that of a column of stamps."""
     words = words_of(re.split(r"[./]", name)[-1])
     return bool(words) and words[0] in TIME

@@ -1,9 +1,9 @@
-"""Where a channel holds a level: stretches between changes that stand out of its noise.
+"""Find the stretches in which a channel holds a level: those between changes that exceed its noise.
 
-A setpoint repeats its level exactly, and every change of it counts. In a reading, changes are where the means of the
-rows before and behind differ by more than such means scatter (moving sums, MOSUM: Eichinger and Kirch, Bernoulli 24,
-2018). How much they scatter is taken from the recording itself and at that very length: noise of neighbouring rows
-says too little where it is coloured, by a filter, a ripple or a loop.
+A setpoint repeats its level exactly, so that every change ends a stretch. In a reading, a level changes where the means
+of the rows before and after differ by more than the scatter of such means (moving sums, MOSUM: Eichinger and Kirch,
+Bernoulli 24, 2018). That scatter is estimated from the recording at the length of the means: the noise from row to row
+underestimates it if the noise is coloured by a filter, a ripple or a control loop.
 """
 
 import math
@@ -16,36 +16,36 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
-WINDOWS = 4  # in the shortest hold: two of them to either side of a row leave half of that hold undisturbed
-FEWEST = 8  # rows of a window, whose scatter has to be known
-CHANGE = 5.0  # standard deviations that two windows' means differ by where a level changes
-CALM = 0.1  # share of rows by which the scatter of means is first estimated
-CALM_NORMAL = 0.2533  # standard deviations of a normal variable below which twice that share is: half lie in holds
-UNSURE = 2.0  # standard errors that the scatter of means may be more than a recording shows
-MOST_ROUNDS = 20  # of leaving out the changes that stand out, which end sooner where nothing more is left out
-TAIL, BEYOND = 0.995, 2.5  # a row is off its level by so many times what that share of rows is off: 7 sd where normal
-ROUNDED = 1e-9  # of a channel's largest value, that a mean of equal numbers may be off by
-WANDERS = 0.25  # of the least step from one level to the next, that a level may wander by beyond its noise
+WINDOWS = 4  # windows in the shortest hold: the two around a row leave half of the hold undisturbed
+FEWEST = 8  # least rows of a window, so that its scatter can be estimated
+CHANGE = 5.0  # a level changes where the means of two windows differ by this many standard deviations
+CALM = 0.1  # quantile of the ratios by which the scatter of means is first estimated
+CALM_NORMAL = 0.2533  # |z| below which 20 % of a normal variable lie: half of the rows lie in holds, so 2 * CALM
+UNSURE = 2.0  # standard errors added to the estimated scatter of means
+MOST_ROUNDS = 20  # iterations of leaving out changes; fewer if the estimate no longer changes
+TAIL, BEYOND = 0.995, 2.5  # a row is off its level beyond 2.5 times the 99.5 % quantile of deviations (7 sd if normal)
+ROUNDED = 1e-9  # relative rounding error of a mean of equal numbers
+WANDERS = 0.25  # share of the smallest step between levels that a level may drift beyond its noise
 
 
 class LevelHold(NamedTuple):
     """A stretch of rows at one level."""
 
     first: int
-    after: int  # the row behind it
+    after: int  # the row after the last
     level: float
-    before: float  # where the channel was when it came; NaN where no row says so
+    before: float  # value of the channel before it came to this level; NaN if no row tells
 
 
 class NotDistinct(Exception):
-    """Levels that cannot be told from noise; the message says where."""
+    """Levels cannot be distinguished from noise; the message says where."""
 
 
 def find_holds(time: Array, values: Array, least_s: float, settle_s: float, is_setpoint: bool) -> list[LevelHold]:
-    """Stretches of `least_s` or more in which a channel stays at its level.
+    """Stretches of at least `least_s` in which a channel stays at one level.
 
-    One row off a setpoint's level is a stray, two in a row end a stretch; a reading's stretch ends where its mean
-    changes. What is missing ends neither, but for a silence of a quarter of `least_s`.
+    A single deviating row of a setpoint is ignored, two in sequence end a stretch; a stretch of a reading ends where
+    its mean changes. Missing rows end a stretch if they last a quarter of `least_s` or more.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def find_holds(time: Array, values: Array, least_s: float, settle_s: float, is_s
     silences = np.flatnonzero(np.diff(stamps, append=time[-1]) > least_s / WINDOWS) + 1
 
     def lasting(holds: Iterable[LevelHold]) -> dict[LevelHold, LevelHold]:
-        """Parts of holds that last long enough, by known rows and among all."""
+        """Parts of holds that last `least_s`: key in finite rows, value in all rows."""
         parts = {
             part: rows_among_all(part, finite_rows, silences, len(values))
             for part in split_at_silences(holds, silences)
@@ -78,7 +78,7 @@ def find_holds(time: Array, values: Array, least_s: float, settle_s: float, is_s
 
 
 def median_of_three(values: Array) -> Array:
-    """The median of each row and its neighbours: a row by itself is gone, an edge stays where it is."""
+    """Median of each row and its two neighbours, which removes single deviating rows and keeps edges."""
     if len(values) < 3:
         return values
     middle = np.median(np.stack([values[:-2], values[1:-1], values[2:]]), axis=0)
@@ -86,7 +86,7 @@ def median_of_three(values: Array) -> Array:
 
 
 def split_at_silences(holds: Iterable[LevelHold], silences: Rows) -> Iterator[LevelHold]:
-    """The parts of holds between silences; what came before one is not known behind it."""
+    """Split holds at silences; the value before a part after a silence is NaN."""
     for hold in holds:
         inside = silences[(silences > hold.first) & (silences < hold.after)].tolist()
         for first, after in pairwise([hold.first, *inside, hold.after]):
@@ -94,7 +94,7 @@ def split_at_silences(holds: Iterable[LevelHold], silences: Rows) -> Iterator[Le
 
 
 def rows_among_all(hold: LevelHold, known: Rows, silences: Rows, rows: int) -> LevelHold:
-    """A hold of known rows among all: up to the next known one, or to the last one before a silence."""
+    """Convert a hold from indices of finite rows to indices of all rows."""
     if hold.after in silences:
         after = int(known[hold.after - 1]) + 1
     else:
@@ -103,7 +103,7 @@ def rows_among_all(hold: LevelHold, known: Rows, silences: Rows, rows: int) -> L
 
 
 def constant_stretches(values: Array, rounded: float) -> list[LevelHold]:
-    """Stretches that repeat a value exactly."""
+    """Stretches of constant value, up to `rounded`."""
     changes = np.flatnonzero(np.abs(np.diff(values)) > rounded) + 1
     edges = [0, *changes.tolist(), len(values)]
     return [
@@ -113,7 +113,7 @@ def constant_stretches(values: Array, rounded: float) -> list[LevelHold]:
 
 
 class WindowMeans:
-    """Means and scatter of the rows before and behind each row."""
+    """Moving means before and after each row, and the scatter of the rows in them."""
 
     def __init__(self, values: Array, window: int) -> None:
         rows = np.arange(len(values)) - 0.5 * (len(values) - 1)
@@ -131,7 +131,7 @@ class WindowMeans:
         self.colour = 0.0  # by how much means scatter, of the scatter of the rows in them
 
     def estimate_colour(self, rounded: float) -> None:
-        """Find how much means scatter where no level changes."""
+        """Estimate `colour`, the scatter of window means relative to that of rows, where no level changes."""
         noisy = self.scatter > rounded
         if not noisy.any():
             return
@@ -151,13 +151,13 @@ class WindowMeans:
 
 
 def window_means(values: Array, window: int) -> Array:
-    """The mean of every window, by the row that it begins at."""
+    """Mean of each window of `window` rows, indexed by its first row."""
     sums = np.concatenate([[0.0], np.cumsum(values)])
     return np.asarray((sums[window:] - sums[:-window]) / window, np.float64)
 
 
 def between_changes(values: Array, means: WindowMeans, rounded: float) -> list[LevelHold]:
-    """Stretches between changes of level, each by the rows around that are no change."""
+    """Holds between changes of level, extended to all rows at the level."""
     window = means.window
     if len(values) < 2 * window:
         return []
@@ -186,7 +186,7 @@ def between_changes(values: Array, means: WindowMeans, rounded: float) -> list[L
 def hold_around(
     values: Array, run: tuple[int, int], bounds: tuple[int, int], window: int, count: float
 ) -> LevelHold | None:
-    """The rows around a run without change that are at its level, one by one and as means; none where none is."""
+    """Extend a run of rows without change to the neighbouring rows at its level; None if no row is at it."""
     first, after = run
     level = float(np.median(values[first:after]))
     # without the rows whose windows reach into a change, where enough are left
@@ -206,20 +206,20 @@ def hold_around(
 
 
 def runs_of(chosen: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """First row and row after of each run of chosen ones."""
+    """First row and row after the last of each run of True."""
     edges = np.flatnonzero(np.diff(chosen, prepend=False, append=False))
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
 
 def moving_mean(values: Array, rows: int) -> Array:
-    """The mean of so many rows around each."""
+    """Moving mean over `rows` rows, centred."""
     from scipy.ndimage import uniform_filter1d
 
     return np.asarray(uniform_filter1d(values, rows, mode="nearest"), np.float64)
 
 
 def level_before(values: Array, first: int, level: float, near: float, window: int) -> float:
-    """Where a channel was before it came to a level: the last row off it, or the mean of some where none is."""
+    """Value before a level: the last row off it, else the mean of the rows before; NaN if there are none."""
     before = values[max(first - window, 0) : first]
     off = before[np.abs(before - level) > near]
     if len(off):
@@ -230,11 +230,11 @@ def level_before(values: Array, first: int, level: float, near: float, window: i
 def refuse_wandering(
     holds: list[LevelHold], values: Array, means: WindowMeans, stamps: Array, settle_s: float, rounded: float
 ) -> None:
-    """Refuse a level that wanders by more than its noise explains, and not by little beside a step.
+    """Refuse a level that drifts by more than its noise explains and by more than a share of the smallest step.
 
     Raises
     ------
-    NotDistinct : that it does.
+    NotDistinct : a level drifts too much; with its start.
     """
     for hold in holds:
         first = int(np.searchsorted(stamps, stamps[hold.first] + settle_s))

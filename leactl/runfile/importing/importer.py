@@ -1,7 +1,7 @@
-"""Import recordings of foreign rigs: CSV, MAT or JSON and a mapping file in, run files out.
+"""Import recordings of other programs: a CSV, MAT, JSON or other file and a mapping file in, run files out.
 
-Every source is read, converted and checked before the first file is written; files appear whole or not at all, and
-none is ever overwritten.
+All sources are read, converted and checked before the first file is written. A file is written whole or not at all, and
+none is overwritten.
 """
 
 import glob
@@ -39,7 +39,7 @@ class ImportedRun:
     streams: dict[str, Stream]
     steps: list[ImportedStep]
     origin: str  # the source and the mapping
-    notes: list[str]  # what a person should look at, with the source's name
+    notes: list[str]  # doubts for a person to check, with the source's name
 
 
 def import_runs(sources: Sequence[str], mapping_path: Path, out: Path, joints: Sequence[str] = ()) -> list[Path]:
@@ -62,7 +62,7 @@ def read_runs(sources: Sequence[str], mapping_path: Path, joints: Sequence[str] 
     Parameters
     ----------
     sources : paths, or patterns such as `logs/*.json`.
-    joints : that `{joint}` in the mapping stands for, a run each, or `all`; as the mapping says where it is empty.
+    joints : names that replace `{joint}` in the mapping, one run each, or `all`; empty: those of the mapping.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def read_runs(sources: Sequence[str], mapping_path: Path, joints: Sequence[str] 
 def read_by_mapping(
     sources: Sequence[str], document: yamlfile.Document, joints: Sequence[str] = ()
 ) -> list[ImportedRun]:
-    """Read every source under a mapping that is loaded already."""
+    """Read every source by a mapping document that is already loaded; otherwise as `read_runs`."""
     mapping = document.validate(Mapping)
     if mapping.format is not None and mapping.format not in names():
         message = f"{mapping.format!r} is no format; one of {', '.join(names())} was expected"
@@ -96,12 +96,17 @@ def read_by_mapping(
 
 
 def duplicates(names: Sequence[str]) -> list[str]:
-    """Names that stand more than once."""
+    """Names that occur more than once, sorted."""
     return sorted({name for name in names if names.count(name) > 1})
 
 
 def expand_patterns(sources: Sequence[str]) -> list[Path]:
-    """The files that paths and patterns stand for, each once."""
+    """Expand paths and patterns to files, each listed once.
+
+    Raises
+    ------
+    InputError : a path or pattern without a file, or a folder that no format recognises.
+    """
     paths: list[Path] = []
     for text in sources:
         if is_log(Path(text)):
@@ -118,11 +123,11 @@ def expand_patterns(sources: Sequence[str]) -> list[Path]:
 
 
 def read_source(path: Path, mapping: Mapping, document: yamlfile.Document) -> list[ImportedRun]:
-    """Read one source into the runs that its mapping makes of it.
+    """Read one source into one run or several, as its mapping says.
 
     Raises
     ------
-    InputError : everything that is wrong with it, one line each.
+    InputError : all faults of the source, one line each.
     """
     mappings = mappings_by_joint(path, mapping, document)
     columns = [column for each, _ in mappings.values() for column in wanted_columns(each)]
@@ -143,11 +148,11 @@ def read_source(path: Path, mapping: Mapping, document: yamlfile.Document) -> li
 def mappings_by_joint(
     path: Path, mapping: Mapping, document: yamlfile.Document
 ) -> dict[str, tuple[Mapping, yamlfile.Document]]:
-    """The mapping of each joint by its name; the whole under an empty one where it takes nothing by joint.
+    """Mapping and document of each joint by its name; one entry with the name "" if `{joint}` is not used.
 
     Raises
     ------
-    InputError : joints are asked for and `{joint}` stands nowhere, or the other way round.
+    InputError : joints are given and no path has `{joint}`, or the other way round.
     """
     if not asks_for_joints(document):
         if mapping.joints:
@@ -168,7 +173,7 @@ def mappings_by_joint(
 
 
 def read_joint(source: LogSource, joint: str, mapping: Mapping, document: yamlfile.Document) -> list[ImportedRun]:
-    """The runs of one joint, or those of a source without any."""
+    """The runs of one joint, or of a source without joints."""
     streams = build_streams(source, mapping, document)
     doubtful = [
         f"{source.path}: {line}" for name, stream in streams.items() for line in implausible_values(name, stream)
@@ -188,7 +193,7 @@ def read_joint(source: LogSource, joint: str, mapping: Mapping, document: yamlfi
 
 
 def wanted_columns(mapping: Mapping) -> list[WantedColumn]:
-    """Every column and field that a mapping speaks of."""
+    """Every column and field that a mapping refers to."""
     columns: list[WantedColumn] = []
     fields = [*mapping.setup.values(), *mapping.parameters.values(), *(value for _, value in mapping.run)]
     for stream in mapping.streams.values():
@@ -206,7 +211,7 @@ def wanted_columns(mapping: Mapping) -> list[WantedColumn]:
 
 
 def label_columns(mapping: Mapping) -> list[WantedColumn]:
-    """The column that steps are named by, where there is one."""
+    """The column whose labels name the steps; empty if the mapping has none."""
     by_column = mapping.steps_by_column
     return (
         [WantedColumn(by_column.column, None if by_column.time else mapping.streams[by_column.stream].records)]
@@ -223,7 +228,7 @@ def describe_run(
     document: yamlfile.Document,
     notes: list[str],
 ) -> ImportedRun:
-    """Put together what is known of one run."""
+    """Build one run: description, streams, steps, origin and notes."""
     about = {
         name: text_value(source, value, ("run", name), document)
         for name, value in mapping.run
@@ -258,7 +263,7 @@ def describe_run(
 
 
 def digest_of(path: Path) -> str:
-    """SHA-256 of a file, or over those of a folder's files by their names."""
+    """SHA-256 of a file; of a folder, over the digests of its files in the order of their names."""
     if path.is_dir():
         parts = [digest_of(file) for file in sorted(path.iterdir()) if file.is_file()]
         return hashlib.sha256("".join(parts).encode()).hexdigest()
@@ -267,7 +272,7 @@ def digest_of(path: Path) -> str:
 
 
 def text_value(source: LogSource, value: str | FieldOf, keys: tuple[str, ...], document: yamlfile.Document) -> str:
-    """A text that the mapping gives, or the field that it points to."""
+    """A text of the mapping, or the value of the source's field that the mapping names."""
     if isinstance(value, str):
         return value
     try:
@@ -278,7 +283,7 @@ def text_value(source: LogSource, value: str | FieldOf, keys: tuple[str, ...], d
 
 
 def created_text(source: LogSource, mapping: Mapping, document: yamlfile.Document) -> str:
-    """When the run was recorded: as the mapping says, else as the source says, else its file's time."""
+    """Time of the recording, `2026-01-31T10:15:30Z`: by the mapping, else by the source, else by its file."""
     if mapping.run.created is None:
         moment = source.began or datetime.fromtimestamp(source.path.stat().st_mtime, UTC)
     else:
@@ -291,11 +296,11 @@ def created_text(source: LogSource, mapping: Mapping, document: yamlfile.Documen
 
 
 def targets_of(runs: Sequence[ImportedRun], out: Path) -> list[Path]:
-    """The file that each run gets.
+    """Path of the file of each run.
 
     Raises
     ------
-    InputError : one of them exists already.
+    InputError : one of the files exists.
     """
     targets = [out / f"{run.info.run_id}.h5" for run in runs]
     for target in targets:
@@ -304,7 +309,7 @@ def targets_of(runs: Sequence[ImportedRun], out: Path) -> list[Path]:
 
 
 def write_runs(runs: Sequence[ImportedRun], out: Path) -> list[Path]:
-    """Write all runs aside, then give each its name."""
+    """Write all runs into a temporary folder, then rename each to its final path; on failure none remains."""
     targets = targets_of(runs, out)
     try:
         out.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""One log of several joints as several runs: `{joint}` in a mapping's paths stands for each in turn."""
+"""Import one log of several joints as several runs: `{joint}` in a mapping's paths stands for each joint in turn."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -14,22 +14,22 @@ ALL: Final[Literal["all"]] = "all"
 
 
 def asks_for_joints(document: Document) -> bool:
-    """Whether `{joint}` stands anywhere in a mapping."""
+    """Whether any text of a mapping contains `{joint}`."""
     return any(PLACEHOLDER in text for text in _texts(document.data))
 
 
 def for_joint(document: Document, joint: str) -> tuple[Mapping, Document]:
-    """The mapping of one joint, with the places of the file that it is written in."""
+    """Mapping and document with `{joint}` replaced by a joint's name; faults keep the file's lines."""
     of_joint = replace(document, data=_filled(document.data, joint))
     return of_joint.validate(Mapping), of_joint
 
 
 def joints_of(path: Path, mapping: Mapping, tables: Sequence[ListedTable], document: Document) -> list[str]:
-    """Names of the joints that a source has in the records that the mapping takes by joint.
+    """Names of a source's joints, in the records that the mapping addresses by `{joint}`.
 
     Raises
     ------
-    InputError : it lists none there.
+    InputError : the source lists no joints there.
     """
     asked = {stream.records for stream in mapping.streams.values() if PLACEHOLDER in (stream.records or "")}
     joints = [joint for table in tables if not asked or table.records in asked for joint in table.joints]

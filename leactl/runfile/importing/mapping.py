@@ -1,7 +1,7 @@
-"""The mapping file of an import: which columns of somebody else's file are which channels of a run.
+"""The mapping file of an import: which column of a source is which channel of the run.
 
-A column is named by its header, by its index from 0, or by a dotted path (`log.entries.position`, `cells[2].t`). What
-a channel gets is `sign * (scale * column + offset)` in `units`, converted to the units of its quantity.
+A column is named by its header, by its index from 0, or by a dotted path (`log.entries.position`, `cells[2].t`). The
+values of a channel are `sign * (scale * column + offset)` in `units`, converted to the units of its quantity.
 """
 # ruff: noqa: N815 (a unit keeps its letter)
 
@@ -31,7 +31,7 @@ PLACEHOLDER: Final = "{joint}"  # in paths: stands for each joint in turn
 
 
 def as_label(cell: str | float, decimal: str = ".") -> str:
-    """What stands in a cell as a label: a number in its shortest form, other text as it is."""
+    """A cell as label of a step: numbers in their shortest form, so that `1` and `1.0` agree, other text unchanged."""
     try:
         number = float(cell.replace(decimal, ".") if isinstance(cell, str) else cell)
     except ValueError:
@@ -40,12 +40,12 @@ def as_label(cell: str | float, decimal: str = ".") -> str:
 
 
 def is_place(value: float | str) -> TypeGuard[str]:
-    """Whether a parameter of a step is that of a `stream/channel`."""
+    """Whether a parameter of a step names a channel as `stream/channel`."""
     return isinstance(value, str) and re.match(PLACE, value) is not None
 
 
 class FieldOf(Block):
-    """A number or text that stands once in the source, as `scale * field + offset` where it is a number."""
+    """A single value of the source; a number is used as `scale * field + offset`."""
 
     field: Column
     scale: Number = 1.0
@@ -53,7 +53,7 @@ class FieldOf(Block):
 
 
 class CsvForm(Block):
-    """How a CSV file is written."""
+    """Dialect of a CSV file."""
 
     delimiter: Annotated[str, StringConstraints(strict=True, min_length=1, max_length=1)] = ","
     decimal: Literal[".", ","] = "."
@@ -61,7 +61,7 @@ class CsvForm(Block):
     encoding: Text = "utf-8-sig"
     header_line: Row = 1  # counted from 1; 0: none, columns go by index
     data_line: Row | None = None  # where numbers begin; the line after the header by default
-    missing: tuple[str, ...] = ("", "nan", "NaN", "NA", "null")  # what stands where nothing was measured
+    missing: tuple[str, ...] = ("", "nan", "NaN", "NA", "null")  # cells of missed samples
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -73,7 +73,7 @@ class CsvForm(Block):
 
 
 class TimeBase(Block):
-    """Where stamps come from: a column, a rate, or a start and a step."""
+    """Source of the stamps: a column, a rate, or a start and a step."""
 
     column: Column | None = None
     units: Literal["s", "ms", "us", "ns", "min", "h", "iso8601"] = "s"
@@ -93,7 +93,7 @@ class TimeBase(Block):
 
 
 class StreamClock(Block):
-    """How a stream's stamps lie on the clock of the run: a known offset, or one that is estimated."""
+    """Offset of a stream's stamps from the clock of the run: given, or estimated from two channels."""
 
     offset_s: Number | None = None
     estimate: OffsetEstimate | None = None
@@ -106,7 +106,7 @@ class StreamClock(Block):
 
 
 class ChannelMapping(Block):
-    """One channel: where its numbers stand, and what they are."""
+    """One channel: its column, quantity, role, units and calibration."""
 
     column: Column
     quantity: Text
@@ -153,7 +153,7 @@ class StreamMapping(Block):
 
 
 class PartMapping(Block):
-    """A part of the source that becomes a run of its own, from the first row or instant up to before the last."""
+    """A part of the source that becomes a run of its own: rows or times from the first to before the last."""
 
     suffix: Name
     rows: tuple[Row, Row] | None = None  # of every stream: for sources with one stream
@@ -173,16 +173,16 @@ class ByDirection(Block):
     """Each sweep in one direction becomes a run: `-forward`, `-reverse`, numbered from the second on."""
 
     channel: Annotated[str, StringConstraints(strict=True, pattern=PLACE)]
-    least: Above  # travel that makes a sweep, in the channel's units
+    least: Above  # least travel of a sweep, in the channel's units
 
 
 class StepAt(Block):
-    """A step of the run by its instants, on the run's clock."""
+    """A step of the run by its start and stop on the run's clock."""
 
     name: Name
     start_s: Number
     stop_s: Number
-    settle_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] = 0.0  # of its head, to be left out
+    settle_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] = 0.0  # analyses leave it out
     parameters: dict[Name, Number | str] = {}
 
     @model_validator(mode="after")
@@ -193,14 +193,14 @@ class StepAt(Block):
 
 
 class StepsByColumn(Block):
-    """Steps where a column of the source keeps one number or label; what has no name is no step."""
+    """Steps by a column of the source: each stretch of rows with one number or label that `names` has."""
 
     stream: Name
     column: Column
-    names: Annotated[dict[Text, Name], Field(min_length=1)]  # of the step, by what stands in the column
-    time: TimeBase | None = None  # of the column, where its rows are not the stream's: a label holds until the next
+    names: Annotated[dict[Text, Name], Field(min_length=1)]  # name of the step by label
+    time: TimeBase | None = None  # stamps of the labels if they have their own; a label holds until the next
     settle_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] = 0.0
-    parameters: dict[Name, Number | str] = {}  # the median of a `stream/channel`, or what is given
+    parameters: dict[Name, Number | str] = {}  # a value, or `stream/channel` for the channel's median in the step
 
     @field_validator("names")
     @classmethod
@@ -214,11 +214,11 @@ class StepsByColumn(Block):
 
 
 class StepsByHolds(Block):
-    """Steps named `hold` where a channel, best a setpoint, stays where it is."""
+    """Steps named `hold`, one for each stretch in which a channel, preferably a setpoint, keeps its level."""
 
     channel: Annotated[str, StringConstraints(strict=True, pattern=PLACE)]
-    parameter: Name  # that the level is told under, such as current_A
-    least_s: Above  # shorter ones are none
+    parameter: Name  # name of the level in the step's parameters, such as current_A
+    least_s: Above  # least duration of a hold
     settle_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] = 0.0
     parameters: dict[Name, Number | str] = {}
 
@@ -230,7 +230,7 @@ class StepsByHolds(Block):
 
 
 class RunMapping(Block):
-    """What becomes the run's root attributes."""
+    """Root attributes of the run."""
 
     protocol: str | FieldOf = ""
     bench: str | FieldOf = ""
@@ -246,10 +246,10 @@ class Mapping(Block):
 
     format: Text | None = None  # one of `leactl.runfile.importing.sources.registry`; by the file's ending otherwise
     mechanical: Literal["free", "locked", "coupled", "heated"]
-    joints: Literal["all"] | tuple[Joint, ...] = ()  # that `{joint}` stands for, a run each
+    joints: Literal["all"] | tuple[Joint, ...] = ()  # names that replace `{joint}`, one run each
     run: RunMapping = RunMapping()
     setup: dict[Name, Number | str | FieldOf] = {}
-    parameters: dict[Name, Number | str | FieldOf] = {}  # what the protocol was run with
+    parameters: dict[Name, Number | str | FieldOf] = {}  # of the protocol
     instruments: dict[Name, Instrument] = {}
     csv: CsvForm = CsvForm()
     streams: Annotated[dict[Name, StreamMapping], Field(min_length=1)]

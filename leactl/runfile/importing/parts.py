@@ -1,4 +1,4 @@
-"""One recording as several runs: by rows, by instants, or by the direction of a sweep."""
+"""Split one recording into several runs: by rows, by times, or by the direction of a sweep."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -16,11 +16,11 @@ Streams = dict[str, Stream]
 
 
 def split_recording(path: Path, streams: Streams, mapping: Mapping, document: Document) -> list[tuple[str, Streams]]:
-    """The runs of a recording with their suffixes; the whole under an empty one where nothing is split.
+    """Split a recording; returns (suffix of the file name, streams) of each run, with suffix "" if nothing is split.
 
     Raises
     ------
-    InputError : a part that lies outside the recording, or no sweep that is long enough.
+    InputError : a part lies outside the recording, or no sweep is long enough.
     """
     if mapping.by_direction:
         return by_direction(path, streams, mapping.by_direction, document)
@@ -47,7 +47,7 @@ def split_recording(path: Path, streams: Streams, mapping: Mapping, document: Do
 
 
 def by_direction(path: Path, streams: Streams, settings: ByDirection, document: Document) -> list[tuple[str, Streams]]:
-    """One run for each sweep."""
+    """One run for each sweep, with suffix `forward`, `reverse`, `forward-2` and so on."""
     name, channel = settings.channel.split("/")
     stream = streams[name]
     runs: list[tuple[str, Streams]] = []
@@ -65,10 +65,9 @@ def by_direction(path: Path, streams: Streams, settings: ByDirection, document: 
 
 
 def sweeps(values: Array, least: float) -> list[tuple[int, int, bool]]:
-    """Stretches (first, up to before, ahead) between turning points, where each travels at least so far.
+    """Stretches (first row, row after the last, ahead) between turning points that travel at least `least`.
 
-    A turning point is an extreme that the channel has since come back from by the least travel; what jitters around a
-    place is no turn.
+    A turning point is an extreme from which the channel then returns by `least`; jitter around a value is no turn.
     """
     turns: list[tuple[int, bool]] = []  # extreme, whether it ends a way ahead
     finite_rows = np.flatnonzero(np.isfinite(values))
@@ -96,12 +95,12 @@ def sweeps(values: Array, least: float) -> list[tuple[int, int, bool]]:
 
 
 def travel(values: Array) -> float:
-    """From the lowest to the highest value."""
+    """Highest minus lowest value."""
     return float(np.nanmax(values) - np.nanmin(values))
 
 
 def cut_to(streams: Streams, begin: float, end: float) -> Streams:
-    """What every stream has from one instant up to before another."""
+    """Rows of every stream from time `begin` to before `end` [s]."""
     return {
         name: stream.rows(int(np.searchsorted(stream.time, begin)), int(np.searchsorted(stream.time, end)))
         for name, stream in streams.items()
@@ -109,6 +108,6 @@ def cut_to(streams: Streams, begin: float, end: float) -> Streams:
 
 
 def from_zero(streams: Streams) -> Streams:
-    """The same with its own start as time zero."""
+    """Shift all streams so that the earliest stamp is 0."""
     start = min(float(stream.time[0]) for stream in streams.values() if len(stream.time))
     return {name: replace(stream, time=stream.time - start) for name, stream in streams.items()}

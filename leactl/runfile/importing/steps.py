@@ -1,4 +1,4 @@
-"""Steps of an imported recording: by instants, by a column that tells them, or where a channel holds its level."""
+"""Steps of an imported recording: by times, by a column of labels, or where a channel holds its level."""
 
 import math
 from itertools import pairwise
@@ -12,7 +12,7 @@ from leactl.runfile.importing.mapping import Mapping, StepsByColumn, StepsByHold
 from leactl.runfile.importing.streams import Stream
 from leactl.yamlfile import Document
 
-MOST_SEEN = 10  # labels that a fault names
+MOST_SEEN = 10  # labels listed in a message
 
 
 class ImportedStep(NamedTuple):
@@ -26,11 +26,11 @@ class ImportedStep(NamedTuple):
 
 
 def steps_of(streams: dict[str, Stream], mapping: Mapping, document: Document, source: str) -> list[ImportedStep]:
-    """Steps of one run, as its mapping tells them; none where it tells nothing.
+    """Steps of one run by its mapping; empty if the mapping defines none.
 
     Raises
     ------
-    InputError : steps beyond the recording or over one another, labels that never stand, no level that is held.
+    InputError : steps outside the recording or overlapping, labels that do not occur, or no level that is held.
     """
     end = max(float(stream.time[-1]) for stream in streams.values())
     if mapping.steps:
@@ -43,7 +43,7 @@ def steps_of(streams: dict[str, Stream], mapping: Mapping, document: Document, s
 
 
 def by_instants(mapping: Mapping, end: float, document: Document, source: str) -> list[ImportedStep]:
-    """Steps that the mapping writes out."""
+    """Steps whose times the mapping gives."""
     faults, before = [], 0.0
     for index, step in enumerate(mapping.steps):
         if not before <= step.start_s:
@@ -105,14 +105,17 @@ def by_holds(streams: dict[str, Stream], by: StepsByHolds, document: Document, s
 
 
 def instants_of(stream: Stream, first: int, after: int) -> tuple[float, float]:
-    """Instants of a stretch of rows: from its first to that of the row after it, or to the end."""
+    """Start and stop [s] of a stretch of rows: stamps of its first row and of the row after it, or of the last row."""
     return float(stream.time[first]), float(stream.time[min(after, len(stream.time) - 1)])
 
 
 def median_level(
     streams: dict[str, Stream], channel_path: str, start: float, stop: float, settle: float
 ) -> float | None:
-    """Median of a channel in the settled part of a step; NaN where it is silent in all of it, None in that alone."""
+    """Median of a channel in the settled part of a step.
+
+    NaN if the channel has no sample in the whole step, None if it has none in the settled part only.
+    """
     name, channel = channel_path.split("/")
     stream = streams[name]
     values = stream.channel(channel)

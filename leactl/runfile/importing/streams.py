@@ -1,4 +1,4 @@
-"""Columns of a foreign file as streams of a run: units converted, clocks aligned, stamps checked."""
+"""Convert columns of a source to streams of a run: units converted, clocks aligned, stamps checked."""
 
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -26,35 +26,35 @@ Array = npt.NDArray[np.float64]
 
 @dataclass
 class Stream:
-    """Channels on one clock, not yet in a file."""
+    """Channels with common stamps, not yet in a file."""
 
     time: Array
     specs: list[ChannelSpec]
     values: list[Array]
-    aligned: str = ""  # how an estimated clock was tied, and how well
-    labels: list[str] | None = None  # of each row: what a column says that steps are told by
+    aligned: str = ""  # method and uncertainty of an estimated clock offset
+    labels: list[str] | None = None  # label of each row, by which steps are named
 
     def channel(self, name: str) -> Array:
         """Values of one channel."""
         return self.values[self.specs.index(self.spec(name))]
 
     def spec(self, name: str) -> ChannelSpec:
-        """What one channel is."""
+        """Specification of one channel."""
         return next(spec for spec in self.specs if spec.name == name)
 
     def rows(self, first: int, last: int) -> "Stream":
-        """Rows from the first up to before the last."""
+        """Rows `first` to `last` (excluded)."""
         labels = self.labels[first:last] if self.labels is not None else None
         columns = [column[first:last] for column in self.values]
         return Stream(self.time[first:last], self.specs, columns, self.aligned, labels)
 
 
 def build_streams(source: LogSource, mapping: Mapping, document: Document) -> dict[str, Stream]:
-    """Read every mapped channel of a source onto the run's clock.
+    """Read every mapped channel of a source and put all streams on the run's clock.
 
     Raises
     ------
-    InputError : columns that are missing, units that cannot be, stamps that do not increase, clocks that disagree.
+    InputError : missing columns, impossible units, stamps that do not increase, or clocks that cannot be aligned.
     """
     faults: list[str] = []
     streams: dict[str, Stream] = {}
@@ -88,7 +88,7 @@ def build_streams(source: LogSource, mapping: Mapping, document: Document) -> di
 def build_stream(
     source: LogSource, name: str, settings: StreamMapping, by: StepsByColumn | None, document: Document
 ) -> Stream:
-    """Read one stream on its own clock, with the labels of the column that steps are told by."""
+    """Read one stream on its own clock, with the labels that name its steps if `by` is given."""
     faults: list[str] = []
     specs, values, columns = [], [], []
     for channel, mapped in settings.channels.items():
@@ -119,7 +119,7 @@ def labels_of(
     keep: npt.NDArray[np.bool_],
     document: Document,
 ) -> list[str]:
-    """The label of each row that is kept: that of its own, or the one in force at its stamp; empty before the first."""
+    """Label of each kept row: its own, or the latest label at its stamp; empty before the first label."""
     try:
         raw = source.labels(by.column, None if by.time else records)
     except MissingColumn as lacking:
@@ -176,7 +176,7 @@ def build_channel(
 
 
 def number_value(source: LogSource, value: float | FieldOf, keys: tuple[str | int, ...], document: Document) -> float:
-    """A number that the mapping gives, or the field that it points to."""
+    """A number of the mapping, or the value of the source's field that the mapping names."""
     if not isinstance(value, FieldOf):
         return value
     try:
@@ -191,7 +191,7 @@ def number_value(source: LogSource, value: float | FieldOf, keys: tuple[str | in
 def stamps(
     source: LogSource, base: TimeBase, records: str | None, keys: tuple[str, ...], rows: int, document: Document
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Stamps in seconds, strictly increasing, and which rows they keep."""
+    """Stamps of all rows [s], and a mask of the rows that are kept; the kept stamps increase strictly."""
     every_row: npt.NDArray[np.bool_] = np.ones(rows, bool)
     if base.column is None:
         step = base.step_s or 1.0 / (base.rate_Hz or 1.0)
@@ -220,7 +220,7 @@ def stamps(
 
 
 def seconds(source: LogSource, base: TimeBase, raw: Array | list[str]) -> Array:
-    """Stamps as seconds."""
+    """Convert stamps to seconds."""
     assert base.column is not None
     if base.units != "iso8601":
         if isinstance(raw, list):
@@ -237,7 +237,7 @@ def seconds(source: LogSource, base: TimeBase, raw: Array | list[str]) -> Array:
 
 
 def alignment_of(streams: dict[str, Stream], name: str, wanted: StreamMapping, document: Document) -> Alignment | None:
-    """How a stream's stamps are put on the run's clock; None where its offset is given, or none."""
+    """Estimate the alignment of a stream's clock with the run's; None if the mapping asks for no estimate."""
     clock = wanted.clock
     if clock is None or clock.estimate is None:
         return None

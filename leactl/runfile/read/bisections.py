@@ -1,4 +1,4 @@
-"""Searches of a run: what the steps that ended them tell."""
+"""Results of a run's bisections, read from the parameters of the steps that ended them."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from leactl.runfile.read.reader import Step
 
 @dataclass(frozen=True)
 class Searched:
-    """A bisection that has come to its end."""
+    """Result of a finished bisection."""
 
     name: str
     outcome: str  # bracketed, not_identifiable
@@ -24,7 +24,7 @@ class Searched:
 
 
 def searches(steps: Sequence[Step]) -> Iterator[Searched]:
-    """Every search that has come to its end, in order."""
+    """Results of the finished bisections, in the order of the steps."""
     for step in steps:
         parameters = step.parameters
         key = next((key for key in parameters if key.startswith("resolution_")), "")

@@ -1,7 +1,7 @@
-"""Open a run and ask it for channels by what they measure; the file is checked once, at the door.
+"""Open a run and read its channels by quantity and role; the file is checked once, when it is opened.
 
-Everything an analysis may rely on holds after `Run.open`: stamps increase strictly, every channel has a value for each
-stamp, units are those of the quantity. Values come as float64, a missed sample as NaN.
+After `Run.open`, stamps increase strictly, every channel has a value for each stamp, and units are those of the
+quantity. Values are float64; a missed sample is NaN.
 """
 
 import json
@@ -58,7 +58,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class Step:
-    """A part of the run; analysis leaves out its first `settle` seconds."""
+    """A part of the run, times in s since its start; analyses leave out its first `settle` seconds."""
 
     name: str
     start: float
@@ -96,7 +96,7 @@ class Run:
         self.unfinished = live or self.status == RECORDING
         self._file = file
         self._streams = file.get("streams", {})
-        self.condemned: dict[str, str] = {}  # by `stream/name`: why whoever reads the channel is refused
+        self.condemned: dict[str, str] = {}  # by `stream/name`: reason why reading the channel raises InputError
         if faults := faults_of_streams(self._streams, self.unfinished):
             raise InputError([f"{path}: {fault}" for fault in faults])
         self.rows = {name: whole_rows(group) for name, group in self._streams.items()}
@@ -126,24 +126,24 @@ class Run:
 
     @property
     def mechanical(self) -> str:
-        """What the shaft was connected to: free, locked, coupled or heated; empty where the file does not say."""
+        """Mechanical set-up: free, locked, coupled or heated; empty if the file does not say."""
         return str(self.setup.get("mechanical", ""))
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The protocol's parameters with the values that were used; empty where the file does not say."""
+        """Parameters of the protocol with the values of the run; empty if the file has none."""
         with reading(self.path, "/parameters"):
             return layout.parameters(self._file)
 
     @property
     def instruments(self) -> dict[str, dict[str, str]]:
-        """Model, serial number, firmware and calibration of each device, by its name, as far as the file says."""
+        """Model, serial number, firmware and calibration dates of each device, by its name, as far as known."""
         with reading(self.path, "/instruments"):
             return layout.instruments(self._file)
 
     @property
     def steps(self) -> list[Step]:
-        """The parts of the run, in the order in which they were recorded."""
+        """The steps of the run, in the order of recording."""
         rows = self._table("steps", layout.TABLES["steps"])
         return [
             Step(name, start, stop, settle, self._parameters(index, text))
@@ -161,7 +161,7 @@ class Run:
         return [Note(*row) for row in self._table("notes", layout.NOTES)]
 
     def source(self, name: str) -> str | None:
-        """The YAML text of the `protocol`, the `bench` or the `model` as it was used; None where the file has none."""
+        """YAML text of the `protocol`, the `bench` or the `model` of the run; None if the file has none."""
         hdf5_path = f"{name}/source"
         with reading(self.path, hdf5_path):
             return str(layout.to_python(self._file[hdf5_path][()])) if hdf5_path in self._file else None
@@ -171,7 +171,7 @@ class Run:
         return bool(self._find(quantity, role))
 
     def channels(self, quantity: str, role: str = "test") -> list[Channel]:
-        """Every channel of this quantity and role, one for each location; empty where there is none."""
+        """Every channel of this quantity and role, one for each location; empty if there is none."""
         return [self._read(stream, spec) for stream, spec in self._find(quantity, role)]
 
     def channel(self, quantity: str, role: str = "test", location: str | None = None) -> Channel:
@@ -194,7 +194,7 @@ class Run:
         return self._read(*matches[0])
 
     def __getitem__(self, wanted: str | tuple[str, ...]) -> Channel:
-        """The channel of `run["torque"]`, `run["torque", "load"]` or with a location behind, as `channel` gives it."""
+        """`run["torque"]`, `run["torque", "load"]` and `run["torque", "load", location]` call `channel`."""
         return self.channel(*((wanted,) if isinstance(wanted, str) else wanted))
 
     def __repr__(self) -> str:
@@ -215,7 +215,7 @@ class Run:
         return dataset(self)
 
     def channel_at(self, channel_path: str) -> Channel:
-        """The channel that stands at `stream/name`.
+        """The channel with the path `stream/name`.
 
         Raises
         ------
@@ -229,18 +229,18 @@ class Run:
         raise MissingChannel(f"{self.path}: no channel {channel_path}; the run has {known or 'none'}")
 
     def attached(self, stream: str) -> dict[str, Any]:
-        """Where a stream that joined the run later came from and how its clock was tied; empty for a recorded one."""
+        """Provenance and clock alignment of a stream that was attached later; empty for a recorded stream."""
         attributes = layout.attributes(self._streams[stream])
         return {name: value for name, value in attributes.items() if name.startswith(("record_", "alignment_"))}
 
     @property
     def checked(self) -> bool:
-        """Whether its values carry checksums; files of other makers may have none."""
+        """Whether any dataset has a checksum; files of other programs may have none."""
         return any("sha256" in item.attrs for _, item in layout.datasets(self._file))
 
     @property
     def sealed(self) -> bool:
-        """Whether its names and attributes are covered too; files of other makers may not be."""
+        """Whether names and attributes are sealed too; files of other programs may not be."""
         return seal.SEAL in self._file.attrs
 
     def time(self, stream: str) -> Array:
@@ -248,18 +248,18 @@ class Run:
         return self.values(stream, "time", 0, self.rows[stream])
 
     def values(self, stream: str, name: str, start: int, stop: int) -> Array:
-        """Some rows of a channel of one stream, or of its `time`."""
+        """Rows `start` to `stop` (excluded) of a channel of one stream, or of its `time`, as float64."""
         return np.asarray(self._column(stream, name, start, stop), np.float64)
 
     def blocks(self, stream: str, rows: int = layout.BLOCK_ROWS) -> Iterator[dict[str, npt.NDArray[Any]]]:
-        """The stream's columns as stored, `time` first, so many rows at a time."""
+        """The stream's columns in their stored types, `time` first, in blocks of `rows` rows."""
         names = ["time", *(spec.name for spec in self.streams[stream])]
         for start in range(0, self.rows[stream], rows):
             stop = min(start + rows, self.rows[stream])
             yield {name: self._column(stream, name, start, stop) for name in names}
 
     def close(self) -> None:
-        """Let go of the file; what was read stays."""
+        """Close the file; arrays that were read stay valid."""
         self._file.close()
 
     def __enter__(self) -> Self:
@@ -282,7 +282,12 @@ class Run:
         return self.section(stream, spec, 0, self.rows[stream])
 
     def section(self, stream: str, spec: ChannelSpec, start: int, stop: int) -> Channel:
-        """Some rows of a channel."""
+        """Rows `start` to `stop` (excluded) of a channel.
+
+        Raises
+        ------
+        InputError : the channel is in `condemned`.
+        """
         if reason := self.condemned.get(f"{stream}/{spec.name}"):
             raise InputError(reason)
         return Channel(
@@ -314,7 +319,7 @@ class Run:
         return parameters
 
     def _table(self, name: str, columns: dict[str, int | None]) -> list[tuple[Any, ...]]:
-        """Rows of parallel arrays, of an unfinished run cut to the shortest; empty where the file has none."""
+        """Rows of a table of parallel arrays; cut to the shortest in an unfinished run, empty if there is none."""
         if name not in self._file:
             return []
         with reading(self.path, f"/{name}"):
@@ -328,7 +333,7 @@ class Run:
 
 
 def channel_specs(group: Any) -> list[ChannelSpec]:
-    """What the channels of a stream are, by their attributes."""
+    """Specifications of a stream's channels, from their attributes."""
     specs = []
     for name in group:
         if name != "time":

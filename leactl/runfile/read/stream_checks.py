@@ -12,7 +12,7 @@ from leactl.yamlfile import shown
 
 
 def faults_of_streams(streams: Any, unfinished: bool) -> list[str]:
-    """One line for each fault of the streams, with its HDF5 path; columns of an unfinished file may differ in length."""
+    """One line for each fault of the streams, with its HDF5 path; columns of an unfinished file may be uneven."""
     faults = []
     for name, group in streams.items():
         hdf5_path = f"/streams/{name}"

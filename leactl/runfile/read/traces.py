@@ -1,4 +1,4 @@
-"""Channels of a run as a picture shows them: chosen by name, cut to a part, thinned without losing a peak."""
+"""Channels of a run for plots: chosen by name, cut to a part of the run, thinned to the range in each bin."""
 
 import difflib
 import math
@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ChannelTrace:
-    """A channel over a part of the run; where it is thinned, a pair of points for each of its bins, low and high."""
+    """A channel over a part of the run; if thinned, two points for each bin: its lowest and highest value."""
 
     name: str  # stream/channel
     channel: Channel
@@ -25,7 +25,7 @@ class ChannelTrace:
     samples_per_bin: float  # 1 where every sample is there
 
     def as_json(self) -> dict[str, Any]:
-        """Return the trace as JSON takes it: a missing sample is null."""
+        """Return the trace as a JSON object; a missing sample is null."""
         channel = self.channel
         return {
             "name": self.name,
@@ -39,7 +39,7 @@ class ChannelTrace:
 
 
 def channel_names(run: Run, words: list[str]) -> list[str]:
-    """Return `stream/channel` of the channels that words choose, all of them where there is no word.
+    """Return `stream/channel` of the channels that `words` choose; of all channels if `words` is empty.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def channel_names(run: Run, words: list[str]) -> list[str]:
 
     Raises
     ------
-    MissingChannel : a word chooses nothing; the message lists what the run has.
+    MissingChannel : a word chooses no channel; the message lists the channels of the run.
     """
     known = {f"{stream}/{spec.name}": spec for stream, specs in run.streams.items() for spec in specs}
     chosen: list[str] = []
@@ -66,7 +66,7 @@ def channel_names(run: Run, words: list[str]) -> list[str]:
 
 
 def part_of_run(run: Run, step: str, start: float | None, stop: float | None) -> tuple[float, float]:
-    """Return start and stop [s] of the part that is asked for: from the first step of a name to its last, or by time.
+    """Return start and stop [s] of a part of the run, given by the name of its steps, by times, or both.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def part_of_run(run: Run, step: str, start: float | None, stop: float | None) ->
 
 
 def channel_trace(run: Run, name: str, start: float, stop: float, bins: int) -> ChannelTrace:
-    """Return a channel between two times [s], as its samples or, of more than two a bin, as the range in each bin."""
+    """Return a channel between two times [s]: its samples, or the range in each bin if there are over two per bin."""
     channel = run.channel_at(name)
     inside = (channel.time >= start) & (channel.time <= stop)
     time, values = channel.time[inside], channel.values[inside]

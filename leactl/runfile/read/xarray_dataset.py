@@ -1,4 +1,4 @@
-"""A run as an xarray dataset, with the names, units and times that the file has."""
+"""Convert a run to an xarray dataset with the names, units and times of the file."""
 
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def dataset(run: "Run") -> "xarray.Dataset":
-    """Every channel as a variable, as `Run.to_xarray` says."""
+    """Convert a run; see `Run.to_xarray`."""
     try:
         import xarray
     except ImportError:

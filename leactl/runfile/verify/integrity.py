@@ -1,6 +1,6 @@
-"""Verify, recover and annotate run files; the measured values themselves are never changed.
+"""Verify, recover and annotate run files; measured values are never changed.
 
-`recover` writes a copy next to the original, `annotate` replaces the file only after every checksum has held.
+`recover` writes a copy next to the original; `annotate` replaces the file after every checksum has been compared.
 """
 
 import shutil
@@ -27,7 +27,7 @@ ALL_PARTS = "values, names and attributes"
 
 @dataclass(frozen=True)
 class Examination:
-    """A run file as `verify` finds it."""
+    """Result of the verification of one run file."""
 
     path: Path
     findings: list[str]  # what is wrong with it, one line each
@@ -36,7 +36,7 @@ class Examination:
 
     @property
     def told(self) -> str:
-        """How a sound run ended and what is known to be unchanged, for a person."""
+        """One line for people: how a sound run ended, and which parts of the file are known to be unchanged."""
         how = self.status or "no status"
         if not self.covered:
             return f"{how}; no checksums: nothing tells whether it was changed"
@@ -44,13 +44,13 @@ class Examination:
         return f"{how}; {self.covered} are as they were closed{names}"
 
     def as_json(self) -> dict[str, Any]:
-        """The same for scripts."""
+        """The same as a JSON object."""
         covered = self.covered or None
         return {"run": str(self.path), "status": self.status, "covered": covered, "findings": self.findings}
 
 
 def examine(path: Path) -> Examination:
-    """Look a run file through, with how it ended."""
+    """Verify a run file; if it is sound, also report its status and which parts checksums and seal cover."""
     if findings := verify(path):
         return Examination(path, findings)
     with Run.open(path) as run:
@@ -58,9 +58,9 @@ def examine(path: Path) -> Examination:
 
 
 def verify(path: Path) -> list[str]:
-    """Everything that is wrong with a run file, one line each; empty where all is well.
+    """One line for each fault of a run file; empty if it has none.
 
-    Foreign files carry no checksums; that alone is no finding.
+    Files of other programs have no checksums; that alone is no fault.
     """
     try:
         file, live = open_run_file(path)
@@ -80,7 +80,7 @@ def verify(path: Path) -> list[str]:
 
 
 def altered(path: Path) -> list[str]:
-    """What is not as it was when the run was closed, one line each; a file without checksums has no finding.
+    """One line for each difference to the closed run; empty for a file without checksums.
 
     Raises
     ------
@@ -92,28 +92,28 @@ def altered(path: Path) -> list[str]:
 
 
 def refuse_altered(paths: Iterable[Path]) -> None:
-    """Refuse runs that are not as they were when they were closed.
+    """Raise InputError if runs differ from their state when they were closed.
 
     Raises
     ------
-    InputError : a line for each value, name or attribute that is another one.
+    InputError : a line for each changed value, name or attribute.
     """
     refuse_findings([finding for path in paths for finding in altered(path)])
 
 
 def refuse_findings(findings: Sequence[str]) -> None:
-    """Refuse what `altered` tells of runs."""
+    """Raise InputError with the findings of `altered`, if there are any."""
     if findings:
         raise InputError([f"{finding}; nothing is worked out from it" for finding in findings])
 
 
 def altered_parts(file: Any) -> list[str]:
-    """Values, names and attributes that are not those of the closed run."""
+    """One line for each value, name or attribute that differs from the closed run."""
     return [*wrong_checksums(file), *seal.seal_findings(file)]
 
 
 def unfinished_findings(file: Any, live: bool) -> list[str]:
-    """Whether the recording came to its orderly end."""
+    """A line if the recording did not end in order, or its status is unknown."""
     status = layout.to_python(file.attrs.get("status", ""))
     if live or status == RECORDING:
         return ["incomplete recording: still being written or left by a kill; run: leactl runs recover"]
@@ -123,7 +123,7 @@ def unfinished_findings(file: Any, live: bool) -> list[str]:
 
 
 def missing_attributes(file: Any) -> list[str]:
-    """Attributes that the format asks for and the file does not have."""
+    """One line for each required attribute that the file lacks."""
     expected: list[tuple[str, Any, tuple[str, ...]]] = [("", file, layout.ROOT_ATTRIBUTES)]
     if "mechanical" not in layout.attributes(file.get("setup", file)):
         expected.append(("/setup", file.get("setup", file), ("mechanical",)))
@@ -139,7 +139,7 @@ def missing_attributes(file: Any) -> list[str]:
 
 
 def wrong_checksums(file: Any) -> list[str]:
-    """Datasets whose values are not those that were stored at close."""
+    """One line for each dataset whose values do not match the checksum stored at close."""
     findings = []
     stored = {
         hdf5_path: str(layout.to_python(dataset.attrs.get("sha256", "")))
@@ -165,9 +165,9 @@ def wrong_checksums(file: Any) -> list[str]:
 
 
 def recover(path: Path) -> Path:
-    """Write a clean copy of a run that was cut off, as `<stem>.recovered.h5`; the original stays.
+    """Write a clean copy of an interrupted run as `<stem>.recovered.h5`; the original stays.
 
-    Columns are cut to the shortest whole row, the status becomes `recovered`.
+    Columns are cut to the rows that all of them have; the status becomes `recovered`.
 
     Raises
     ------
@@ -196,7 +196,7 @@ def recover(path: Path) -> Path:
 
 
 def recorded_tables(file: Any) -> dict[str, list[dict[str, Any]]]:
-    """Rows of `/steps` and `/events` that every column has."""
+    """Rows of `/steps` and `/events`, cut to those that every column has."""
     tables = {}
     for name, columns in layout.TABLES.items():
         group = file.get(name, {})
@@ -206,7 +206,7 @@ def recorded_tables(file: Any) -> dict[str, list[dict[str, Any]]]:
 
 
 def read_cells(group: Mapping[str, Any], column: str) -> list[Any]:
-    """One column of a table; empty where it is absent."""
+    """Cells of one column of a table; empty if it is absent."""
     if column not in group:
         return []
     dataset = group[column]
@@ -214,7 +214,7 @@ def read_cells(group: Mapping[str, Any], column: str) -> list[Any]:
 
 
 def annotate(path: Path, text: str, author: str = "") -> None:
-    """Add a note under `/notes`; the file is replaced in one step once every checksum has held.
+    """Add a note under `/notes`; the file is replaced in one step after every checksum has been compared.
 
     Raises
     ------
@@ -226,12 +226,12 @@ def annotate(path: Path, text: str, author: str = "") -> None:
 
 
 def amend(path: Path, change: Callable[[Any], None], apart_from: Sequence[str] = ()) -> None:
-    """Change a copy of a closed run and put it in the run's place once all other values have proved the same.
+    """Change a copy of a closed run and replace the run by it, after all other values have been compared.
 
     Parameters
     ----------
-    change : what is done to the open HDF5 file.
-    apart_from : places below which values may appear or go, besides `/notes`.
+    change : function that changes the open HDF5 file.
+    apart_from : HDF5 paths below which values may be added or removed, besides `/notes`.
 
     Raises
     ------
@@ -268,11 +268,11 @@ def add_note(file: Any, text: str, author: str) -> None:
 
 
 def checksums(path: Path, apart_from: Sequence[str] = ()) -> dict[str, str]:
-    """Checksum of every dataset, taken from the values; refuses values that are not the stored ones.
+    """Checksum of every dataset, computed from its values; raises InputError if one differs from the stored checksum.
 
     Parameters
     ----------
-    apart_from : places below which datasets are left out.
+    apart_from : HDF5 paths below which datasets are left out.
     """
     left_out = tuple(f"{hdf5_path}/" for hdf5_path in apart_from)
     file, _ = open_run_file(path)

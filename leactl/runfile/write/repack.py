@@ -1,7 +1,7 @@
-"""Write the lasting form of a run: compressed, with readable strings and a checksum on every dataset.
+"""Write the final form of a run: compressed, with strings of variable length and a checksum on every dataset.
 
-The writer calls it at an orderly close and `recover` after a kill; both hand over an open file and say which rows
-count.
+The writer calls `repack` at an orderly close and `recover` after a kill; both pass an open file and the number of valid
+rows of each stream.
 """
 
 import hashlib
@@ -37,7 +37,7 @@ def repack(
     ----------
     source : the open live file.
     target : a path that does not exist.
-    rows : how many rows of each stream count; a stream that is not named is left out.
+    rows : number of valid rows of each stream; a stream that is not named is left out.
     tables : the rows of `/steps` and `/events`.
     """
     with h5py.File(target, "x", libver=layout.HDF5_FORMAT) as clean:
@@ -63,7 +63,7 @@ def repack(
 
 
 def put_seal(file: Any) -> None:
-    """Seal a file that is complete."""
+    """Write the seal of a complete file."""
     rows = seal.table_of(file)
     reserve(file, sum(text_bytes(cell) for row in rows for cell in row.values()))
     write_table(file.create_group(seal.SEAL), seal.COLUMNS, rows)
@@ -71,7 +71,7 @@ def put_seal(file: Any) -> None:
 
 
 def copy_setup_and_sources(source: Any, clean: Any) -> None:
-    """Copy `/setup` and the YAML texts as they were used."""
+    """Copy `/setup` and the YAML texts of protocol, bench and model."""
     setup = clean.create_group("setup")
     if "setup" in source:
         for name in source["setup"].attrs:
@@ -84,13 +84,13 @@ def copy_setup_and_sources(source: Any, clean: Any) -> None:
 
 
 def write_source(file: Any, name: str, text: str) -> None:
-    """Store one YAML text with the checksum that `sha256sum` gives for its file."""
+    """Store one YAML text with its checksum, which equals `sha256sum` of its file."""
     dataset = file.create_dataset(f"{name}/source", data=text, dtype=layout.TEXT)
     dataset.attrs["sha256"] = layout.digest(dataset)
 
 
 def copy_stream(source: Any, target: Any, rows: int) -> None:
-    """Copy one stream, the first `rows` rows of every column, hashing on the way."""
+    """Copy the first `rows` rows of every column of a stream, with a checksum for each column."""
     time = copy_column(source["time"], target, rows)
     time.make_scale("time")
     for name in source:
@@ -99,7 +99,7 @@ def copy_stream(source: Any, target: Any, rows: int) -> None:
 
 
 def copy_column(source: Any, target: Any, rows: int) -> Any:
-    """Copy one column in blocks with its attributes and its new checksum."""
+    """Copy the first `rows` rows of a column block by block, with its attributes and a new checksum."""
     name = source.name.rsplit("/", 1)[-1]
     dtype = source.dtype.newbyteorder("<")
     chunks = (max(1, min(CHUNK_ROWS, rows)),)
@@ -118,7 +118,7 @@ def copy_column(source: Any, target: Any, rows: int) -> Any:
 
 
 def write_table(group: Any, columns: Mapping[str, int | None], rows: Sequence[Row]) -> None:
-    """Store rows as parallel arrays, text of any length."""
+    """Store rows as parallel arrays; texts have variable length."""
     for column, width in columns.items():
         values = [row[column] for row in rows]
         if width is None:
@@ -131,12 +131,12 @@ def write_table(group: Any, columns: Mapping[str, int | None], rows: Sequence[Ro
 
 
 def as_text(value: Any) -> str:
-    """A cell as text: step parameters become JSON."""
+    """Convert a cell to text; step parameters become JSON."""
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)
 
 
 def text_bytes(text: str) -> int:
-    """Room for one string of variable length: UTF-8 takes four bytes at most, HDF5 some more to find it again."""
+    """Upper bound of the bytes that a string of variable length takes: four per character, and 64 for HDF5."""
     return 4 * len(text) + 64
 
 

@@ -1,4 +1,4 @@
-"""Rows on their way to the disk: the control loop fills one array while the writer empties the other."""
+"""Buffer of rows between control loop and disk: the loop fills one array while the writer empties the other."""
 
 import math
 import struct
@@ -12,7 +12,7 @@ START_ROWS = 4096
 
 
 class RowBuffer:
-    """Rows of one stream, the stamp in column 0; it grows where nobody takes them away."""
+    """Rows of one stream, the stamp in column 0; the buffer grows until the rows are taken."""
 
     def __init__(self, channels: int) -> None:
         self._channels = channels
@@ -24,7 +24,12 @@ class RowBuffer:
         self._lock = threading.Lock()
 
     def append_row(self, time: float, values: Sequence[float]) -> None:
-        """Add one row."""
+        """Add one row.
+
+        Raises
+        ------
+        ValueError : wrong number of values, or a stamp that is not after the last one.
+        """
         if len(values) != self._channels:  # numpy would spread a single value over the whole row
             raise ValueError(f"{len(values)} values for {self._channels} channels")
         with self._lock:
@@ -38,7 +43,12 @@ class RowBuffer:
             self._count = count + 1
 
     def append(self, times: np.ndarray[Any, Any], block: np.ndarray[Any, Any]) -> None:
-        """Add rows: all of them or, where one is wrong, none."""
+        """Add rows, `times` (n,) and `block` (n, channels): all of them, or none if one is wrong.
+
+        Raises
+        ------
+        ValueError : wrong shapes, or stamps that do not increase.
+        """
         stamps = np.asarray(times, "f8")
         values = np.asarray(block, "f8")
         if stamps.ndim != 1 or values.shape != (len(stamps), self._channels):
@@ -57,7 +67,7 @@ class RowBuffer:
             self._count = end
 
     def take(self) -> np.ndarray[Any, Any]:
-        """Hand over the rows so far; the array is valid until the next call."""
+        """Return the rows so far, (n, 1 + channels), and empty the buffer; the array is valid until the next call."""
         with self._lock:
             rows, self._rows = self._rows, self._spare
             self._spare = rows

@@ -1,7 +1,8 @@
-"""Record a run while the bench moves: rows go into memory at once and to the disk about once a second.
+"""Record a run: rows are put into memory at once and written to the disk about once a second.
 
-The live file is uncompressed and in HDF5's single-writer/multiple-reader mode, so others may watch it and a kill leaves
-every flushed row readable; an orderly close repacks it. Appending never waits for the disk: `flush` may run elsewhere.
+The live file is uncompressed and in HDF5's single-writer/multiple-reader mode, so that others may read it and a kill
+leaves every flushed row readable; an orderly close repacks it. Appending never waits for the disk: `flush` may run in
+another thread.
 """
 
 import errno
@@ -37,15 +38,15 @@ COLUMN_BYTES = 8192  # attributes and index of one dataset, generously
 
 
 class RecordingFailed(InputError):
-    """The place that was chosen for the run takes no more data; what was flushed before stays readable."""
+    """The run file cannot be written any more; rows that were flushed before stay readable."""
 
 
 class RunWriter:
     """Writer of one run; use it as a context manager or call `close`.
 
     `append`, `append_row`, `step` and `event` only touch memory and may be called from the control loop while another
-    thread flushes. Rows count as recorded once `flush` has returned. Before each write `wait_for_disk` is called, where
-    an emulated bench lets a slow disk take its time.
+    thread flushes. Rows are recorded once `flush` has returned. `wait_for_disk` is called before each write; an
+    emulated bench emulates a slow disk there.
     """
 
     def __init__(
@@ -60,12 +61,12 @@ class RunWriter:
         self.path = directory / f"{info.run_id}.h5"
         self.closed = False
         self._streams, self._notes = streams, list[str]()
-        self._fault = ""  # the first one, for whoever comes after it
+        self._fault = ""  # message of the first failure, repeated by every later call
         self._disk, self._wait_for_disk = threading.Lock(), wait_for_disk
         self._buffers = {name: RowBuffer(len(specs)) for name, specs in streams.items()}
         self._written = dict.fromkeys(streams, 0)
         self._tables: dict[str, list[dict[str, Any]]] = {name: [] for name in layout.TABLES}
-        self.heard: dict[str, Callable[[Mapping[str, Any]], None]] = {}  # who is told each row of a table, by its name
+        self.heard: dict[str, Callable[[Mapping[str, Any]], None]] = {}  # listener for the rows of a table, by its name
         self._tables_written = dict.fromkeys(layout.TABLES, 0)
         partial = directory / f"{info.run_id}.h5.partial"
         refuse_existing(self.path)
@@ -97,12 +98,12 @@ class RunWriter:
         self._buffers[stream].append(times, block)
 
     def step(self, name: str, start: float, stop: float, settle: float, parameters: Mapping[str, Any]) -> None:
-        """Note which part of the run did what."""
+        """Record a step: its name, times [s] and parameters."""
         times = {"start": float(start), "stop": float(stop), "settle": float(settle)}
         self._note("steps", {"name": str(name), **times, "parameters": dict(parameters)})
 
     def event(self, time: float, level: str, source: str, message: str) -> None:
-        """Note something that happened."""
+        """Record an event at a time [s]."""
         row = {"time": float(time), "level": str(level), "source": str(source), "message": str(message)}
         self._note("events", row)
 
@@ -112,18 +113,18 @@ class RunWriter:
             self.heard[table](row)
 
     def flush(self) -> None:
-        """Bring everything so far into the file, where a reader or a recovery finds it."""
+        """Write everything so far to the file, where a reader or a recovery finds it."""
         with self._disk:
             self._on_disk(self._write_pending)
             self._stay_in_place()
 
     def notes(self) -> list[str]:
-        """What a person should know of the file since this was asked last."""
+        """Notes for people about the file since the last call, for example that it was moved."""
         notes, self._notes = self._notes, []
         return notes
 
     def close(self, status: str, reason: str = "") -> None:
-        """Write what is left, repack compressed with checksums, and replace the live file in one step."""
+        """Write the remaining rows, repack with compression and checksums, and replace the live file in one step."""
         if status not in CLOSED_STATUSES:
             raise ValueError(f"status {status!r} is none of {', '.join(CLOSED_STATUSES)}")
         with self._disk:
@@ -167,7 +168,7 @@ class RunWriter:
                 self._tables_written[name] += len(pending)
 
     def _stay_in_place(self) -> None:
-        """Where the file or its folder was removed, moved or exchanged, go on in a copy that can be found."""
+        """If the file or its folder was removed, moved or replaced, continue in a copy at a path that exists."""
         open_file = os.fstat(self._file.id.get_vfd_handle())
         with suppress(OSError):
             file_at_path = os.lstat(self.path)
@@ -176,7 +177,7 @@ class RunWriter:
         self._on_disk(self._go_on_elsewhere)
 
     def _go_on_elsewhere(self) -> None:
-        """In a new folder of the same name, else in the working directory, else where temporary files are."""
+        """Continue in a copy: in a new folder of the same name, else the working directory, else the temporary one."""
         before = self.path
         descriptor = os.dup(self._file.id.get_vfd_handle())
         try:
@@ -195,7 +196,7 @@ class RunWriter:
         )
 
     def _reserve(self, taken: Mapping[str, np.ndarray[Any, Any]], tables: Mapping[str, Sequence[Any]]) -> None:
-        """Take room for the rows, for a chunk that each column may begin, and for the tables' fixed-length text."""
+        """Reserve disk space for the rows, one new chunk for each column, and the fixed-length texts of the tables."""
         size = sum(rows.nbytes + 8 * LIVE_CHUNK_ROWS * rows.shape[1] for rows in taken.values() if len(rows))
         for name, rows in tables.items():
             size += (len(rows) + LIVE_TABLE_ROWS) * sum(width or 8 for width in layout.TABLES[name].values())
@@ -211,7 +212,7 @@ class RunWriter:
             repack(live, target, status=status, reason=reason, rows=self._written, tables=self._tables)
 
     def _on_disk(self, action: Callable[[], None]) -> None:
-        """Do something with the file; where the disk refuses, let go of the file and say so in one line."""
+        """Run an action on the file; if it fails, abandon the file and raise RecordingFailed with one line."""
         if self.closed:
             raise self._ended()
         try:
@@ -243,13 +244,13 @@ ADVICE = {
 
 
 def advice_for(fault: BaseException) -> str:
-    """What helps where a file takes no more; HDF5 tells no cause of what it could not write, and that is the room."""
+    """Advice for a failed write, by errno; HDF5 gives none, which is taken for a full disk."""
     number = getattr(fault, "errno", None)
     return next((text for text, numbers in ADVICE.items() if number in numbers), "free space on the disk")
 
 
 def working_directory() -> list[Path]:
-    """The working directory, unless it is gone as well."""
+    """The working directory in a list; empty if it no longer exists."""
     try:
         return [Path.cwd()]
     except OSError:
@@ -257,11 +258,11 @@ def working_directory() -> list[Path]:
 
 
 def copy_to_first(rows: BinaryIO, name: str, folders: Sequence[Path]) -> Path:
-    """Copy a file into the first folder that takes it; nothing is overwritten.
+    """Copy a file into the first folder in which it can be created; nothing is overwritten.
 
     Raises
     ------
-    OSError : none does.
+    OSError : it can be created in none of them.
     """
     fault = OSError("there is no folder for it")
     for folder in folders:
@@ -279,7 +280,7 @@ def copy_to_first(rows: BinaryIO, name: str, folders: Sequence[Path]) -> Path:
 
 
 def create(partial: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> Any:
-    """Create everything a run will need, since SWMR mode allows no new objects, and switch SWMR on."""
+    """Create all groups and datasets of a run, since SWMR mode allows no new ones, and switch SWMR on."""
     file = h5py.File(partial, "x", libver=layout.HDF5_FORMAT)
     try:
         columns = sum(1 + len(specs) for specs in streams.values())
@@ -313,7 +314,7 @@ def create(partial: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelS
 
 
 def root_value(name: str, info: RunInfo) -> Any:
-    """Value of one root attribute at the start of the recording."""
+    """Value of a root attribute at the start of the recording."""
     start: dict[str, Any] = {
         "format": layout.FORMAT,
         "format_version": layout.VERSION,
@@ -325,16 +326,16 @@ def root_value(name: str, info: RunInfo) -> Any:
 
 
 def opened_columns(stream: Any, specs: Sequence[ChannelSpec]) -> list[tuple[int, Any, np.dtype[Any]]]:
-    """Datasets of a stream in the order of writing, with their place in a row: channels before time.
+    """(column in a row, dataset, type) of a stream's datasets in the order of writing: channels before time.
 
-    Once a stamp is in the file, so is its whole row.
+    With the stamp written last, a stamp in the file means that its whole row is in the file.
     """
     indices = {spec.name: index for index, spec in enumerate(specs, start=1)} | {"time": 0}
     return [(index, stream[name].id, stream[name].dtype) for name, index in indices.items()]
 
 
 def write_rows(columns: Sequence[tuple[int, Any, np.dtype[Any]]], written: int, rows: np.ndarray[Any, Any]) -> None:
-    """Append rows by HDF5's own calls: short blocks of many columns take h5py's slices three times as long."""
+    """Append rows by HDF5's low-level calls: h5py's slices take three times as long for short blocks."""
     memory, rows_in_file = h5s.create_simple((len(rows),)), h5s.create_simple((written + len(rows),))
     rows_in_file.select_hyperslab((written,), (len(rows),))  # of every column, which are of one length
     with np.errstate(over="ignore"):  # beyond float32 becomes inf
@@ -347,7 +348,7 @@ def write_rows(columns: Sequence[tuple[int, Any, np.dtype[Any]]], written: int, 
 def write_live_table(
     group: Any, columns: Mapping[str, int | None], written: int, rows: Sequence[Mapping[str, Any]]
 ) -> None:
-    """Append to `/steps` or `/events`, cutting text to what a fixed-length string holds."""
+    """Append to `/steps` or `/events`; texts are cut to the fixed length of the column."""
     for column, width in columns.items():
         dataset = group[column]
         extend(dataset.id, written + len(rows))
@@ -357,13 +358,13 @@ def write_live_table(
 
 
 def extend(dataset: Any, rows: int) -> None:
-    """Make room for so many rows in all; never shrink, which SWMR forbids, where a flush was interrupted half way."""
+    """Extend a dataset to `rows` rows; after an interrupted flush it may be longer, and SWMR forbids to shrink it."""
     if dataset.shape[0] < rows:
         dataset.set_extent((rows,))
 
 
 def cut_to_width(value: Any, width: int) -> bytes:
-    """Text within so many bytes; parameters lose whole entries from the end, so that the JSON stays JSON."""
+    """Encode a text in at most `width` bytes; parameters lose whole entries from the end and stay valid JSON."""
     if isinstance(value, Mapping):
         entries = dict(value)
         while len(encoded := layout.storable(as_text(entries)).encode()) > width:

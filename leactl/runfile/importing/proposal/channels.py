@@ -1,7 +1,7 @@
-"""What the columns of a log are, each unit decided by evidence or left open among those that are likely.
+"""Propose a channel for each column of a log; its unit is decided by evidence or left open among likely units.
 
-A unit is decided by what the file declares of it, by the documentation of the program that wrote it, by the column's
-header, by its range, or by another column whose unit is known.
+A unit is decided by the file's own declaration, by the documentation of the program that wrote it, by the column's
+header, by the range of its values, or by another column whose unit is known.
 """
 
 import re
@@ -47,35 +47,35 @@ LIKELY_UNITS: Final[
     "degC": ("degC", "degF", "K"),
     "1": ("1", "%"),
 }
-COUNTS: Final = "turns a count, 1/4096 where an encoder has 12 bits"
+COUNTS: Final = "turns a count, 1/4096 where an encoder has 12 bits"  # shown to a person
 Answers = Mapping[tuple[str, ...], str]  # by keys of the mapping
 
 
 @dataclass
 class ProposedChannel:
-    """One channel, as far as it is decided."""
+    """A channel of the proposed mapping, as far as it is decided."""
 
     column: str | int
     quantity: str
     role: str
-    units: tuple[str, ...]  # one where it is decided
+    units: tuple[str, ...]  # a single unit once it is decided, else the likely ones
     why: list[str]
     scale: float | None = None
     scale_of: str = ""
     sign: int = 1
     location: str = ""
-    is_settled: bool = False  # by a person, or for a person to settle: numbers decide nothing more
+    is_settled: bool = False  # True: answered by a person, or left to one; numbers decide nothing more
     values: list[Array] = field(default_factory=list)
 
     def decide(self, units: str, why: str) -> None:
-        """Take one unit."""
+        """Decide on one unit, with the reason."""
         self.units = (units,)
         self.why.append(why)
 
 
 @dataclass
 class ProposedStream:
-    """The channels of one table."""
+    """A stream of the proposed mapping: the channels of one table."""
 
     name: str
     table: ListedTable
@@ -84,12 +84,12 @@ class ProposedStream:
     time_why: str
     channels: dict[str, ProposedChannel]
     left_out: dict[str | int, str]  # columns that are no channel, and why
-    stamps: list[Array]  # of each joint that was looked at, as they are written
-    rate_Hz: float = 0.0  # of samples without stamps, where it is known  # noqa: N815 (a unit keeps its letter)
+    stamps: list[Array]  # of each surveyed joint, in the units of the file
+    rate_Hz: float = 0.0  # of samples without stamps, 0 if unknown  # noqa: N815 (a unit keeps its letter)
 
 
 def streams_of(seen: Survey, answers: Answers) -> list[ProposedStream]:
-    """The streams of a proposal, with what a person has answered."""
+    """The proposed streams of a survey, with a person's answers applied."""
     streams: list[ProposedStream] = []
     for table in seen.tables:
         stream = stream_of(table, {each.name for each in streams})
@@ -104,7 +104,7 @@ def streams_of(seen: Survey, answers: Answers) -> list[ProposedStream]:
 
 
 def stream_of(seen: SurveyedTable, taken: set[str]) -> ProposedStream:
-    """The channels of a table by what is declared, documented or written in their names."""
+    """Propose the channels of a table by declarations, documentation and names; `taken` are stream names in use."""
     table, dialect = seen.table, seen.dialect
     time, time_units, time_why = time_of(seen)
     channels: dict[str, ProposedChannel] = {}
@@ -128,7 +128,7 @@ def stream_of(seen: SurveyedTable, taken: set[str]) -> ProposedStream:
 
 
 def channel_of(column: ListedColumn, table: ListedTable, dialect: LogDialect | None) -> ProposedChannel | str:
-    """What a column is, or why it is no channel."""
+    """Propose a channel for a column, or return why it is none."""
     name = str(column.name)
     if isinstance(column.name, int):
         name = f"{table.records or ''}[{column.name}]"
@@ -160,7 +160,7 @@ def channel_of(column: ListedColumn, table: ListedTable, dialect: LogDialect | N
 
 
 def time_of(seen: SurveyedTable) -> tuple[ListedColumn | None, tuple[str, ...], str]:
-    """The column of stamps, the units that it may be in, and why."""
+    """The column of stamps, its possible units, and the reason; None, () and the reason if there is none."""
     table, dialect = seen.table, seen.dialect
     if table.time is not None:
         return table.time, (table.time.units,), table.time.declared_by
@@ -183,13 +183,13 @@ def time_of(seen: SurveyedTable) -> tuple[ListedColumn | None, tuple[str, ...], 
 
 
 def increases(values: Array) -> bool:
-    """Whether a column goes up nearly everywhere, as stamps do."""
+    """Whether a column is finite and increases at more than half of its rows, as stamps do."""
     steps = np.diff(values)
     return len(steps) > 0 and bool(np.isfinite(values).all()) and float((steps > 0).mean()) > 0.5 and steps.sum() > 0
 
 
 def apply_answers(stream: ProposedStream, answers: Answers) -> None:
-    """Put what a person has said in its place."""
+    """Apply a person's answers to a stream; channels answered with `LEAVE_OUT` are removed."""
     of_time = {key: answers.get(("streams", stream.name, "time", key)) for key in ("units", "rate_Hz")}
     if LEAVE_OUT in of_time.values():
         stream.channels.clear()
@@ -213,7 +213,7 @@ def apply_answers(stream: ProposedStream, answers: Answers) -> None:
 
 
 def decide_by_numbers(streams: list[ProposedStream]) -> None:
-    """Decide units by ranges, then by what goes with what, until nothing more follows."""
+    """Decide units by ranges, then by pairs of channels, until no further unit follows."""
     everything = [(stream, channel) for stream in streams for channel in stream.channels.values()]
     for _, channel in everything:
         if channel.values and not channel.is_settled:
@@ -241,7 +241,7 @@ def decide_by_numbers(streams: list[ProposedStream]) -> None:
 
 
 def decide_by_range(channel: ProposedChannel) -> None:
-    """Decide by what the numbers reach and how they jump; ask where that is not what is said of them."""
+    """Decide a unit by range and jumps of the values; if they contradict the name, leave it to a person."""
     units, why = units_by_range(channel.quantity, np.concatenate(channel.values))
     agrees_with_name = is_same_unit(units, channel.units, channel.quantity)
     if units and agrees_with_name and len(channel.units) > 1:
@@ -254,7 +254,7 @@ def decide_by_range(channel: ProposedChannel) -> None:
 def are_of_one_shaft(
     first: tuple[ProposedStream, ProposedChannel], second: tuple[ProposedStream, ProposedChannel]
 ) -> bool:
-    """Whether two channels are of one shaft, as far as their names say."""
+    """Whether two channels have the same role and, by their names, the same shaft."""
     if first[1].role != second[1].role:
         return False
     if first[0] is second[0]:
@@ -264,7 +264,7 @@ def are_of_one_shaft(
 
 
 def series_of(stream: ProposedStream, channel: ProposedChannel) -> list[ColumnSeries]:
-    """A channel over its stamps, of each joint that was looked at."""
+    """Values of a channel with stamps in s, for each surveyed joint."""
     factor = SECONDS[stream.time_units[0]]
     by_joint = zip(stream.stamps, channel.values, strict=False)
     return [ColumnSeries(stamps * factor, values) for stamps, values in by_joint if len(stamps) == len(values)]
@@ -276,7 +276,7 @@ def decide_by_travel(
     angle: ProposedChannel,
     angle_series: list[ColumnSeries],
 ) -> None:
-    """Decide by the factor between a velocity and the change of its angle."""
+    """Decide units by the ratio of a velocity to the rate of change of its angle."""
     if velocity.scale_of or angle.scale_of or velocity.is_settled:
         return
     by_joint = zip(angle_series, velocity_series, strict=False)
@@ -317,7 +317,7 @@ def decide_by_travel(
 
 
 def is_same_unit(units: str, among: tuple[str, ...], quantity: str) -> bool:
-    """Whether a unit of a quantity is one of these, by whatever name."""
+    """Whether a unit is equivalent to one of `among`, for a quantity."""
     return any(converter(units, quantity) == converter(each, quantity) for each in among)
 
 
@@ -327,7 +327,7 @@ def decide_by_setpoint(
     setpoint: ProposedChannel,
     setpoint_series: list[ColumnSeries],
 ) -> None:
-    """Decide by a setpoint that the reading follows one to one."""
+    """Decide a unit if a reading equals its setpoint in one common unit."""
     decided, undecided = (reading, setpoint) if len(reading.units) == 1 else (setpoint, reading)
     if len(decided.units) != 1 or len(undecided.units) == 1 or decided.units[0] not in undecided.units:
         return
@@ -337,7 +337,7 @@ def decide_by_setpoint(
 
 
 def decide_by_kind(torque: ProposedChannel, angle: ProposedChannel) -> None:
-    """Decide between torque and force where the axis is known to be one or the other."""
+    """Decide between torque and force if the unit of the angle shows a rotary or a linear axis."""
     conversion = converter(angle.units[0], "angle")
     if set(torque.units) == {"N*m", "N"} and len(angle.units) == 1 and conversion is not None:
         units = "N*m" if conversion.target == "rad" else "N"
@@ -345,7 +345,7 @@ def decide_by_kind(torque: ProposedChannel, angle: ProposedChannel) -> None:
 
 
 def add_locations(streams: list[ProposedStream]) -> None:
-    """Give channels of one quantity and role a location each, unless they have one."""
+    """Give channels of equal quantity, role and location distinct locations."""
     by_quantity: dict[tuple[str, str, str], list[tuple[str, ProposedChannel]]] = {}
     for stream in streams:
         for name, channel in stream.channels.items():
@@ -359,12 +359,12 @@ def add_locations(streams: list[ProposedStream]) -> None:
 
 
 def slug(text: str) -> str:
-    """A text as a name of a mapping, which YAML takes for no number and no word of its own."""
+    """Convert a text to a name that a mapping allows and that YAML reads as text."""
     name = re.sub(r"[^A-Za-z0-9_]+", "_", text).strip("_")
     return name if name[:1].isalpha() and name.lower() not in ("null", "true", "false") else f"column_{name}".strip("_")
 
 
 def free_name(name: str, taken: Mapping[str, object] | set[str]) -> str:
-    """A name that is not taken; `time` is that of the stamps."""
+    """The name, with a number appended if it is taken or `time`."""
     names = [name, *(f"{name}_{count}" for count in range(2, len(taken) + 3))]
     return next(each for each in names if each not in taken and each != "time")

@@ -1,8 +1,8 @@
-"""What the numbers of a column say of its unit: jumps of a wrapped angle, what a velocity integrates to, ranges.
+"""Evidence for the unit of a column in its values: jumps of a wrapped angle, the integral of a velocity, ranges.
 
-An angle and its velocity are a factor apart that only their two units decide, where both are of one shaft. A gear
-between them has a factor too, and gears of 6, 9.1 or 60 make one pair of units look like another: a factor of 1 decides
-the second unit where the first is known, and any other puts the pair that it is of first among those asked for.
+The ratio of a velocity to the rate of its angle depends only on their units if both belong to one shaft. A gear between
+them multiplies it, and gears of 6, 9.1 or 60 imitate other pairs of units. Therefore only a ratio of 1 decides a unit
+from a known one; any other ratio merely puts the matching pair first among the choices for a person.
 """
 
 import math
@@ -16,12 +16,12 @@ from leactl.runfile.importing.checks import Gain, MappedColumn, gain_by_setpoint
 from leactl.units import CONVERSIONS, SECONDS, converter
 
 Array = npt.NDArray[np.float64]
-ANGLES: Final = ("rad", "deg", "turn", "m", "mm")  # that logs are written in; `rev` is another name of turn
+ANGLES: Final = ("rad", "deg", "turn", "m", "mm")  # units of angles in logs; `rev` is another name of turn
 VELOCITIES: Final = ("rad/s", "deg/s", "rpm", "turn/s", "m/s", "mm/s")
-MOST_DEGREES: Final = 400.0  # of a limb, in whole ones
-WIDE_RAD: Final = 6.0 * math.pi  # which no limb reaches
+MOST_DEGREES: Final = 400.0  # largest angle of a limb in whole degrees
+WIDE_RAD: Final = 6.0 * math.pi  # larger than the angle of any limb
 UNITS_LIKE_A_GEAR: Final = ("deg/s", "rpm", "turn/s")  # a gear of 6 or 60 apart, which there are
-TURNS: Final = {2.0 * math.pi: "rad", 360.0: "deg", 1.0: "turn"}  # what a wrapped angle jumps by
+TURNS: Final = {2.0 * math.pi: "rad", 360.0: "deg", 1.0: "turn"}  # unit by the size of a wrap
 UNIT_GAIN_TOLERANCE: Final = 0.004  # relative, of a gain to 1, where the unit of one of both is known
 PAIR_GAIN_TOLERANCE: Final = 0.003  # of a gain to the factor of two units that differ, which are then the likeliest
 GEAR_TOLERANCE: Final = 0.003  # of a gain to a whole number, which is a gear's as well
@@ -38,7 +38,7 @@ INDOORS_DEGC: Final = (5.0, 45.0)  # where a log's coldest reading lies; in degF
 
 
 class AngleWrap(NamedTuple):
-    """An angle whose jumps tell its unit."""
+    """The unit of a wrapped angle, by the size of its jumps."""
 
     units: str
     period: float
@@ -46,7 +46,7 @@ class AngleWrap(NamedTuple):
 
 
 def find_wrap(values: Array) -> AngleWrap | None:
-    """The unit of an angle that wraps; None where it does not, or by no turn of a unit."""
+    """Find the unit of a wrapped angle; None if it does not wrap, or jumps by no unit's turn."""
     known = values[np.isfinite(values)]
     if len(known) < FEWEST_JUMPS + 1:
         return None
@@ -60,19 +60,19 @@ def find_wrap(values: Array) -> AngleWrap | None:
 
 
 class ColumnSeries(NamedTuple):
-    """A column over its stamps [s], in the units that it is written in."""
+    """A column with its stamps [s], in the units of the file."""
 
     time: Array
     values: Array
 
     def known(self) -> "ColumnSeries":
-        """Without the rows that it lacks."""
+        """The rows with finite values."""
         rows = np.isfinite(self.values)
         return ColumnSeries(self.time[rows], self.values[rows])
 
 
 def gain_of(angle: ColumnSeries, velocity: ColumnSeries) -> Gain | None:
-    """A velocity over the change of its angle, both as they are written; None where the record does not tell it."""
+    """Ratio of a velocity to the rate of change of its angle, in the file's units; None if it is not well known."""
     wrapped, of_angle, of_velocity = find_wrap(angle.values), angle.known(), velocity.known()
     if min(len(of_angle.time), len(of_velocity.time)) < 2:
         return None
@@ -84,7 +84,7 @@ def gain_of(angle: ColumnSeries, velocity: ColumnSeries) -> Gain | None:
 
 
 def unit_pairs_with_gain(gain: float, within: float) -> list[tuple[str, str]]:
-    """Units of an angle and its velocity whose factor is that of a gain."""
+    """Pairs (angle unit, velocity unit) whose ratio equals a gain, within a relative tolerance."""
     pairs = []
     for angle in ANGLES:
         for velocity in VELOCITIES:
@@ -98,13 +98,13 @@ def unit_pairs_with_gain(gain: float, within: float) -> list[tuple[str, str]]:
 
 
 def is_gear(gain: float) -> bool:
-    """Whether a factor is near a whole number, or near one over it."""
+    """Whether a ratio or its inverse is near a whole number, as that of a gear."""
     size = max(abs(gain), 1.0 / abs(gain))
     return abs(size / round(size) - 1.0) <= GEAR_TOLERANCE
 
 
 def equals_setpoint(measured: ColumnSeries, setpoint: ColumnSeries, quantity: str) -> bool:
-    """Whether a reading is as large as its setpoint, which is so in one unit alone."""
+    """Whether a reading equals its setpoint within `SETPOINT_TOLERANCE`, which holds in a common unit only."""
     reading, wanted = measured.known(), setpoint.known()
     if min(len(reading.time), len(wanted.time)) < 2:
         return False
@@ -113,7 +113,7 @@ def equals_setpoint(measured: ColumnSeries, setpoint: ColumnSeries, quantity: st
 
 
 def units_of_time(stamps: Array, known: Sequence[str] = tuple(EPOCHS)) -> tuple[list[str], str]:
-    """Units that stamps may be in, and why."""
+    """Possible units of stamps among `known`, and the reason."""
     middle = float(np.median(stamps))
     for units, epoch in EPOCHS.items():
         if epoch <= middle <= 2.2 * epoch:
@@ -124,19 +124,19 @@ def units_of_time(stamps: Array, known: Sequence[str] = tuple(EPOCHS)) -> tuple[
 
 
 def is_wide_for_rad(values: Array) -> bool:
-    """Whether an angle's range speaks for degrees, without deciding it: a spindle turns as far."""
+    """Whether the range of an angle suggests degrees; it does not prove them, since a spindle turns as far."""
     largest = float(np.nanmax(np.abs(values)))
     return WIDE_RAD < largest <= 360.0
 
 
 def are_counts(columns: Sequence[Array]) -> bool:
-    """Whether an angle is in the counts of an encoder: whole numbers that reach further than degrees do."""
+    """Whether an angle consists of encoder counts: whole numbers beyond `MOST_DEGREES`."""
     known = np.concatenate([values[np.isfinite(values)] for values in columns])
     return bool((known == np.round(known)).all()) and float(np.abs(known).max()) > MOST_DEGREES
 
 
 def units_by_range(quantity: str, values: Array) -> tuple[str, str]:
-    """The unit that a column's range leaves, and why; empty where several are left."""
+    """The only unit that fits the range of a column, and the reason; empty if several fit."""
     known = values[np.isfinite(values)]
     if not len(known):
         return "", ""

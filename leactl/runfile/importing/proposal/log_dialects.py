@@ -1,4 +1,4 @@
-"""Columns of programs whose logs are documented: what each measures and in which unit, a file of `dialects/` each."""
+"""Documented log formats of known programs: quantity and unit of each column, one file of `dialects/` per program."""
 
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
@@ -22,43 +22,43 @@ class DialectTime(Block):
 
 
 class DialectChannel(Block):
-    """What a column of a program measures."""
+    """Quantity and units of a column."""
 
-    column: Text  # `*` stands for anything; the first that fits counts
-    quantity: str = ""  # empty: no channel
-    units: tuple[Text, ...] = ()  # the one that is documented, or those among which its file does not decide
+    column: Text  # pattern with `*`; the first matching entry counts
+    quantity: str = ""  # empty: the column is no channel
+    units: tuple[Text, ...] = ()  # the documented unit, or several if it depends on the program's settings
     scale: Above | None = None
-    scale_of: str = ""  # what the scale is, where a person has to give it
+    scale_of: str = ""  # description of the scale, if a person has to give it
     sign: Literal[1, -1] = 1
     location: str = ""
 
 
 class LogDialect(Block):
-    """How a program writes its logs."""
+    """Log format of one program."""
 
-    meaning: Text  # what its logs are, as evidence tells it
-    source: Text  # of its columns and units
-    kind: str = ""  # type of the messages
-    has: tuple[Text, ...] = ()  # columns by which it is recognised, of which `*` stands for anything
+    meaning: Text  # name of the logs, used in the evidence
+    source: Text  # documentation of columns and units
+    kind: str = ""  # type of the messages by which it is recognised
+    has: tuple[Text, ...] = ()  # patterns of columns by which it is recognised
     csv: CsvForm = CsvForm()
     time: DialectTime | None = None
     channels: Annotated[tuple[DialectChannel, ...], Field(min_length=1)]
 
     def speaks(self, table: ListedTable) -> bool:
-        """Whether a table is one of this program."""
+        """Whether a table was written by this program."""
         if self.kind:
             return table.kind == self.kind
         names = [str(column.name) for column in table.columns]
         return all(any(fnmatchcase(name, pattern) for name in names) for pattern in self.has)
 
     def channel(self, name: str) -> DialectChannel | None:
-        """What it says of a column; None where it says nothing."""
+        """The entry of a column; None if the format does not describe it."""
         return next((channel for channel in self.channels if fnmatchcase(name, channel.column)), None)
 
 
 @cache
 def dialects() -> tuple[LogDialect, ...]:
-    """Every dialect, by the names of their files."""
+    """All dialects, in the order of their file names."""
     folder = resources.files("leactl.runfile.importing.proposal") / "dialects"
     texts = {
         entry.name: entry.read_text(encoding="utf-8") for entry in folder.iterdir() if entry.name.endswith(".yaml")
@@ -67,11 +67,11 @@ def dialects() -> tuple[LogDialect, ...]:
 
 
 def dialect_of(table: ListedTable) -> LogDialect | None:
-    """The dialect of a table; None where no program is recognised."""
+    """The dialect of a table; None if no program is recognised."""
     return next((dialect for dialect in dialects() if dialect.speaks(table)), None)
 
 
 def csv_forms() -> Sequence[CsvForm]:
-    """How tables of text are tried, until one has columns of numbers: as dialects write them, then by delimiter."""
+    """CSV forms to try on a table of text: those of the dialects, then the usual delimiters."""
     usual = [CsvForm(), CsvForm(delimiter=";"), CsvForm(delimiter="\t"), CsvForm(delimiter=";", decimal=",")]
     return list(dict.fromkeys([*(dialect.csv for dialect in dialects()), *usual]))

@@ -1,6 +1,6 @@
-"""A mapping proposed from a log alone (`--map auto`): every channel under its evidence, and what is still to be asked.
+"""Propose a mapping from a log alone (`--map auto`): each channel with its evidence, and the questions that remain.
 
-Where nothing decides, the proposal has `UNDECIDED`, which no import accepts, and a question.
+If nothing decides a value, the proposal has `UNDECIDED`, which no import accepts, and a question.
 """
 
 import math
@@ -19,28 +19,33 @@ UNDECIDED: Final = "UNDECIDED"
 
 
 class OpenQuestion(NamedTuple):
-    """What the evidence does not decide."""
+    """A value of the mapping that the evidence does not decide."""
 
     key: tuple[str, ...]  # in the mapping
     text: str
-    choices: tuple[str, ...]  # the likeliest first; empty where a number is asked for
-    quantity: str = ""  # any of whose units is an answer
+    choices: tuple[str, ...]  # the likeliest first; empty: a number is asked for
+    quantity: str = ""  # any unit of this quantity is an answer
 
     @property
     def may_be_left_out(self) -> bool:
-        """Whether a channel or a stream can do without an answer, by not being imported."""
+        """Whether the channel or stream of the question may be left out of the import."""
         return self.key[0] == "streams"
 
 
 class Proposal(NamedTuple):
-    """A mapping as far as it is decided."""
+    """A mapping file, as far as it is decided, and the open questions."""
 
     text: str  # of the mapping file
     questions: list[OpenQuestion]
 
 
 def propose(seen: Survey, answers: Answers) -> Proposal:
-    """A mapping of a source, with what a person has answered and what is still to be asked."""
+    """Propose a mapping of a surveyed source, with a person's answers so far.
+
+    Raises
+    ------
+    InputError : no column's name tells a quantity, or every channel was left out.
+    """
     streams = streams_of(seen, answers)
     if not streams and LEAVE_OUT in answers.values():
         raise InputError(f"{seen.path}: every channel was left out")
@@ -51,7 +56,7 @@ def propose(seen: Survey, answers: Answers) -> Proposal:
 
 
 def questions_of(streams: list[ProposedStream], answers: Answers) -> list[OpenQuestion]:
-    """What is not decided, in the order of the mapping."""
+    """Open questions, in the order of the mapping."""
     questions = []
     if ("mechanical",) not in answers:
         questions.append(OpenQuestion(("mechanical",), "mechanics of the rig: no log says", SETUPS))
@@ -75,7 +80,7 @@ def questions_of(streams: list[ProposedStream], answers: Answers) -> list[OpenQu
 
 
 def accepted_answer(question: OpenQuestion, text: str) -> str | None:
-    """An answer as the mapping has it; None where it is none: a choice, its number from 1, a unit, a scale, or `-`."""
+    """Convert a typed answer (a choice, its number from 1, a unit, a scale, or `-`) to a value; None if invalid."""
     text = text.strip()
     if text == LEAVE_OUT and question.may_be_left_out:
         return text
@@ -92,7 +97,7 @@ def accepted_answer(question: OpenQuestion, text: str) -> str | None:
 
 
 def mapping_text(seen: Survey, streams: list[ProposedStream], answers: Answers) -> str:
-    """The proposal as a mapping file, each channel under its evidence."""
+    """Text of the mapping file, with the evidence as a comment above each channel."""
     lines = [
         f"# Proposed from {one_line(seen.path.name)}; every line is to be read before it is used.",
         f"format: {seen.format}",
@@ -119,7 +124,7 @@ def mapping_text(seen: Survey, streams: list[ProposedStream], answers: Answers) 
 
 
 def time_keys(stream: ProposedStream) -> str:
-    """The keys of a stream's stamps in a mapping."""
+    """Keys of `time` of a stream, as YAML."""
     if stream.time is None:
         return f"rate_Hz: {stream.rate_Hz!r}" if stream.rate_Hz else f"rate_Hz: {UNDECIDED}"
     units = stream.time_units[0] if len(stream.time_units) == 1 else UNDECIDED
@@ -127,7 +132,7 @@ def time_keys(stream: ProposedStream) -> str:
 
 
 def keys_of(channel: ProposedChannel) -> Iterator[str]:
-    """The keys of a channel in a mapping."""
+    """Keys of a channel, as YAML."""
     yield f"column: {yaml_value(channel.column)}"
     yield f"quantity: {channel.quantity}"
     if channel.role != "test":
@@ -144,19 +149,19 @@ def keys_of(channel: ProposedChannel) -> Iterator[str]:
 
 
 def alternatives(channel: ProposedChannel) -> str:
-    """What a person chooses from, as a comment."""
+    """A comment with the possible units and the meaning of the scale; empty if both are decided."""
     choices = [" or ".join(channel.units)] if len(channel.units) != 1 else []
     choices += [f"scale: {channel.scale_of}"] if channel.scale_of else []
     return f"  # {'; '.join(choices)}" if choices else ""
 
 
 def streams_joints(streams: list[ProposedStream]) -> list[str]:
-    """Every joint that is listed."""
+    """All joints of the streams' tables."""
     return list(dict.fromkeys(one_line(joint) for stream in streams for joint in stream.table.joints))
 
 
 def yaml_value(value: str | int) -> str:
-    """A value as YAML takes it inside braces."""
+    """A value written for YAML's flow style, quoted if needed."""
     if isinstance(value, int) or re.fullmatch(r"[A-Za-z_/][A-Za-z0-9_./-]*", value):
         is_word = isinstance(value, str) and value.lower() in ("null", "true", "false")  # which YAML takes for no text
         return quoted(str(value)) if is_word else str(value)
@@ -164,10 +169,10 @@ def yaml_value(value: str | int) -> str:
 
 
 def quoted(text: str) -> str:
-    """A text in quotes, with whatever could end them or their line written out."""
+    """A text in double quotes, with quotes, backslashes and unprintable characters escaped."""
     return "".join(['"', *(c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in text), '"'])
 
 
 def one_line(text: str) -> str:
-    """A text that stays on its line."""
+    """A text with unprintable characters replaced by blanks, so that it stays on its line."""
     return "".join(character if character.isprintable() else " " for character in text)

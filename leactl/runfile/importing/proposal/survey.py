@@ -1,4 +1,4 @@
-"""Every column of numbers of a source that nobody has described, with the program that wrote it where that is known."""
+"""Survey a source without a mapping: all its columns of numbers, and the program that wrote it if it is recognised."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +14,12 @@ from leactl.runfile.importing.sources.registry import format_of, open_source
 from leactl.runfile.importing.sources.source import ListedTable, MissingColumn, SourceRequest, WantedColumn
 
 Array = npt.NDArray[np.float64]
-MOST_JOINTS: Final = 4  # whose numbers are looked at
+MOST_JOINTS: Final = 4  # whose values are read
 
 
 @dataclass
 class SurveyedTable:
-    """A table with its numbers, of each joint that was looked at."""
+    """A table with its values, for each surveyed joint."""
 
     table: ListedTable
     dialect: LogDialect | None
@@ -28,7 +28,7 @@ class SurveyedTable:
 
 @dataclass
 class Survey:
-    """Everything that a source has."""
+    """All tables of a source."""
 
     path: Path
     format: str
@@ -69,7 +69,12 @@ def survey(path: Path) -> Survey:
 
 
 def tables_of(path: Path, name: str) -> tuple[CsvForm, list[ListedTable]]:
-    """The tables of a source, and how it is written where it is text: the form under which most columns are numbers."""
+    """Tables of a source; a text file is read in the CSV form under which most columns are numbers.
+
+    Raises
+    ------
+    InputError : it has no table of numbers.
+    """
     best: tuple[CsvForm, list[ListedTable]] = CsvForm(), []
     faults: list[str] = []
     for form in csv_forms() if name == "csv" else [CsvForm()]:
@@ -86,11 +91,11 @@ def tables_of(path: Path, name: str) -> tuple[CsvForm, list[ListedTable]]:
 
 
 def joints_surveyed(table: ListedTable) -> tuple[str, ...]:
-    """Joints whose numbers are looked at; one without a name where a table has none."""
+    """Names of the joints whose values are read; ("",) if a table has no joints."""
     return table.joints[:MOST_JOINTS] or ("",)
 
 
 def fill_joint(column: str | int, records: str | None, joint: str) -> tuple[str | int, str | None]:
-    """A column with a joint's name in place of `{joint}`."""
+    """Name and records of a column with `{joint}` replaced by a joint's name."""
     name = column.replace(PLACEHOLDER, joint) if isinstance(column, str) else column
     return name, records.replace(PLACEHOLDER, joint) if records else None

@@ -1,4 +1,4 @@
-"""Logs of messages by topic, such as MCAP, as something to ask for columns: read in one pass, and no message is kept.
+"""Source for logs of messages by topic, such as MCAP: columns are collected in one pass and no message is kept.
 
 A column is a path below its topic, `/drive/state.motor.current[2]`, or below `records: /drive/state`. `[NAME]` in place
 of an index takes the element that the message's own list of names gives it (`name` of a JointState, `joint_names` of
@@ -37,7 +37,7 @@ SECONDS_PARTS: Final = ("sec", "secs")
 RECORDER: Final = (("log_time",), ("publish_time",))  # paths of its stamps
 MOST_ELEMENTS: Final = 64  # of a list whose elements are listed: a longer one is an image or a cloud
 DEEPEST: Final = 8  # fields within fields that are listed
-LISTED_OF: Final = 50  # messages of a topic that tell its fields and joints
+LISTED_OF: Final = 50  # messages of a topic from which its fields and joints are listed
 _KNOWN_FIELDS: dict[type[Any], tuple[str, ...]] = {}  # asked for with every message
 NUMBERS = bool | int | float | np.number | np.bool_
 RESET_NS: Final = 10**9  # that a message may be late for its recorder's buffers
@@ -54,9 +54,9 @@ class Topic(NamedTuple):
 
     name: str
     kind: str  # of its messages
-    unreadable: str = ""  # why its messages cannot be decoded
-    only: str = ""  # its single field, which paths may leave out
-    units: str = ""  # that its log declares of that field
+    unreadable: str = ""  # reason why its messages cannot be decoded
+    only: str = ""  # its only field, which paths may leave out
+    units: str = ""  # of that field, as its log declares
 
 
 class Message(NamedTuple):
@@ -73,19 +73,21 @@ class OpenLog(NamedTuple):
 
     path: Path
     topics: dict[str, Topic]
-    messages: Callable[[Collection[str]], Iterator[Message]]  # of these topics, in any order; raises InputError
+    messages: Callable[
+        [Collection[str]], Iterator[Message]
+    ]  # messages of given topics, in any order; raises InputError
 
 
 class ColumnPath(NamedTuple):
-    """A column's way into a message."""
+    """Path of a column: topic, joint and fields below the message."""
 
     topic: str
-    joint: str | None  # messages that name it alone, with lists cut to it
+    joint: str | None  # only messages that name it count, and lists give its element
     steps: tuple[str | int, ...]
 
 
 class MessageSource:
-    """Columns of a log of messages."""
+    """Source over a log of messages."""
 
     def __init__(self, log: OpenLog, request: SourceRequest) -> None:
         self.path, self._log = log.path, log
@@ -132,7 +134,7 @@ class MessageSource:
         return only if isinstance(only, str) else float(only)
 
     def place(self, name: str | int, row: int) -> str:
-        """Name and message from 0."""
+        """File, column and message (from 0) for messages."""
         return f"{self.path}: {name!r} message {row}"
 
     def tables(self) -> list[ListedTable]:
@@ -204,11 +206,11 @@ class MessageSource:
         return node if stamp is None else as_float(stamp - self._first_ns) * 1e-9
 
     def _path(self, wanted: WantedColumn) -> ColumnPath:
-        """Where a column stands.
+        """Parse the path of a column.
 
         Raises
         ------
-        Lacking : no topic of the log begins its path, or one that cannot be decoded.
+        MissingColumn : no topic of the log begins its path, or the topic cannot be decoded.
         """
         if wanted.records is None:
             text, joint = str(wanted.name), None
@@ -242,7 +244,7 @@ class MessageSource:
 
 
 class _Gathered:
-    """Values of one column as they come, with the recorder's stamps."""
+    """Values of one column in the order of reading, with the recorder's stamps."""
 
     def __init__(self) -> None:
         self.values, self.log_ns = array("d"), array("Q")
@@ -251,7 +253,7 @@ class _Gathered:
         self._latest_ns, self._was_reset = 0, False
 
     def put(self, value: Any, log_ns: int) -> None:
-        """Add a row; NaN where a list has no such element."""
+        """Add a row; NaN if a list has no such element."""
         if isinstance(value, str) and self.rows == len(self.texts):
             self.texts.append(value)
         elif isinstance(value, NUMBERS) and not self.texts:
@@ -264,7 +266,7 @@ class _Gathered:
         self._latest_ns = max(self._latest_ns, log_ns)
 
     def order(self) -> npt.NDArray[np.intp]:
-        """Rows by the recorder's stamps; as they were written where its clock was set back meanwhile."""
+        """Order of the rows by the recorder's stamps, or as written if the recorder's clock was set back."""
         stamps = np.frombuffer(self.log_ns, np.uint64)
         return np.arange(len(stamps)) if self._was_reset else np.argsort(stamps, kind="stable")
 
@@ -275,32 +277,32 @@ def _step(match: re.Match[str]) -> str | int:
 
 
 def _fields(node: Any) -> Sequence[str]:
-    """Names of what a message has."""
+    """Names of a message's fields."""
     return [str(name) for name in node] if isinstance(node, dict) else _fields_of(type(node))
 
 
 def _fields_of(kind: type[Any]) -> tuple[str, ...]:
-    """Names of what messages of a type have."""
+    """Names of the fields of a message type; cached."""
     if kind not in _KNOWN_FIELDS:
         _KNOWN_FIELDS[kind] = tuple(name for name in getattr(kind, "__dataclass_fields__", ()) if name != "__msgtype__")
     return _KNOWN_FIELDS[kind]
 
 
 def _child(node: Any, name: str | int) -> Any:
-    """A field; None where there is none."""
+    """A field of a message; None if it has none of that name."""
     if isinstance(node, dict):
         return node.get(name)
     return getattr(node, str(name)) if name in _fields_of(type(node)) else None
 
 
 def _element(node: Any, step: str | int, names: Names) -> Any:
-    """An element of a list by its index or its name; NaN where the list has none such."""
+    """An element of a list by index or name; NaN if the list has no such element."""
     index = step if isinstance(step, int) else _index_of(step, names)
     return node[index] if index is not None and index < len(node) else np.nan
 
 
 def _names(tree: Any) -> Names:
-    """The names that lists of a message go by."""
+    """A message's list of names, by which elements of its other lists are addressed; None if it has none."""
     for field in NAMES:
         names = _child(tree, field)
         if isinstance(names, list) and all(isinstance(text, str) for text in names):
@@ -315,7 +317,7 @@ def _index_of(joint: str, names: Names) -> int | None:
 
 
 def _cut(value: Any, index: int, length: int) -> Any:
-    """The element of a list that goes by names; NaN of one that is left empty, as JointState allows."""
+    """The element at `index` of a list with `length` elements; NaN of an empty list, as JointState allows."""
     if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):
         return value
     if len(value) not in (0, length):
@@ -324,7 +326,7 @@ def _cut(value: Any, index: int, length: int) -> Any:
 
 
 def _nanoseconds(node: Any) -> int | None:
-    """A stamp of seconds and nanoseconds; None of anything else."""
+    """Nanoseconds of a stamp of seconds and nanoseconds; None for any other value."""
     if isinstance(node, float | int | np.number):
         return None
     fields = _fields(node)
@@ -344,7 +346,7 @@ def _described(value: Any) -> str:
 
 
 def _tables(topic: Topic, samples: list[Any]) -> Iterator[ListedTable]:
-    """What a topic's messages hold, by joint where they name joints."""
+    """Tables of a topic: one by joint for lists along the names, one for all other numbers."""
     joints = list(dict.fromkeys(name for tree in samples for name in _names(tree) or ()))
     tree = samples[0]
     has_stamp = any(path == "header.stamp" for path, _ in _leaves(tree, "", 0))
@@ -367,7 +369,7 @@ def _tables(topic: Topic, samples: list[Any]) -> Iterator[ListedTable]:
 
 
 def _leaves(node: Any, path: str, depth: int) -> Iterator[tuple[str, Any]]:
-    """Numbers, stamps and lists of numbers below a message, by path."""
+    """Path and value of the numbers, stamps and lists of numbers in a message."""
     for name in _fields(node):
         below, value = f"{path}.{name}" if path else name, _child(node, name)
         if _nanoseconds(value) is not None or isinstance(value, NUMBERS | np.ndarray) or _are_numbers(value):
@@ -377,5 +379,5 @@ def _leaves(node: Any, path: str, depth: int) -> Iterator[tuple[str, Any]]:
 
 
 def _are_numbers(value: Any) -> bool:
-    """Whether a value is a list of numbers, by those that may be listed."""
+    """Whether a value is a non-empty list whose first elements are numbers."""
     return isinstance(value, list) and bool(value) and all(isinstance(x, NUMBERS) for x in value[:MOST_ELEMENTS])

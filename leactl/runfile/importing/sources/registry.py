@@ -2,12 +2,12 @@
 
 A format is a module, or any object, with
 
-    ENDINGS = (".parquet",)                 of its files' names, in lower case
+    ENDINGS = (".parquet",)                 endings of file names, in lower case
     def open_source(path, request) -> Source
-    def recognises(path, head) -> bool      optional: by the first bytes of a file; a folder has none
+    def recognises(path, head) -> bool      optional: by the first bytes of a file (empty for a folder)
 
-Its name in a mapping is that of the module or of the entry point. A format that another package needs imports it when
-a file is opened; a foreign one that fails to load is reported when a file of it is opened, and harms no other.
+Its name in a mapping is that of the module or of the entry point. A format that needs another package imports it when a
+file is opened. A third-party format that fails to load is reported when a file of it is opened; others still work.
 """
 
 import importlib
@@ -28,12 +28,12 @@ HEAD_BYTES = 64
 
 @cache
 def shipped() -> frozenset[str]:
-    """Names of the formats of this package, one of each module in their folder."""
+    """Names of the shipped formats: the modules of their folder."""
     return frozenset(module.name for module in pkgutil.iter_modules(importlib.import_module(ROOM).__path__))
 
 
 def foreign() -> dict[str, EntryPoint]:
-    """Entry points of other packages by name; a shipped name stays with the shipped format."""
+    """Entry points of other packages by name; a shipped format has priority over one of the same name."""
     return {point.name: point for point in entry_points(group=GROUP) if point.name not in shipped()}
 
 
@@ -47,7 +47,7 @@ def load(name: str) -> Any:
 
     Raises
     ------
-    InputError : there is none of this name, or it cannot be imported or used.
+    InputError : no format has this name, or it cannot be imported or used.
     """
     if name in shipped():
         return importlib.import_module(f"{ROOM}.{name}")
@@ -66,7 +66,7 @@ def load(name: str) -> Any:
 
 
 def format_of(path: Path) -> str:
-    """The format that a file is recognised as, else that its ending tells; a shipped one before others.
+    """Name of the format of a file: by its content, else by its ending; shipped formats first.
 
     Raises
     ------
@@ -86,14 +86,14 @@ def is_log(path: Path) -> bool:
 
 
 def recognised(path: Path) -> str:
-    """The format that says a path is one of its own; empty where none does."""
+    """Name of the first format that recognises a path; empty if none does."""
     head = head_of(path)
     claims = ((name, getattr(loaded, "recognises", None)) for name, loaded in loadable().items())
     return next((name for name, claim in claims if claim is not None and claim(path, head)), "")
 
 
 def loadable() -> dict[str, Any]:
-    """Every format that loads, by name, shipped ones before others."""
+    """All formats that can be loaded, by name, shipped ones first."""
     formats = {}
     for name in (*sorted(shipped()), *sorted(foreign())):
         try:
@@ -104,7 +104,7 @@ def loadable() -> dict[str, Any]:
 
 
 def head_of(path: Path) -> bytes:
-    """The first bytes of a file; none of a folder."""
+    """The first bytes of a file; empty for a folder or an unreadable file."""
     try:
         with open_regular(path) as file:
             return file.read(HEAD_BYTES)
@@ -113,11 +113,11 @@ def head_of(path: Path) -> bytes:
 
 
 def open_source(path: Path, name: str | None, request: SourceRequest) -> LogSource:
-    """Open a foreign file, in the format of its ending where none is named.
+    """Open a file in the named format, or in the format that `format_of` finds.
 
     Raises
     ------
-    InputError : unreadable, not of its format, or of a format that is not known.
+    InputError : unreadable, not of its format, or of an unknown format.
     """
     opened = load(name or format_of(path))
     try:

@@ -1,4 +1,4 @@
-"""Messages of ROS 2 by the definitions that their logs carry, decoded by `rosbags`."""
+"""Decode messages of ROS 2 by the definitions in their logs, with the package `rosbags`."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,17 +9,17 @@ from leactl.errors import InputError
 from leactl.runfile.importing.sources.source import reason_text
 
 MOST_PARTS: Final = 10_000  # of a message: rosbags writes code for each
-UNDERWAY: Final = 0  # of a message whose parts are being counted
+UNDERWAY: Final = 0  # mark of a type whose parts are being counted
 SEPARATOR: Final = "=" * 80 + "\n"  # between the definitions of a schema of kind ros2idl
 
 
 @contextmanager
 def packages(path: Path) -> Iterator[None]:
-    """Name the extra where a package that reads such a file is missing.
+    """Convert an ImportError in the block to a message that names the extra to install.
 
     Raises
     ------
-    InputError : it is.
+    InputError : a package is missing.
     """
     try:
         yield
@@ -29,7 +29,7 @@ def packages(path: Path) -> Iterator[None]:
 
 
 class RosTypes:
-    """Types of messages, each learnt once."""
+    """Store of message types, each registered once."""
 
     def __init__(self) -> None:
         from rosbags.typesys import Stores, get_typestore
@@ -39,13 +39,13 @@ class RosTypes:
         self._learnt: dict[tuple[str, bytes], str] = {}
 
     def learn(self, kind: str, encoding: str, text: bytes) -> str:
-        """Learn a type with those that it uses, from the definition beside it; says why it cannot be, else nothing."""
+        """Register a type and those it uses from their definition; returns the reason if that fails, else ""."""
         if (kind, text) not in self._learnt:
             self._learnt[kind, text] = self._refused(kind, encoding, text)
         return self._learnt[kind, text]
 
     def usual(self, kind: str) -> str:
-        """Take a type as ROS 2 ships it, where a log carries no definition; says why it cannot be, else nothing."""
+        """Use the definition that ROS 2 ships for a type; returns the reason if there is none, else ""."""
         from rosbags.typesys import Stores, get_typestore
 
         self._usual = self._usual or get_typestore(Stores.LATEST)
@@ -54,11 +54,11 @@ class RosTypes:
         return ""
 
     def decode(self, kind: str, data: bytes) -> Any:
-        """A message as an object with fields.
+        """Decode a message to an object with fields.
 
         Raises
         ------
-        Exception : of any kind, where the bytes are not of that type.
+        Exception : of any kind, if the bytes are not of that type.
         """
         store = self._store if kind in self._store.fielddefs else self._usual
         return store.deserialize_cdr(data, kind)
@@ -88,11 +88,11 @@ class RosTypes:
 
 
 def parts_of(kind: str, types: dict[str, Any], counted: dict[str, int]) -> int:
-    """How many fields a message has with those of its parts, an array of messages or texts counted by its length.
+    """Number of fields of a message type, nested ones included; an array of messages or texts counts by its length.
 
     Raises
     ------
-    TypesysError : a message of which it consists is not defined, or holds itself.
+    TypesysError : a nested type is not defined, or a type contains itself.
     """
     from rosbags.typesys import TypesysError
 
@@ -108,7 +108,7 @@ def parts_of(kind: str, types: dict[str, Any], counted: dict[str, int]) -> int:
 
 
 def parts_of_field(field: Any, types: dict[str, Any], counted: dict[str, int]) -> int:
-    """How many fields a field stands for."""
+    """Number of fields that a field expands to."""
     from rosbags.interfaces import Nodetype
 
     node, about = field

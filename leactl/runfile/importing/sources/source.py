@@ -1,6 +1,6 @@
-"""Foreign files as something to ask for columns and single values: what a format gives, and what it is asked for.
+"""Contract between the import and a file format: the columns and values that a source is asked for and returns.
 
-Numbers come as float64; what is missing is NaN; true and false are 1 and 0. Nothing in a file is ever evaluated.
+Numbers are float64, missing ones NaN, true and false 1 and 0. No text of a file is ever evaluated as code.
 """
 
 from collections.abc import Sequence
@@ -19,16 +19,16 @@ LONGEST_REASON = 200  # characters
 
 
 class MissingColumn(Exception):
-    """The source has no such column or field; the message says what it has."""
+    """The source has no such column or field; the message lists those that it has."""
 
 
 def reason_text(error: BaseException) -> str:
-    """What a library says of a file, on one line and not for long."""
+    """Message of a library's error on one line, cut to `LONGEST_REASON` characters."""
     return " ".join(str(error).split())[:LONGEST_REASON] or type(error).__name__
 
 
 def as_float(value: Any) -> float:
-    """A number as the run file keeps it.
+    """Convert a number to float.
 
     Raises
     ------
@@ -49,12 +49,12 @@ class WantedColumn(NamedTuple):
 
 @dataclass(frozen=True)
 class SourceRequest:
-    """What will be asked of a source, of which a large file keeps that alone.
+    """Columns and labels that will be asked of a source, so that a large file keeps only those.
 
     Parameters
     ----------
-    columns : None where nobody knows yet what the source has: `tables` alone will be asked for.
-    labels : columns that will be asked for as labels, whether they are among `columns` as well or not.
+    columns : None for a survey: only `tables` will be called.
+    labels : columns that will be asked for as labels; they may also be in `columns`.
     """
 
     columns: Sequence[WantedColumn] | None
@@ -63,32 +63,32 @@ class SourceRequest:
 
 
 class ListedColumn(NamedTuple):
-    """A column of numbers as its file lists it, with the units that the file itself declares."""
+    """A column of numbers of a file, with the units that the file itself declares."""
 
     name: str | int
     units: str = ""
-    declared_by: str = ""  # where those units stand
-    quantity: str = ""  # that the file itself declares
+    declared_by: str = ""  # where the file declares the units
+    quantity: str = ""  # that the file declares
 
 
 class ListedTable(NamedTuple):
-    """Columns that share their rows, as a mapping's stream takes them."""
+    """Columns with common rows, which can become one stream of a mapping."""
 
     records: str | None
     columns: tuple[ListedColumn, ...]
-    kind: str = ""  # type of a message, where the file says it
-    time: ListedColumn | None = None  # the column of stamps, where the format itself says which it is
-    joints: tuple[str, ...] = ()  # that `{joint}` in `records` may stand for
+    kind: str = ""  # type of the messages, if the file has one
+    time: ListedColumn | None = None  # the column of stamps, if the format defines one
+    joints: tuple[str, ...] = ()  # names that may replace `{joint}` in `records`
 
 
 class LogSource(Protocol):
-    """One foreign file."""
+    """One opened file of another program."""
 
     path: Path
-    began: datetime | None  # when it was recorded, where the file says it
+    began: datetime | None  # start of the recording, if the file has it
 
     def column(self, name: str | int, records: str | None) -> Array | list[str]:
-        """A column: numbers, or text where it holds any."""
+        """A column: numbers, or texts if it holds any text."""
 
     def labels(self, name: str | int, records: str | None) -> list[str]:
         """A column as labels, whether it holds numbers or text."""
@@ -97,7 +97,7 @@ class LogSource(Protocol):
         """A single value."""
 
     def place(self, name: str | int, row: int) -> str:
-        """Where a row of a column stands, for messages."""
+        """File, column and row for messages."""
 
     def tables(self) -> list[ListedTable]:
-        """Everything that a mapping could take."""
+        """All tables that a mapping could use."""

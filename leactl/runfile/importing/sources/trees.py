@@ -1,4 +1,4 @@
-"""Nested names, lists and arrays, as JSON and MAT files hold them, as something to ask for columns and values."""
+"""Source for nested names, lists and arrays, as JSON and MAT files hold them; columns are addressed by dotted paths."""
 
 import re
 from array import array
@@ -17,19 +17,19 @@ from leactl.runfile.importing.sources.source import ListedColumn, ListedTable, M
 Array = npt.NDArray[np.float64]
 FEWEST_ROWS = 2  # of a table
 MOST_COLUMNS = 64  # of a matrix whose columns are listed
-SURVEYED = 200  # rows by which a column is one of numbers
-LONGEST_PATH = 200  # characters, below which nothing is listed
+SURVEYED = 200  # leading rows by which a column is judged to be numeric
+LONGEST_PATH = 200  # characters; deeper nodes are not listed
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
 
 class TreeSource:
-    """Nested names, lists and arrays."""
+    """Source over a tree of dicts, lists and arrays."""
 
     def __init__(self, path: Path, tree: Any, began: datetime | None = None) -> None:
         self.path, self._tree, self.began = path, tree, began
 
     def column(self, name: str | int, records: str | None) -> Array | list[str]:
-        """A column by path, below the records where they are given."""
+        """A column by its path, relative to `records` if given."""
         base = self._walk(self._tree, records) if records else self._tree
         node = self._indexed(base, name, records) if isinstance(name, int) else self._walk(base, name)
         return self._as_column(node, name)
@@ -50,11 +50,11 @@ class TreeSource:
         raise MissingColumn(f"{self.path}: {name!r} holds {_described(value)} where one value was expected")
 
     def place(self, name: str | int, row: int) -> str:
-        """Name and row from 0."""
+        """File, column and row (from 0) for messages."""
         return f"{self.path}: {name!r} row {row}"
 
     def tables(self) -> list[ListedTable]:
-        """Lists of records, matrices, and columns of one length beside one another."""
+        """Tables of the tree: lists of records, matrices, and sibling columns of equal length."""
         return list(_tables(self._tree, ""))
 
     def _indexed(self, base: Any, index: int, records: str | None) -> Any:
@@ -122,7 +122,7 @@ def _described(value: Any) -> str:
 
 
 def _tables(node: Any, path: str) -> Iterator[ListedTable]:
-    """The tables at a path and below it."""
+    """The tables at a node and below it."""
     records = path or None
     if isinstance(node, dict):
         by_length: dict[int, list[ListedColumn]] = {}
@@ -144,7 +144,7 @@ def _tables(node: Any, path: str) -> Iterator[ListedTable]:
 
 
 def _columns_of_records(items: list[dict[str, Any]], path: str) -> Iterator[str]:
-    """Paths of numbers in records, and in records within them."""
+    """Paths of the numbers in records and their nested records."""
     for name in dict.fromkeys(str(name) for item in items for name in item):
         values = [item.get(name) for item in items]
         below = f"{path}.{name}" if path else name
@@ -162,5 +162,5 @@ def _is_column(value: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    """Whether a value stands in a column of numbers; what is missing does."""
+    """Whether a value may be in a column of numbers; None stands for a missing one."""
     return value is None or isinstance(value, bool | int | float | np.number)

@@ -1,4 +1,4 @@
-"""Tables of text: CSV and its like; only the columns that are asked for are kept."""
+"""Tables of text, such as CSV; only the columns that are asked for are kept in memory."""
 
 import csv
 import sys
@@ -23,7 +23,7 @@ from leactl.runfile.importing.sources.source import (
 Array = npt.NDArray[np.float64]
 ENDINGS = (".csv", ".txt", ".tsv")
 MOST_FAULTS = 5
-SURVEYED = 200  # rows by which a column is one of numbers
+SURVEYED = 200  # leading rows by which a column is judged to be numeric
 
 
 def open_source(path: Path, request: SourceRequest) -> "CsvSource":
@@ -31,13 +31,13 @@ def open_source(path: Path, request: SourceRequest) -> "CsvSource":
 
     Raises
     ------
-    InputError : unreadable, or not as the mapping says it is written.
+    InputError : unreadable, or not in the dialect that the mapping states.
     """
     return CsvSource(path, request)
 
 
 class CsvSource:
-    """A table of text; only the columns that are asked for are kept."""
+    """Source over a table of text."""
 
     began = None
 
@@ -138,7 +138,12 @@ class CsvSource:
         return [labels[cell] for cell in cells]
 
     def _known(self, name: str | int, kept: Iterable[int]) -> int:
-        """Where a column that was asked for stands."""
+        """Index of a column that was asked for.
+
+        Raises
+        ------
+        MissingColumn : the table has no such column, or several of that name.
+        """
         if isinstance(name, str) and self._names.count(name) > 1:
             raise MissingColumn(f"{self.path}: the header has {name!r} {self._names.count(name)} times; give its index")
         at = self._at(name, max(len(self._names), *kept, 0) + 1)
@@ -158,11 +163,11 @@ class CsvSource:
         return only if isinstance(only, str) else float(only)
 
     def place(self, name: str | int, row: int) -> str:
-        """Line and column."""
+        """File, line and column for messages."""
         return f"{self.path}: line {self._lines[row]}, column {name!r}"
 
     def tables(self) -> list[ListedTable]:
-        """Its columns of numbers, by their headers, or by index where a header is missing or stands twice."""
+        """One table of the columns of numbers, named by header, or by index if the header is missing or not unique."""
         alike = {name: self._names.count(name) for name in self._names}
         listed = []
         for at, cells in sorted(self._columns.items()):

@@ -18,7 +18,7 @@ def open_source(path: Path, request: SourceRequest) -> TreeSource:
 
 
 def json_tree(path: Path) -> Any:
-    """The document of a JSON file; NaN may stand for what is missing.
+    """Read a JSON document; NaN is accepted for missing values.
 
     Raises
     ------

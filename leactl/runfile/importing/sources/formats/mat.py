@@ -27,7 +27,7 @@ def open_source(path: Path, request: SourceRequest) -> TreeSource:
 
 
 def mat_tree(path: Path) -> Any:
-    """The variables of a MAT file as nested names; v7.3 is HDF5 and is read as such.
+    """Variables of a MAT file as nested dicts, lists and arrays; version 7.3 is read as HDF5.
 
     Raises
     ------
@@ -48,13 +48,13 @@ def mat_tree(path: Path) -> Any:
 
 
 def refuse_swelling(path: Path) -> None:
-    """Refuse a MAT file of version 5 to 7 whose packed variables unpack to more than anybody looks at.
+    """Refuse a MAT file of version 5 to 7 whose compressed variables exceed `MOST_UNPACKED`.
 
-    It is a row of elements, each with its type and its length; a packed one is a zlib stream (MATLAB, MAT-file format).
+    The file is a sequence of elements with type and length; compressed ones are zlib streams (MATLAB, MAT-file format).
 
     Raises
     ------
-    InputError : it does.
+    InputError : the variables are too large.
     """
     times, extra = MOST_UNPACKED
     with open_regular(path) as raw:
@@ -82,14 +82,14 @@ def hdf5_tree(path: Path) -> Any:
 
 
 class _Referring:
-    """A MAT file of version 7.3, whose cells refer to their members: each is read once, however many refer to it."""
+    """Reader of a MAT file of version 7.3, whose cells are references; each object is read once."""
 
     def __init__(self, path: Path, file: Any) -> None:
         self._path, self._file = path, file
         self._read: dict[int, Any] = {}  # by address
 
     def members(self, group: Any, depth: int) -> dict[str, Any]:
-        """What a group holds, by name."""
+        """Members of a group by name."""
         return {name: self._value(child, depth) for name, child in group.items() if name != "#refs#"}
 
     def _value(self, node: Any, depth: int) -> Any:

@@ -1,7 +1,7 @@
-"""MCAP logs: messages in JSON, and those of ROS 2 by the definitions that the file carries.
+"""MCAP logs: messages in JSON, and those of ROS 2 with the definitions in the file.
 
-The container is read by the package `mcap`, chunk by chunk and each no further than it says it unpacks to; definitions
-and CDR by `rosbags` (MCAP specification, mcap.dev/spec; its registry of well-known encodings).
+The container is read by the package `mcap`, chunk by chunk, and no chunk is decompressed beyond its announced size;
+definitions and CDR are read by `rosbags` (MCAP specification, mcap.dev/spec; its registry of well-known encodings).
 """
 
 import json
@@ -41,7 +41,7 @@ def open_source(path: Path, request: SourceRequest) -> MessageSource:
 
 
 class McapFile:
-    """An MCAP file, read from its beginning to its end as often as it is asked."""
+    """An open MCAP file; each call of `messages` reads it from the beginning."""
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
         self._path, self._file = path, file
@@ -52,14 +52,14 @@ class McapFile:
         self._learn_topics()
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Messages of these topics as they stand in the file."""
+        """Messages of these topics, in the order of the file."""
         for record in self._records(set(topics)):
             channel = self._channels[record.channel_id]
             decode = partial(self._decoder(channel), record.data)
             yield Message(channel.topic, record.log_time, record.publish_time, decode)
 
     def _learn_topics(self) -> None:
-        """Learn schemas and channels: by the file's summary, or by all of it where it has none."""
+        """Read schemas and channels from the file's summary, or from the whole file if it has none."""
         from mcap.reader import SeekingReader
 
         self._file.seek(0)
@@ -82,7 +82,7 @@ class McapFile:
                 pass
 
     def _records(self, topics: set[str]) -> Iterator[Any]:
-        """Messages of these topics; learns schemas and channels on the way."""
+        """Message records of these topics; schemas and channels on the way are stored."""
         from mcap.records import Channel, Chunk, Schema
         from mcap.records import Message as Record
         from mcap.stream_reader import StreamReader, breakup_chunk
@@ -103,7 +103,7 @@ class McapFile:
 
     @contextmanager
     def _readable(self) -> Iterator[None]:
-        """Turn what the reader says of a damaged file into one line."""
+        """Convert the reader's errors on a damaged file to an InputError of one line."""
         from mcap.exceptions import EndOfFile, InvalidMagic, McapError
 
         try:
@@ -117,11 +117,11 @@ class McapFile:
             raise InputError(f"{self._path}: damaged: {reason_text(error)}") from None
 
     def _unpacked(self, chunk: Any) -> Any:
-        """The chunk without its compression.
+        """The chunk, decompressed.
 
         Raises
         ------
-        InputError : it unpacks to more than it says, or than any recorder writes.
+        InputError : it decompresses to another size than announced, or announces more than `LARGEST_CHUNK`.
         """
         import lz4.frame
         import zstandard

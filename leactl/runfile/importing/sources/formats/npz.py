@@ -1,4 +1,4 @@
-"""Archives of NumPy arrays (`numpy.savez`): each array's size is judged by its header, and none is unpickled."""
+"""Archives of NumPy arrays (`numpy.savez`): sizes are checked by the arrays' headers, and nothing is unpickled."""
 
 import zipfile
 import zlib
@@ -25,7 +25,7 @@ def open_source(path: Path, request: SourceRequest) -> TreeSource:
 
     Raises
     ------
-    InputError : not an archive, an array of objects, or one that unpacks to more than anybody looks at.
+    InputError : not an archive, an array of objects, or an archive that exceeds `MOST_UNPACKED`.
     """
     arrays: dict[str, Any] = {}
     with open_regular(path) as raw:
@@ -40,7 +40,7 @@ def open_source(path: Path, request: SourceRequest) -> TreeSource:
 
 
 def columns_of(arrays: dict[str, Any]) -> dict[str, Any]:
-    """Columns of matrices under names of their own, `q[2]`."""
+    """Columns of matrices by names such as `q[2]`."""
     matrices = {name: array for name, array in arrays.items() if np.ndim(array) == 2}
     return {
         f"{name}[{at}]": array[:, at] for name, array in matrices.items() for at in range(array.shape[1])[:MOST_COLUMNS]
@@ -48,11 +48,11 @@ def columns_of(arrays: dict[str, Any]) -> dict[str, Any]:
 
 
 def refuse_swelling(path: Path, archive: zipfile.ZipFile, raw: BinaryIO) -> None:
-    """Refuse an archive that says it holds too much.
+    """Refuse an archive with too many arrays, or one that exceeds `MOST_UNPACKED`.
 
     Raises
     ------
-    InputError : it does.
+    InputError : the archive is too large.
     """
     infos = archive.infolist()
     if len(infos) > MOST_ARRAYS:
@@ -65,11 +65,11 @@ def refuse_swelling(path: Path, archive: zipfile.ZipFile, raw: BinaryIO) -> None
 
 
 def read_array(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Any:
-    """An array whose header agrees with the size that the archive says.
+    """Read an array.
 
     Raises
     ------
-    InputError : an array of objects, or one whose size is another than its header says.
+    InputError : an array of objects, or one whose stored size differs from its header.
     """
     with archive.open(info) as member:
         version = np.lib.format.read_magic(member)

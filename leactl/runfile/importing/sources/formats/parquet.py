@@ -1,7 +1,7 @@
-"""Parquet tables (Apache Parquet), by `pyarrow`: the columns that are asked for, lists as `name[3]`, structs as `a.b`.
+"""Parquet tables (Apache Parquet), by `pyarrow`; elements of lists are named `name[3]`, members of structs `a.b`.
 
-Instants count as seconds from the first of their column. Metadata of a field, `units`, `quantity` and `role` as
-`leactl runs export` writes them, are what the file declares.
+Timestamps become seconds since the first of their column. Units and quantity in the metadata of a field, as
+`leactl runs export` writes them, are taken as declared by the file.
 """
 
 import json
@@ -28,7 +28,7 @@ META_DEPTH: Final = 3  # folders above an episode of LeRobot to its dataset: dat
 
 
 class ParquetSource(TreeSource):
-    """Columns of a Parquet file with what it declares of them."""
+    """Source over a Parquet file, with the units and quantities that it declares."""
 
     def __init__(self, path: Path, tree: dict[str, Any], began: datetime | None, table: ListedTable) -> None:
         super().__init__(path, tree, began)
@@ -61,7 +61,7 @@ def open_source(path: Path, request: SourceRequest) -> ParquetSource:
 
     Raises
     ------
-    InputError : not Parquet, damaged, one that swells, or pyarrow is missing.
+    InputError : not Parquet, damaged, too large when decompressed, or pyarrow is missing.
     """
     arrow, parquet = modules()
     with open_regular(path) as raw, readable(path, arrow):
@@ -79,7 +79,7 @@ def open_source(path: Path, request: SourceRequest) -> ParquetSource:
 
 @contextmanager
 def readable(path: Path, arrow: Any) -> Iterator[None]:
-    """Turn what pyarrow says of a damaged file into one line."""
+    """Convert pyarrow's errors on a damaged file to an InputError of one line."""
     try:
         yield
     except (arrow.ArrowException, OSError, ValueError, MemoryError) as fault:
@@ -96,11 +96,11 @@ def asked_for(name: str, request: SourceRequest) -> bool:
 
 
 def refuse_swelling(path: Path, metadata: Any, names: Iterable[str]) -> None:
-    """Refuse a file whose columns hold more numbers than anybody looks at: a run of one value takes no room in it.
+    """Refuse a file whose columns exceed `MOST_UNPACKED`; a repeated value takes almost no space in a Parquet file.
 
     Raises
     ------
-    InputError : it does.
+    InputError : the columns are too large.
     """
     wanted, values = set(names), 0
     for group in range(metadata.num_row_groups):
@@ -118,7 +118,7 @@ def refuse_swelling(path: Path, metadata: Any, names: Iterable[str]) -> None:
 def columns_of(
     table: Any, arrow: Any, elements: dict[str, list[str]]
 ) -> tuple[dict[str, Any], list[ListedColumn], datetime | None]:
-    """Columns by name with what is declared of them; the earliest instant that any has."""
+    """Columns by name, their declarations, and the earliest timestamp of any column."""
     tree: dict[str, Any] = {}
     listed: list[ListedColumn] = []
     began: list[datetime] = []
@@ -154,13 +154,13 @@ def is_list(kind: Any, arrow: Any) -> bool:
 
 
 def is_number(kind: Any, arrow: Any) -> bool:
-    """Whether a column holds numbers, or true and false; dates and durations are none."""
+    """Whether a column holds numbers or booleans; dates and durations are none."""
     types = arrow.types
     return any(test(kind) for test in (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal))
 
 
 def elements_of(column: Any, arrow: Any) -> list[Any]:
-    """A column for each element of lists that are all of one length; none where they differ."""
+    """A column for each element of lists of equal length; empty if the lengths differ."""
     rows = len(column)
     values = arrow.chunked_array([chunk.flatten() for chunk in column.chunks], column.type.value_type)
     if not rows or column.null_count or len(values) % rows or not 0 < len(values) // rows <= MOST_COLUMNS:
@@ -173,12 +173,12 @@ def elements_of(column: Any, arrow: Any) -> list[Any]:
 
 
 def lengths(chunk: Any) -> Any:
-    """The length of each list of a chunk."""
+    """The distinct lengths of the lists of a chunk."""
     return [chunk.type.list_size] if hasattr(chunk.type, "list_size") else np.unique(np.diff(chunk.offsets.to_numpy()))
 
 
 def seconds(column: Any, unit: str, arrow: Any) -> tuple[Any, datetime | None]:
-    """Instants as seconds from the first, and the first."""
+    """Timestamps as seconds since the first, and the first timestamp."""
     counts = column.cast(arrow.int64())
     first = next((count.as_py() for count in counts if count.is_valid), None)
     if first is None:
@@ -191,7 +191,7 @@ def seconds(column: Any, unit: str, arrow: Any) -> tuple[Any, datetime | None]:
 
 
 def texts(column: Any) -> list[str]:
-    """A column of text; few texts stand in millions of rows, and each is made once."""
+    """A column of text; equal texts share one str object, since few occur in millions of rows."""
     encoded = column if hasattr(column.type, "value_type") else column.dictionary_encode()
     out: list[str] = []
     for chunk in encoded.chunks:
@@ -201,7 +201,7 @@ def texts(column: Any) -> list[str]:
 
 
 def joint_names(path: Path) -> dict[str, list[str]]:
-    """Names of the elements of lists, where the file is an episode of a LeRobot dataset, by `meta/info.json`."""
+    """Names of the elements of lists, by `meta/info.json` of a LeRobot dataset; empty for other files."""
     folders = path.resolve().parents
     info = folders[min(META_DEPTH, len(folders)) - 1] / "meta" / "info.json"
     try:

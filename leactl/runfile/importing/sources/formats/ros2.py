@@ -1,6 +1,6 @@
-"""ROS 2 bags: a folder with its `metadata.yaml` and files of SQLite or MCAP, or a single `.db3`, by `rosbags`.
+"""ROS 2 bags: a folder with `metadata.yaml` and files of SQLite or MCAP, or a single `.db3`; read by `rosbags`.
 
-Types come from the definitions that bags carry since ROS 2 Iron, and from those that ROS 2 ships for older ones.
+Types come from the definitions in the bag (since ROS 2 Iron), else from those that ROS 2 ships.
 """
 
 from collections.abc import Collection, Iterator
@@ -34,7 +34,7 @@ def open_source(path: Path, request: SourceRequest) -> MessageSource:
 
     Raises
     ------
-    InputError : not a bag, packed as a whole, damaged, or the packages that read it are missing.
+    InputError : not a bag, compressed as whole files, damaged, or the packages that read it are missing.
     """
     with packages(path), ExitStack() as stack:
         files, unpack = files_of(path) if path.is_dir() else ([path], False)
@@ -56,11 +56,11 @@ def open_source(path: Path, request: SourceRequest) -> MessageSource:
 
 
 def files_of(folder: Path) -> tuple[list[Path], bool]:
-    """The files of a bag in their order, and whether each of their messages is packed.
+    """The files of a bag in their order, and whether each message is compressed.
 
     Raises
     ------
-    InputError : metadata that say nothing of files, or files that are packed, or lacking.
+    InputError : metadata that list no files, or files that are compressed or missing.
     """
     document = yamlfile.load(folder / METADATA)
     about = document.data.get("rosbag2_bagfile_information") if isinstance(document.data, dict) else None
@@ -84,7 +84,7 @@ def open_file(path: Path, unpack: bool, stack: ExitStack) -> "McapFile | BagFile
 
     Raises
     ------
-    InputError : it is of another kind, or its last messages are in a file beside it.
+    InputError : neither SQLite nor MCAP, or the last messages are still in a write-ahead log beside it.
     """
     file = stack.enter_context(open_regular(path))
     if path.suffix == ".mcap":
@@ -100,7 +100,7 @@ def open_file(path: Path, unpack: bool, stack: ExitStack) -> "McapFile | BagFile
 
 
 class BagFile:
-    """A file of SQLite."""
+    """An open bag file of SQLite."""
 
     def __init__(self, path: Path, unpack: bool, stack: ExitStack) -> None:
         from rosbags.rosbag2 import Reader
@@ -112,7 +112,7 @@ class BagFile:
             self.topics = {each.topic: self._announced(each) for each in self._reader.connections}
 
     def messages(self, wanted: Collection[str]) -> Iterator[Message]:
-        """Messages of these topics by the recorder's stamps."""
+        """Messages of these topics, in the order of the recorder's stamps."""
         connections = [each for each in self._reader.connections if each.topic in wanted]
         if not connections:
             return

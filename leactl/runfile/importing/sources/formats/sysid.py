@@ -1,7 +1,7 @@
-"""SysId JSON of WPILib (2020 to 2023) and frc-characterization: its tests as `{joint}`, each a run of its own.
+"""SysId JSON of WPILib (2020 to 2023) and frc-characterization; each test is addressed as a `{joint}` and gives a run.
 
-A test is a list of rows: time [s], voltage [V], position and velocity in the units that the person chose, which the
-file names and nobody checks: published ones say Radians and hold turns.
+A test is a list of rows: time [s], voltage [V], position and velocity. The file names the units of the latter two, but
+they were chosen by a person and may be wrong: published files say Radians and hold turns.
 """
 
 from pathlib import Path
@@ -24,10 +24,10 @@ ROWS: Final = {  # columns of a row, by what was tested
 
 
 class SysidSource(TreeSource):
-    """The tests of a SysId file."""
+    """Source over the tests of a SysId file."""
 
     def tables(self) -> list[ListedTable]:
-        """One table, of whichever test."""
+        """One table for all tests, with the columns of the first."""
         tests = tuple(self._tree)
         columns = tuple(self._tree[tests[0]])
         listed = [ListedColumn(name) for name in columns if name != TIME]
@@ -35,7 +35,7 @@ class SysidSource(TreeSource):
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Whether a file begins as one of SysId does."""
+    """Whether the first bytes of a `.json` file name a SysId test."""
     return path.suffix.lower() == ".json" and any(f'"{test}"'.encode() in head for test in TESTS)
 
 
@@ -58,7 +58,7 @@ def columns_of(path: Path, name: str, rows: Any) -> dict[str, list[Any]]:
 
     Raises
     ------
-    InputError : it is no list of rows of one known length.
+    InputError : not a list of rows of a known length.
     """
     lengths = {len(row) if isinstance(row, list) else 0 for row in rows} if isinstance(rows, list) else set()
     if len(lengths) != 1 or (width := lengths.pop()) not in ROWS:

@@ -1,7 +1,7 @@
-"""WPILib data logs (`.wpilog`): each entry is a topic, its value the only field, stamps in microseconds of the robot.
+"""WPILib data logs (`.wpilog`): each entry is a topic with one field, `value`; stamps are the robot's microseconds.
 
-Written from the public specification, WPILib Data Log File Format 1.0 (allwpilib, wpiutil/doc/datalog.adoc), since the
-reader of WPILib's own Python package neither says that a file is truncated nor stops at the record that is.
+After the public specification, WPILib Data Log File Format 1.0 (allwpilib, wpiutil/doc/datalog.adoc). WPILib's own
+Python reader is not used because it neither reports a truncated file nor stops at the truncated record.
 """
 
 import mmap
@@ -30,7 +30,7 @@ TEXTS: Final = ("string", "json")
 
 
 class WpiRecord(NamedTuple):
-    """Where a record's payload lies."""
+    """Entry, stamp and payload range [bytes] of a record."""
 
     entry: int
     stamp_us: int
@@ -57,7 +57,7 @@ def _mapped(path: Path, file: BinaryIO) -> mmap.mmap:
 
 
 class WpiLog:
-    """A data log, walked from its beginning to its end as often as it is asked."""
+    """An open data log; each call of `messages` reads it from the beginning."""
 
     def __init__(self, path: Path, data: mmap.mmap | bytes) -> None:
         self._path, self._data = path, data
@@ -69,7 +69,7 @@ class WpiLog:
                 self._announce(name, kind, metadata)
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Values of these entries as they stand in the file."""
+        """Values of these entries, in the order of the file."""
         live: dict[int, tuple[str, Callable[[int, int], Any]]] = {}
         for record in self._records():
             if record.entry == 0:
@@ -87,7 +87,7 @@ class WpiLog:
                 yield Message(name, ns, ns, partial(decode, record.begins, record.ends))
 
     def _header(self) -> int:
-        """Where the first record begins."""
+        """Check the header; returns the byte at which the first record begins."""
         head = self._data[: len(MAGIC) + 6]
         if not head.startswith(MAGIC):
             raise InputError(f"{self._path}: not a WPILib data log")
