@@ -75,8 +75,8 @@ class Bench:
 
     def streams(self) -> dict[str, tuple[ChannelSpec, ...]]:
         """Every stream of the bench and its channels."""
-        own = {spec.name: spec.channels for driver in self._asynchronous for spec in driver.streams}
-        return {"loop": self.loop_channels, **own} if self.loop_channels else own
+        device_streams = {spec.name: spec.channels for driver in self._asynchronous for spec in driver.streams}
+        return {"loop": self.loop_channels, **device_streams} if self.loop_channels else device_streams
 
     @property
     def fast_streams(self) -> dict[str, float]:
@@ -99,18 +99,22 @@ class Bench:
                 driver.open()
                 self.provenance[name].take(driver.identity())
             except BaseException as error:
-                safe = make_safe([driver, *[other for other in self.drivers.values() if other is not driver]])
+                confirmations = make_safe([driver, *[other for other in self.drivers.values() if other is not driver]])
                 cause = str(error).removeprefix(f"{name}: ")
                 if isinstance(error, NoBus):  # whatever hangs on it never heard of this machine
-                    safe = {device: found for device, found in safe.items() if not found.detail.endswith(cause)}
-                doubts = doubt(safe, cause)
+                    confirmations = {
+                        device: confirmation
+                        for device, confirmation in confirmations.items()
+                        if not confirmation.detail.endswith(cause)
+                    }
+                not_confirmed = doubt(confirmations, cause)
                 self.close()
                 if not isinstance(error, DeviceError):
-                    if doubts:
-                        error.add_note(doubts)
+                    if not_confirmed:
+                        error.add_note(not_confirmed)
                     raise
                 text = str(error) if str(error).startswith(f"{name}:") else f"{name}: {error}"
-                raise type(error)(f"{text}; {doubts}" if doubts else text) from None
+                raise type(error)(f"{text}; {not_confirmed}" if not_confirmed else text) from None
 
     def close(self) -> list[str]:
         """Let every device go, whatever one of them does; a line for each that failed to."""
@@ -199,7 +203,7 @@ def refuse_blind(bench: Bench, document: yamlfile.Document) -> None:
     InputError : one line each, with file, line and column.
     """
     channels = [channel for stream in bench.streams().values() for channel in stream]
-    faults = [document.fault(("interlocks", *place), text) for place, text in bench.file.interlocks.blind(channels)]
+    faults = [document.fault(("interlocks", *keys), text) for keys, text in bench.file.interlocks.blind(channels)]
     if faults:
         raise InputError(faults)
 

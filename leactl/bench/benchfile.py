@@ -169,7 +169,7 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
     faults += _shared_identifiers(document, usable)
     faults += _false_signs_of_life(document, usable)
     faults += _shared_folders(document, usable)
-    faults += [document.fault(("interlocks", *place), text) for place, text in bench.interlocks.beyond(bench.limits)]
+    faults += [document.fault(("interlocks", *keys), text) for keys, text in bench.interlocks.beyond(bench.limits)]
     if faults:
         raise InputError(faults)
     return bench, usable, document
@@ -214,8 +214,8 @@ def put_elsewhere(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus | 
     """
     changed: dict[str, CanBus | SerialBus] = {}
     for word in words:
-        name, _, place = word.partition("=")
-        interface, _, channel = place.partition(":")
+        name, _, target = word.partition("=")
+        interface, _, channel = target.partition(":")
         bus = bench.buses.get(name)
         if isinstance(bus, SerialBus) and interface == "serial" and channel:
             changed[name] = bus.model_copy(update={"port": channel})
@@ -266,8 +266,8 @@ def _shared_addresses(
 def _shared_identifiers(document: yamlfile.Document, devices: Sequence[CheckedDevice]) -> list[str]:
     """Devices of two protocols on one CAN bus, one of which would take the other's frames for its own."""
     faults = []
-    for place, device in enumerate(devices):
-        for other in devices[:place]:
+    for index, device in enumerate(devices):
+        for other in devices[:index]:
             if other.entry.bus != device.entry.bus or other.entry.driver == device.entry.driver:
                 continue
             shared = sorted(device.settings.bus_identifiers & other.settings.bus_identifiers)
@@ -309,37 +309,37 @@ def _shared_folders(document: yamlfile.Document, devices: Sequence[CheckedDevice
 def _check(
     document: yamlfile.Document, bench: BenchFile, name: str, entry: Device, faults: list[str]
 ) -> CheckedDevice | None:
-    place: tuple[str | int, ...] = ("devices", name)
+    keys: tuple[str | int, ...] = ("devices", name)
     try:
         driver = registry.load(entry.driver)
     except InputError as error:
-        faults.append(document.fault((*place, "driver"), str(error)))
+        faults.append(document.fault((*keys, "driver"), str(error)))
         return None
     bus = bench.buses.get(entry.bus) if entry.bus else None
     if driver.transport != "none" and (bus is None or bus.kind != driver.transport):
-        found = "no bus" if entry.bus is None else f"'{entry.bus}'"
+        stated = "no bus" if entry.bus is None else f"'{entry.bus}'"
         choices = [key for key, value in bench.buses.items() if value.kind == driver.transport]
         expected = ", ".join(choices) or f"a bus of kind {driver.transport} under buses"
-        faults.append(document.fault((*place, "bus"), f"{found}: {entry.driver} needs {expected}"))
+        faults.append(document.fault((*keys, "bus"), f"{stated}: {entry.driver} needs {expected}"))
     try:
         settings = driver.Settings.model_validate(entry.settings)
     except ValidationError as error:
-        faults.extend(document.explain(error, (*place, "settings")))
+        faults.extend(document.explain(error, (*keys, "settings")))
         return None
     silence = settings.host_silence_s
     if hasattr(driver, "engage") and not (silence and silence <= SAFE_STATE_S):
-        found = (
+        stated = (
             f"stops by itself {silence:g} s after the host" if silence else "does not stop by itself without the host"
         )
-        message = f"the drive {found}; {SAFE_STATE_S:g} s at the most were expected"
-        faults.append(document.fault((*place, "settings"), message))
+        message = f"the drive {stated}; {SAFE_STATE_S:g} s at the most were expected"
+        faults.append(document.fault((*keys, "settings"), message))
     for shown in settings.shown():
         bounds = bench.limits.of(shown.quantity)
         if bounds is not None and not shown.low <= bounds[0] <= bounds[1] <= shown.high:
             unit = UNITS[shown.quantity]
             faults.append(
                 document.fault(
-                    (*place, "settings", *shown.place),
+                    (*keys, "settings", *shown.place),
                     f"tells {shown.quantity} from {shown.low:.4g} to {shown.high:.4g} {unit}; its limits of"
                     f" {bounds[0]:g} to {bounds[1]:g} {unit} would never trip: lower them, or widen the sensor's range",
                 )

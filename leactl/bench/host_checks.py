@@ -29,8 +29,8 @@ class HostFinding:
 
 def examine(root: Path = Path("/")) -> list[HostFinding]:
     """Look at everything; buses and devices are looked for under `root`."""
-    found = [_python(), _packages(), _plugins(), _can(root), _i2c(root), _serial(root), ni_daqmx(), _disk()]
-    return [finding for findings in found for finding in findings]
+    checks = [_python(), _packages(), _plugins(), _can(root), _i2c(root), _serial(root), ni_daqmx(), _disk()]
+    return [finding for findings in checks for finding in findings]
 
 
 def _python() -> Iterator[HostFinding]:
@@ -62,11 +62,11 @@ def _plugins() -> Iterator[HostFinding]:
 def _can(root: Path) -> Iterator[HostFinding]:
     folder = root / "sys/class/net"
     links = sorted(folder.iterdir()) if folder.is_dir() else []
-    found = [link for link in links if _text(link / "type") == CAN_TYPE]
-    if not found:
+    interfaces = [link for link in links if _text(link / "type") == CAN_TYPE]
+    if not interfaces:
         mend = "connect an adapter, then: sudo ip link set can0 up type can bitrate 1000000"
         yield HostFinding("CAN", False, False, "no SocketCAN interface", mend)
-    for link in found:
+    for link in interfaces:
         state = _text(link / "operstate")
         fine = state in ("up", "unknown")
         mend = "" if fine else f"sudo ip link set {link.name} up type can bitrate 1000000"
@@ -74,11 +74,11 @@ def _can(root: Path) -> Iterator[HostFinding]:
 
 
 def _i2c(root: Path) -> Iterator[HostFinding]:
-    found = sorted((root / "dev").glob("i2c-*"))
-    if not found:
+    buses = sorted((root / "dev").glob("i2c-*"))
+    if not buses:
         mend = "sudo modprobe i2c-dev; on a Raspberry Pi also: sudo raspi-config nonint do_i2c 0"
         yield HostFinding("I2C", False, False, "no /dev/i2c-*", mend)
-    yield from (_usable(f"I2C {path.name}", path, "i2c") for path in found)
+    yield from (_usable(f"I2C {path.name}", path, "i2c") for path in buses)
 
 
 def _serial(root: Path) -> Iterator[HostFinding]:
@@ -100,8 +100,10 @@ def ni_daqmx() -> Iterator[HostFinding]:
     except Error:
         yield HostFinding("NI-DAQmx", False, False, "NI's driver is not installed", "see ni.com/downloads, NI-DAQmx")
         return
-    told = f"{number.major_version}.{number.minor_version}: {devices}"
-    yield HostFinding("NI-DAQmx", devices != "no device", False, told, "connect the device" * (devices == "no device"))
+    description = f"{number.major_version}.{number.minor_version}: {devices}"
+    yield HostFinding(
+        "NI-DAQmx", devices != "no device", False, description, "connect the device" * (devices == "no device")
+    )
 
 
 def _usable(subject: str, path: Path, group: str) -> HostFinding:

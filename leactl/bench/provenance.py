@@ -24,9 +24,9 @@ class Provenance:
         ------
         DeviceError : the device tells another serial number than the bench file.
         """
-        told = {name: " ".join(printable(text).split())[:LONGEST] for name, text in identity._asdict().items()}
-        self._identity = {name: text for name, text in told.items() if text}
-        serial, expected = told["serial"], self._entry.serial
+        texts = {name: " ".join(printable(text).split())[:LONGEST] for name, text in identity._asdict().items()}
+        self._identity = {name: text for name, text in texts.items() if text}
+        serial, expected = texts["serial"], self._entry.serial
         if serial and expected and _bare(serial) != _bare(expected):
             raise DeviceError(
                 f"serial number {serial} answers, the bench file says {expected}: mend the wiring, or the file"

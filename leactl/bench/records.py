@@ -30,21 +30,21 @@ class RecordDevice:
         if not isinstance(devices, dict) or name not in devices:
             known = ", ".join(devices) if isinstance(devices, dict) else "no devices"
             raise InputError(document.fault(("devices",), f"no device '{name}'; the file has {known}"))
-        place: tuple[str | int, ...] = ("devices", name)
+        keys: tuple[str | int, ...] = ("devices", name)
         try:
             self.entry = Device.model_validate(devices[name])
             driver = registry.load(self.entry.driver)
             self.settings: DriverSettings = driver.Settings.model_validate(self.entry.settings)
         except ValidationError as error:
-            under = place if error.title == Device.__name__ else (*place, "settings")
+            under = keys if error.title == Device.__name__ else (*keys, "settings")
             raise InputError(document.explain(error, under)) from None
         except InputError as error:
-            raise InputError(document.fault((*place, "driver"), str(error))) from None
+            raise InputError(document.fault((*keys, "driver"), str(error))) from None
         if not hasattr(driver, "read_files"):
             raise InputError(
-                document.fault((*place, "driver"), f"{self.entry.driver}: its readings do not come in files")
+                document.fault((*keys, "driver"), f"{self.entry.driver}: its readings do not come in files")
             )
-        self._document, self._place = document, place
+        self._document, self._place = document, keys
         self.source = cast(BatchSource, driver(name, self.entry.role, self.settings, None, MonotonicClock()))
 
     def read(self, files: list[Path]) -> FileRecord:
@@ -65,8 +65,8 @@ class RecordDevice:
         """
         clock = self.source.clock
         if clock is None:
-            told = "is missing: wall_within_s, offset_s, estimate or onset ties the record's clock to the run's"
-            raise InputError(self._document.fault((*self._place, "settings", "clock"), told))
+            message = "is missing: wall_within_s, offset_s, estimate or onset ties the record's clock to the run's"
+            raise InputError(self._document.fault((*self._place, "settings", "clock"), message))
         with Run.open(run) as opened:
             return align_record(record, clock, opened)
 
@@ -100,14 +100,14 @@ def placed(devices: Sequence[CheckedDevice], runs: Path, run_id: str = "") -> li
 
     Emulated runs may go on at once: with `run_id` each has a folder of its own below, so that none finds another's.
     """
-    found = []
+    relocated = []
     for device in devices:
         settings = device.settings
         if isinstance(settings, RecordSettings) and settings.exports_folder is not None:
             folder = {"exports_folder": str(runs / settings.exports_folder / run_id)}
             device = device.model_copy(update={"settings": settings.model_copy(update=folder)})
-        found.append(device)
-    return found
+        relocated.append(device)
+    return relocated
 
 
 def awaited(drivers: Mapping[str, Driver]) -> dict[str, BatchSource]:
@@ -121,13 +121,15 @@ def collect(drivers: Mapping[str, Driver], document: yamlfile.Document, run: Pat
 
     Nothing here is an error of the run, which is closed and whole: whatever is told can be mended and attached by hand.
     """
-    told = []
+    failures = []
     for name, source in awaited(drivers).items():
         try:
             _attach_fresh(source, RecordDevice(document, name), run)
         except Exception as fault:  # noqa: BLE001 (one plug-in's mistake is no reason to lose the records of the others)
-            told.append(f"{name}: its record is not in the run: {fault}; leactl runs attach {run} FILE --device {name}")
-    return told
+            failures.append(
+                f"{name}: its record is not in the run: {fault}; leactl runs attach {run} FILE --device {name}"
+            )
+    return failures
 
 
 def _attach_fresh(source: BatchSource, device: RecordDevice, run: Path) -> None:

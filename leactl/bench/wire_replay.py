@@ -275,15 +275,15 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
         cut_short = cut_short or end is None
         wiring.clock.set(line.time)
         try:
-            came = outcome_text(call())
-        except Diverged as found:
-            return Replayed(calls, wiring.transfers, found.difference, tuple(dict.fromkeys(raised)), cut_short)
+            outcome = outcome_text(call())
+        except Diverged as divergence:
+            return Replayed(calls, wiring.transfers, divergence.difference, tuple(dict.fromkeys(raised)), cut_short)
         except Exception as error:  # noqa: BLE001 (whatever a driver raises is what is compared)
-            came = outcome_text(None, error)
+            outcome = outcome_text(None, error)
             raised.append(f"{type(error).__name__}: {error}")
-        if end is not None and came != end.text:
+        if end is not None and outcome != end.text:
             difference = Difference(
-                end.number, line.owner, f"'{end.text}'", f"{line.text.split()[0]} ended with '{came}'"
+                end.number, line.owner, f"'{end.text}'", f"{line.text.split()[0]} ended with '{outcome}'"
             )
             return Replayed(calls, wiring.transfers, difference, tuple(dict.fromkeys(raised)), cut_short)
         calls += 1
@@ -293,13 +293,13 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
 def _ends_of(lines: Sequence[TraceLine]) -> dict[int, TraceLine]:
     """The line at which each call ended, by the line of the call."""
     open_calls: dict[str, int] = {}
-    found = {}
+    ends = {}
     for line in lines:
         if line.kind == CALLED:
             open_calls[line.owner] = line.number
         elif line.kind == ENDED and line.owner in open_calls:
-            found[open_calls.pop(line.owner)] = line
-    return found
+            ends[open_calls.pop(line.owner)] = line
+    return ends
 
 
 def _call_of(path: Path, line: TraceLine, bench: Bench) -> Callable[[], Any]:

@@ -239,7 +239,7 @@ def verify(
             answer = done.value()
             examined.append(answer)
             if not as_json and not answer.findings:
-                typer.echo(f"{answer.path}: {answer.told}")
+                typer.echo(f"{answer.path}: {answer.summary}")
     if as_json:
         several = len(runs) > 1 or runs[0].is_dir()
         bodies = [answer.as_json() for answer in examined]
@@ -305,7 +305,7 @@ def attach(
     if as_json:
         typer.echo(json.dumps(joined.as_json() | {"run": str(run), "attached": not check}))
     else:
-        typer.echo("\n".join(joined.told()))
+        typer.echo("\n".join(joined.summary_lines()))
 
 
 @app.command(epilog=examples("runs export RUN.h5 --format csv --out csv"))

@@ -1,6 +1,6 @@
-"""The one way to make devices safe: power is taken from all of them first, and only then does each one confirm.
+"""Make devices safe: remove power from all of them first, then wait for each to confirm its safe state.
 
-A device that does not answer uses up its deadline; by then the others have long been told.
+A device that does not answer uses up its deadline; all others have received their command before.
 """
 
 from collections.abc import Iterable, Mapping
@@ -34,9 +34,9 @@ def _supplies(device: Driver) -> bool:
 
 
 def doubt(outcome: Mapping[str, Confirmation], cause: str = "") -> str:
-    """What could not be confirmed, in one line; empty where everything was.
+    """One line that names the devices without a confirmed safe state; empty if all confirmed.
 
-    A device whose reason is the `cause` that the line tells already is named without it.
+    The reason of a device is left out if it equals `cause`, which the caller's message already contains.
     """
     unsafe = {name: confirmation.detail for name, confirmation in outcome.items() if not confirmation.safe}
     known = [name for name, detail in unsafe.items() if cause and detail.endswith(cause)]

@@ -1,7 +1,7 @@
-"""Bisections: a number of trials that is known before the first one, each at a setpoint between two ends.
+"""Bisections: trials at setpoints between two ends; their number is known before the first one.
 
-The first two trials are at the ends. The others are between them, at setpoints that the run chooses, and are left out
-where both ends have the same outcome. Behind every trial the setpoint is zero.
+The first two trials are at the ends. The others are between them, at setpoints chosen during the run, and are skipped
+if both ends have the same outcome. The setpoint rests at zero after every trial.
 """
 
 from leactl.driver.contract import Mode
@@ -70,7 +70,7 @@ def bisect(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
 
 
 def _sound(timeline: Timeline, step: ProtocolStep, search: Search) -> bool:
-    """Whether ends and resolution make a search; faults are noted."""
+    """Check ends and resolution of a search; faults are added to the timeline."""
     span = abs(search.second - search.first)
     if not span > 0.0:
         timeline.complain(step, "to_current_A", f"{search.second:g} A: another end than from_current_A was expected")

@@ -1,4 +1,4 @@
-"""Steps to actions: walk the steps in order, keep track of what each role follows, and write the timeline."""
+"""Expand steps to actions: walk the steps in order, track mode and setpoint of each role, and write the timeline."""
 
 import math
 from collections.abc import Callable
@@ -31,13 +31,13 @@ HEATED = "heated"
 
 
 def expand(timeline: Timeline, steps: tuple[ProtocolStep, ...], pass_number: int = 1) -> None:
-    """Write the steps' actions; faults are noted in the timeline.
+    """Write the actions of the steps; faults are added to the timeline.
 
-    `pass_number` counts the passes of all repeats around these steps and becomes the parameter `repeat` of their holds.
+    `pass_number` counts the passes of all enclosing repeats and becomes the parameter `repeat` of the holds.
 
     Raises
     ------
-    InputError : the whole has become too much.
+    InputError : the plan exceeds the limits of actions, duration or samples.
     """
     for step in steps:
         if step.kind == "repeat":
@@ -57,7 +57,7 @@ def expand(timeline: Timeline, steps: tuple[ProtocolStep, ...], pass_number: int
 
 
 def _when(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
-    """Write steps that may be left out, and refuse those that do not leave everything as it was before them."""
+    """Write conditional steps; a fault if modes or setpoints after them differ from those before."""
     condition = None if step.content is None else _condition(timeline, step)
     before = {role: (followed.mode, followed.setpoint) for role, followed in timeline.roles.items()}
     began = len(timeline.actions)
@@ -78,7 +78,7 @@ def _when(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
 
 
 def _condition(timeline: Timeline, step: ProtocolStep) -> StepOutcome | InRange | None:
-    """What a `when` asks; None, with faults, where it cannot be."""
+    """The condition of a `when` step; None, with faults, if it is invalid."""
     content: WhenStep = step.content
     reading = ("quantity", "role", "below", "above", "unit")
     given = [key for key in reading if getattr(content, key) is not None]
@@ -121,8 +121,8 @@ def _set(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     spelling = timeline.spelling(step, content.role, content)
     if spelling is not None:
         value = content.given(spelling, "setpoint") * content.sign
-        told = _told(timeline, content.role, spelling, value, pass_number)
-        timeline.hold(step, "set", (0.0, 0.0), content.role, value, told)
+        parameters = _told(timeline, content.role, spelling, value, pass_number)
+        timeline.hold(step, "set", (0.0, 0.0), content.role, value, parameters)
 
 
 def _ramp(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
@@ -160,8 +160,8 @@ def _hold(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     spelling = timeline.spelling(step, content.role, content)
     if spelling is not None:
         value = content.given(spelling, "setpoint") * content.sign
-        told = _told(timeline, content.role, spelling, value, pass_number)
-        timeline.hold(step, content.name, times, content.role, value, told, until)
+        parameters = _told(timeline, content.role, spelling, value, pass_number)
+        timeline.hold(step, content.name, times, content.role, value, parameters, until)
 
 
 def _told(timeline: Timeline, role: str, spelling: Spelling, value: float, pass_number: int) -> dict[str, float | str]:
@@ -181,25 +181,25 @@ def _signal(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
         timeline.complain(step, key, message)
     if spelling is None or faults:
         return
-    made = step.location, spelling.setpoint, content
-    if made not in timeline.signals:
+    signal_key = step.location, spelling.setpoint, content
+    if signal_key not in timeline.signals:
         samples = _samples(timeline, step, content, spelling)
         if samples is None:
             return
-        timeline.signals[made] = samples
-    samples = timeline.signals[made]
+        timeline.signals[signal_key] = samples
+    samples = timeline.signals[signal_key]
     duration = len(samples.values) * samples.period
     if content.settle_s >= duration:
         timeline.complain(step, "settle_s", f"{content.settle_s:g} s: less than {duration:g} s was expected")
     keys = content.model_dump(exclude_none=True, exclude={"role", "settle_s", "duration_s"})
-    told = {key: value for key, value in keys.items() if isinstance(value, float | int | str)}
-    told |= {"role": content.role, "repeat": pass_number}
-    timeline.segment(step, content.kind, duration, {content.role: samples}, told, content.settle_s)
+    parameters = {key: value for key, value in keys.items() if isinstance(value, float | int | str)}
+    parameters |= {"role": content.role, "repeat": pass_number}
+    timeline.segment(step, content.kind, duration, {content.role: samples}, parameters, content.settle_s)
     timeline.roles[content.role].goes_to(float(samples.values[-1]))
 
 
 def _samples(timeline: Timeline, step: ProtocolStep, content: Any, spelling: Spelling) -> Samples | None:
-    """Sample a signal at the rate of its references, once for all passes that have the same."""
+    """Sample a signal at the rate of its setpoints; None, with faults, if it cannot be made."""
     import numpy as np
 
     rate = content.reference_Hz or timeline.rate_hz

@@ -1,4 +1,4 @@
-"""Signals: setpoints that are sampled at the control loop's rate, each held until the next.
+"""Signals: setpoints sampled at the rate of the control loop, each held until the next.
 
     kind        keys besides role, kind, duration_s, offset_*, settle_s, reference_Hz
     step        from_current_A (or as the mode asks), to_current_A, at_s; no offset
@@ -8,11 +8,11 @@
     noise       std_*, cutoff_Hz, order, seed, fresh: true | false
     csv         path, column; see trajectory.py; no duration and no offset
 
-The amplitude of a multisine is the peak of the whole sum over its duration. The standard deviation of noise is that of
-the filtered signal over its duration; the Butterworth filter starts at rest, so that noise begins without a jump. Noise
-and random phases come from their seed alone: a signal inside a `repeat` is the same each time, except that noise that
-is to be `fresh` counts its seed up with every pass. With `reference_Hz`, as of a host that is slower than the record,
-new setpoints come at that rate on average, each in the first cycle in which it is due.
+The amplitude of a multisine is the peak of the sum over its duration. The standard deviation of noise is that of the
+filtered signal over its duration; the Butterworth filter starts at rest, so that noise begins without a jump. Noise and
+random phases depend on their seed only: a signal inside a `repeat` is the same in each pass, except for `fresh` noise,
+whose seed increases by one with every pass. `reference_Hz` emulates a host that is slower than the recording: new
+setpoints come at that rate on average, each in the first cycle in which it is due.
 """
 # ruff: noqa: N815 (a unit keeps its letter)
 
@@ -35,7 +35,7 @@ MAX_TERMS = 200_000_000  # samples times frequencies of a multisine: a few secon
 
 
 class ProtocolSignal(Driven):
-    """What every signal has."""
+    """Keys of every signal."""
 
     kind: str
     role: Role
@@ -43,19 +43,19 @@ class ProtocolSignal(Driven):
     reference_Hz: Frequency | None = None
 
     def in_pass(self, number: int) -> "ProtocolSignal":
-        """The signal as this pass of a repeat has it, counted from 1."""
+        """The signal in a pass of a repeat, counted from 1."""
         return self
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """Keys that do not go with the loop's rate, and why."""
+        """Keys at fault for the rate of the setpoints, with reasons."""
         yield from ()
 
     def values(self, times: "Array", spelling: Spelling) -> "Array":
-        """Setpoints at these times.
+        """Setpoints (n,) at times (n,) [s].
 
         Raises
         ------
-        ValueError : the signal cannot be made of these numbers.
+        ValueError : no signal exists for these parameters.
         """
         raise NotImplementedError
 
@@ -85,12 +85,12 @@ class StepSignal(ProtocolSignal):
     duration_s: Duration
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """The jump must lie inside."""
+        """Fault if the jump is not before the end."""
         if not self.at_s < self.duration_s:
             yield "at_s", f"{self.at_s:g} s: less than duration_s ({self.duration_s:g} s) was expected"
 
     def values(self, times: "Array", spelling: Spelling) -> "Array":
-        """One level before the jump, the other from it on."""
+        """The first level before the jump, the second from it on."""
         import numpy as np
 
         before, after = self.given(spelling, "from_setpoint"), self.given(spelling, "to_setpoint")
@@ -99,7 +99,7 @@ class StepSignal(ProtocolSignal):
 
 
 class OffsetSignal(ProtocolSignal):
-    """A signal around an offset, zero where none is given."""
+    """A signal around an offset, 0 by default."""
 
     takes = ("offset",)
     duration_s: Duration
@@ -108,7 +108,7 @@ class OffsetSignal(ProtocolSignal):
     offset_rad: Setpoint | None = None
 
     def values(self, times: "Array", spelling: Spelling) -> "Array":
-        """Offset and what goes on around it."""
+        """Offset plus the signal around it."""
         values: Array = self.around(times, spelling) + float(self.given(spelling, "offset") or 0.0)
         return values
 
@@ -118,7 +118,7 @@ class OffsetSignal(ProtocolSignal):
 
 
 class AmplitudeSignal(OffsetSignal):
-    """A signal with an amplitude, the largest distance from its offset."""
+    """A signal with an amplitude, its largest deviation from the offset."""
 
     needs = ("amplitude",)
     amplitude_A: Amount | None = None
@@ -127,18 +127,18 @@ class AmplitudeSignal(OffsetSignal):
 
 
 class SineSignal(AmplitudeSignal):
-    """One frequency."""
+    """A sine of one frequency."""
 
     kind: Literal["sine"]
     frequency_Hz: Frequency
     phase_rad: Setpoint = 0.0
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """The loop must be fast enough."""
+        """Faults for frequencies of half the rate or more."""
         yield from self._below_half(rate_hz, "frequency_Hz")
 
     def around(self, times: "Array", spelling: Spelling) -> "Array":
-        """A sine that begins at its phase."""
+        """The sine, starting at its phase."""
         import numpy as np
 
         wave: Array = np.sin(2 * math.pi * self.frequency_Hz * times + self.phase_rad)
@@ -146,7 +146,7 @@ class SineSignal(AmplitudeSignal):
 
 
 class ChirpSignal(AmplitudeSignal):
-    """A frequency that glides, in equal steps or in equal ratios."""
+    """A sine whose frequency changes linearly or exponentially with time."""
 
     kind: Literal["chirp"]
     from_Hz: Frequency
@@ -154,7 +154,7 @@ class ChirpSignal(AmplitudeSignal):
     spacing: Literal["linear", "log"] = "linear"
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """The loop must be fast enough."""
+        """Faults for frequencies of half the rate or more."""
         yield from self._below_half(rate_hz, "from_Hz", "to_Hz")
 
     def around(self, times: "Array", spelling: Spelling) -> "Array":
@@ -172,7 +172,7 @@ class ChirpSignal(AmplitudeSignal):
 
 
 class MultisineSignal(AmplitudeSignal):
-    """Many frequencies of one amplitude at once."""
+    """A sum of sines of equal amplitude."""
 
     kind: Literal["multisine"]
     frequencies_Hz: Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=1000)] | None = None
@@ -183,7 +183,7 @@ class MultisineSignal(AmplitudeSignal):
     seed: Seed = 0
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """Either way of naming the frequencies, and a loop that is fast enough."""
+        """Faults in the choice of frequencies, and for frequencies of half the rate or more."""
         band = (self.from_Hz, self.to_Hz, self.count)
         if (self.frequencies_Hz is None) == (None in band) and any(item is not None for item in band):
             yield "from_Hz", "from_Hz, to_Hz and count together, or frequencies_Hz alone, were expected"
@@ -211,7 +211,7 @@ class MultisineSignal(AmplitudeSignal):
         return [first + (last - first) * index / (count - 1) for index in range(count)]
 
     def around(self, times: "Array", spelling: Spelling) -> "Array":
-        """The sum, scaled to its peak; Schroeder's phases (1970) keep that peak low for a flat spectrum."""
+        """The sum, scaled to its peak; Schroeder's phases (1970) keep the peak of a flat spectrum low."""
         import numpy as np
 
         frequencies = self._frequencies()
@@ -229,7 +229,7 @@ class MultisineSignal(AmplitudeSignal):
 
 
 class NoiseSignal(OffsetSignal):
-    """Gaussian noise behind a Butterworth low pass."""
+    """Gaussian noise through a Butterworth low-pass filter."""
 
     kind: Literal["noise"]
     needs = ("std",)
@@ -242,15 +242,15 @@ class NoiseSignal(OffsetSignal):
     fresh: Annotated[bool, Field(strict=True)] = False
 
     def in_pass(self, number: int) -> ProtocolSignal:
-        """Each pass has noise of its own where it is to be fresh."""
+        """With `fresh`, each pass has another seed."""
         return self.model_copy(update={"seed": self.seed + number - 1}) if self.fresh else self
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """The loop must be fast enough."""
+        """Faults for frequencies of half the rate or more."""
         yield from self._below_half(rate_hz, "cutoff_Hz")
 
     def around(self, times: "Array", spelling: Spelling) -> "Array":
-        """Filtered in second-order sections: a single polynomial of order 35 is unstable in double precision."""
+        """The noise, filtered in second-order sections: a polynomial of order 35 is unstable in double precision."""
         import numpy as np
         from scipy.signal import butter, sosfilt
 
@@ -268,7 +268,7 @@ class NoiseSignal(OffsetSignal):
 
 
 class CsvSignal(ProtocolSignal):
-    """A trajectory from a file, relative to the protocol's folder."""
+    """A trajectory from a CSV file; its path is relative to the protocol's folder."""
 
     kind: Literal["csv"]
     path: Annotated[str, Field(min_length=1, max_length=500)]

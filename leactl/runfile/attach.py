@@ -47,13 +47,13 @@ class AlignedRecord:
         device_times = (self.time[[0, -1]] - self.alignment.offset) / self.alignment.rate
         return max(self.alignment.uncertainty(float(stamp)) for stamp in device_times)
 
-    def told(self) -> list[str]:
+    def summary_lines(self) -> list[str]:
         """Lines for people: remarks on the record, the alignment, its uncertainty, and the rows kept and left out."""
         middle = float(np.mean((self.time[[0, -1]] - self.alignment.offset) / self.alignment.rate))
         rows = f"{len(self.time)} rows, {self.time[0]:.6g} to {self.time[-1]:.6g} s of the run"
         outside = f"; {self.left_out} rows outside the run left out" if self.left_out else ""
         worst = f"stamps are good to {self.uncertainty:.2g} s (95 %)"
-        return [*self.record.told, self.alignment.told(middle), worst, rows + outside]
+        return [*self.record.remarks, self.alignment.describe(middle), worst, rows + outside]
 
     def as_json(self) -> dict[str, Any]:
         """The same facts as a JSON object."""
@@ -61,7 +61,7 @@ class AlignedRecord:
             "stream": self.record.stream,
             "rows": len(self.time),
             "rows_left_out": self.left_out,
-            "told": list(self.record.told),
+            "told": list(self.record.remarks),
             "alignment": {
                 "method": self.alignment.method,
                 "offset_s": self.alignment.offset,
@@ -139,7 +139,7 @@ def alignment_of(record: FileRecord, clock: RecordClock, run: Run) -> Alignment:
             f"{record.files[0]}: {clock.onset.channel} shows no onset within {clock.onset.within_s:g} s of a jump of"
             f" {clock.onset.against} by {clock.onset.jump:g} {reference.units}, at offsets around {near:.6g} s"
         )
-    times = ", ".join(f"{tie.run:.3f} s" for tie in ties[:4])
+    times = ", ".join(f"{tie.run_time:.3f} s" for tie in ties[:4])
     return fit_alignment(
         f"onset of {reference_settings.channel} at jumps of {reference_settings.against} ({times})",
         ties,
@@ -217,7 +217,7 @@ def attach(path: Path, joined: AlignedRecord, settings: Mapping[str, Any], drive
             del streams[record.stream]
         write_stream(streams, joined, attributes, checked)
         names = ", ".join(source.name for source in record.files)
-        note = f"stream {record.stream} attached from {names}: {joined.alignment.told()}"
+        note = f"stream {record.stream} attached from {names}: {joined.alignment.describe()}"
         add_note(file, note, "leactl runs attach")
 
     amend(path, change, apart_from=(f"/streams/{record.stream}",))
@@ -263,7 +263,7 @@ def provenance(joined: AlignedRecord, settings: Mapping[str, Any], driver: str) 
         "record_sha256": many,  # of several files: of their checksums one after the other
         "record_driver": driver,
         "record_settings": json.dumps(settings, ensure_ascii=False)[:MOST_TOLD],
-        "record_told": "\n".join(joined.told()).encode()[:MOST_TOLD].decode("utf-8", "ignore"),
+        "record_told": "\n".join(joined.summary_lines()).encode()[:MOST_TOLD].decode("utf-8", "ignore"),
         "record_rows_left_out": joined.left_out,
         "alignment_method": alignment.method,
         "alignment_offset_s": alignment.offset,

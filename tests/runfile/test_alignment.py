@@ -244,7 +244,7 @@ def pulses(*edges):
 def test_heat_that_lasts_shorter_than_the_search_reaches_is_not_mistaken_for_cooling(sign, leads):
     own, seen, base, current = pulses(8.1, 20.2)
     ties = ties_by_onset(own, 50.0 + sign * seen, base, leads * current, 4.0, 0.0, 60.0, 5.0)
-    assert [tie.run - tie.own for tie in ties] == pytest.approx([-7.0, -7.0], abs=0.15)
+    assert [tie.run_time - tie.device_time for tie in ties] == pytest.approx([-7.0, -7.0], abs=0.15)
 
 
 def test_onsets_that_do_not_belong_together_are_refused():
@@ -262,4 +262,4 @@ def test_a_camera_that_sees_nothing_has_no_onset():
 def test_a_jump_over_two_samples_is_one_and_a_missing_sample_is_none():
     time = np.arange(8.0)
     values = np.array([0.0, 0.0, 5.0, 9.0, 9.0, np.nan, 9.0, 0.0])
-    assert [(tie.run, round(tie.sd, 3)) for tie in jumps(time, values, 4.0)] == [(1.5, 0.289), (6.5, 0.289)]
+    assert [(tie.run_time, round(tie.sd, 3)) for tie in jumps(time, values, 4.0)] == [(1.5, 0.289), (6.5, 0.289)]

@@ -161,7 +161,7 @@ def test_check_tells_and_changes_nothing(run, export, bench):
 
 def test_rows_outside_the_run_are_left_out_and_told(run, export, bench):
     found = attach(run, export(elapsed, frames=2400), bench({"offset_s": -10.0, "offset_within_s": 0.2}))
-    assert "1799 rows, 0 to 59.933 s of the run; 601 rows outside" in found.told()[-1]  # of -10 to 70 s
+    assert "1799 rows, 0 to 59.933 s of the run; 601 rows outside" in found.summary_lines()[-1]  # of -10 to 70 s
     with Run.open(run) as opened:
         assert opened.rows["camera"] == 1799
         assert opened.time("camera")[0] >= 0.0

@@ -1,7 +1,7 @@
-"""How a text table of another program is written, and numbers out of its cells: every reading there is, never a guess.
+"""Settings of a text table, and the numbers of its cells: decimal and thousands marks are inferred only if unambiguous.
 
-A cell such as `1,234` has two readings. Those of all cells of a file are held against each other; where more than one
-is left and they differ, the file is refused and the setting named that decides.
+A cell such as `1,234` has two readings. A number format has to read all cells of a file; if several formats do and give
+different values, the file is refused, and the message names the setting that decides.
 """
 
 import re
@@ -28,7 +28,7 @@ Mark = Annotated[str, StringConstraints(strict=True)]
 
 
 class TableFormat(DriverSettings):
-    """How the file is written; what is left out is found in the file, or refused where it cannot be."""
+    """How a text table is written; a setting that is None is detected, and an ambiguous file is refused."""
 
     encoding: Literal["utf-8", "utf-16", "utf-16-le", "utf-16-be", "gbk", "cp1252"] | None = None
     delimiter: Literal[",", ";", "\t", "|"] | None = None
@@ -44,13 +44,13 @@ class TableFormat(DriverSettings):
 
 
 class NumberFormat(NamedTuple):
-    """Decimal and thousands marks of a file."""
+    """Decimal mark and thousands mark of a file."""
 
     decimal: str
     thousands: str
 
     def value(self, text: str) -> float | None:
-        """What the text says; None where it is no number of this convention."""
+        """The number that a text stands for; None if it is no number in this format."""
         mantissa, _, exponent = text.replace("E", "e").partition("e")
         sign = -1.0 if mantissa.startswith("-") else 1.0
         whole, mark, fraction = mantissa.lstrip("+-").strip().partition(self.decimal)
@@ -70,81 +70,83 @@ class NumberFormat(NamedTuple):
 
 
 class NumberCell(NamedTuple):
-    """A cell taken apart; `number` is empty where nothing was measured."""
+    """Parts of a cell; `number` is empty for a missing sample."""
 
     number: str
     unit: str = ""
-    outside: str = ""  # ">" or "<": the sensor's range ends there
+    outside: str = ""  # ">" or "<" before the number: beyond the sensor's range
 
 
 class Numbers(NamedTuple):
     """The numbers of one column."""
 
     values: Array  # NaN where missing or out of range
-    units: tuple[str, ...]  # that stand in its cells; "" for cells without
+    units: tuple[str, ...]  # units in its cells; "" for cells without one
     missing: int
-    outside: dict[str, int]  # over-range marks as they stand, and how often
+    outside: dict[str, int]  # count of each over-range cell
 
 
 def take_apart(text: str, missing: frozenset[str]) -> NumberCell | None:
-    """The parts of a cell; None where it is neither a number nor a mark of nothing."""
+    """Split a cell into its parts; None if it is neither a number nor a mark for a missing sample."""
     plain = text.translate(SPACES).strip()
     if plain in missing:
         return NumberCell("")
-    found = CELL.fullmatch(plain)
-    if found is None:
+    match = CELL.fullmatch(plain)
+    if match is None:
         return None
-    return NumberCell(found["number"].strip(), (found["unit"] or "").strip(), (found["outside"] or "")[:1])
+    return NumberCell(match["number"].strip(), (match["unit"] or "").strip(), (match["outside"] or "")[:1])
 
 
 def read_numbers(
     columns: Mapping[str, Sequence[str]],
     form: TableFormat,
-    place: Where,
+    cell_name: Where,
     bounds: Mapping[str, tuple[float, float]],
 ) -> tuple[dict[str, Numbers], NumberFormat]:
-    """The numbers of columns of text that were written in one convention.
+    """Read columns of text that have one number format.
 
     Parameters
     ----------
     columns : cells by heading.
-    place : says where a row of a column stands.
-    bounds : lowest and highest value that a column can hold, where that is known, to tell readings apart.
+    cell_name : function of heading and row that returns file, line and column for messages.
+    bounds : lowest and highest possible value of a column, by heading, which excludes some formats.
 
     Raises
     ------
-    InputError : a cell that is no number, no convention that reads all, or several that read them differently.
+    InputError : a cell is no number, no format reads all cells, or several formats give different values.
     """
     missing = frozenset(mark.translate(SPACES).strip() for mark in form.missing)
-    parts: dict[str, dict[str, NumberCell]] = {}
+    cells_by_text: dict[str, dict[str, NumberCell]] = {}
     faults: list[str] = []
     for heading, cells in columns.items():
-        parts[heading] = {}
+        cells_by_text[heading] = {}
         for text in dict.fromkeys(cells):
             cell = take_apart(text, missing)
             if cell is not None:
-                parts[heading][text] = cell
+                cells_by_text[heading][text] = cell
             elif len(faults) < 5:
-                told = f"{text!r} is not a number; if it marks a missed sample, add it to missing"
-                faults.append(f"{place(heading, cells.index(text))}: {told}")
+                message = f"{text!r} is not a number; if it marks a missed sample, add it to missing"
+                faults.append(f"{cell_name(heading, cells.index(text))}: {message}")
     if faults:
         raise InputError(faults)
     readings = [
         (convention, values)
-        for convention in conventions(form, parts)
-        if (values := read_as(convention, parts, bounds)) is not None
+        for convention in conventions(form, cells_by_text)
+        if (values := read_as(convention, cells_by_text, bounds)) is not None
     ]
     if not readings:
-        raise InputError(unreadable(columns, form, parts, place, bounds))
+        raise InputError(unreadable(columns, form, cells_by_text, cell_name, bounds))
     convention, values = readings[0]
     for other, different in readings[1:]:
-        refuse_difference(columns, place, (convention, values), (other, different))
-    return {heading: numbers(cells, parts[heading], values[heading]) for heading, cells in columns.items()}, convention
+        refuse_difference(columns, cell_name, (convention, values), (other, different))
+    return {
+        heading: numbers(cells, cells_by_text[heading], values[heading]) for heading, cells in columns.items()
+    }, convention
 
 
-def conventions(form: TableFormat, parts: Mapping[str, Mapping[str, NumberCell]]) -> Iterator[NumberFormat]:
-    """Those that the settings allow; a mark that stands nowhere makes no convention of its own."""
-    used = set("".join(cell.number for cells in parts.values() for cell in cells.values()))
+def conventions(form: TableFormat, cells_by_text: Mapping[str, Mapping[str, NumberCell]]) -> Iterator[NumberFormat]:
+    """Number formats that the settings allow and whose thousands mark occurs in a cell."""
+    used = set("".join(cell.number for cells in cells_by_text.values() for cell in cells.values()))
     for decimal in (".", ",") if form.decimal is None else (form.decimal,):
         for thousands in ("", *THOUSANDS) if form.thousands is None else (form.thousands,):
             if thousands != decimal and (thousands in used or not thousands or form.thousands is not None):
@@ -153,12 +155,12 @@ def conventions(form: TableFormat, parts: Mapping[str, Mapping[str, NumberCell]]
 
 def read_as(
     convention: NumberFormat,
-    parts: Mapping[str, Mapping[str, NumberCell]],
+    cells_by_text: Mapping[str, Mapping[str, NumberCell]],
     bounds: Mapping[str, tuple[float, float]],
 ) -> dict[str, dict[str, float]] | None:
-    """Every distinct cell in this convention; None where one of them is no number, or cannot be."""
+    """Value of every distinct cell in one format; None if a cell is no number in it or is out of bounds."""
     read: dict[str, dict[str, float]] = {}
-    for heading, cells in parts.items():
+    for heading, cells in cells_by_text.items():
         low, high = bounds.get(heading, (-np.inf, np.inf))
         column = read[heading] = {}
         for text, cell in cells.items():
@@ -174,32 +176,32 @@ def read_as(
 
 def refuse_difference(
     columns: Mapping[str, Sequence[str]],
-    place: Where,
-    one: tuple[NumberFormat, Mapping[str, Mapping[str, float]]],
+    cell_name: Where,
+    first: tuple[NumberFormat, Mapping[str, Mapping[str, float]]],
     other: tuple[NumberFormat, Mapping[str, Mapping[str, float]]],
 ) -> None:
-    """Refuse a file that two conventions read differently, with the first cell where they do."""
+    """Raise InputError if two formats give different values, with the first cell where they differ."""
     for heading, cells in columns.items():
-        for text, value in one[1][heading].items():
+        for text, value in first[1][heading].items():
             second = other[1][heading][text]
             if value != second and not np.isnan(value):
-                where = place(heading, cells.index(text))
-                key = "decimal" if one[0].decimal != other[0].decimal else "thousands"
+                where = cell_name(heading, cells.index(text))
+                key = "decimal" if first[0].decimal != other[0].decimal else "thousands"
                 raise InputError(f"{where}: {text!r} reads {value:.15g} or {second:.15g}; {key} decides")
 
 
 def unreadable(
     columns: Mapping[str, Sequence[str]],
     form: TableFormat,
-    parts: Mapping[str, Mapping[str, NumberCell]],
-    place: Where,
+    cells_by_text: Mapping[str, Mapping[str, NumberCell]],
+    cell_name: Where,
     bounds: Mapping[str, tuple[float, float]],
 ) -> str:
-    """Why no convention reads every cell: the one that comes furthest, and where it ends."""
-    furthest, told = -1, ""
-    for convention in conventions(form, parts):
+    """Message for a file that no format reads: the first failing cell of the format that reads most cells."""
+    furthest, message = -1, ""
+    for convention in conventions(form, cells_by_text):
         passed = 0
-        for heading, cells in parts.items():
+        for heading, cells in cells_by_text.items():
             low, high = bounds.get(heading, (-np.inf, np.inf))
             for text, cell in cells.items():
                 value = convention.value(cell.number) if cell.number else 0.0
@@ -207,26 +209,28 @@ def unreadable(
                     if passed > furthest:
                         why = "is no number" if value is None else f"is {value:g}, outside {low:g} to {high:g},"
                         furthest = passed
-                        told = f"{place(heading, columns[heading].index(text))}: {text!r} {why} with {convention}"
+                        message = (
+                            f"{cell_name(heading, columns[heading].index(text))}: {text!r} {why} with {convention}"
+                        )
                     break
                 passed += 1
             else:
                 continue
             break
-    return f"{told}; no decimal and thousands mark reads every number of the file"
+    return f"{message}; no decimal and thousands mark reads every number of the file"
 
 
-def numbers(cells: Sequence[str], parts: Mapping[str, NumberCell], values: Mapping[str, float]) -> Numbers:
-    """The column, its over-range marks turned into NaN and counted."""
-    marks = {text for text, cell in parts.items() if cell.outside}
-    nothing = {text for text, cell in parts.items() if not cell.number}
+def numbers(cells: Sequence[str], cells_by_text: Mapping[str, NumberCell], values: Mapping[str, float]) -> Numbers:
+    """Build a column; over-range cells become NaN and are counted."""
+    marks = {text for text, cell in cells_by_text.items() if cell.outside}
+    missing_texts = {text for text, cell in cells_by_text.items() if not cell.number}
     known = {text: np.nan if text in marks else value for text, value in values.items()}
     outside: dict[str, int] = {}
     missing = 0
-    if marks or nothing:
+    if marks or missing_texts:
         for text in cells:
             if text in marks:
                 outside[text.strip()] = outside.get(text.strip(), 0) + 1
-            missing += text in nothing
-    units = tuple(sorted({cell.unit for cell in parts.values() if cell.number}))
+            missing += text in missing_texts
+    units = tuple(sorted({cell.unit for cell in cells_by_text.values() if cell.number}))
     return Numbers(np.array([known[text] for text in cells], np.float64), units, missing, outside)

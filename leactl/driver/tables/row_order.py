@@ -1,6 +1,6 @@
-"""Rows of a foreign record in order of time: rows that came twice or went back, frames that never came.
+"""Put the rows of a record in order of time: doubled rows, backward stamps and missing frames.
 
-Nothing is put in a gap and nothing is moved: a row is kept as it is or left out, and either is told.
+No row is invented or moved: a row is kept or left out, and a remark says which.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from leactl.errors import InputError
 Array = npt.NDArray[np.float64]
 GAP = 1.5  # of the usual interval
 FEWEST = 10  # rows or seconds that a rule is read from
-COARSE = 0.2  # share of stamps that stand twice, above which the clock is coarser than the frames
+COARSE = 0.2  # share of repeated stamps above which the stamps are taken to be coarser than the frames
 
 
 class Ordered(NamedTuple):
@@ -22,7 +22,7 @@ class Ordered(NamedTuple):
 
     time: Array
     values: Array
-    told: list[str]
+    remarks: list[str]
 
 
 def in_order(
@@ -33,69 +33,74 @@ def in_order(
     resolution: float = 0.0,
     frame_rate: float | None = None,
 ) -> Ordered:
-    """Rows in order of time, and what was found on the way.
+    """Put rows in strictly increasing order of time, with remarks on what was left out.
 
     Parameters
     ----------
-    time : (n,) s as read, not yet in order.
+    time : (n,), s, as read.
     values : (n, channels).
-    where : says where a row stands.
+    where : function of a row that returns file and line for messages.
     frame_rate : Hz, of a camera whose stamps are coarser than its frames.
 
     Raises
     ------
-    InputError : a row without a stamp, stamps that go back, one stamp for several different rows.
+    InputError : a row without a stamp, a backward stamp, or one stamp for rows with different values.
     """
-    lacking = np.flatnonzero(~np.isfinite(time))
-    if len(lacking):
-        raise InputError(f"{where(int(lacking[0]))}: no stamp ({len(lacking)} such rows)")
-    told: list[str] = []
-    ahead = np.maximum.accumulate(time)
-    back = np.flatnonzero(time < ahead)
-    if len(back) and backward == "refuse":
-        row = int(back[0])
+    without_stamp = np.flatnonzero(~np.isfinite(time))
+    if len(without_stamp):
+        raise InputError(f"{where(int(without_stamp[0]))}: no stamp ({len(without_stamp)} such rows)")
+    remarks: list[str] = []
+    latest = np.maximum.accumulate(time)
+    backward_rows = np.flatnonzero(time < latest)
+    if len(backward_rows) and backward == "refuse":
+        row = int(backward_rows[0])
         step = time[row - 1] - time[row]
         half_day = "; a 12-hour clock without AM/PM?" if 11 * 3600 < step < 12.1 * 3600 else ""
         raise InputError(
-            f"{where(row)}: the stamp goes back by {step:.6g} s ({len(back)} rows lie behind one before them){half_day}"
+            f"{where(row)}: the stamp goes back by {step:.6g} s"
+            f" ({len(backward_rows)} rows lie behind one before them){half_day}"
             "; time.backward: leave_out leaves them out"
         )
-    if len(back):
-        told.append(f"{len(back)} rows whose stamps go back, from {where(int(back[0]))}: left out")
-        time, values = np.delete(time, back), np.delete(values, back, axis=0)
-    same = np.diff(time) == 0
-    if len(same) >= FEWEST and same.mean() > COARSE:
+    if len(backward_rows):
+        remarks.append(f"{len(backward_rows)} rows whose stamps go back, from {where(int(backward_rows[0]))}: left out")
+        time, values = np.delete(time, backward_rows), np.delete(values, backward_rows, axis=0)
+    repeats = np.diff(time) == 0
+    if len(repeats) >= FEWEST and repeats.mean() > COARSE:
         time = spread(time, resolution, frame_rate, where)
-        told.append(f"{int(same.sum())} rows share a stamp with the one before: placed at {frame_rate:g} Hz")
-        same = np.zeros(len(same), bool)
-    twice = np.flatnonzero(same) + 1
-    alike = alike_rows(values)
-    if len(twice):
-        different = twice[~alike[twice - 1]]
+        remarks.append(f"{int(repeats.sum())} rows share a stamp with the one before: placed at {frame_rate:g} Hz")
+        repeats = np.zeros(len(repeats), bool)
+    doubled = np.flatnonzero(repeats) + 1
+    repeated_values = alike_rows(values)
+    if len(doubled):
+        different = doubled[~repeated_values[doubled - 1]]
         if len(different):
             hint = "are stamps coarser than frames? time.frame_rate_Hz places them"
             raise InputError(f"{where(int(different[0]))}: the stamp stands twice, over different values; {hint}")
-        told.append(f"{len(twice)} rows doubled, the first at {where(int(twice[0]))}: left out")
-        time, values, alike = np.delete(time, twice), np.delete(values, twice, axis=0), np.delete(alike, twice - 1)
-    told += gaps(time)
-    if values.shape[1] > 1 and alike.any():
-        told.append(f"{int(alike.sum())} rows repeat the one before in every column")
-    return Ordered(time, values, told)
+        remarks.append(f"{len(doubled)} rows doubled, the first at {where(int(doubled[0]))}: left out")
+        time, values, repeated_values = (
+            np.delete(time, doubled),
+            np.delete(values, doubled, axis=0),
+            np.delete(repeated_values, doubled - 1),
+        )
+    remarks += gaps(time)
+    if values.shape[1] > 1 and repeated_values.any():
+        remarks.append(f"{int(repeated_values.sum())} rows repeat the one before in every column")
+    return Ordered(time, values, remarks)
 
 
 def alike_rows(values: Array) -> npt.NDArray[np.bool_]:
-    """Which rows, from the second on, hold what the one before holds; a row of nothing holds nothing."""
+    """Mask (n - 1,) of rows that equal the row before in every column; rows of only NaN do not count."""
     before, after = values[:-1], values[1:]
-    found: npt.NDArray[np.bool_] = ((before == after) | (np.isnan(before) & np.isnan(after))).all(axis=1)
-    return found & np.isfinite(after).any(axis=1)
+    equal: npt.NDArray[np.bool_] = ((before == after) | (np.isnan(before) & np.isnan(after))).all(axis=1)
+    return equal & np.isfinite(after).any(axis=1)
 
 
 def spread(time: Array, resolution: float, frame_rate: float | None, where: Callable[[int], str]) -> Array:
-    """Stamps that were cut to a coarse unit, placed by counting frames.
+    """Replace stamps of a coarse resolution by counting frames at a constant rate.
 
     Raises
     ------
-    InputError : no frame rate is known, or counting from it leaves a stamp's own unit: frames are missing.
+    InputError : no frame rate is given, or the counted times leave the resolution of the stamps: frames are missing.
     """
     if frame_rate is None:
         raise InputError(f"{where(1)}: stamps are coarser than frames; time.frame_rate_Hz places them")
@@ -118,7 +123,7 @@ def spread(time: Array, resolution: float, frame_rate: float | None, where: Call
 
 
 def gaps(time: Array) -> list[str]:
-    """Where frames are missing."""
+    """Remarks on the usual interval, and on gaps with the estimated number of missing frames."""
     if len(time) < 3:
         return []
     steps = np.diff(time)
@@ -128,5 +133,5 @@ def gaps(time: Array) -> list[str]:
         return [f"one row each {usual:.4g} s"]
     missing = int(np.sum(np.round(steps[wide] / usual) - 1))
     longest = wide[int(np.argmax(steps[wide]))]
-    told = f"the longest {steps[longest]:.4g} s, {time[longest] - time[0]:.6g} s after the first row"
-    return [f"one row each {usual:.4g} s", f"{len(wide)} gaps, about {missing} frames missing, {told}"]
+    longest_gap = f"the longest {steps[longest]:.4g} s, {time[longest] - time[0]:.6g} s after the first row"
+    return [f"one row each {usual:.4g} s", f"{len(wide)} gaps, about {missing} frames missing, {longest_gap}"]

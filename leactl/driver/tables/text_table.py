@@ -1,7 +1,7 @@
-"""Text files of other programs as tables: encoding and delimiter found, headings looked up, every row accounted for.
+"""Read text files of other programs as tables: detect encoding and delimiter, find the headings, check every row.
 
-The settings name the columns that are wanted. The delimiter is the one under which a line holds all of those headings,
-so that a file of another layout is refused and not read askew.
+The caller names the headings that it needs. The delimiter is the one under which some line has all of them, so that a
+file of another layout is refused.
 """
 
 import codecs
@@ -32,7 +32,7 @@ ASIDE = re.compile(r"\s*([^\W\d][^:=]*?)\s*[:=]\s*(.*)", re.DOTALL)  # `Emissivi
 
 @dataclass
 class Aside:
-    """A line that says something beside the table: `Emissivity: 0.95`."""
+    """A line outside the table with a name and a value: `Emissivity: 0.95`."""
 
     line: int
     name: str
@@ -48,24 +48,26 @@ class Table:
     rows: list[list[str]] = field(default_factory=list)
     lines: array = field(default_factory=lambda: array("q"))  # type: ignore[type-arg]
     asides: list[Aside] = field(default_factory=list)
-    told: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
     repeated_headers: int = 0
 
     def place(self, heading: str, row: int) -> str:
-        """Where a cell stands, for messages."""
+        """File, line and column of a cell for messages."""
         return f"{self.path}: line {self.lines[row]}, column {heading!r}"
 
     def heading(self, wanted: str) -> str:
-        """The heading in full, unit and all.
+        """The full heading, with its unit, of a column.
 
         Raises
         ------
-        InputError : several columns are called so.
+        InputError : several columns have this name.
         """
-        found = [heading for heading in self.headings if wanted in called(heading)]
-        if len(found) > 1:
-            raise InputError(f"{self.path}: {wanted!r} stands over {len(found)} columns: {', '.join(map(repr, found))}")
-        return found[0]
+        matches = [heading for heading in self.headings if wanted in called(heading)]
+        if len(matches) > 1:
+            raise InputError(
+                f"{self.path}: {wanted!r} stands over {len(matches)} columns: {', '.join(map(repr, matches))}"
+            )
+        return matches[0]
 
     def column(self, wanted: str) -> list[str]:
         """Cells of one column."""
@@ -74,35 +76,35 @@ class Table:
 
 
 def called(heading: str) -> set[str]:
-    """What a column may be called: its heading as it stands, and without the unit in brackets."""
+    """Names of a column: its heading with and without the unit in brackets."""
     return {heading, UNIT_IN_BRACKETS.sub("", heading)}
 
 
 def unit_of(heading: str) -> str:
-    """The unit in brackets at the end of a heading; empty where there is none."""
-    found = UNIT_IN_BRACKETS.search(heading)
-    return found[1].strip() if found else ""
+    """The unit in brackets at the end of a heading; empty if there is none."""
+    match = UNIT_IN_BRACKETS.search(heading)
+    return match[1].strip() if match else ""
 
 
-def one_unit(heading: str, in_cells: Sequence[str], place: str) -> str:
-    """The unit that a heading or the numbers below it are written with; empty where none is.
+def one_unit(heading: str, in_cells: Sequence[str], column: str) -> str:
+    """The common unit of a heading and its cells; empty if neither has one.
 
     Raises
     ------
-    InputError : several units; `place` opens the message.
+    InputError : several units; the message begins with `column`.
     """
     named = sorted({unit_of(heading), *in_cells} - {""})
     if len(named) > 1:
-        raise InputError(f"{place} holds numbers in {' and '.join(named)}")
+        raise InputError(f"{column} holds numbers in {' and '.join(named)}")
     return "".join(named)
 
 
 def text_of(path: Path, encoding: str | None) -> tuple[str, str]:
-    """The text of a file and the encoding it is in: as told, by its byte order mark, or UTF-8 where it is that.
+    """Text and encoding of a file: by its byte order mark, else as stated, else detected as UTF-16 or UTF-8.
 
     Raises
     ------
-    InputError : absent, empty, too large, not in that encoding, or in one that only a person can name.
+    InputError : absent, empty, too large, not in the stated encoding, or in an encoding that cannot be detected.
     """
     try:
         with open_regular(path, MOST_BYTES) as stream:
@@ -112,14 +114,20 @@ def text_of(path: Path, encoding: str | None) -> tuple[str, str]:
         raise InputError(f"{path}: {error.strerror or error}{advice}") from None
     if not raw.strip(b"\0 \r\n\t"):
         raise InputError(f"{path}: {'empty' if not raw else 'holds nothing but blanks'}")
-    found = next((name for mark, name in BOMS if raw.startswith(mark)), None)
-    if found and encoding not in (None, found) and not (encoding == "utf-16" and found.startswith("utf-16")):
-        raise InputError(f"{path}: begins with the mark of {found}; encoding says {encoding}")
-    chosen = found or encoding or ("utf-16-le" if looks_like_utf16(raw) else "utf-8")
+    marked_encoding = next((name for mark, name in BOMS if raw.startswith(mark)), None)
+    if (
+        marked_encoding
+        and encoding not in (None, marked_encoding)
+        and not (encoding == "utf-16" and marked_encoding.startswith("utf-16"))
+    ):
+        raise InputError(f"{path}: begins with the mark of {marked_encoding}; encoding says {encoding}")
+    chosen = marked_encoding or encoding or ("utf-16-le" if looks_like_utf16(raw) else "utf-8")
     try:
         text = raw.decode(chosen)
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: {other_readings(raw, chosen, error.start, told=bool(found or encoding))}") from None
+        raise InputError(
+            f"{path}: {other_readings(raw, chosen, error.start, is_stated=bool(marked_encoding or encoding))}"
+        ) from None
     if len(text) > MOST_CHARACTERS:
         raise InputError(f"{path}: {len(text)} characters; at most {MOST_CHARACTERS} are read; export it in parts")
     text = text.removeprefix("\ufeff")
@@ -131,14 +139,14 @@ def text_of(path: Path, encoding: str | None) -> tuple[str, str]:
 
 
 def looks_like_utf16(raw: bytes) -> bool:
-    """Whether every second byte is NUL, as in Latin text of 16 bits that lost its mark."""
+    """Whether many odd bytes and no even byte are NUL, as in Latin text in UTF-16 without a byte order mark."""
     head = raw[: 1 << 12]
     return len(raw) % 2 == 0 and head[1::2].count(0) > 0.4 * len(head) and head[0::2].count(0) == 0
 
 
-def other_readings(raw: bytes, encoding: str, start: int, told: bool) -> str:
-    """What stands where the text is not in this encoding, in those that it may be in."""
-    if told:
+def other_readings(raw: bytes, encoding: str, start: int, is_stated: bool) -> str:
+    """Message for undecodable bytes: their line in other encodings, unless the encoding was stated."""
+    if is_stated:
         return f"not {encoding} at byte {start}"
     begin = raw.rfind(b"\n", 0, start) + 1
     line = raw[begin : begin + 60].split(b"\n")[0].rstrip(b"\r")
@@ -147,11 +155,11 @@ def other_readings(raw: bytes, encoding: str, start: int, told: bool) -> str:
 
 
 def read_table(path: Path, form: TableFormat, wanted: Sequence[str], every_row: bool = False) -> Table:
-    """Read the table that holds the wanted headings; with `every_row`, as where rows are the clock, empty ones count.
+    """Read the table with the wanted headings; with `every_row`, empty rows are kept because row numbers give the time.
 
     Raises
     ------
-    InputError : no such headings, more than one delimiter that would do, or rows of another width.
+    InputError : no line has the headings, several delimiters fit, or rows have another number of cells.
     """
     text, encoding = text_of(path, form.encoding)
     lines = text.splitlines(keepends=True)
@@ -159,20 +167,24 @@ def read_table(path: Path, form: TableFormat, wanted: Sequence[str], every_row: 
     if declared:
         first = 1
     candidates = [form.delimiter] if form.delimiter else [declared[1]] if declared else [*DELIMITERS]
-    found = [(delimiter, at) for delimiter in candidates if (at := header(lines, first, delimiter, wanted)) is not None]
-    if not found:
+    headers = [
+        (delimiter, at) for delimiter in candidates if (at := header(lines, first, delimiter, wanted)) is not None
+    ]
+    if not headers:
         raise InputError(f"{path}: {no_header(lines[first:], candidates, wanted)}")
-    if len(found) > 1:
-        names = " or ".join(NAMED.get(delimiter, repr(delimiter)) for delimiter, _ in found)
+    if len(headers) > 1:
+        names = " or ".join(NAMED.get(delimiter, repr(delimiter)) for delimiter, _ in headers)
         raise InputError(f"{path}: the headings are found with {names} between cells; delimiter decides")
-    delimiter, at = found[0]
+    delimiter, at = headers[0]
     table = Table(path, [])
-    table.told.append(f"{encoding}, {NAMED.get(delimiter, repr(delimiter))} between cells, headings in line {at + 1}")
+    table.remarks.append(
+        f"{encoding}, {NAMED.get(delimiter, repr(delimiter))} between cells, headings in line {at + 1}"
+    )
     for k, line in enumerate(lines[first:at], start=first + 1):
         note_aside(table, k, trimmed(line.split(delimiter)))
     fill(table, lines[at:], at, delimiter, every_row)
     if table.rows and not text.endswith(("\n", "\r")) and table.lines[-1] == len(lines):
-        table.told.append(f"the last row, line {table.lines.pop()}, has no end and may be cut: left out")
+        table.remarks.append(f"the last row, line {table.lines.pop()}, has no end and may be cut: left out")
         table.rows.pop()
     if not table.rows:
         raise InputError(f"{path}: no row below the headings of line {at + 1}")
@@ -188,7 +200,7 @@ def cells_of(line: str, delimiter: str) -> list[str]:
 
 
 def header(lines: Sequence[str], first: int, delimiter: str, wanted: Sequence[str]) -> int | None:
-    """The line that holds all wanted headings."""
+    """Index of the first line with all wanted headings; None if there is none."""
     needles = set(wanted)
     for at in range(first, min(len(lines), first + MOST_PREAMBLE)):
         if needles <= {name for cell in cells_of(lines[at], delimiter) for name in called(cell.strip())}:
@@ -197,7 +209,7 @@ def header(lines: Sequence[str], first: int, delimiter: str, wanted: Sequence[st
 
 
 def no_header(lines: Sequence[str], candidates: Sequence[str], wanted: Sequence[str]) -> str:
-    """What was looked for and what the likeliest line has instead."""
+    """Message for missing headings: those wanted, and the cells of the most similar line."""
     rows = [
         cells
         for delimiter in candidates
@@ -212,22 +224,22 @@ def no_header(lines: Sequence[str], candidates: Sequence[str], wanted: Sequence[
 
 
 def fill(table: Table, lines: Sequence[str], before: int, delimiter: str, every_row: bool) -> None:
-    """Read everything from the header on; each line is a row, a heading again, an aside, blank, or a fault."""
+    """Read all lines from the headings on; each is a row, repeated headings, an aside, blank, or a fault."""
     reader = csv.reader(lines, delimiter=delimiter)
     faults: list[str] = []
     uneven: tuple[int, int] | None = None  # line and cells of a row that only the file's end excuses
     try:
         headings = table.headings = trimmed(next(reader))
         if repeated := sorted({name for name in headings if name and headings.count(name) > 1}):
-            table.told.append(f"headings that stand twice: {', '.join(repeated)}")
-        width, rows, stamps = len(headings), table.rows, table.lines
+            table.remarks.append(f"headings that stand twice: {', '.join(repeated)}")
+        width, rows, line_numbers = len(headings), table.rows, table.lines
         empty: list[tuple[int, list[str]]] = []  # rows without a number, which count where others follow
-        ended = reader.line_num
+        last_line = reader.line_num
         for cells in reader:
-            if reader.line_num > ended + 1:
-                told = "a quote opens a cell that does not end in its line"
-                raise InputError(f"{table.path}: line {before + ended + 1}: {told}")
-            ended = reader.line_num
+            if reader.line_num > last_line + 1:
+                message = "a quote opens a cell that does not end in its line"
+                raise InputError(f"{table.path}: line {before + last_line + 1}: {message}")
+            last_line = reader.line_num
             plain = len(cells) == width and cells[0][:1].isdigit() and cells[0] != headings[0]
             if not plain:
                 filled = trimmed(cells)
@@ -248,11 +260,11 @@ def fill(table: Table, lines: Sequence[str], before: int, delimiter: str, every_
                     break
             for line, nothing in empty:
                 rows.append(nothing)
-                stamps.append(line)
+                line_numbers.append(line)
             empty.clear()
             if plain or len(filled) <= width <= len(cells):
                 rows.append(cells)
-                stamps.append(before + reader.line_num)
+                line_numbers.append(before + reader.line_num)
             else:
                 uneven = before + reader.line_num, len(cells)
     except csv.Error as error:
@@ -260,13 +272,13 @@ def fill(table: Table, lines: Sequence[str], before: int, delimiter: str, every_
     if uneven is not None and uneven[1] > width:
         faults.append(width_fault(table, *uneven, width))
     elif uneven is not None:
-        table.told.append(f"the last row, line {uneven[0]}, ends after {uneven[1]} of {width} cells: left out")
+        table.remarks.append(f"the last row, line {uneven[0]}, ends after {uneven[1]} of {width} cells: left out")
     if faults:
         raise InputError(faults)
 
 
 def trimmed(cells: Sequence[str]) -> list[str]:
-    """Cells without blanks around them and without the empty ones at the end."""
+    """Strip the cells and drop empty ones at the end."""
     kept = [cell.strip() for cell in cells]
     while kept and not kept[-1]:
         kept.pop()
@@ -274,17 +286,17 @@ def trimmed(cells: Sequence[str]) -> list[str]:
 
 
 def width_fault(table: Table, line: int, cells: int, width: int) -> str:
-    """A row of another width than the headings."""
+    """Message for a row with another number of cells than headings."""
     hint = "; is a decimal comma taken for the delimiter?" if cells > width else ""
     return f"{table.path}: line {line}: {cells} cells where {width} were expected{hint}"
 
 
 def note_aside(table: Table, line: int, cells: Sequence[str]) -> bool:
-    """Keep a line that says something beside the table; whether it is one."""
-    filled = [cell for cell in cells if cell]
-    found = ASIDE.fullmatch(filled[0].strip('"')) if 0 < len(filled) <= 2 else None
-    if found is None:
+    """Store a line of the form `name: value`; returns whether the line has that form."""
+    filled_cells = [cell for cell in cells if cell]
+    match = ASIDE.fullmatch(filled_cells[0].strip('"')) if 0 < len(filled_cells) <= 2 else None
+    if match is None:
         return False
-    value = found[2] or (filled[1] if len(filled) > 1 else "")
-    table.asides.append(Aside(line, found[1], value.strip()))
+    value = match[2] or (filled_cells[1] if len(filled_cells) > 1 else "")
+    table.asides.append(Aside(line, match[1], value.strip()))
     return True

@@ -1,4 +1,4 @@
-"""Text tables in the dialects of other programs, as their emulators write them."""
+"""Write text tables in the dialects of other programs, for their emulators."""
 
 import math
 from collections.abc import Sequence
@@ -22,13 +22,13 @@ class TableDialect:
     trailing: bool = False  # a delimiter at the end of each row
 
     def number(self, value: float) -> str:
-        """A number in this dialect; what is no number is the missing mark."""
+        """A number in this dialect; NaN becomes the mark for a missing sample."""
         if math.isnan(value):
             return self.missing
         return f"{value:,.{self.decimals}f}".translate({ord(","): self.thousands, ord("."): self.decimal})
 
     def cell(self, text: str) -> str:
-        """A cell, quoted where it would be cut."""
+        """A cell, quoted if it contains a delimiter or a quote."""
         if self.delimiter in text or '"' in text:
             return '"' + text.replace('"', '""') + '"'
         return text
@@ -39,17 +39,17 @@ class TableDialect:
         return self.delimiter.join(map(self.cell, cells)) + end + self.line_end
 
     def head(self) -> str:
-        """What stands before everything else."""
+        """The `sep=` line before the table, if the dialect has one."""
         return f"sep={self.delimiter}{self.line_end}" if self.sep_line else ""
 
     def encoded(self, text: str, begins: bool) -> bytes:
-        """Bytes of a part of the file; the mark of the byte order is at its beginning."""
+        """Encode a part of the file; the first part (`begins`) gets the byte order mark, if the dialect has one."""
         mark = "\ufeff" if begins and self.byte_order_mark else ""
         return (mark + text).encode(self.encoding)
 
 
 def new_export(folder: Path, name: str) -> Path:
-    """A path in the folder, made where it is absent, that no earlier export has: `name-1.csv`, `name-2.csv`."""
+    """An unused path `name-1.csv`, `name-2.csv` and so on in a folder, which is created if absent."""
     folder.mkdir(parents=True, exist_ok=True)
     number = 1
     while (path := folder / f"{name}-{number}.csv").exists():

@@ -30,8 +30,8 @@ LEAST_SD = 0.01  # of the sampling interval: between samples lies a straight lin
 class Tie(NamedTuple):
     """One moment on both clocks."""
 
-    own: float  # s
-    run: float  # s
+    device_time: float  # s
+    run_time: float  # s
     sd: float  # s, of their difference
 
 
@@ -59,7 +59,7 @@ class Alignment:
             self.systematic,
         )
 
-    def told(self, device_time: float = 0.0) -> str:
+    def describe(self, device_time: float = 0.0) -> str:
         """One line for people: offset and drift with their uncertainty at `device_time` [s], and the method."""
         drift = f", drift {self.drift_ppm:+.3g} +- {self.drift_uncertainty_ppm:.2g} ppm" if self.covariance[2] else ""
         run_time = float(self.on_run(np.array([device_time]))[0])
@@ -86,8 +86,8 @@ def fit_alignment(method: str, ties: Sequence[Tie], drift_within: float, systema
     drift_within : the rate lies within 1 +- this before any tie is seen (95 %).
     systematic : constant delay between the two channels that the ties compare (95 %) [s].
     """
-    device_times = np.array([tie.own for tie in ties])
-    shift = np.array([tie.run - tie.own for tie in ties])
+    device_times = np.array([tie.device_time for tie in ties])
+    shift = np.array([tie.run_time - tie.device_time for tie in ties])
     weight = 1.0 / np.array([tie.sd for tie in ties]) ** 2
     centre = float(np.average(device_times, weights=weight))
     centred = device_times - centre

@@ -129,7 +129,7 @@ def ties_by_onset(
     sound = [ties for ties in senses if ties and _largest_disagreement(ties) <= LARGEST_DISAGREEMENT]
     ties = min(sound or senses, key=lambda ties: (-len(ties), sum(tie.sd for tie in ties)))
     if ties and not sound:
-        offsets = ", ".join(f"{tie.run - tie.own:.1f}" for tie in ties)
+        offsets = ", ".join(f"{tie.run_time - tie.device_time:.1f}" for tie in ties)
         raise InputError(
             f"onsets do not lie as far apart as the jumps do: offsets of {offsets} s; near_s and a lower within_s tell"
             " which belong together"
@@ -153,19 +153,19 @@ def _onset_at_each_jump(
     finite = np.isfinite(reference)
     size, stamps = np.abs(reference[finite]), base[finite]
     for jump in jumps(base, reference, least):
-        behind = int(np.searchsorted(stamps, jump.run))
+        behind = int(np.searchsorted(stamps, jump.run_time))
         grows = float(size[behind] - size[behind - 1])
-        fitted_onset = fit_onset(time, values, jump.run - near, within, fit_s, sense * grows)
+        fitted_onset = fit_onset(time, values, jump.run_time - near, within, fit_s, sense * grows)
         if fitted_onset is not None:
-            ties.append(Tie(fitted_onset[0], jump.run, math.hypot(jump.sd, fitted_onset[1])))
+            ties.append(Tie(fitted_onset[0], jump.run_time, math.hypot(jump.sd, fitted_onset[1])))
     return ties
 
 
 def _largest_disagreement(ties: Sequence[Tie]) -> float:
     """Largest disagreement of any two ties, relative to their standard deviations and the largest clock drift."""
     disagreements = (
-        abs((first.run - first.own) - (second.run - second.own))
-        / (math.hypot(first.sd, second.sd) + LARGEST_CLOCK_RATE * abs(first.run - second.run))
+        abs((first.run_time - first.device_time) - (second.run_time - second.device_time))
+        / (math.hypot(first.sd, second.sd) + LARGEST_CLOCK_RATE * abs(first.run_time - second.run_time))
         for first, second in itertools.combinations(ties, 2)
     )
     return max(disagreements, default=0.0)

@@ -70,7 +70,7 @@ def build_streams(source: LogSource, mapping: Mapping, document: Document) -> di
         if wanted.clock is not None:
             alignment = alignment_of(streams, name, wanted, document)
             streams[name].time = streams[name].time + (alignment.offset if alignment else wanted.clock.offset_s or 0.0)
-            streams[name].aligned = alignment.told() if alignment else ""
+            streams[name].aligned = alignment.describe() if alignment else ""
     begins = {name: float(s.time[0]) for name, s in streams.items()}
     ends = {name: float(s.time[-1]) for name, s in streams.items()}
     late, early = max(begins, key=lambda n: begins[n]), min(ends, key=lambda n: ends[n])

@@ -35,7 +35,7 @@ class Examination:
     covered: str = ""  # "values", or "values, names and attributes"; empty where nothing tells of changes
 
     @property
-    def told(self) -> str:
+    def summary(self) -> str:
         """One line for people: how a sound run ended, and which parts of the file are known to be unchanged."""
         how = self.status or "no status"
         if not self.covered:

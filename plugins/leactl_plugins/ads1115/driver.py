@@ -94,10 +94,10 @@ class Ads1115(Driver):
         self._port.open()
         self._opened = True
         self._port.write(self._address, CONFIG, POWER_DOWN)
-        held = self._port.read(self._address, CONFIG)
-        if held & ~START != POWER_DOWN:
-            place = f"{self.name}: address 0x{self._address:02X}"
-            raise DeviceError(f"{place} holds 0x{held:04X} after 0x{POWER_DOWN:04X} was written; not an ADS1115?")
+        config = self._port.read(self._address, CONFIG)
+        if config & ~START != POWER_DOWN:
+            device = f"{self.name}: address 0x{self._address:02X}"
+            raise DeviceError(f"{device} holds 0x{config:04X} after 0x{POWER_DOWN:04X} was written; not an ADS1115?")
 
     def close(self) -> None:
         """Let the bus go."""
@@ -147,12 +147,12 @@ class Ads1115(Driver):
         waited = self._clock.now() - started
         if waited < converter.conversion_s / RATE_TOLERANCE:
             return ()
-        held = self._port.read(self._address, CONFIG)
-        if not held & START:
+        config = self._port.read(self._address, CONFIG)
+        if not config & START:
             if waited > GIVE_UP_FACTOR * converter.conversion_s:
                 raise NoAnswer(f"{self.name}: a conversion has not ended after {waited:.4f} s")
             return ()
-        row = self._row(converter, held, self._port.read(self._address, CONVERSION), started)
+        row = self._row(converter, config, self._port.read(self._address, CONVERSION), started)
         self._turn = (self._turn + 1) % len(self._converters)
         self._start()
         return (row,)

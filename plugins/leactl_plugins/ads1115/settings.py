@@ -93,11 +93,11 @@ class Ads1115Settings(DriverSettings):
 
     def shown(self) -> list[Shown]:
         """What each input can tell from its rail."""
-        found = []
-        for place, item in enumerate(self.inputs):
+        ranges = []
+        for index, item in enumerate(self.inputs):
             low, high = sorted(item.value_of(volts) for volts in item.window_V)
-            found.append(Shown(("inputs", place), item.quantity, low, high))
-        return found
+            ranges.append(Shown(("inputs", index), item.quantity, low, high))
+        return ranges
 
     @field_validator("inputs")
     @classmethod

@@ -41,10 +41,10 @@ def levels(answer: bytes) -> LevelCounts:
     ------
     Unreadable : not six digits and `OK`.
     """
-    found = re.fullmatch(rb"([0-9]{3})([0-9]{3})\nOK", answer)
-    if found is None:
+    match = re.fullmatch(rb"([0-9]{3})([0-9]{3})\nOK", answer)
+    if match is None:
         raise Unreadable(f"{_shown(answer)} where six digits and OK were expected")
-    return LevelCounts(int(found[1]), int(found[2]))
+    return LevelCounts(int(match[1]), int(match[2]))
 
 
 def display(answer: bytes) -> Display:
@@ -54,10 +54,10 @@ def display(answer: bytes) -> Display:
     ------
     Unreadable : not nine digits, of which the last is 0 or 1, and `OK`.
     """
-    found = re.fullmatch(rb"([0-9]{4})([0-9]{4})([01])\nOK", answer)
-    if found is None:
+    match = re.fullmatch(rb"([0-9]{4})([0-9]{4})([01])\nOK", answer)
+    if match is None:
         raise Unreadable(f"{_shown(answer)} where nine digits and OK were expected")
-    return Display(int(found[1]) / 100, int(found[2]) / 100, found[3] == b"1")
+    return Display(int(match[1]) / 100, int(match[2]) / 100, match[3] == b"1")
 
 
 def _shown(answer: bytes) -> str:

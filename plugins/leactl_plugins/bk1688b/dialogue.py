@@ -46,7 +46,7 @@ class Bk1688bDialogue:
         held: LevelCounts = yield from _asked(Query("GETS", _at_the_end(2, answers.levels), patient=True, last=OK))
         return held
 
-    def output_off(self, progress: SwitchOffTrouble) -> Script[Confirmation]:
+    def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
         """Switch off until nothing is measured at the terminals, however often that takes.
 
         A voltage that the last nine tries did not set is set and read back each time: any answer before it was given
@@ -62,22 +62,22 @@ class Bk1688bDialogue:
             shown: Display = yield from _asked(DISPLAY)
             if not self._on(shown):
                 return Confirmation(True, f"output off, {_told(shown)}")
-            progress.said = f"the output is still on, {_told(shown)}"
+            off_trouble.said = f"the output is still on, {_told(shown)}"
 
-    def set_up(self, progress: SwitchOffTrouble) -> Script[Sequence[str]]:
+    def set_up(self, off_trouble: SwitchOffTrouble) -> Script[Sequence[str]]:
         """Make off, see by its limits that it is the model expected, and set as little as there is.
 
         Raises
         ------
         DeviceError : another model, a setting that does not stick, an output that cannot be switched off.
         """
-        rating, found = self._settings.rating, []
-        yield from self.output_off(progress)
-        progress.said = ""
+        rating, notices = self._settings.rating, []
+        yield from self.output_off(off_trouble)
+        off_trouble.said = ""
         try:
             most: LevelCounts = yield from _asked(Query("GMAX", answers.levels, last=OK))
         except NoAnswer:
-            found.append(f"does not tell its limits (GMAX); it is taken for a {self._settings.model}")
+            notices.append(f"does not tell its limits (GMAX); it is taken for a {self._settings.model}")
             yield from self.in_step()
         else:
             volts, amperes = most.volts * STEP_V, most.amperes * self._step
@@ -89,7 +89,7 @@ class Bk1688bDialogue:
                 )
             self._most = volts, amperes
         yield from self._put(LevelCounts(round(LEAST_V / STEP_V), 0))
-        return found
+        return notices
 
     def leave(self) -> Script[Sequence[str]]:
         """Nothing: it has no protections that could be set, and its levels were not kept."""
@@ -188,10 +188,10 @@ def _with(volts: int) -> Callable[[bytes], LevelCounts]:
     """Settings with this voltage and no others."""
 
     def read(answer: bytes) -> LevelCounts:
-        found = answers.levels(answer)
-        if found.volts != volts:
-            raise Unreadable(f"{found.volts} where {volts} was expected")
-        return found
+        levels_set = answers.levels(answer)
+        if levels_set.volts != volts:
+            raise Unreadable(f"{levels_set.volts} where {volts} was expected")
+        return levels_set
 
     return read
 

@@ -79,10 +79,10 @@ class Bk1688bEmulator:
 
     def _obey(self, command: str) -> str | None:
         """The answer, with its ends; None where there is none."""
-        found = re.fullmatch(r"(VOLT|CURR|GETS|GETD|GMAX|GETM|PROM|RUNM|SOUT|SESS|ENDS)([0-9]*)", command, re.ASCII)
-        if found is None:
+        match = re.fullmatch(r"(VOLT|CURR|GETS|GETD|GMAX|GETM|PROM|RUNM|SOUT|SESS|ENDS)([0-9]*)", command, re.ASCII)
+        if match is None:
             return None
-        word, digits = found[1], found[2]
+        word, digits = match[1], match[2]
         queries = {"GETS": self._settings, "GETD": self._display, "GMAX": self._limits, "GETM": self._memory}
         if word in queries and not digits:
             return f"{queries[word]()}\rOK\r"
@@ -99,8 +99,10 @@ class Bk1688bEmulator:
         elif word == "CURR" and len(digits) == 3 and (amperes := self._amperes(digits)) <= self.rating.current:
             self.set_amperes = amperes
         elif word == "PROM" and len(digits) == 6 * PRESETS:
-            kept = [digits[6 * k : 6 * k + 6] for k in range(PRESETS)]
-            self.presets = [(int(one[:3]) * STEP_V, self._amperes(one[3:])) for one in kept]
+            presets_digits = [digits[6 * k : 6 * k + 6] for k in range(PRESETS)]
+            self.presets = [
+                (int(preset_digits[:3]) * STEP_V, self._amperes(preset_digits[3:])) for preset_digits in presets_digits
+            ]
         elif word == "RUNM" and digits in ("0", "1", "2"):
             self.set_volts, self.set_amperes = self.presets[int(digits)]
         else:

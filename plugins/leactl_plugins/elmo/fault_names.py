@@ -147,8 +147,8 @@ def motor_fault(bits: int) -> str:
 
 def bits_of(code: int) -> int:
     """The value of MF for a fault that an emergency message has this code for; "cannot start" where MF has none."""
-    every = _POWER_STAGE_FAULTS | _FAULT_BITS
-    return next((bits for bits, one in every.items() if one == code), 0x20000000)
+    codes_by_bits = _POWER_STAGE_FAULTS | _FAULT_BITS
+    return next((bits for bits, fault_code in codes_by_bits.items() if fault_code == code), 0x20000000)
 
 
 def refusal(number: int) -> str:

@@ -48,10 +48,10 @@ class Commissioning:
     def check_identity(self) -> None:
         """Refuse a device of another maker."""
         expected = self._settings.vendor_id
-        found = self._sdo.read(0x1018, 1, "u32")
-        if expected is not None and found != expected:
+        vendor = self._sdo.read(0x1018, 1, "u32")
+        if expected is not None and vendor != expected:
             node = self._settings.node
-            raise DeviceError(f"{self._name}: vendor 0x{found:08X} at node {node}, 0x{expected:08X} was expected")
+            raise DeviceError(f"{self._name}: vendor 0x{vendor:08X} at node {node}, 0x{expected:08X} was expected")
 
     def identity(self) -> Identity:
         """Return name, serial number and software version; what the drive does not tell is left out."""

@@ -140,17 +140,17 @@ class ElmoCan(Driver):
         """Take the drive out of operation, from any state, over a fresh connection if need be; never raises."""
         self._turn_to(Mode.OFF)
         until = self._clock.now() + deadline_s
-        trouble = "no time was left"
+        reason = "no time was left"
         while self._clock.now() < until:
             try:
                 word = self._disable_voltage(until)
             except DeviceError as error:
-                trouble = str(error)
+                reason = str(error)
                 try:
                     self._port.reopen()
                     self._nmt(NMT_PRE_OPERATIONAL)  # a node that was told to stop answers no SDO until it is woken
                 except DeviceError as worse:
-                    trouble = str(worse)
+                    reason = str(worse)
                     self._clock.sleep_until(min(until, self._clock.now() + 0.01))
                 continue
             state = cia402.state_of(word)
@@ -158,8 +158,8 @@ class ElmoCan(Driver):
                 self._show(word, self._shown_mode)
                 self._standing.safe = True
                 return Confirmation(True, f"{state}, statusword 0x{word:04X}")
-            trouble = f"still {state}, statusword 0x{word:04X}"
-        return Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble}")
+            reason = f"still {state}, statusword 0x{word:04X}"
+        return Confirmation(False, f"not confirmed within {deadline_s:g} s: {reason}")
 
     def _disable_voltage(self, until: float) -> int:
         """Disable the voltage and read the statusword; no wait goes on after `until`."""
@@ -433,8 +433,8 @@ class ElmoCan(Driver):
         standing = self._standing
         if not standing.rows:
             return standing.rows
-        found, standing.rows = standing.rows, []
-        return found
+        rows, standing.rows = standing.rows, []
+        return rows
 
     def reset_fault(self) -> None:
         """Reset a latched fault by the 0 -> 1 edge of bit 7 (CiA 402, transition 15: holding 0x80 never resets).
@@ -552,8 +552,10 @@ class ElmoCan(Driver):
     def _on_change(self, data: bytearray, _timestamp: float) -> None:
         """Hear of a state that the drive has changed to between two SYNCs: a held controlword would enable it again."""
         state = cia402.state_of(int.from_bytes(data, "little"))
-        left = self._enable_by == NEVER and self._mode is not OFF and state is not ENABLED
-        if left and state not in FAULTS and not self._emergency:  # a fault keeps, and its emergency message tells more
+        has_left_operation = self._enable_by == NEVER and self._mode is not OFF and state is not ENABLED
+        if (
+            has_left_operation and state not in FAULTS and not self._emergency
+        ):  # a fault keeps, and its emergency message tells more
             self._emergency = f"left operation by itself, {state}, statusword 0x{int.from_bytes(data, 'little'):04X}"
 
     def _on_other_host(self, _data: bytearray, _timestamp: float) -> None:

@@ -15,5 +15,5 @@ def code_of(data: bytes | bytearray) -> int:
 def describe(data: bytes | bytearray) -> str:
     """One line for an emergency frame: code, its name, error register and the maker's own code."""
     code = code_of(data)
-    register, own = data[2], data[3]
-    return f"emergency 0x{code:04X} ({CODES.get(code, 'unnamed')}), register 0x{register:02X}, drive code {own}"
+    register, drive_code = data[2], data[3]
+    return f"emergency 0x{code:04X} ({CODES.get(code, 'unnamed')}), register 0x{register:02X}, drive code {drive_code}"

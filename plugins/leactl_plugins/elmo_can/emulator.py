@@ -141,12 +141,12 @@ class ElmoEmulator:
         """Hear nothing, answer nothing and go on with the last demand, or come back to life."""
         self.frozen = frozen
 
-    def fault(self, code: int, own: int = 0, register: int = 0x01) -> None:
+    def fault(self, code: int, drive_code: int = 0, register: int = 0x01) -> None:
         """Enter fault with an emergency message, as after a short circuit or an over-voltage."""
         self._go("fault")
         self._values[0x603F, 0] = code
         self._values[0x1001, 0] = register
-        data = struct.pack("<HBB4x", code, register, own)
+        data = struct.pack("<HBB4x", code, register, drive_code)
         self._emergencies.append(Frame(0x080 + self.node, data))
 
     # -- network -----------------------------------------------------------------------------------------------------
@@ -260,8 +260,8 @@ class ElmoEmulator:
     def _check_special(self, index: int, sub: int, value: int) -> None:
         if 0x1400 <= index <= 0x1403 or 0x1800 <= index <= 0x1803:
             base = 0x200 if index < 0x1800 else 0x180
-            own = base + 0x100 * (index & 3) + self.node
-            if sub == 1 and value & _FOREIGN_COB_MASK != own:
+            identifier = base + 0x100 * (index & 3) + self.node
+            if sub == 1 and value & _FOREIGN_COB_MASK != identifier:
                 raise Abort(ABORT_RANGE)
         elif 0x1600 <= index <= 0x1603 or 0x1A00 <= index <= 0x1A03:
             communication = index - 0x200

@@ -98,31 +98,37 @@ class ElmoRecorderCsv(Driver):
         timed = [settings.time_column] if settings.time_column else []
         headings = [*timed, *(signal.column for signal in settings.signals.values())]
         table = read_table(paths[0], settings, headings, every_row=not timed)
-        wanted = {name: table.heading(signal.column) for name, signal in settings.signals.items()}
-        stamp = table.heading(settings.time_column) if settings.time_column else ""
+        headings_by_signal = {name: table.heading(signal.column) for name, signal in settings.signals.items()}
+        time_heading = table.heading(settings.time_column) if settings.time_column else ""
         columns = {
-            heading: table.column(heading) for heading in dict.fromkeys([*filter(None, [stamp]), *wanted.values()])
+            heading: table.column(heading)
+            for heading in dict.fromkeys([*filter(None, [time_heading]), *headings_by_signal.values()])
         }
-        found, convention = read_numbers(columns, settings, table.place, {})
-        time, told_time = self._time(table, found.get(stamp), stamp)
+        numbers, convention = read_numbers(columns, settings, table.place, {})
+        time, told_time = self._time(table, numbers.get(time_heading), time_heading)
         values = np.stack(
-            [self._converted(table, wanted[name], signal, found) for name, signal in settings.signals.items()], axis=1
+            [
+                self._converted(table, headings_by_signal[name], signal, numbers)
+                for name, signal in settings.signals.items()
+            ],
+            axis=1,
         )
 
         def where(row: int) -> str:
-            return table.place(stamp or next(iter(wanted.values())), row)
+            return table.place(time_heading or next(iter(headings_by_signal.values())), row)
 
         rows = in_order(time, values, where)
-        empty = [name for name, kept in zip(wanted, rows.values.T, strict=True) if np.isnan(kept).all()]
+        empty = [name for name, kept in zip(headings_by_signal, rows.values.T, strict=True) if np.isnan(kept).all()]
         if empty:
             raise InputError(f"{paths[0]}: no number at all in {', '.join(empty)}")
         interval = float(np.median(np.diff(rows.time))) if len(rows.time) > 1 else 0.0
         read_as = [
-            f"{wanted[name]} as {self._unit(table, wanted[name], signal)}" for name, signal in settings.signals.items()
+            f"{headings_by_signal[name]} as {self._unit(table, headings_by_signal[name], signal)}"
+            for name, signal in settings.signals.items()
         ]
-        told = (*table.told, str(convention), *read_as, told_time, *rows.told)
+        remarks = (*table.remarks, str(convention), *read_as, told_time, *rows.remarks)
         return FileRecord(
-            self.name, self.channels, rows.time - rows.time[0], rows.values, None, interval, told, tuple(paths)
+            self.name, self.channels, rows.time - rows.time[0], rows.values, None, interval, remarks, tuple(paths)
         )
 
     def _time(self, table: Table, stamps: Numbers | None, heading: str) -> tuple[Array, str]:
@@ -159,8 +165,10 @@ class ElmoRecorderCsv(Driver):
             raise InputError(f"{table.path}: {heading!r} is in {named!r}, which does not measure {signal.quantity}")
         return named
 
-    def _converted(self, table: Table, heading: str, signal: RecordedSignal, found: dict[str, Numbers]) -> Array:
-        numbers, units, settings = found[heading], self._unit(table, heading, signal), self.settings
+    def _converted(
+        self, table: Table, heading: str, signal: RecordedSignal, numbers_by_heading: dict[str, Numbers]
+    ) -> Array:
+        numbers, units, settings = numbers_by_heading[heading], self._unit(table, heading, signal), self.settings
         if numbers.outside:
             raise InputError(f"{table.path}: {heading!r} holds {next(iter(numbers.outside))!r}; a number was expected")
         in_cells = [text for text in numbers.units if text]

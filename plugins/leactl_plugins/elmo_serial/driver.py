@@ -100,29 +100,29 @@ class ElmoSerial(Driver):
         self._follow(Mode.OFF)
         self._safe = False
         until = self._clock.now() + deadline_s
-        trouble = ""
-        while (left := until - self._clock.now()) > 0.0:
+        reason = ""
+        while (seconds_left := until - self._clock.now()) > 0.0:
             try:
                 if not self._port.connected:
                     self._port.reopen()
                 self._port.discard()
-                replies = self._told_off(min(left, SAFE_TRY_S))
+                replies = self._told_off(min(seconds_left, SAFE_TRY_S))
             except DeviceError as error:
-                if not (trouble and isinstance(error, NoAnswer)):  # the last try has little time
-                    trouble = str(error)
+                if not (reason and isinstance(error, NoAnswer)):  # the last try has little time
+                    reason = str(error)
                 self._start_afresh(until)
                 continue
             status = Status(replies.whole("SR"))
             if not status.motor_on and replies.whole("MO") == 0:
                 self._status, self._safe = status, True
                 break
-            trouble = f"still on: {status}"
+            reason = f"still on: {status}"
         if not self._opened:
             self._port.close()
         return (
             Confirmation(True, str(self._status))
             if self._safe
-            else Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble or 'no time was left'}")
+            else Confirmation(False, f"not confirmed within {deadline_s:g} s: {reason or 'no time was left'}")
         )
 
     def _told_off(self, within_s: float) -> Replies:

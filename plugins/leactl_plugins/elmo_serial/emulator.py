@@ -248,19 +248,19 @@ class ElmoSerialEmulator:
         return answer.encode("ascii") + b";"
 
     def _carry_out(self, command: str, now: float) -> str:
-        found = _form.fullmatch(command)
-        if found is None:
+        match = _form.fullmatch(command)
+        if match is None:
             raise InterpreterError(BAD_COMMAND if not re.match(r"[A-Z]{2}", command) else SYNTAX)
-        name = found[1] if found[2] is None else f"{found[1]}[{int(found[2])}]"
-        if found[3] is None:
+        name = match[1] if match[2] is None else f"{match[1]}[{int(match[2])}]"
+        if match[3] is None:
             return self._execute(name) if name in ("BG", "ST") else self._told(name)
-        if not found[4]:
+        if not match[4]:
             raise InterpreterError(EMPTY)
-        if not _number.fullmatch(found[4]):
+        if not _number.fullmatch(match[4]):
             raise InterpreterError(BAD_NUMBER)
         if name == "BH":
-            return self._upload(float(found[4]))
-        self._set(name, float(found[4]), now)
+            return self._upload(float(match[4]))
+        self._set(name, float(match[4]), now)
         return ""
 
     def _told(self, name: str) -> str:

@@ -177,13 +177,13 @@ class Interpreter:
                 self.give_up()
                 return None
             if self._segments[-1] == pending.tag:
-                found = _decoded(self._segments[-len(pending.commands) - 2 :], pending.commands)
-                if found is not None:
+                replies = _decoded(self._segments[-len(pending.commands) - 2 :], pending.commands)
+                if replies is not None:
                     self.surplus += len(self._segments) - len(pending.commands) - 2
                     self._segments.clear()
                     self.asked, self.answered = pending.sent, self._clock.now()
                     self._pending, self.garbled = None, False
-                    return found
+                    return replies
                 self.garbled = True  # unless a reading happens to be that number
         return None
 

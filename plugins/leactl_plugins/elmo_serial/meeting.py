@@ -104,16 +104,16 @@ class Meeting:
         DeviceError : it lets none through, or its counts contradict the bench file.
         """
         replies = self._interpreter.ask("PL[1]", "CL[1]", "VL[2]", "VH[2]", "CA[18]", within_s=self._answer_s)
-        found = DriveLimits(
+        limits = DriveLimits(
             replies.number("PL[1]"),
             replies.number("CL[1]"),
             replies.number("VL[2]") if "VL[2]" in replies else COUNTS_OF_32_BITS[0],
             replies.number("VH[2]") if "VH[2]" in replies else COUNTS_OF_32_BITS[1] - 1,
         )
-        if found.peak <= 0.0 or found.continuous <= 0.0:
+        if limits.peak <= 0.0 or limits.continuous <= 0.0:
             raise DeviceError(
-                f"{self._name}: PL[1] is {found.peak:g} A, CL[1] {found.continuous:g} A; with 0 the drive lets nothing"
-                " flow: it has not been tuned to a motor"
+                f"{self._name}: PL[1] is {limits.peak:g} A, CL[1] {limits.continuous:g} A; with 0 the drive lets"
+                " nothing flow: it has not been tuned to a motor"
             )
         counts = replies.whole("CA[18]") if "CA[18]" in replies else 0
         if counts > 1 and counts != self._settings.counts_per_turn:
@@ -121,7 +121,7 @@ class Meeting:
                 f"{self._name}: it counts {counts} in a turn (CA[18]), the bench file says counts_per_turn:"
                 f" {self._settings.counts_per_turn}"
             )
-        return found
+        return limits
 
     def position(self) -> CountedPosition:
         """A position that goes on where the drive's own goes round (XM[1] to XM[2]-1, or its 32 bits)."""

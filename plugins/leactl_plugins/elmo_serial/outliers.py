@@ -35,10 +35,10 @@ class Outliers:
 
     def see(self, values: Sequence[float]) -> Outlier | None:
         """Take the readings of a row, and tell the first of the row before that is off."""
-        found = None
+        outlier = None
         for (what, noise), before, value, after in zip(self._noise, self._before, self._latest, values, strict=True):
             if abs(value - 0.5 * (before + after)) > AHEAD * abs(after - before) + noise:  # NaN compares false
                 self.count += 1
-                found = found or Outlier(what, value, before, after)
+                outlier = outlier or Outlier(what, value, before, after)
         self._before, self._latest = self._latest, tuple(values)
-        return found
+        return outlier

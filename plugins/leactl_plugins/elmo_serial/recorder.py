@@ -80,8 +80,8 @@ def recorded(interpreter: Interpreter, answer_s: float) -> OwnRecording:
     replies = interpreter.ask("RR", "RC", "RG", "WS[29]", within_s=answer_s)
     state, cells, gap, sampling_us = (replies.whole(name) for name in ("RR", "RC", "RG", "WS[29]"))
     if state != 0:
-        found = "holds nothing" if state < 0 else "waits for its trigger, or records"
-        raise DeviceError(f"its recorder {found} (RR is {state}); 0 was expected, which is a whole recording")
+        state_text = "holds nothing" if state < 0 else "waits for its trigger, or records"
+        raise DeviceError(f"its recorder {state_text} (RR is {state}); 0 was expected, which is a whole recording")
     if not SHORTEST_US <= sampling_us <= LONGEST_US:
         raise DeviceError(f"its recorder samples every {sampling_us} us (WS[29]); that is no time of a drive's")
     columns: dict[str, Upload] = {}

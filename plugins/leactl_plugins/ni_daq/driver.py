@@ -127,10 +127,10 @@ class NiDaq(Driver):
                 item.role,
                 self.name,
                 f"{item.role} {item.quantity.replace('_', ' ')}",
-                skew_s=place * turn,
+                skew_s=index * turn,
                 scale_std=1e-6 * settings.scale_std_ppm,
             )
-            for place, item in enumerate(settings.inputs)
+            for index, item in enumerate(settings.inputs)
         )
         return (StreamSpec(self.name, channels, settings.rate_Hz, ends=settings.samples is not None),)
 
@@ -160,13 +160,13 @@ class NiDaq(Driver):
 
     def notices(self) -> Sequence[str]:
         """Clock as coerced, warnings of NI-DAQmx, samples that were lost or outside their range, drift of the clock."""
-        for place, count in enumerate(self._beyond):
+        for index, count in enumerate(self._beyond):
             if count:
-                item = self.settings.inputs[place]
+                item = self.settings.inputs[index]
                 self._notices.append(f"input {item.name}: {count} samples beyond +-{item.range_V:g} V are NaN")
-                self._beyond[place] = 0
-        found, self._notices = self._notices, []
-        return found
+                self._beyond[index] = 0
+        notices, self._notices = self._notices, []
+        return notices
 
     def _begin(self, task: Acquisition) -> None:
         self._start = self._clock.now()  # from before: a stamp may be late by the call, and never ahead of its sample
@@ -211,12 +211,12 @@ class NiDaq(Driver):
         import numpy as np
 
         values = np.empty(volts.T.shape)
-        for place, item in enumerate(self.settings.inputs):
-            beyond = ~(np.abs(volts[place]) < item.range_V * (1.0 - 2.0**-15))
+        for index, item in enumerate(self.settings.inputs):
+            beyond = ~(np.abs(volts[index]) < item.range_V * (1.0 - 2.0**-15))
             if beyond.any():
-                self._beyond[place] += int(beyond.sum())
-                volts[place, beyond] = np.nan
-            values[:, place] = item.sign * item.scale_per_V * volts[place]
+                self._beyond[index] += int(beyond.sum())
+                volts[index, beyond] = np.nan
+            values[:, index] = item.sign * item.scale_per_V * volts[index]
         return values
 
     def _block(self, times: "NDArray[np.float64]", values: "NDArray[np.float64]") -> Block:

@@ -107,11 +107,11 @@ class EmulatedTask:
     def _convert(self, until: int) -> None:
         times = self._began + np.arange(self._taken, until) / self.rate_Hz
         block = np.empty((len(self._inputs), len(times)))
-        for place, item in enumerate(self._inputs):
-            leads = self._daq.terminals[item.role].voltages(times + place / self.convert_Hz, item.pair)
+        for index, item in enumerate(self._inputs):
+            leads = self._daq.terminals[item.role].voltages(times + index / self.convert_Hz, item.pair)
             step = min(end for end in RANGES_V if end >= item.range_V) / CODES
             volts = self._daq.scale * item.sign * leads / item.scale_per_V
-            block[place] = step * np.clip(np.round(volts / step), -CODES, CODES - 1)
+            block[index] = step * np.clip(np.round(volts / step), -CODES, CODES - 1)
         self._taken = until
         self._unread += len(times)
         self._blocks.append(block)

@@ -51,8 +51,8 @@ class NiDaqSettings(DriverSettings):
     def shown(self) -> list[Shown]:
         """What each input can tell."""
         places = enumerate(self.inputs)
-        ends = [(place, item, item.range_V * item.scale_per_V) for place, item in places]
-        return [Shown(("inputs", place), item.quantity, -end, end) for place, item, end in ends]
+        ends = [(index, item, item.range_V * item.scale_per_V) for index, item in places]
+        return [Shown(("inputs", index), item.quantity, -end, end) for index, item, end in ends]
 
     @field_validator("inputs")
     @classmethod

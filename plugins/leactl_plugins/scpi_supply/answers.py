@@ -91,10 +91,10 @@ def entry(line: bytes) -> ErrorEntry:
     Unreadable : not a number with a quoted text.
     """
     text = _text(line)
-    found = ERROR.fullmatch(text)
-    if found is None:
+    match = ERROR.fullmatch(text)
+    if match is None:
         raise Unreadable(f"{text!r} where an error entry was expected")
-    return ErrorEntry(int(found[1]), found[2])
+    return ErrorEntry(int(match[1]), match[2])
 
 
 def identity(line: bytes) -> InstrumentIdentity:

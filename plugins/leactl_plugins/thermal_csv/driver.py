@@ -89,23 +89,23 @@ class ThermalCsv(Driver):
         InputError : a file that cannot be read, or that has two readings.
         """
         if self.settings.matrix:
-            sheets = [read_matrices(paths, self.settings)]
+            files = [read_matrices(paths, self.settings)]
         else:
-            sheets = [read_series(path, self.settings) for path in paths]
-        time, values, began = joined(sheets)
-        starts = np.cumsum([0, *(len(sheet.clock.time) for sheet in sheets)])
+            files = [read_series(path, self.settings) for path in paths]
+        time, values, began = joined(files)
+        starts = np.cumsum([0, *(len(sheet.clock.time) for sheet in files)])
 
         def where(row: int) -> str:
             part = int(np.searchsorted(starts, row, side="right")) - 1
-            return sheets[part].where(row - int(starts[part]))
+            return files[part].where(row - int(starts[part]))
 
         times = self.settings.time
-        resolution = max(sheet.clock.resolution for sheet in sheets)
+        resolution = max(sheet.clock.resolution for sheet in files)
         rows = in_order(time, values, where, times.backward, resolution, times.frame_rate_Hz)
         empty = [spec.name for spec, kept in zip(self.channels, rows.values.T, strict=True) if np.isnan(kept).all()]
         if empty:
             raise InputError(f"{paths[0]}: no number at all in {', '.join(empty)}")
-        told = list(dict.fromkeys(text for sheet in sheets for text in sheet.told))
+        remarks = list(dict.fromkeys(text for sheet in files for text in sheet.remarks))
         return FileRecord(
             stream=self.name,
             channels=self.channels,
@@ -113,7 +113,7 @@ class ThermalCsv(Driver):
             values=rows.values,
             began=None if began is None else began + float(rows.time[0]),
             resolution=resolution,
-            told=(*told, *rows.told),
+            remarks=(*remarks, *rows.remarks),
             files=tuple(paths),
         )
 

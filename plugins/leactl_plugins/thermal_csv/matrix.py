@@ -49,38 +49,40 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Camera
     InputError : no frames, frames of several sizes, regions outside them, stamps or numbers with two readings.
     """
     frames: list[PixelFrame] = []
-    told: list[str] = []
+    remarks: list[str] = []
     for path in paths:
         text, encoding = text_of(path, settings.encoding)
         lines = text.splitlines()
         delimiter = delimiter_of(path, lines, settings)
-        told.append(f"{encoding}, {NAMED.get(delimiter, repr(delimiter))} between cells")
+        remarks.append(f"{encoding}, {NAMED.get(delimiter, repr(delimiter))} between cells")
         frames += frames_in(path, lines, delimiter, settings)
         if not text.endswith(("\n", "\r")):
-            told.append(f"{path.name} has no end of its last line: the last pixel may be cut")
-    told = list(dict.fromkeys(told))
+            remarks.append(f"{path.name} has no end of its last line: the last pixel may be cut")
+    remarks = list(dict.fromkeys(remarks))
     if settings.time.line is None:
         in_number_order(paths)
     frames, width, left_out = even(frames, delimiter)
-    told += [f"{len(frames)} frames of {len(frames[0].rows)} rows and {width} columns", *left_out]
+    remarks += [f"{len(frames)} frames of {len(frames[0].rows)} rows and {width} columns", *left_out]
 
     def where(row: int) -> str:
         return f"{frames[row].path}: the frame from line {frames[row].line} on"
 
     cells = region_cells(frames, delimiter, width, settings)
-    flat = {name: [cell for frame in of for cell in frame] for name, of in cells.items()}
+    cells_by_region = {name: [cell for frame in of for cell in frame] for name, of in cells.items()}
     sizes = {name: len(of[0]) for name, of in cells.items()}
 
     def place(name: str, at: int) -> str:
         return f"{where(at // sizes[name])}, region {name}"
 
-    found, convention = read_numbers(flat, settings, place, dict.fromkeys(flat, (COLDEST, HOTTEST)))
+    numbers, convention = read_numbers(
+        cells_by_region, settings, place, dict.fromkeys(cells_by_region, (COLDEST, HOTTEST))
+    )
     asides = [aside for frame in frames for aside in frame.above]
     headings = {name: name for name in cells}
-    unit = unit_in(paths[0], settings, headings, found, asides)
+    unit = unit_in(paths[0], settings, headings, numbers, asides)
     values = np.stack(
         [
-            STATISTICS[region.statistic](to_celsius(found[name].values, unit).reshape(len(frames), -1), axis=1)
+            STATISTICS[region.statistic](to_celsius(numbers[name].values, unit).reshape(len(frames), -1), axis=1)
             for name, region in settings.regions.items()
         ],
         axis=1,
@@ -91,12 +93,14 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Camera
         stamps = [stamp_of(frame, settings.time.line) for frame in frames]
         if looks_plain(stamps[0]):
             plain, _ = read_numbers({settings.time.line: stamps}, settings, lambda _, row: where(row), {})
-            numbers, line = plain[settings.time.line], settings.time.line
-            clock = read_plain(numbers.values, one_unit("", numbers.units, where(0)), settings.time, line, where)
+            stamp_numbers, line = plain[settings.time.line], settings.time.line
+            clock = read_plain(
+                stamp_numbers.values, one_unit("", stamp_numbers.units, where(0)), settings.time, line, where
+            )
         else:
             clock = read_stamps(stamps, settings.time, where)
-    told += [str(convention), f"temperatures in {unit}", clock.told, *marks_told(headings, found)]
-    return CameraFile(clock, values, where, told + emissivities(asides))
+    remarks += [str(convention), f"temperatures in {unit}", clock.description, *marks_told(headings, numbers)]
+    return CameraFile(clock, values, where, remarks + emissivities(asides))
 
 
 def delimiter_of(path: Path, lines: Sequence[str], settings: ThermalCsvSettings) -> str:
@@ -146,8 +150,8 @@ def frames_in(path: Path, lines: Sequence[str], delimiter: str, settings: Therma
 
 def note(frame: PixelFrame, line: int, cells: Sequence[str]) -> None:
     """Keep what a line between the frames says: `Time = ...`, `Emissivity: 0.95`, `width;640`."""
-    found = NAME_VALUE.fullmatch(cells[0])
-    name, value = (found[1], found[2]) if found else (cells[0], "")
+    match = NAME_VALUE.fullmatch(cells[0])
+    name, value = (match[1], match[2]) if match else (cells[0], "")
     frame.above.append(Aside(line, name.strip("\"'"), value or " ".join(cells[1:2])))
 
 
@@ -162,16 +166,16 @@ def even(frames: list[PixelFrame], delimiter: str) -> tuple[list[PixelFrame], in
         raise InputError("no frame of numbers was found")
     sizes = [{len(trimmed(row.split(delimiter))) for row in frame.rows} for frame in frames]
     width, height = max(sizes[0]), len(frames[0].rows)
-    told = []
+    remarks = []
     last = frames[-1]
     if len(frames) > 1 and (len(last.rows) < height or min(sizes[-1]) < width):
-        told.append(f"the last frame, from line {last.line} on, is cut short: left out")
+        remarks.append(f"the last frame, from line {last.line} on, is cut short: left out")
         frames, sizes = frames[:-1], sizes[:-1]
     for frame, widths in zip(frames, sizes, strict=True):
         if widths != {width} or len(frame.rows) != height:
             shape = f"{len(frame.rows)} rows of {' or '.join(map(str, sorted(widths)))} cells"
             raise InputError(f"{frame.path}: line {frame.line}: a frame of {shape}; {height} of {width} were expected")
-    return frames, width, told
+    return frames, width, remarks
 
 
 def region_cells(
@@ -194,8 +198,8 @@ def region_cells(
     for frame in frames:
         split = {row: frame.rows[row].split(delimiter) for row in needed}
         for name, (rows, columns) in spans.items():
-            found = [split[row][columns[0] : columns[1] + 1] for row in range(rows[0], rows[1] + 1)]
-            cells[name].append([cell for row_cells in found for cell in row_cells])
+            rows_of_region = [split[row][columns[0] : columns[1] + 1] for row in range(rows[0], rows[1] + 1)]
+            cells[name].append([cell for row_cells in rows_of_region for cell in row_cells])
     return cells
 
 
@@ -213,8 +217,8 @@ def stamp_of(frame: PixelFrame, name: str) -> str:
     ------
     InputError : nothing of that name.
     """
-    found = [aside.value for aside in frame.above if aside.name == name]
-    if len(found) != 1:
+    values = [aside.value for aside in frame.above if aside.name == name]
+    if len(values) != 1:
         has = ", ".join(repr(aside.name) for aside in frame.above) or "nothing"
         raise InputError(f"{frame.path}: the frame from line {frame.line} on has {has} above it, not one {name!r}")
-    return found[0]
+    return values[0]

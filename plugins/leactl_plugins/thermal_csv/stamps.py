@@ -37,7 +37,7 @@ class RowTimes(NamedTuple):
     midnight: datetime | None  # UTC moment of time zero, where day and zone are known
     day: date | None  # of that midnight, where it is known
     resolution: float  # s
-    told: str
+    description: str
 
 
 class StampParts(NamedTuple):
@@ -63,31 +63,31 @@ def read_stamps(texts: Sequence[str], settings: StampSettings, where: Where) -> 
     """
     if settings.colons == "fraction_last":
         texts = [".".join(text.rsplit(":", 1)) if text.count(":") == 3 else text for text in texts]
-    places, fractions, digits = without_fractions(texts)
-    heads = {key: row for row, key in reversed(list(enumerate(places)))}
-    stamps = {key: take_apart("".join(key), where(heads[key])) for key in dict.fromkeys(places)}
-    day_of, told_order = read_days(stamps, settings, lambda key: where(heads[key]))
+    stamp_texts, fractions, digits = without_fractions(texts)
+    first_rows = {key: row for row, key in reversed(list(enumerate(stamp_texts)))}
+    stamps = {key: take_apart("".join(key), where(first_rows[key])) for key in dict.fromkeys(stamp_texts)}
+    day_of, order_text = read_days(stamps, settings, lambda key: where(first_rows[key]))
     kind = kind_of(stamps, settings, where)
     base = base_day(set(day_of.values()), next(iter(stamps.values())), settings, kind)
     days_first = digits > 0 or settings.colons == "days_first"
     hours_first = two_fields_are_hours(stamps, settings, kind, digits, where)
     seconds = {}
     for key, stamp in stamps.items():
-        own = day_of[stamp.day]
-        days = (own - base).days if own is not None and base is not None else 0
-        seconds[key] = days * DAY_S + clock_seconds(stamp, days_first, hours_first, where(heads[key]), kind)
-    time_s = np.array([seconds[key] for key in places]) + fractions
-    told = {"wall": "time of day", "elapsed": "elapsed time"}.get(kind, "time of day or elapsed time")
+        day = day_of[stamp.day]
+        days = (day - base).days if day is not None and base is not None else 0
+        seconds[key] = days * DAY_S + clock_seconds(stamp, days_first, hours_first, where(first_rows[key]), kind)
+    time_s = np.array([seconds[key] for key in stamp_texts]) + fractions
+    description = {"wall": "time of day", "elapsed": "elapsed time"}.get(kind, "time of day or elapsed time")
     if kind == "wall" and None in day_of.values():
         step = np.diff(time_s, prepend=time_s[0])
         over = (step < -0.5 * DAY_S).astype(int) - (step > 0.5 * DAY_S)  # a row out of order goes back over midnight
         passed = np.cumsum(over)
         time_s = time_s + DAY_S * passed
-        told += f", {int(passed[-1])} midnights passed"
+        description += f", {int(passed[-1])} midnights passed"
     whole = 60.0 if hours_first and all(len(stamp.fields) == 2 for stamp in stamps.values()) else 1.0
     resolution = 10.0**-digits if digits else whole
-    midnight, told_zone = midnight_of(base, {stamp.zone for stamp in stamps.values()}, settings, time_s, where)
-    said = [told, told_order, told_zone if kind == "wall" else "", f"resolved to {resolution:g} s"]
+    midnight, zone_text = midnight_of(base, {stamp.zone for stamp in stamps.values()}, settings, time_s, where)
+    said = [description, order_text, zone_text if kind == "wall" else "", f"resolved to {resolution:g} s"]
     wall = kind == "wall"
     return RowTimes(
         time_s, midnight if wall else None, base if wall else None, resolution, ", ".join(filter(None, said))
@@ -99,27 +99,27 @@ def without_fractions(texts: Sequence[str]) -> tuple[list[tuple[str, str]], Arra
 
     A long record has few stamps that differ in more than their fraction; only those are taken apart.
     """
-    places: list[tuple[str, str]] = []
+    stamp_texts: list[tuple[str, str]] = []
     fractions = np.zeros(len(texts))
     digits = 0
     for row, text in enumerate(texts):
-        found = FRACTION.fullmatch(text)
-        places.append((found[1], found[3]) if found else (text, ""))
-        if found:
-            digits = max(digits, len(found[2]))
-            fractions[row] = int(found[2]) * 10.0 ** -len(found[2])
-    return places, fractions, digits
+        match = FRACTION.fullmatch(text)
+        stamp_texts.append((match[1], match[3]) if match else (text, ""))
+        if match:
+            digits = max(digits, len(match[2]))
+            fractions[row] = int(match[2]) * 10.0 ** -len(match[2])
+    return stamp_texts, fractions, digits
 
 
 def take_apart(text: str, where: str) -> StampParts:
     """The parts of one stamp."""
-    found = STAMP.fullmatch(text.strip())
-    if found is None or (found["early"] and found["late"]):
+    match = STAMP.fullmatch(text.strip())
+    if match is None or (match["early"] and match["late"]):
         raise InputError(f"{where}: {text!r} is no date and time that is known")
-    half = (found["early"] or found["late"] or "").lower().replace(".", "")
+    half = (match["early"] or match["late"] or "").lower().replace(".", "")
     half = {"上午": "am", "下午": "pm"}.get(half, half)
-    day = (int(found["a"]), int(found["b"]), int(found["c"])) if found["a"] else None
-    return StampParts(day, tuple(int(part) for part in found["clock"].split(":")), half, found["zone"] or "")
+    day = (int(match["a"]), int(match["b"]), int(match["c"])) if match["a"] else None
+    return StampParts(day, tuple(int(part) for part in match["clock"].split(":")), half, match["zone"] or "")
 
 
 def read_days(
@@ -130,7 +130,7 @@ def read_days(
     readings: dict[str, dict[tuple[int, int, int] | None, date | None]] = {}
     for order in ORDERS if settings.date_order is None else (settings.date_order,):
         dates = {day: None if day is None else date_in(order, day) for day in days}
-        if all(found is not None for day, found in dates.items() if day is not None):
+        if all(day_read is not None for day, day_read in dates.items() if day is not None):
             readings[order] = dates
     if not readings:
         first = next(day for day in days if day is not None)
@@ -140,14 +140,14 @@ def read_days(
     for other, different in others:
         for day in days:
             if dates[day] != different[day]:
-                told = f"{'/'.join(map(str, day or ()))} reads {dates[day]} ({order}) or {different[day]} ({other})"
-                raise InputError(f"{where(days[day])}: {told}; time.date_order decides")
+                message = f"{'/'.join(map(str, day or ()))} reads {dates[day]} ({order}) or {different[day]} ({other})"
+                raise InputError(f"{where(days[day])}: {message}; time.date_order decides")
     return dates, f"dates as {order}" if any(day is not None for day in days) else ""
 
 
 def date_in(order: str, day: tuple[int, int, int]) -> date | None:
     """A date in one order; the year has two or four digits and a four-digit one stands where the order says."""
-    year, month, number = (day[place] for place in ORDERS[order])
+    year, month, number = (day[index] for index in ORDERS[order])
     if year < 100:
         year += 2000
     try:
@@ -242,8 +242,14 @@ def midnight_of(
     """Time zero as a moment, where the clock tells the day and the zone."""
     if len(zones) > 1:
         raise InputError(f"{where(0)}: stamps of several zones: {', '.join(sorted(zones))}")
-    own = next(iter(zones))
-    name = own if own[:1] in ("+", "-") and own else "+00:00" if own else settings.zone
+    zone_in_stamp = next(iter(zones))
+    name = (
+        zone_in_stamp
+        if zone_in_stamp[:1] in ("+", "-") and zone_in_stamp
+        else "+00:00"
+        if zone_in_stamp
+        else settings.zone
+    )
     name = f"{name[:3]}:{name[3:]}" if name and name[0] in "+-" and ":" not in name else name
     if base is None:
         return None, "no date"
@@ -257,8 +263,8 @@ def midnight_of(
     moments = [midnight + timedelta(seconds=float(at)) for at in (time_s.min(), time_s.max())]
     offsets = {moment.replace(tzinfo=zone, fold=fold).utcoffset() for moment in moments for fold in (0, 1)}
     if len(offsets) > 1:
-        told = f"the clocks of {name} change within the record; give time.zone as hours, such as +01:00"
-        raise InputError(f"{where(0)}: {told}")
+        message = f"the clocks of {name} change within the record; give time.zone as hours, such as +01:00"
+        raise InputError(f"{where(0)}: {message}")
     offset = offsets.pop() or timedelta()
     return (midnight - offset).replace(tzinfo=UTC), f"zone {name}"
 
@@ -283,8 +289,8 @@ def read_plain(values: Array, heading_unit: str, settings: StampSettings, headin
     if settings.kind == "elapsed":
         raise InputError(f"{where(0)}: elapsed time in no unit that {heading!r} names; time.units decides")
     if settings.kind != "frame":
-        told = f"a plain number under {heading!r} may be elapsed time or a frame's number"
-        raise InputError(f"{where(0)}: {told}; time.kind and time.units decide")
+        message = f"a plain number under {heading!r} may be elapsed time or a frame's number"
+        raise InputError(f"{where(0)}: {message}; time.kind and time.units decide")
     return read_frames(values, settings, where)
 
 
