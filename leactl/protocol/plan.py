@@ -325,7 +325,7 @@ class Acceptance:
 
 
 @dataclass(frozen=True)
-class ChannelLimit:
+class ChannelBounds:
     """Bounds of a channel in every step of a name, or in all steps; infinite if open."""
 
     channel: str
@@ -376,7 +376,7 @@ class Plan:
     parameters: Mapping[str, Any]  # resolved: --set overrides the condition, which overrides the default
     condition: str
     actions: tuple[Action, ...]
-    acceptance: tuple[Acceptance | ChannelLimit | SearchLimit, ...]
+    acceptance: tuple[Acceptance | ChannelBounds | SearchLimit, ...]
     text: str  # the protocol file, byte for byte
     separates: tuple[str, ...] = ()  # effects that its runs can tell apart
     needs: tuple[str, ...] = ()  # quantities that the bench must measure

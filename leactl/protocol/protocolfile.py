@@ -32,8 +32,8 @@ from leactl.errors import InputError
 from leactl.protocol import schema, steps
 from leactl.protocol.expansion import expand
 from leactl.protocol.parameters import Substituted, resolve, substitute
-from leactl.protocol.plan import Acceptance, ChannelLimit, Plan, SearchLimit, Segment
-from leactl.protocol.schema import BisectLimitBlock, Head, ResultLimitBlock, divides
+from leactl.protocol.plan import Acceptance, ChannelBounds, Plan, SearchLimit, Segment
+from leactl.protocol.schema import BisectLimit, Head, ResultLimit, divides
 from leactl.protocol.timeline import Timeline
 
 NO_OVERRIDES: Mapping[str, str] = MappingProxyType({})
@@ -162,15 +162,15 @@ def _head(document: Substituted, faults: list[str]) -> Head | None:
 
 
 def _bounds(
-    limit: ResultLimitBlock | schema.ChannelLimitBlock | BisectLimitBlock,
-) -> Acceptance | ChannelLimit | SearchLimit:
+    limit: ResultLimit | schema.ChannelLimit | BisectLimit,
+) -> Acceptance | ChannelBounds | SearchLimit:
     low = -math.inf if limit.low is None else limit.low
     high = math.inf if limit.high is None else limit.high
-    if isinstance(limit, ResultLimitBlock):
+    if isinstance(limit, ResultLimit):
         return Acceptance(limit.result, low, high, limit.unit)
-    if isinstance(limit, BisectLimitBlock):
+    if isinstance(limit, BisectLimit):
         return SearchLimit(limit.bisect, low, high, limit.unit)
-    return ChannelLimit(limit.channel, limit.role, limit.step, limit.statistic, low, high, limit.unit, limit.stop)
+    return ChannelBounds(limit.channel, limit.role, limit.step, limit.statistic, low, high, limit.unit, limit.stop)
 
 
 def _number(rate: object) -> float:

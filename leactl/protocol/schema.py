@@ -61,7 +61,7 @@ Bound = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Unit = Annotated[str, Field(min_length=1, max_length=20)]
 
 
-class ResultLimitBlock(Block):
+class ResultLimit(Block):
     """Bounds of a result of the analysis."""
 
     result: Annotated[str, Field(pattern=r"^[a-z][A-Za-z0-9_]*$", max_length=80)]
@@ -74,7 +74,7 @@ class ResultLimitBlock(Block):
         yield from _disordered(self)
 
 
-class ChannelLimitBlock(Block):
+class ChannelLimit(Block):
     """Bounds of a channel in every step of a name, without the settle time; needs no analysis."""
 
     channel: Quantity
@@ -99,7 +99,7 @@ class ChannelLimitBlock(Block):
             yield "stop", "max with high, or min with low, is what can be known before a step is over"
 
 
-class BisectLimitBlock(Block):
+class BisectLimit(Block):
     """Bounds that must contain the whole final interval of a bisection; needs no analysis."""
 
     bisect: Annotated[str, Field(max_length=40)]
@@ -124,7 +124,7 @@ def _strange_unit(unit: str, quantity: str, name: str) -> Iterator[tuple[str, st
         yield "unit", f"{unit!r}: {name} is in {UNITS[quantity]}; one of {known} was expected"
 
 
-def _disordered(limit: ResultLimitBlock | ChannelLimitBlock | BisectLimitBlock) -> Iterator[tuple[str, str]]:
+def _disordered(limit: ResultLimit | ChannelLimit | BisectLimit) -> Iterator[tuple[str, str]]:
     if limit.low is None and limit.high is None:
         yield "", "low, high or both were expected"
     elif limit.low is not None and limit.high is not None and limit.low > limit.high:
@@ -137,9 +137,9 @@ def _form(given: Any) -> str:
 
 
 Limit = Annotated[
-    Annotated[ResultLimitBlock, Tag("[result]")]
-    | Annotated[ChannelLimitBlock, Tag("[channel]")]
-    | Annotated[BisectLimitBlock, Tag("[bisect]")],
+    Annotated[ResultLimit, Tag("[result]")]
+    | Annotated[ChannelLimit, Tag("[channel]")]
+    | Annotated[BisectLimit, Tag("[bisect]")],
     Discriminator(_form),
 ]
 

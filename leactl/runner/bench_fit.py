@@ -4,7 +4,7 @@ from leactl.bench.bench import Bench
 from leactl.bench.benchfile import BenchFile
 from leactl.driver.contract import Mode
 from leactl.errors import InputError
-from leactl.protocol.plan import ChannelLimit, Engage, InRange, Plan, Segment, SetSupply, Until, WaitUntil, When
+from leactl.protocol.plan import ChannelBounds, Engage, InRange, Plan, Segment, SetSupply, Until, WaitUntil, When
 from leactl.runner.channel_limits import ChannelLimits
 from leactl.safety.refusals import check_setpoints
 from leactl.safety.witnesses import lone_sensors
@@ -38,7 +38,7 @@ def limits_of(plan: Plan, bench: Bench) -> ChannelLimits:
     ------
     InputError : the bench measures no such channel.
     """
-    limits = [limit for limit in plan.acceptance if isinstance(limit, ChannelLimit)]
+    limits = [limit for limit in plan.acceptance if isinstance(limit, ChannelBounds)]
     return ChannelLimits(limits, bench.streams(), bench.file.name)
 
 
