@@ -13,7 +13,6 @@ from leactl.driver.answers import Irregular
 from leactl.driver.clock import Clock
 from leactl.driver.contract import (
     Confirmation,
-    Driver,
     Identity,
     Mode,
     OwnRecording,
@@ -22,6 +21,7 @@ from leactl.driver.contract import (
     drive_channels,
 )
 from leactl.driver.conversation import Unreadable
+from leactl.driver.engaging_drive import EngagingDrive
 from leactl.driver.far_end import Physics, SerialEmulator
 from leactl.driver.serial_port import LONGEST_LINE, SerialPort
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
@@ -62,14 +62,21 @@ class _Record:
         self.outliers = Outliers(NOISE)
 
 
-class ElmoSerial(Driver):
-    """One Elmo drive, asked for its readings every cycle; its own program stops it where the host falls silent."""
+class ElmoSerial(EngagingDrive):
+    """One Elmo drive, asked for its readings every cycle; its own program stops it if the host falls silent.
+
+    After `open`, the first `engage` switches the drive on without a sign of life until its program has switched it off
+    again, with zero demand: a drive whose program does not do so is never let into operation.
+    """
 
     Settings = ElmoSerialSettings
     transport = "serial"
     baudrate = 115200
     summary = "Elmo Gold and SimplIQ servo drives over RS-232 (two-letter commands)"
     example: ClassVar[Mapping[str, Any]] = {"counts_per_turn": 40000}
+    modes = FOLLOWED
+    connection = "over this line"
+    enable_time_s = ENABLE_TIME_S
 
     def __init__(self, name: str, role: str, settings: ElmoSerialSettings, port: SerialPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings
@@ -274,26 +281,6 @@ class ElmoSerial(Driver):
         status = self._status
         shown = status.motor_on and status.guarded and status.unit_mode == self._unit_mode
         return self._proved and self._asked_on and shown
-
-    def engage(self, mode: Mode) -> None:
-        """Begin to enter operation in this mode with zero demand; angle holds where the shaft is.
-
-        The first time after `open` the drive is switched on without a sign of life until its program has switched it
-        off again, with zero demand: one that does not is never let into operation.
-
-        Raises
-        ------
-        InputError : the drive has no such mode.
-        """
-        if mode not in FOLLOWED:
-            raise InputError(f"{self.name}: mode '{mode}' is not one a drive can follow over this line")
-        self._follow(mode)
-        self._safe = False
-        self._enable_by = self._clock.now() + ENABLE_TIME_S
-
-    def release(self) -> None:
-        """Begin to leave operation; no current flows once the drive has left it."""
-        self._follow(Mode.OFF)
 
     def command(self, value: float) -> None:
         """Set the demand of the engaged mode (A, rad/s or rad) for the next cycle.

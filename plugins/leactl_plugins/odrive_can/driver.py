@@ -12,7 +12,8 @@ from typing import Any, ClassVar
 from leactl.driver.answers import Answers, Irregular
 from leactl.driver.can_port import CanPort
 from leactl.driver.clock import Clock
-from leactl.driver.contract import Confirmation, Driver, Identity, Mode, Row, StreamSpec, drive_channels
+from leactl.driver.contract import Confirmation, Identity, Mode, Row, StreamSpec, drive_channels
+from leactl.driver.engaging_drive import EngagingDrive
 from leactl.driver.far_end import CanEmulator, Physics
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
@@ -53,13 +54,15 @@ QUIET_S = 1.0  # at most one notice of irregular answers in this time
 NAN = math.nan
 
 
-class OdriveCan(Driver):
+class OdriveCan(EngagingDrive):
     """One axis, asked for its readings every cycle; its input is renewed as often, which feeds its watchdog."""
 
     Settings = OdriveSettings
     transport = "can"
     summary = "ODrive S1, Pro or Micro over CAN (CAN Simple, firmware 0.6)"
     example: ClassVar[Mapping[str, Any]] = {"node": 3, "endpoints": endpoints.EMULATED}
+    modes = FOLLOWED
+    enable_time_s = ENABLE_TIME_S
 
     def __init__(self, name: str, role: str, settings: OdriveSettings, port: CanPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings
@@ -202,23 +205,6 @@ class OdriveCan(Driver):
     def engaged(self) -> bool:
         """True where the axis has told that it is in closed loop, in the mode asked for and with its watchdog armed."""
         return self._asked_closed_loop and self.axis_state == AxisState.CLOSED_LOOP_CONTROL and self._is_ready()
-
-    def engage(self, mode: Mode) -> None:
-        """Begin to enter operation in this mode with zero demand; angle holds where the shaft is.
-
-        Raises
-        ------
-        InputError : the drive has no such mode.
-        """
-        if mode not in FOLLOWED:
-            raise InputError(f"{self.name}: mode '{mode}' is not one a drive can follow")
-        self._follow(mode)
-        self._safe = False
-        self._enable_by = self._clock.now() + ENABLE_TIME_S
-
-    def release(self) -> None:
-        """Begin to leave operation; no current flows once the drive has left it."""
-        self._follow(Mode.OFF)
 
     def command(self, value: float) -> None:
         """Set the demand of the engaged mode (A, rad/s or rad) for the next cycle.
