@@ -42,10 +42,10 @@ def stop(
     from leactl.errors import DeviceError
     from leactl.runner import runs_underway
 
-    found, faults = runs_underway.running()
-    found = _runs_on(bench, found, faults)
+    runs, faults = runs_underway.running()
+    runs = _runs_on(bench, runs, faults)
     asked = []
-    for run in found:  # every one is asked before any is waited for
+    for run in runs:  # every one is asked before any is waited for
         try:
             run.ask_to_stop()
             asked.append(run)
@@ -56,7 +56,7 @@ def stop(
     faults += [f"{end['bench']}: {end['doubt']}" for end in ends if end["doubt"]]
     if as_json:
         typer.echo(json.dumps({"runs": ends}))
-    elif not found:
+    elif not runs:
         typer.echo(f"nothing runs on {bench}" if bench else "nothing runs")
     for end in ends:
         if not (as_json or end["doubt"]):
@@ -97,10 +97,10 @@ def _ask_each(bench: str, as_json: bool, ask: "Callable[[Underway], None]", answ
     from leactl.errors import DeviceError
     from leactl.runner import runs_underway
 
-    found, faults = runs_underway.running()
-    found = _runs_on(bench, found, faults)
+    runs, faults = runs_underway.running()
+    runs = _runs_on(bench, runs, faults)
     asked = []
-    for run in found:
+    for run in runs:
         try:
             ask(run)
             asked.append(run)
@@ -108,15 +108,17 @@ def _ask_each(bench: str, as_json: bool, ask: "Callable[[Underway], None]", answ
             faults.append(str(fault))
         finally:
             run.close()
-    told = [{"bench": run.bench, "protocol": run.protocol, "process": run.process} for run in asked]
-    typer.echo(json.dumps({"runs": told}) if as_json else "\n".join(f"{run} {answer}" for run in asked), nl=bool(asked))
-    if not found:
+    stopped = [{"bench": run.bench, "protocol": run.protocol, "process": run.process} for run in asked]
+    typer.echo(
+        json.dumps({"runs": stopped}) if as_json else "\n".join(f"{run} {answer}" for run in asked), nl=bool(asked)
+    )
+    if not runs:
         faults.append(f"nothing runs on {bench}" if bench else "nothing runs")
     if faults:
         raise DeviceError("; ".join(faults))
 
 
-def _runs_on(bench: str, found: "list[Underway]", faults: list[str]) -> "list[Underway]":
+def _runs_on(bench: str, runs: "list[Underway]", faults: list[str]) -> "list[Underway]":
     """Those of a bench as its run was told it; its file is read only where that does not settle it.
 
     A run that holds the bench, and whose file cannot be found, is added to the faults.
@@ -124,16 +126,16 @@ def _runs_on(bench: str, found: "list[Underway]", faults: list[str]) -> "list[Un
     from leactl.runner.runs_underway import unseen
 
     if not bench:
-        return found
+        return runs
     path = str(Path(bench).resolve())
-    named = [run for run in found if bench == run.bench or path == run.file]
+    named = [run for run in runs if bench == run.bench or path == run.file]
     if named:
         return named
     from leactl.bench.benchfile import load
 
     hidden = unseen(bench)
     name = bench if hidden else load(bench)[0].name
-    named = [run for run in found if run.bench == name]
+    named = [run for run in runs if run.bench == name]
     hidden = hidden or ("" if named else unseen(name))
     if hidden:
         faults.append(hidden)
@@ -142,14 +144,14 @@ def _runs_on(bench: str, found: "list[Underway]", faults: list[str]) -> "list[Un
 
 def _end(run: "Underway", ended: bool, waited_s: float) -> dict[str, Any]:
     """How a run ended, and what of it could not be confirmed."""
-    told = run.told()
-    safe = told.get("safe", {})
+    last_words = run.told()
+    safe = last_words.get("safe", {})
     unsafe = [f"{name}: {device['detail']}" for name, device in safe.items() if not device["confirmed"]]
     doubt = ""
     if unsafe:
         doubt = "; ".join(unsafe)
     elif not safe and ended:
-        doubt = told.get("reason") or f"process {run.process} died without a word"
+        doubt = last_words.get("reason") or f"process {run.process} died without a word"
     elif not safe:
         doubt = f"process {run.process} has not answered within {waited_s:g} s"
     return {
@@ -157,9 +159,9 @@ def _end(run: "Underway", ended: bool, waited_s: float) -> dict[str, Any]:
         "protocol": run.protocol,
         "process": run.process,
         "ended": ended,
-        "status": told.get("status", ""),
-        "reason": told.get("reason", ""),
-        "run": told.get("run", ""),
+        "status": last_words.get("status", ""),
+        "reason": last_words.get("reason", ""),
+        "run": last_words.get("run", ""),
         "safe": safe,
         "doubt": f"NOT CONFIRMED SAFE, switch off the supply: {doubt}" if doubt else "",
     }
@@ -184,14 +186,14 @@ def read(
     from leactl.runfile.read.reader import Run
 
     outcome = _perform("read", reading(hold_s), bench, setup, out, realtime, served, bus, everything=True)
-    found = []
+    channels = []
     if outcome.error is None:
         with Run.open(outcome.path) as run:
-            found = readings(run)
+            channels = readings(run)
     if as_json:
-        typer.echo(json.dumps(outcome.as_json() | {"channels": [asdict(item) for item in found]}))
-    elif found:
-        typer.echo(table(found))
+        typer.echo(json.dumps(outcome.as_json() | {"channels": [asdict(item) for item in channels]}))
+    elif channels:
+        typer.echo(table(channels))
     finish(outcome, [])
 
 

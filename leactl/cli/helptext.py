@@ -50,6 +50,6 @@ def examples(
     """
     meanings = {**MEANINGS, **(means or {})}
     statuses = {error.exit_status: meanings[error] for error in (*ALWAYS, *ends)}
-    told = ", ".join(f"{status} {meaning}" for status, meaning in sorted({0: "done", **statuses}.items()))
+    status_texts = ", ".join(f"{status} {meaning}" for status, meaning in sorted({0: "done", **statuses}.items()))
     shown = "".join(f"\n  leactl {line}" for line in lines)
-    return f"\b\nExample{'s' if len(lines) > 1 else ''}:{shown}\n\nExit status: {told}."
+    return f"\b\nExample{'s' if len(lines) > 1 else ''}:{shown}\n\nExit status: {status_texts}."

@@ -129,7 +129,7 @@ def _refuse_usage(error: Any) -> NoReturn:
     command = error.ctx.command_path if error.ctx is not None else "leactl"
     options = tuple(getattr(getattr(error, "param", None), "opts", ()))
     given = [after for word, after in itertools.pairwise(sys.argv) if word in options]
-    given += [word.partition("=")[2] for word in sys.argv if word.startswith(tuple(f"{one}=" for one in options))]
+    given += [word.partition("=")[2] for word in sys.argv if word.startswith(tuple(f"{option}=" for option in options))]
     value = f", found {given[0]!r}" if len(given) == 1 and text.startswith("Invalid") else ""
     _end([f"{text[0].lower()}{text[1:]}{value}; {command} --help tells the usage"], InputError.exit_status)
 

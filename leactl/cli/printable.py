@@ -10,7 +10,7 @@ OBEYED = re.compile("\r(?!\n)|[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u200e\u200f\u
 
 def printable(text: str) -> str:
     """The text with every character that a terminal would obey as its escape in Python."""
-    return OBEYED.sub(lambda found: repr(found[0])[1:-1], text)
+    return OBEYED.sub(lambda match: repr(match[0])[1:-1], text)
 
 
 class Printable(io.TextIOWrapper):

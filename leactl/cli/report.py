@@ -24,7 +24,7 @@ class SeveralCompared(TyperCommand):
             word = rest.pop(0)
             spread.append(word)
             if word == COMPARED:
-                paths = list(takewhile(lambda one: not one.startswith("-"), rest))
+                paths = list(takewhile(lambda path: not path.startswith("-"), rest))
                 del rest[: len(paths)]
                 if not paths:
                     raise InputError(f"{COMPARED}: no runs after it; give run files, or folders of them")

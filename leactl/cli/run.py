@@ -94,7 +94,7 @@ def run(
             print_end(outcome)
         sys.stdout.flush()
         warning = _ended(words, outcome)  # here, for behind the block signals are ignored, by what is started too
-    faults = [told.fault for told in (lines, traced) if told is not None]
+    faults = [log.fault for log in (lines, traced) if log is not None]
     for note in filter(None, (warning, *faults)):
         print(f"leactl: warning: {note}", file=sys.stderr)
     finish(outcome, unmet)

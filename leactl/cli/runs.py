@@ -156,11 +156,13 @@ def trend(
     from leactl.runfile.catalog.summaries import run_files
     from leactl.scheduler import workers_of
 
-    told = numbers(settings)
+    given_values = numbers(settings)
     with Steps() as step, workers_of(processes, scheduler) as workers:
         paths = run_files(runs or [Path("runs")])
-        found = follow(paths, result, actuator, condition, baseline, step, workers, **told)
-    typer.echo(json.dumps(found.as_json(), allow_nan=False) if as_json else trend_text(found, encoding_of_stdout()))
+        trend_found = follow(paths, result, actuator, condition, baseline, step, workers, **given_values)
+    typer.echo(
+        json.dumps(trend_found.as_json(), allow_nan=False) if as_json else trend_text(trend_found, encoding_of_stdout())
+    )
 
 
 @app.command(epilog=examples("runs show RUN.h5"))
@@ -170,20 +172,20 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
     from leactl.runfile.read.bisections import searches
     from leactl.runfile.read.reader import Run
 
-    with Run.open(run) as found:
-        about = {name: str(value) for name, value in found.attributes.items()} | {"mechanical": found.mechanical}
+    with Run.open(run) as opened:
+        about = {name: str(value) for name, value in opened.attributes.items()} | {"mechanical": opened.mechanical}
         streams = {
             name: {
-                "rows": found.rows[name],
-                **({"attached": found.attached(name)} if found.attached(name) else {}),
+                "rows": opened.rows[name],
+                **({"attached": opened.attached(name)} if opened.attached(name) else {}),
                 "channels": [
                     {"name": c.name, "quantity": c.quantity, "role": c.role, "units": c.unit} for c in channels
                 ],
             }
-            for name, channels in found.streams.items()
+            for name, channels in opened.streams.items()
         }
-        steps, events, notes = found.steps, found.events, found.notes
-        parameters, instruments = found.parameters, found.instruments
+        steps, events, notes = opened.steps, opened.events, opened.notes
+        parameters, instruments = opened.parameters, opened.instruments
     if as_json:
         answer = {
             "attributes": about,
@@ -205,7 +207,7 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
         typer.echo(row(f"instrument {name}: ", ", ".join(f"{key} {fact}" for key, fact in facts.items())))
     for name, stream in streams.items():
         typer.echo(f"stream {name}: {stream['rows']} rows{attached_told(stream)}")
-        for channel in found.streams[name]:
+        for channel in opened.streams[name]:
             typer.echo(f"  {channel.name:<12} {channel.role:<6} {channel.quantity:<26} {channel.unit}")
     for search in searches(steps):
         typer.echo(row("", str(search)))
@@ -401,9 +403,9 @@ def attached_told(stream: dict[str, Any]) -> str:
     """Where a stream that joined later came from and how well its stamps are known; empty for a recorded one."""
     if "attached" not in stream:
         return ""
-    found = stream["attached"]
-    within = f"stamps good to {found['alignment_uncertainty_s']:.2g} s (95 %)"
-    return f", attached from {found['record_files']}, {within} by {found['alignment_method']}"
+    provenance = stream["attached"]
+    within = f"stamps good to {provenance['alignment_uncertainty_s']:.2g} s (95 %)"
+    return f", attached from {provenance['record_files']}, {within} by {provenance['alignment_method']}"
 
 
 @app.command(epilog=examples("runs plot RUN.h5 torque test_iq", "runs plot RUN.h5 torque --html plot.html"))

@@ -35,9 +35,9 @@ class SupplyReading(NamedTuple):
 
 
 class SwitchOffTrouble:
-    """Reason why an output is not confirmed off, filled in by a dialogue; `said` is empty at first."""
+    """Reason why an output is not confirmed off, filled in by a dialogue; `text` is empty at first."""
 
-    said = ""
+    text = ""
 
 
 class Dialogue(Protocol):
@@ -47,10 +47,10 @@ class Dialogue(Protocol):
     def off(self) -> bytes:
         """Bytes that switch the output off from any state, sent without waiting for a reply."""
 
-    def output_off(self, progress: SwitchOffTrouble) -> Script[Confirmation]:
+    def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
         """Switch off repeatedly until the output is measured or reported off."""
 
-    def set_up(self, progress: SwitchOffTrouble) -> Script[Sequence[str]]:
+    def set_up(self, off_trouble: SwitchOffTrouble) -> Script[Sequence[str]]:
         """Switch off, check that it is the expected instrument, and configure it; returns notices.
 
         Raises
@@ -126,8 +126,8 @@ class SupplyLine:
                 script = self._dialogue.output_off(off_trouble)
                 confirmed = Talk(self._port, script, self._answer_s).finish(min(halfway, deadline))
             except DeviceError as error:
-                if off_trouble.said or not (reason and isinstance(error, NoAnswer)):  # the last try has little time
-                    reason = off_trouble.said or str(error)
+                if off_trouble.text or not (reason and isinstance(error, NoAnswer)):  # the last try has little time
+                    reason = off_trouble.text or str(error)
                 self._start_afresh(deadline)
                 continue
             self.supplying, self._seen_off = False, True
@@ -179,8 +179,8 @@ class SupplyLine:
         try:
             self._notices += Talk(self._port, script, self._answer_s).finish(self._clock.now() + within_s)
         except NoAnswer as error:
-            if off_trouble.said:
-                raise DeviceFault(f"{self._name}: {off_trouble.said}") from None
+            if off_trouble.text:
+                raise DeviceFault(f"{self._name}: {off_trouble.text}") from None
             raise NoAnswer(f"{self._name}: {error}") from None
         except DeviceError as error:
             raise type(error)(f"{self._name}: {error}") from None

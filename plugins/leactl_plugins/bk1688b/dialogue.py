@@ -62,7 +62,7 @@ class Bk1688bDialogue:
             shown: Display = yield from _asked(DISPLAY)
             if not self._on(shown):
                 return Confirmation(True, f"output off, {_told(shown)}")
-            off_trouble.said = f"the output is still on, {_told(shown)}"
+            off_trouble.text = f"the output is still on, {_told(shown)}"
 
     def set_up(self, off_trouble: SwitchOffTrouble) -> Script[Sequence[str]]:
         """Make off, see by its limits that it is the model expected, and set as little as there is.
@@ -73,7 +73,7 @@ class Bk1688bDialogue:
         """
         rating, notices = self._settings.rating, []
         yield from self.output_off(off_trouble)
-        off_trouble.said = ""
+        off_trouble.text = ""
         try:
             most: LevelCounts = yield from _asked(Query("GMAX", answers.levels, last=OK))
         except NoAnswer:

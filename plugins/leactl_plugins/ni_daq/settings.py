@@ -57,13 +57,13 @@ class NiDaqSettings(DriverSettings):
     @field_validator("inputs")
     @classmethod
     def _all_differ(cls, value: tuple[DaqInput, ...]) -> tuple[DaqInput, ...]:
-        for what, found in (
+        for label, values in (
             ("name", [item.name for item in value]),
             ("channel", [item.channel for item in value]),
             ("quantity and role", [f"{item.quantity} of {item.role}" for item in value]),
         ):
-            if len(set(found)) != len(found):
-                raise ValueError(f"two inputs share a {what} among {', '.join(found)}")
+            if len(set(values)) != len(values):
+                raise ValueError(f"two inputs share a {label} among {', '.join(values)}")
         return value
 
     @model_validator(mode="after")

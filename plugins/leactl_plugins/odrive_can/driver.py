@@ -286,12 +286,12 @@ class OdriveCan(EngagingDrive):
 
     def notices(self) -> list[str]:
         """A line for irregular answers and a full bus."""
-        told, now = [], self._clock.now()
+        lines, now = [], self._clock.now()
         irregular = self._answers.irregular
         if irregular != self._told and (now >= self._quiet_until or self._mode is Mode.OFF):
             self._quiet_until, self._told = now + QUIET_S, replace(irregular)
-            told.append(str(irregular))
-        return told + self._port.notices()
+            lines.append(str(irregular))
+        return lines + self._port.notices()
 
     # -- on the way into operation -----------------------------------------------------------------------------------
 

@@ -59,7 +59,7 @@ class ScpiDialogue:
         who: InstrumentIdentity = yield from _asked(IDENTIFY)
         return who
 
-    def output_off(self, progress: SwitchOffTrouble) -> Script[Confirmation]:
+    def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
         """Switch off until the instrument says so and no current flows, however often that takes.
 
         The first command may be lost to a half-sent one or to an answer under way, so it is repeated.
@@ -69,12 +69,12 @@ class ScpiDialogue:
             self._check((yield from self.in_step()))
             on = yield from _asked(FIRST)
             if on:
-                progress.said = "the output is still on"
+                off_trouble.text = "the output is still on"
                 continue
             current = yield from _asked(self._current)
             if abs(current) <= self._settings.off_current_A:
                 return Confirmation(True, f"output off, {current:.3f} A")
-            progress.said = f"the output is said to be off and {current:.3f} A flow"
+            off_trouble.text = f"the output is said to be off and {current:.3f} A flow"
 
     def _check(self, who: InstrumentIdentity) -> None:
         """Refuse another instrument."""
@@ -84,7 +84,7 @@ class ScpiDialogue:
         if settings.serial_number and who.serial_number != settings.serial_number:
             raise DeviceError(f"serial number {who.serial_number} answers; {settings.serial_number} was expected")
 
-    def set_up(self, progress: SwitchOffTrouble) -> Script[Sequence[str]]:
+    def set_up(self, off_trouble: SwitchOffTrouble) -> Script[Sequence[str]]:
         """Make off, then arm both protections at their limits, with nothing set; errors of whoever was there before.
 
         Raises
@@ -94,7 +94,7 @@ class ScpiDialogue:
         """
         settings = self._settings
         self._found, self._held = [], 0.0
-        yield from self.output_off(progress)
+        yield from self.output_off(off_trouble)
         before = yield from _errors()
         if settings.output_range:
             yield f"{self._dialect.set_range} {settings.output_range.upper()}"
@@ -112,7 +112,7 @@ class ScpiDialogue:
 
     def _as_found(self, limits: Mapping[str, float]) -> Script[list[ProtectionBefore]]:
         """How the protections stand; one that somebody has armed closer than the limits is not loosened."""
-        found = []
+        protections = []
         for protection, (key, limit) in zip(
             (self._dialect.voltage, self._dialect.current), limits.items(), strict=True
         ):
@@ -123,8 +123,8 @@ class ScpiDialogue:
                     f"{protection.name} is armed at {level:g}, below {key} of {limit:g}, and is not loosened: raise it"
                     " at the instrument, or lower the limit in the bench file"
                 )
-            found.append(ProtectionBefore(protection, level, armed))
-        return found
+            protections.append(ProtectionBefore(protection, level, armed))
+        return protections
 
     def put(self, voltage: float, current: float) -> Script[None]:
         """Set both levels [V, A], arm the over-voltage protection at its own, and read everything back.
@@ -152,16 +152,16 @@ class ScpiDialogue:
 
     def leave(self) -> Script[Sequence[str]]:
         """Put both protections back as they were found; what was put back."""
-        found, self._found = self._found, []
-        if not found:
+        protections, self._found = self._found, []
+        if not protections:
             return ()
         yield from self.in_step()
-        for protection, level, armed in found:
+        for protection, level, armed in protections:
             yield from _written(protection.set_level, protection.level, level)
             yield f"{protection.switch} {'ON' if armed else 'OFF'}"
             if (yield from _asked(Query(protection.armed, answers.truth))) is not armed:
                 raise DeviceError(f"{protection.name} is not switched {'on' if armed else 'off'} as it was found")
-        return [one.protection.name for one in found]
+        return [before.protection.name for before in protections]
 
     def switched(self, on: bool) -> Script[None]:
         """Switch the output and see that it is.
@@ -181,13 +181,13 @@ class ScpiDialogue:
         assert voltage is not None and current is not None
         on = yield from _asked(OUTPUT)
         condition = yield from _asked(CONDITION)
-        found = yield from _errors()
+        errors = yield from _errors()
         fault = yield from self._tripped()
         mode = REGULATED.get(condition, "") if on else ""
         if on and not mode and not fault:
             fault = f"out of regulation, condition {condition}"
-        told = tuple(f"error {number}, {text}" for number, text in found)
-        return SupplyReading((voltage.asked + current.seen) / 2, voltage.value, current.value, on, mode, fault, told)
+        notices = tuple(f"error {number}, {text}" for number, text in errors)
+        return SupplyReading((voltage.asked + current.seen) / 2, voltage.value, current.value, on, mode, fault, notices)
 
     def _tripped(self) -> Script[str]:
         """Which protection has tripped; empty where none has."""
@@ -221,12 +221,12 @@ def _off_by(value: float) -> float:
 
 def _errors() -> Script[tuple[ErrorEntry, ...]]:
     """Empty the error queue."""
-    found: list[ErrorEntry] = []
+    errors: list[ErrorEntry] = []
     while (entry := (yield from _asked(ERROR))).number:
-        found.append(entry)
-        if len(found) > MOST_ERRORS:
+        errors.append(entry)
+        if len(errors) > MOST_ERRORS:
             raise DeviceError(f"the error queue does not end; last error {entry.number}, {entry.text}")
-    return tuple(found)
+    return tuple(errors)
 
 
 def _asked(question: Query) -> Script[Any]:

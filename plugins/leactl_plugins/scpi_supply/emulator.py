@@ -165,13 +165,13 @@ class ScpiSupplyEmulator:
             "STATus:QUEStionable:CONDition?": lambda _: self._register(self._condition()),
         }
         if self.dialect == "e36xx":
-            own = self._protection("[SOURce:]VOLTage:PROTection", "[:LEVel]", ":TRIPped?", self.over_voltage)
-            own |= self._protection("[SOURce:]CURRent:PROTection", "[:LEVel]", ":TRIPped?", self.over_current)
-            own |= {"[SOURce:]VOLTage:RANGe": self._set_range}
+            subtree = self._protection("[SOURce:]VOLTage:PROTection", "[:LEVel]", ":TRIPped?", self.over_voltage)
+            subtree |= self._protection("[SOURce:]CURRent:PROTection", "[:LEVel]", ":TRIPped?", self.over_current)
+            subtree |= {"[SOURce:]VOLTage:RANGe": self._set_range}
         else:
-            own = self._protection("OUTPut:OVP", ":VALue", ":QUES?", self.over_voltage)
-            own |= self._protection("OUTPut:OCP", ":VALue", ":QUES?", self.over_current)
-        return [(_pattern(name), act) for name, act in (common | own).items()]
+            subtree = self._protection("OUTPut:OVP", ":VALue", ":QUES?", self.over_voltage)
+            subtree |= self._protection("OUTPut:OCP", ":VALue", ":QUES?", self.over_current)
+        return [(_pattern(name), act) for name, act in (common | subtree).items()]
 
     def _protection(self, head: str, level: str, tripped: str, held: _Level) -> dict[str, Callable[[str], str | None]]:
         def set_level(text: str) -> None:

@@ -131,6 +131,6 @@ class CameraEmulator:
 
     def _head(self) -> str:
         named = self._settings.time.column or "Time"
-        told = f"{named} (s)" if self._settings.time.kind in (None, "elapsed") else named
+        time_heading = f"{named} (s)" if self._settings.time.kind in (None, "elapsed") else named
         columns = [str(region.column) for region in self._settings.regions.values()]
-        return heading(columns, self._dialect, self._unit, told)
+        return heading(columns, self._dialect, self._unit, time_heading)
