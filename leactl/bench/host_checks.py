@@ -1,4 +1,4 @@
-"""What this machine offers a bench: interpreter, packages, plug-ins, buses with their permissions, room on the disk."""
+"""Check this machine for a bench: interpreter, packages, plug-ins, buses with permissions, free disk space."""
 
 import os
 import platform
@@ -18,7 +18,7 @@ CAN_TYPE = "280"  # ARPHRD_CAN in /sys/class/net/*/type
 
 @dataclass(frozen=True)
 class HostFinding:
-    """One thing that was looked at; `needed` where leactl does not work without it."""
+    """Result of one check; `needed` if leactl does not work without it."""
 
     subject: str
     fine: bool
@@ -28,7 +28,7 @@ class HostFinding:
 
 
 def examine(root: Path = Path("/")) -> list[HostFinding]:
-    """Look at everything; buses and devices are looked for under `root`."""
+    """Run all checks; buses and devices are searched under `root`."""
     checks = [_python(), _packages(), _plugins(), _can(root), _i2c(root), _serial(root), ni_daqmx(), _disk()]
     return [finding for findings in checks for finding in findings]
 
@@ -87,7 +87,7 @@ def _serial(root: Path) -> Iterator[HostFinding]:
 
 
 def ni_daqmx() -> Iterator[HostFinding]:
-    """NI's driver and its devices, where the package that calls it is installed."""
+    """NI's driver and its devices, if the package `nidaqmx` is installed."""
     try:
         from nidaqmx.errors import Error
         from nidaqmx.system import System

@@ -1,4 +1,4 @@
-"""Devices of a bench whose readings come in files: found in a bench file, and made ready to read."""
+"""Devices of a bench whose readings come in files: create them from a bench file, and attach their records to runs."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +18,7 @@ from leactl.runfile.read.reader import Run
 
 
 class RecordDevice:
-    """One device of a bench file that reads records; of the file, only `devices.NAME` is looked at.
+    """One device of a bench file that reads records; only `devices.NAME` of the file is used.
 
     Raises
     ------
@@ -52,16 +52,16 @@ class RecordDevice:
 
         Raises
         ------
-        InputError : everything that is wrong with the files.
+        InputError : all faults of the files.
         """
         return self.source.read_files(files)
 
     def join(self, record: FileRecord, run: Path) -> AlignedRecord:
-        """Put a record on the clock of a run.
+        """Align a record with the clock of a run.
 
         Raises
         ------
-        InputError : the settings do not say how, or it cannot be done.
+        InputError : the settings give no method, or the clocks cannot be aligned.
         """
         clock = self.source.clock
         if clock is None:
@@ -71,22 +71,22 @@ class RecordDevice:
             return align_record(record, clock, opened)
 
     def attach(self, joined: AlignedRecord, run: Path, replace: bool = False) -> None:
-        """Store a joined record in its run, with the settings that it was read with.
+        """Store an aligned record in its run, with the settings that it was read with.
 
         Raises
         ------
-        InputError : the run has such a stream already.
+        InputError : the run has such a stream.
         """
         settings = self.settings.model_dump(mode="json", exclude_none=True)
         attach(run, joined, settings, self.entry.driver, replace)
 
 
 def bench_of_run(run: Path) -> yamlfile.Document:
-    """The bench file as a run keeps it.
+    """The bench file that a run stores.
 
     Raises
     ------
-    InputError : the run keeps none.
+    InputError : the run stores none.
     """
     with Run.open(run) as opened:
         text = opened.source("bench")
@@ -96,9 +96,9 @@ def bench_of_run(run: Path) -> yamlfile.Document:
 
 
 def placed(devices: Sequence[CheckedDevice], runs: Path, run_id: str = "") -> list[CheckedDevice]:
-    """Devices with the folders of their exports as a run has them; a relative one lies in the directory of the runs.
+    """Devices whose relative folders of exports are moved below the directory of the runs.
 
-    Emulated runs may go on at once: with `run_id` each has a folder of its own below, so that none finds another's.
+    With `run_id`, each run has a folder of its own below that, because emulated runs may execute at the same time.
     """
     relocated = []
     for device in devices:
@@ -111,15 +111,15 @@ def placed(devices: Sequence[CheckedDevice], runs: Path, run_id: str = "") -> li
 
 
 def awaited(drivers: Mapping[str, Driver]) -> dict[str, BatchSource]:
-    """Those devices of a bench, by name, whose exports join a run at its end."""
+    """Devices of a bench, by name, whose exports are attached to a run at its end."""
     sources = {name: driver for name, driver in drivers.items() if isinstance(driver, BatchSource)}
     return {name: source for name, source in sources.items() if source.exports.folder is not None}
 
 
 def collect(drivers: Mapping[str, Driver], document: yamlfile.Document, run: Path) -> list[str]:
-    """Attach what the programs of a bench's devices have exported since it was opened; a line for each that did not.
+    """Attach the exports since the bench was opened to a run; one line for each device that failed.
 
-    Nothing here is an error of the run, which is closed and whole: whatever is told can be mended and attached by hand.
+    A failure is no error of the run, which is closed and complete: the record can be attached by hand later.
     """
     failures = []
     for name, source in awaited(drivers).items():

@@ -35,7 +35,7 @@ class AdcInput(BaseModel):
 
     @property
     def window_V(self) -> tuple[float, float]:  # noqa: N802
-        """Voltages between which a reading is one: the codes at the range's ends and the sensor's rails are outside."""
+        """Lowest and highest valid voltage: inside the range's end codes and the sensor's rails."""
         count = self.range_V / 32768
         low, high = -self.range_V + count, self.range_V - 2 * count
         return (low if self.low_V is None else max(low, self.low_V)), (
@@ -44,11 +44,11 @@ class AdcInput(BaseModel):
 
     @property
     def most_tare_V(self) -> float:  # noqa: N802
-        """How far a tare may move the zero from `offset_V`."""
+        """Largest distance of a tared zero from `offset_V`."""
         return TARE_SHARE * self.range_V if self.tare_limit_V is None else self.tare_limit_V
 
     def value_of(self, volts: float) -> float:
-        """What the sensor says by this voltage."""
+        """Value of the sensor's quantity at a voltage."""
         return self.sign * self.scale_per_V * (volts - self.offset_V)
 
     @model_validator(mode="after")
@@ -92,7 +92,7 @@ class Ads1115Settings(DriverSettings):
         return self.address
 
     def shown(self) -> list[Shown]:
-        """What each input can tell from its rail."""
+        """Measurable range of each input."""
         ranges = []
         for index, item in enumerate(self.inputs):
             low, high = sorted(item.value_of(volts) for volts in item.window_V)

@@ -1,4 +1,4 @@
-"""What a supply's answers mean: digits without a point, and an `OK` of its own after them; all else is refused."""
+"""Parse a supply's replies: digits without a decimal point, then `OK`; anything else is Unreadable."""
 
 import re
 from typing import NamedTuple
@@ -16,26 +16,26 @@ class LevelCounts(NamedTuple):
 
 
 class Display(NamedTuple):
-    """What stands at the terminals, and whether the current is what is regulated."""
+    """Measured output, and which of voltage and current is regulated."""
 
     voltage: float  # V
     current: float  # A
-    limited: bool  # constant current, else constant voltage
+    limited: bool  # True: constant current; False: constant voltage
 
 
 def done(answer: bytes) -> None:
-    """A command that was carried out.
+    """Check the reply to a command.
 
     Raises
     ------
-    Unreadable : anything beside `OK`.
+    Unreadable : anything but `OK`.
     """
     if answer != OK:
         raise Unreadable(f"{_shown(answer)} where OK was expected")
 
 
 def levels(answer: bytes) -> LevelCounts:
-    """Both settings, or both limits.
+    """Parse two levels (settings or limits).
 
     Raises
     ------
@@ -48,7 +48,7 @@ def levels(answer: bytes) -> LevelCounts:
 
 
 def display(answer: bytes) -> Display:
-    """What is measured.
+    """Parse the display.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""What is said to a supply that tells what it measures and never whether its output is on.
+"""Commands of a supply that reports its measurements, but not whether its output is on.
 
-Each command is answered by `OK`, and every setting is read back. Whether the output is off is judged by voltage and
-current at the terminals; what is no answer to the latest question is kept apart by what only that question can bring.
+Each command is answered by `OK`, and every setting is read back. The output counts as off by voltage and current at the
+terminals. Replies to earlier commands are recognised because each query expects a reply that only it can produce.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,7 +28,7 @@ ASTRAY_V, ASTRAY_A = 0.1, 0.1  # and beside that
 
 
 class Bk1688bDialogue:
-    """What is said to the supply of these settings."""
+    """Dialogue with the supply of these settings."""
 
     off = f"\r{OFF}\r".encode("ascii")  # the first end closes what somebody has left half sent
 
@@ -42,15 +42,15 @@ class Bk1688bDialogue:
         self._panel = ""  # what was set there
 
     def in_step(self) -> Script[LevelCounts]:
-        """Ask for the settings: what comes before six digits was meant for an earlier question, and is dropped."""
+        """Query the settings and drop all replies before six digits, which belong to earlier queries."""
         held: LevelCounts = yield from _asked(Query("GETS", _at_the_end(2, answers.levels), patient=True, last=OK))
         return held
 
     def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
-        """Switch off until nothing is measured at the terminals, however often that takes.
+        """Switch off repeatedly until no voltage and no current are measured at the terminals.
 
-        A voltage that the last nine tries did not set is set and read back each time: any answer before it was given
-        earlier, whichever `OK` has been taken for whose, and an output that does not switch off is turned down.
+        Each try sets and reads back a voltage that the last nine tries did not use. Any reply before that value is
+        thereby known to be older, and an output that does not switch off is at least turned down.
         """
         while True:
             yield b"\r"
@@ -65,11 +65,11 @@ class Bk1688bDialogue:
             off_trouble.text = f"the output is still on, {_told(shown)}"
 
     def set_up(self, off_trouble: SwitchOffTrouble) -> Script[Sequence[str]]:
-        """Make off, see by its limits that it is the model expected, and set as little as there is.
+        """Switch off, check the model by its limits, and set the lowest levels.
 
         Raises
         ------
-        DeviceError : another model, a setting that does not stick, an output that cannot be switched off.
+        DeviceError : another model, a setting that reads back differently, or an output that cannot be switched off.
         """
         rating, notices = self._settings.rating, []
         yield from self.output_off(off_trouble)
@@ -92,7 +92,7 @@ class Bk1688bDialogue:
         return notices
 
     def leave(self) -> Script[Sequence[str]]:
-        """Nothing: it has no protections that could be set, and its levels were not kept."""
+        """Do nothing: the supply has no protections to restore."""
         yield from ()
         return ()
 
@@ -114,11 +114,11 @@ class Bk1688bDialogue:
             raise DeviceError(f"{self._spelt(held)} are set after {self._spelt(wanted)} were commanded")
 
     def switched(self, on: bool) -> Script[None]:
-        """Switch the output and see by what is measured that it is.
+        """Switch the output and check it by the measured voltage and current.
 
         Raises
         ------
-        DeviceFault : it is not.
+        DeviceFault : the output is not in the demanded state.
         """
         self._astray_since = None
         yield from _asked(_command(ON if on else OFF))
@@ -129,7 +129,7 @@ class Bk1688bDialogue:
         raise DeviceFault(f"the output does not switch {'on' if on else 'off'}, {_told(shown)}")
 
     def measured(self) -> Script[SupplyReading]:
-        """Voltage, current and what is regulated; once in a while what is set.
+        """Measure voltage, current and regulation mode; every `SETTINGS_S`, also read the settings.
 
         Raises
         ------
@@ -158,9 +158,9 @@ class Bk1688bDialogue:
         return SupplyReading((answer.asked + answer.seen) / 2, shown.voltage, shown.current, on, mode, fault)
 
     def _astray(self, shown: Display, answer: Reply) -> str:
-        """What is put out beyond what is set, or below where that is said to be regulated, for longer than it settles.
+        """A fault if the output is off its set level for longer than `ASTRAY_S`; else empty.
 
-        A current that is set in another model's steps shows here where the model itself does not tell its limits.
+        This also detects a supply of another model, whose current has other steps, if it does not report its limits.
         """
         volts, amperes = self._held.volts * STEP_V, self._held.amperes * self._step
         room_v, room_a = ASTRAY * volts + ASTRAY_V, ASTRAY * amperes + ASTRAY_A
@@ -180,12 +180,12 @@ class Bk1688bDialogue:
 
 
 def _at_the_end(lines: int, means: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
-    """The last lines of an answer: the end of an earlier one, without its own `OK`, may stand before them."""
+    """Parse only the last lines of a reply: the end of an earlier reply without its `OK` may precede them."""
     return lambda answer: means(b"\n".join(answer.split(b"\n")[-lines:]))
 
 
 def _with(volts: int) -> Callable[[bytes], LevelCounts]:
-    """Settings with this voltage and no others."""
+    """Parser of settings that refuses any other voltage."""
 
     def read(answer: bytes) -> LevelCounts:
         levels_set = answers.levels(answer)
@@ -205,7 +205,7 @@ def _told(shown: Display) -> str:
 
 
 def _asked(question: Query) -> Script[Any]:
-    """The value of an answer."""
+    """Script that sends a query and returns the value of its reply."""
     answer = yield question
     assert answer is not None
     return answer.value

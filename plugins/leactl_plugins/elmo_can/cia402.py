@@ -41,7 +41,7 @@ _UP = {
 
 
 def state_of(statusword: int) -> DriveState:
-    """State that a statusword tells."""
+    """State that a statusword encodes."""
     state = _MASK_6F.get(statusword & 0x6F)
     if state is not None:
         return state
@@ -49,5 +49,5 @@ def state_of(statusword: int) -> DriveState:
 
 
 def towards_enabled(state: DriveState) -> int:
-    """Controlword that takes one transition towards operation enabled; no fault is ever reset by it."""
+    """Controlword for the next transition towards operation enabled; it never resets a fault."""
     return _UP.get(state, DISABLE_VOLTAGE)

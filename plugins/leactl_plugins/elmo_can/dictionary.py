@@ -24,7 +24,7 @@ class Abort(Exception):
 
 
 class ObjectEntry(NamedTuple):
-    """One object: integer type, whether the host may write it, whether a PDO may hold it, default and range."""
+    """One object: integer type, whether it is writable, whether it can be mapped to a PDO, default and range."""
 
     kind: str
     writable: bool = False
@@ -35,7 +35,7 @@ class ObjectEntry(NamedTuple):
 
 
 def gold(node: int) -> dict[tuple[int, int], ObjectEntry]:
-    """Objects of a Gold drive; mapping counts and defaults that the EDS leaves out are supplied."""
+    """Objects of a Gold drive by index and subindex; mapping counts and defaults that the EDS lacks are added."""
     objects = {
         (0x1000, 0): ObjectEntry("u32", default=0x00020192),
         (0x1001, 0): ObjectEntry("u8"),

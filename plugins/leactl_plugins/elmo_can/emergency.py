@@ -1,4 +1,4 @@
-"""What an emergency message says (CiA 301 object 0x80 + node; code names after Elmo's published error lists)."""
+"""Decode emergency messages (CiA 301 object 0x80 + node; names after Elmo's published error lists)."""
 
 import struct
 

@@ -1,6 +1,6 @@
-"""Elmo servo drives over RS-232: one exchange of commands and readings a cycle, stopped by a program in the drive.
+"""Elmo servo drives over RS-232: one exchange of commands and readings per cycle; a program in the drive monitors it.
 
-The README of this plug-in lists the sources, and what only a real drive can show.
+The README of this plug-in lists the sources, and what has to be verified on a real drive.
 """
 
 import math
@@ -51,7 +51,7 @@ NAN = math.nan
 
 
 class _Record:
-    """What is passed on to the run beside its rows."""
+    """Notices, rows and counts of one opened drive for the run."""
 
     def __init__(self) -> None:
         self.irregular, self.told = Irregular(), Irregular()
@@ -103,7 +103,7 @@ class ElmoSerial(EngagingDrive):
         self.values = [NAN] * len(self.loop_channels)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
-        """Switch the motor off and see that it is, from any state, over a fresh connection if need be; never raises."""
+        """Switch the motor off and confirm it, from any state, over a new connection if needed; never raises."""
         self._follow(Mode.OFF)
         self._safe = False
         until = self._clock.now() + deadline_s
@@ -133,7 +133,7 @@ class ElmoSerial(EngagingDrive):
         )
 
     def _told_off(self, within_s: float) -> Replies:
-        """Switch off and ask whether it is, the echo off for the next try where this one drowns in it."""
+        """Switch off and query the state; the echo is switched off too, in case it drowns the answers."""
         self._interpreter.begin(("MO=0", "EO=0", "MO", "SR"), first=MOTOR_OFF)
         replies = self._interpreter.collect(self._clock.now() + within_s)
         if replies is None:
@@ -150,7 +150,7 @@ class ElmoSerial(EngagingDrive):
         self._clock.sleep_until(min(until, self._clock.now() + AFRESH_S))  # a line may be there and take nothing
 
     def stop_now(self) -> None:
-        """Send what switches the motor off, and wait for nothing; over a fresh connection if need be."""
+        """Send the command that switches the motor off, without waiting; over a new connection if needed."""
         self._follow(Mode.OFF)
         for _ in range(2):
             try:
@@ -166,11 +166,11 @@ class ElmoSerial(EngagingDrive):
                 return
 
     def open(self) -> None:
-        """Meet the drive, switch it off, see that a program runs in it, read its limits, tell it how long to wait.
+        """Connect to the drive, switch it off, check its program, read its limits, set its timeout of the host.
 
         Raises
         ------
-        DeviceError : the drive is absent, has no program, or contradicts the bench file; `DeviceFault` in a fault.
+        DeviceError : the drive is absent, has no program, or contradicts the bench file; `DeviceFault` if in fault.
         """
         self._port.open()
         self._opened = True
@@ -200,7 +200,7 @@ class ElmoSerial(EngagingDrive):
         )
 
     def close(self) -> None:
-        """Let the line go; a drive that is safe gets its echo back."""
+        """Close the line; the echo of a safe drive is restored."""
         if self._opened:
             self._opened = False
             if self._safe and self._echoed:
@@ -211,7 +211,7 @@ class ElmoSerial(EngagingDrive):
 
     @classmethod
     def far_end(cls, settings: ElmoSerialSettings, role: str, physics: Physics) -> SerialEmulator:
-        """A drive that turns the bench's machine."""
+        """A drive that turns the bench's motor."""
         from leactl_plugins.elmo_serial.emulator import ElmoSerialEmulator
 
         return ElmoSerialEmulator(
@@ -225,15 +225,15 @@ class ElmoSerial(EngagingDrive):
         )
 
     def identity(self) -> Identity:
-        """Version (VR) and serial number (SN[4]) as told when it was opened."""
+        """Version (VR) and serial number (SN[4]) as read when it was opened."""
         return self._identity
 
     def recorded(self) -> OwnRecording:
-        """Upload what the drive's own recorder holds; only while it is open and off.
+        """Upload the recording of the drive's own recorder; only while the drive is open and off.
 
         Raises
         ------
-        DeviceError : it holds nothing, or the upload is not whole.
+        DeviceError : there is no recording, or the upload is incomplete.
         """
         from leactl_plugins.elmo_serial import recorder
 
@@ -249,23 +249,23 @@ class ElmoSerial(EngagingDrive):
 
     @property
     def loop_channels(self) -> tuple[ChannelSpec, ...]:
-        """Channels of `values`: the references in force until the readings were asked for, and the readings."""
+        """Channels of `values`: the readings, and the references that were in force until they were queried."""
         return drive_channels(self.role, self.name)
 
     @property
     def streams(self) -> tuple[StreamSpec, ...]:
-        """The bus voltage, asked for at its own pace."""
+        """The bus voltage, queried at its own rate."""
         if self.settings.bus_voltage_command is None:
             return ()
         channel = ChannelSpec("vbus", "bus_voltage", self.role, self.name, "DC link voltage")
         return (StreamSpec(f"{self.name}_supply", (channel,)),)
 
     def pace(self, period: float) -> None:
-        """See that an exchange fits into a cycle of this length [s].
+        """Check that an exchange fits into a cycle of this length [s].
 
         Raises
         ------
-        DeviceError : it does not; with the rate that does.
+        DeviceError : it does not; with the highest possible rate.
         """
         if self._exchange_s > CYCLE_SHARE * period:
             most = math.floor(CYCLE_SHARE / self._exchange_s)
@@ -277,7 +277,7 @@ class ElmoSerial(EngagingDrive):
 
     @property
     def engaged(self) -> bool:
-        """True where the drive has shown itself on, in the unit mode asked for and with its program running."""
+        """Whether the drive reports to be on, in the demanded unit mode, with its program running."""
         status = self._status
         shown = status.motor_on and status.guarded and status.unit_mode == self._unit_mode
         return self._proved and self._asked_on and shown
@@ -287,7 +287,7 @@ class ElmoSerial(EngagingDrive):
 
         Raises
         ------
-        InputError : not finite, outside what the drive can hold, or above what it lets through.
+        InputError : not finite, outside the drive's number range, or above its limits.
         """
         if self._reference == CURRENT:
             most = self._limits.peak * abs(self._q_per_ampere)
@@ -306,10 +306,9 @@ class ElmoSerial(EngagingDrive):
         self._value = value
 
     def begin_cycle(self) -> None:
-        """Send this cycle's exchange, unless the one before is under way still: the readings first, then the demand.
+        """Send this cycle's exchange (queries of the readings, then the demand), unless the last one is still pending.
 
-        The drive's program is fed by exchanges alone: none that no supervised cycle came before is counted in the
-        variable that it watches.
+        Only an exchange after a supervised cycle changes the variable that the drive's program monitors.
 
         Raises
         ------
@@ -336,13 +335,13 @@ class ElmoSerial(EngagingDrive):
         self._supervised = False
 
     def end_cycle(self, deadline: float) -> None:
-        """Collect the readings; NaN where they did not come within the cycle.
+        """Collect the readings; NaN if they did not arrive within the cycle.
 
         Raises
         ------
-        DeviceFault : the drive has a fault, left operation by itself, or holds another demand than it was sent.
-        NoAnswer : it has fallen silent, or did not enter operation in time.
-        DeviceError : it refuses what it was sent.
+        DeviceFault : the drive has a fault, left operation by itself, or reads back another demand than was sent.
+        NoAnswer : it no longer answers, or did not enter operation in time.
+        DeviceError : it refuses a command.
         """
         values = self.values
         values[0], values[1], values[2] = self._followed
@@ -358,16 +357,16 @@ class ElmoSerial(EngagingDrive):
         self._judge(now)
 
     def feed(self) -> None:
-        """Let the next exchange count as a sign of life."""
+        """Let the next exchange count as the host's heartbeat."""
         self._supervised = True
 
     def take(self) -> list[Row]:
-        """Bus voltages that have come in since the last call."""
+        """Bus voltages since the last call."""
         rows, self._record.rows = self._record.rows, []
         return rows
 
     def notices(self) -> list[str]:
-        """How far a row's readings lie apart, irregular answers, and each onset of a limited current."""
+        """Notices: time between the readings of a row, irregular answers, and each start of a limited current."""
         record, now = self._record, self._clock.now()
         if record.irregular != record.told and (now >= record.quiet_until or self._mode is Mode.OFF):
             record.quiet_until, record.told = now + QUIET_S, replace(record.irregular)
@@ -378,7 +377,7 @@ class ElmoSerial(EngagingDrive):
     # -- what goes out -----------------------------------------------------------------------------------------------
 
     def _follow(self, mode: Mode) -> None:
-        """Turn to a mode, with no demand; what the drive has shown so far is of the mode before."""
+        """Turn to a mode with zero demand; earlier reports of the drive belong to the mode before."""
         self._mode, self._value = mode, 0.0
         reference, self._unit_mode = FOLLOWED.get(mode, (ANGLE, 0))
         self._reference: int = reference
@@ -389,7 +388,7 @@ class ElmoSerial(EngagingDrive):
         self._checked: tuple[str, float] | None = None  # what the exchange under way sets, and the drive has to hold
 
     def _demands(self, now: float) -> list[str]:
-        """What this cycle sets besides asking for the readings."""
+        """Commands of this cycle besides the queries of the readings."""
         self._checked = None
         why = ["MF"] if self._asks_why else []
         if self._mode is Mode.OFF:
@@ -424,7 +423,7 @@ class ElmoSerial(EngagingDrive):
     # -- what comes in -----------------------------------------------------------------------------------------------
 
     def _take_in(self, replies: Replies, now: float) -> None:
-        """Take a whole exchange: into the row where it is this cycle's own."""
+        """Evaluate a complete exchange; its readings go into the row if it belongs to this cycle."""
         status = Status(replies.whole("SR"))
         self._heard = now
         try:
@@ -457,7 +456,7 @@ class ElmoSerial(EngagingDrive):
         self._look_back(now)
 
     def _look_back(self, now: float) -> None:
-        """Tell of a reading that stood off the one before and the one that has come now."""
+        """Add a notice for a reading that differs from both its neighbours."""
         record = self._record
         outlier = record.outliers.see(self.values[3:6])
         if outlier is not None and now >= record.quiet_of_outliers_until:
@@ -465,7 +464,7 @@ class ElmoSerial(EngagingDrive):
             record.notices.append(f"{outlier}; {record.outliers.count} readings so far")
 
     def _check_demand(self, replies: Replies) -> None:
-        """Hold what the drive tells of its demand against what it was sent: RS-232 has no check of its own."""
+        """Compare the demand that the drive reads back with the one sent, since RS-232 has no checksum."""
         if self._checked is None:
             return
         word, sent = self._checked
@@ -476,7 +475,7 @@ class ElmoSerial(EngagingDrive):
             self._moving = int(sent)
 
     def _see(self, status: Status, now: float) -> None:
-        """Take what the drive shows of itself."""
+        """Evaluate the status of the drive."""
         record, before = self._record, self.engaged
         self._status = status
         if status.limited and not record.limited and now >= record.quiet_of_limits_until:
@@ -502,11 +501,11 @@ class ElmoSerial(EngagingDrive):
             self._asks_why = True
 
     def _try_dead_man(self, status: Status) -> None:
-        """Have the drive on and the host silent: its program has to switch it off, before any demand is sent.
+        """Test the drive's program before any demand: it has to switch the drive off while the host is silent.
 
         Raises
         ------
-        DeviceError : it is on still, when it should not be.
+        DeviceError : the drive is still on after the timeout.
         """
         if status.motor_on:
             self._was_on = True
@@ -521,11 +520,11 @@ class ElmoSerial(EngagingDrive):
             self._proved, self._asked_on, self._was_on = True, False, False
 
     def _see_garbled(self, error: Unreadable) -> None:
-        """Leave a row empty for an exchange that was garbled.
+        """Leave the row of a garbled exchange empty.
 
         Raises
         ------
-        DeviceError : it is the third in a row.
+        DeviceError : it is the third in sequence.
         """
         self._garbled += 1
         self._lose()
@@ -533,7 +532,7 @@ class ElmoSerial(EngagingDrive):
             raise DeviceError(f"{self.name}: {error}; {self._garbled} exchanges in a row were garbled")
 
     def _lose(self) -> None:
-        """Go on after an exchange of which it is not known whether the drive has taken it."""
+        """Continue after an exchange that the drive may or may not have executed."""
         self._record.irregular.lost += 1
         self._moving = None
         if self._asked_on and not self._was_on:
@@ -544,7 +543,7 @@ class ElmoSerial(EngagingDrive):
         self._interpreter.surplus = 0
 
     def _judge(self, now: float) -> None:
-        """Say what keeps the drive out of operation, where it should be in it."""
+        """Raise the reason why the drive is not in operation although it should be."""
         silence = now - self._heard
         if silence > self.settings.host_silence_s + self.settings.answer_timeout_s:
             raise NoAnswer(f"{self.name}: no answer for {silence:.3f} s")

@@ -1,7 +1,7 @@
-"""The drive's far end of the line: its interpreter, its motor, and the program that watches the host.
+"""Emulator of an Elmo drive on a serial line: its interpreter, its motor, and the program that monitors the host.
 
-Bytes in, bytes out; it shares with the driver only the bits of SR and MF. What is echoed is echoed at once, byte by
-byte, between answers that are not sent yet (SimplIQ Software Manual, 3.2).
+Bytes in, bytes out; it shares only the bits of SR and MF with the driver. The echo is sent at once, byte by byte,
+between answers that are not sent yet (SimplIQ Software Manual, 3.2).
 """
 
 import math
@@ -38,7 +38,7 @@ _number = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?", re.ASCII)
 
 
 class InterpreterError(Exception):
-    """A command that is not carried out, by its number."""
+    """A refused command, with the error number."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -46,7 +46,7 @@ class InterpreterError(Exception):
 
 
 class ElmoSerialEmulator:
-    """One drive at the end of a line, turning a machine."""
+    """One drive at the end of a line, which turns a motor."""
 
     def __init__(
         self,
@@ -101,14 +101,14 @@ class ElmoSerialEmulator:
 
     @property
     def due(self) -> float:
-        """When an echo or an answer is ready, or the program looks at the host's counter."""
+        """Time [s] of the next echo, answer, sample, or check of the host's counter."""
         if self.frozen:
             return math.inf
         tick = self._next_tick if self.on and self.program_running else math.inf
         return min(self._output[0][0] if self._output else math.inf, tick, self._next_sample)
 
     def receive(self, data: bytes, now: float) -> None:
-        """Take bytes as they arrive: each is echoed at once; a semicolon or a carriage return ends a command."""
+        """Receive bytes; each is echoed at once, and a semicolon or a carriage return ends a command."""
         if self.frozen:
             return
         for byte in data:
@@ -123,7 +123,7 @@ class ElmoSerialEmulator:
                 self._output.append((self._busy, answer))
 
     def tick(self, now: float) -> bytes:
-        """Let the program look where that is due; the bytes that are ready."""
+        """Run the program if it is due; returns bytes that are ready."""
         if self.on and self.program_running and now >= self._next_tick:
             self._next_tick += TICK_S
             self._watch()
@@ -136,7 +136,7 @@ class ElmoSerialEmulator:
     # -- inside the drive --------------------------------------------------------------------------------------------
 
     def _watch(self) -> None:
-        """Switch off where the host's counter stands still for longer than it may, as the program does."""
+        """Switch off if the host's counter has not changed for the allowed time, as the drive's program does."""
         counter, allowed = (self.values[variable] for variable in self._watched)
         if counter != self._seen:
             self._seen, self._quiet_ticks = counter, 0
@@ -146,11 +146,11 @@ class ElmoSerialEmulator:
             self._switch(False)
 
     def freeze(self, frozen: bool) -> None:
-        """Hear nothing, answer nothing and go on with the last demand, its program too, or come back to life."""
+        """Stop answering and keep the last demand, program included (`frozen` True), or return to normal."""
         self.frozen = frozen
 
     def fault(self, code: int) -> None:
-        """Shut the motor down and latch in MF what an emergency message would give this code for."""
+        """Shut the motor down and latch the bit of MF for the code of an emergency message."""
         self._switch(False)
         self.fault_bits = bits_of(code)
 
@@ -167,7 +167,7 @@ class ElmoSerialEmulator:
             self._machine.command("off", 0.0)
 
     def _move(self) -> None:
-        """Have the machine follow what the unit mode says; no torque beyond the continuous limit lasts."""
+        """Let the motor follow the demand of the unit mode, limited to the continuous current."""
         mode = FOLLOWS.get(int(self.values["UM"]), "off")
         if mode == "current":
             self._machine.command("current", self._allowed() * self._q_axis_per_ampere)
@@ -177,7 +177,7 @@ class ElmoSerialEmulator:
             self._machine.command(mode if mode == "velocity" else "off", 0.0)
 
     def _allowed(self) -> float:
-        """What of the current asked for flows [A]: the peak's few seconds are not emulated, it is held down at once."""
+        """The demanded current within the limits [A]; the peak current of a few seconds is not emulated."""
         most = min(self.values["PL[1]"], self.values["CL[1]"])
         return max(-most, min(most, self.values["TC"]))
 
@@ -203,7 +203,7 @@ class ElmoSerialEmulator:
     # -- the recorder ------------------------------------------------------------------------------------------------
 
     def _record(self, value: float, now: float) -> None:
-        """Begin to record at once (RR=2), or give up; a trigger is not emulated."""
+        """Start recording at once (RR=2) or stop (RR=0); a trigger is not emulated."""
         if value not in (0, 2):
             raise InterpreterError(RANGE)
         self._recording = {bit: [] for bit in range(CELLS) if int(self.values["RC"]) >> bit & 1} if value else {}
@@ -225,7 +225,7 @@ class ElmoSerialEmulator:
             self._next_sample = math.inf
 
     def _upload(self, value: float) -> str:
-        """The answer to BH: the lowest bit of RC that is asked for; short items for what is measured as a voltage."""
+        """The answer to BH: the recording of the lowest bit of RC in `value`; items have 4 or 8 digits by signal."""
         asked = int(value) & int(self.values["RC"])
         bit = (asked & -asked).bit_length() - 1
         if self._samples_left or bit not in self._recording:
@@ -239,7 +239,7 @@ class ElmoSerialEmulator:
     # -- the interpreter ---------------------------------------------------------------------------------------------
 
     def _obey(self, command: str, now: float) -> bytes:
-        """The answer to one command, its end included."""
+        """The answer to one command, with its end."""
         try:
             answer = self._carry_out(command, now)
         except InterpreterError as error:
@@ -264,7 +264,7 @@ class ElmoSerialEmulator:
         return ""
 
     def _told(self, name: str) -> str:
-        """The value of a command that asks."""
+        """The value of a query."""
         current, velocity, _ = self._machine.read()
         if name == "IQ":
             return f"{current / self._q_axis_per_ampere:.4f}" if self.on else "0"
@@ -290,7 +290,7 @@ class ElmoSerialEmulator:
         raise InterpreterError(self._unknown(name))
 
     def _unknown(self, name: str) -> int:
-        """Why there is no such variable."""
+        """Error number for an unknown variable."""
         word = name[:2]
         vectors = {known[:2] for known in self.values if "[" in known} | {"AN", "SN"}
         if word in vectors:
@@ -335,7 +335,7 @@ class ElmoSerialEmulator:
             self._switch(bool(value), now)
 
     def _execute(self, name: str) -> str:
-        """Begin a motion, or stop one."""
+        """Start (BG) or stop (ST) a motion."""
         if not self.on:
             raise InterpreterError(MUST_BE_ON)
         mode = self.values["UM"]

@@ -1,4 +1,4 @@
-"""What a drive is asked and told before it may run: who it is, that it is off, its scales and limits, its dead-man."""
+"""Set up a drive before it may run: identity, status, scales, limits, and the timeout of the host."""
 
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ ROUNDS = 3  # exchanges by which the time of one is measured
 
 
 class DriveLimits(NamedTuple):
-    """What the drive lets through."""
+    """Limits of the drive."""
 
     peak: float  # PL[1], A of the drive
     continuous: float  # CL[1], A of the drive, which it comes down to after PL[2] s
@@ -26,18 +26,18 @@ class DriveLimits(NamedTuple):
 
 
 class Meeting:
-    """One drive at the end of a line, before it may run; every method raises `DeviceError` where it does not answer."""
+    """The set-up of one drive; every method raises `DeviceError` if the drive does not answer."""
 
     def __init__(self, name: str, settings: ElmoSerialSettings, interpreter: Interpreter, clock: Clock) -> None:
         self._name, self._settings, self._interpreter, self._clock = name, settings, interpreter, clock
         self._answer_s = settings.answer_timeout_s
 
     def echo_off(self) -> bool:
-        """Switch the motor and the echo off, and the answers to decimals; whether the echo was on.
+        """Switch the motor and the echo off, and answers to decimal numbers; returns whether the echo was on.
 
         Raises
         ------
-        NoAnswer : nothing at this baud rate answers as an Elmo's interpreter does.
+        NoAnswer : no Elmo interpreter answers at this baud rate.
         """
         echoed = False
         for _ in range(3):
@@ -52,19 +52,19 @@ class Meeting:
         )
 
     def identity(self) -> Identity:
-        """Version as the drive tells it (VR), which begins with its name, and its serial number (SN[4])."""
+        """Model and firmware from the version (VR), and the serial number (SN[4])."""
         replies = self._interpreter.ask("VR", "SN[4]", within_s=self._answer_s)
         version = replies.text("VR") if "VR" in replies else ""
         model, _, firmware = version.partition(" ")
         return Identity(f"Elmo {model}" if model else "", replies.text("SN[4]") if "SN[4]" in replies else "", firmware)
 
     def check_status(self) -> Status:
-        """See that it is off, in no fault, and that its program runs.
+        """Check that the drive is off, has no fault, and runs its program.
 
         Raises
         ------
-        DeviceFault : a fault is latched, and the settings do not say to go on.
-        DeviceError : it is on still, or nothing in it would stop it without the host.
+        DeviceFault : a fault is latched, and the settings do not allow to continue.
+        DeviceError : it is still on, or runs no program that would stop it without the host.
         """
         replies = self._interpreter.ask("SR", "MF", within_s=self._answer_s)
         status, bits = Status(replies.whole("SR")), replies.whole("MF")
@@ -82,11 +82,11 @@ class Meeting:
         return status
 
     def arm_dead_man(self) -> None:
-        """Tell the program in the drive for how long the host may be silent.
+        """Set the timeout of the host in the drive's program.
 
         Raises
         ------
-        DeviceError : the variable holds something else afterwards.
+        DeviceError : the variable reads back as another value.
         """
         variable, wanted = self._settings.silence_variable, self._settings.silence_ms
         replies = self._interpreter.ask(f"{variable}={wanted}", variable, within_s=self._answer_s)
@@ -97,11 +97,11 @@ class Meeting:
             )
 
     def limits(self) -> DriveLimits:
-        """Read the currents and speeds that the drive lets through.
+        """Read the drive's limits of current and speed.
 
         Raises
         ------
-        DeviceError : it lets none through, or its counts contradict the bench file.
+        DeviceError : a current limit is 0, or the counts per turn contradict the bench file.
         """
         replies = self._interpreter.ask("PL[1]", "CL[1]", "VL[2]", "VH[2]", "CA[18]", within_s=self._answer_s)
         limits = DriveLimits(
@@ -124,17 +124,17 @@ class Meeting:
         return limits
 
     def position(self) -> CountedPosition:
-        """A position that goes on where the drive's own goes round (XM[1] to XM[2]-1, or its 32 bits)."""
+        """A position that is unwrapped over the drive's range (XM[1] to XM[2]-1, or 32 bits)."""
         replies = self._interpreter.ask("XM[1]", "XM[2]", within_s=self._answer_s)
         low, high = (replies.whole(name) if name in replies else 0 for name in ("XM[1]", "XM[2]"))
         return CountedPosition(*((low, high) if low < high else COUNTS_OF_32_BITS))
 
     def exchange_s(self) -> float:
-        """Measure how long the longest exchange of a cycle takes on this line [s].
+        """Measure the duration of the longest exchange of a cycle on this line [s].
 
         Raises
         ------
-        DeviceError : the drive refuses to tell one of the readings.
+        DeviceError : the drive refuses one of the queries.
         """
         settings, voltage = self._settings, self._settings.bus_voltage_command
         demand = f"{settings.silence_variable}={settings.silence_ms}"  # as long as one, and set already

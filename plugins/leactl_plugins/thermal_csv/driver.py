@@ -1,7 +1,7 @@
-"""A thermal camera by its exports: regions over time, in degC, on the camera's own clock.
+"""Thermal camera read by its exported files: temperatures of regions [degC] on the camera's own clock.
 
 The camera takes no part in the control loop. Its program exports a file, before, during or after the run; the record is
-read as a whole and tied to the run's clock afterwards.
+read as a whole, and its clock is aligned with the run's afterwards.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,23 +39,23 @@ class ThermalCsv(Driver):
         self.exports = ExportFolder(settings.exports_folder)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
-        """Nothing to do: it only measures."""
+        """Confirm at once: the camera only measures."""
         return Confirmation(True, "measures only")
 
     def open(self) -> None:
-        """See which files are there already: those that come later are of the run."""
+        """Remember the present files, so that later ones are known to belong to the run."""
         self.exports.look()
 
     def close(self) -> None:
-        """Nothing to do: no file stays open."""
+        """Do nothing: no file stays open."""
 
     @classmethod
     def far_end(cls, settings: ThermalCsvSettings, role: str, physics: Physics) -> BuslessEmulator:
-        """A camera that looks at the emulated actuator of this role.
+        """A camera that measures the emulated actuator of this role.
 
         Raises
         ------
-        InputError : no folder is set that its program could export to, or the export would be of frames.
+        InputError : no folder of exports is set, or the settings are for frames.
         """
         from leactl_plugins.thermal_csv.emulator import CameraEmulator
 
@@ -68,12 +68,12 @@ class ThermalCsv(Driver):
 
     @property
     def clock(self) -> RecordClock | None:
-        """How the camera's clock is tied to that of a run."""
+        """How the camera's clock is aligned with that of a run."""
         return self.settings.clock
 
     @property
     def channels(self) -> tuple[ChannelSpec, ...]:
-        """One channel a region, named and located as the settings have it."""
+        """One channel for each region, with the region's name as location."""
         return tuple(
             ChannelSpec(
                 name, region.quantity, self.role, self.name, region.column or f"{region.statistic} of {name}", name
@@ -82,11 +82,11 @@ class ThermalCsv(Driver):
         )
 
     def read_files(self, paths: Sequence[Path]) -> FileRecord:
-        """Read one record from one export, from its parts in order, or from files of one frame each.
+        """Read a record from one export, from its parts in order, or from files with one frame each.
 
         Raises
         ------
-        InputError : a file that cannot be read, or that has two readings.
+        InputError : a file cannot be read or is ambiguous.
         """
         if self.settings.matrix:
             files = [read_matrices(paths, self.settings)]
@@ -119,11 +119,11 @@ class ThermalCsv(Driver):
 
 
 def joined(sheets: Sequence[CameraFile]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], float | None]:
-    """Rows of all parts on one clock, and the moment of its zero in s since 1970, where it is known.
+    """Times and values of all parts on one clock, and its zero in s since 1970 (None if unknown).
 
     Raises
     ------
-    InputError : parts of which some tell the day and some do not.
+    InputError : some parts have a date or zone and others have none.
     """
     midnights = [sheet.clock.midnight for sheet in sheets]
     known = [moment.timestamp() for moment in midnights if moment is not None]

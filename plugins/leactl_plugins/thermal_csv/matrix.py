@@ -1,4 +1,4 @@
-"""Frames of pixels: one row of numbers a line, frames apart by blank lines or by lines that tell their time."""
+"""Read frames of pixels: one line per row, frames separated by blank lines or by lines with their time."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -33,7 +33,7 @@ NAME_VALUE = re.compile(r"\s*([^:=]*?)\s*[:=]\s*(.*)")
 
 @dataclass
 class PixelFrame:
-    """One frame, not yet read: its lines, where it begins, what the lines above it say."""
+    """Unparsed lines of one frame, its first line, and the named values above it."""
 
     path: Path
     line: int
@@ -46,7 +46,7 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Camera
 
     Raises
     ------
-    InputError : no frames, frames of several sizes, regions outside them, stamps or numbers with two readings.
+    InputError : no frames, frames of different sizes, regions outside them, or ambiguous stamps or numbers.
     """
     frames: list[PixelFrame] = []
     remarks: list[str] = []
@@ -104,7 +104,7 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Camera
 
 
 def delimiter_of(path: Path, lines: Sequence[str], settings: ThermalCsvSettings) -> str:
-    """What stands between the cells: as told, or the only mark that cuts the first rows into equally many numbers."""
+    """The delimiter: as stated, or the only one that splits the first lines into equally many numbers."""
     declared = SEP_LINE.match(lines[0])
     if settings.delimiter or declared:
         return settings.delimiter or (declared[1] if declared else "")
@@ -124,13 +124,13 @@ def delimiter_of(path: Path, lines: Sequence[str], settings: ThermalCsvSettings)
 
 
 def tells(line: str, settings: ThermalCsvSettings) -> bool:
-    """Whether a line says something and is no row of pixels; a pixel that was missed may be marked by letters."""
+    """Whether a line begins with a word and is no row of pixels; marks of missing pixels may be letters too."""
     first = CELL_ENDS.split(line, maxsplit=1)[0].strip("\"' ")
     return LETTER.match(first) is not None and first not in settings.missing
 
 
 def frames_in(path: Path, lines: Sequence[str], delimiter: str, settings: ThermalCsvSettings) -> list[PixelFrame]:
-    """Cut a file into frames."""
+    """Split the lines of a file into frames."""
     frames = [PixelFrame(path, 1)]
     for number, line in enumerate(lines, start=1):
         if SEP_LINE.match(line):
@@ -149,18 +149,18 @@ def frames_in(path: Path, lines: Sequence[str], delimiter: str, settings: Therma
 
 
 def note(frame: PixelFrame, line: int, cells: Sequence[str]) -> None:
-    """Keep what a line between the frames says: `Time = ...`, `Emissivity: 0.95`, `width;640`."""
+    """Store the named value of a line between frames: `Time = ...`, `Emissivity: 0.95`, `width;640`."""
     match = NAME_VALUE.fullmatch(cells[0])
     name, value = (match[1], match[2]) if match else (cells[0], "")
     frame.above.append(Aside(line, name.strip("\"'"), value or " ".join(cells[1:2])))
 
 
 def even(frames: list[PixelFrame], delimiter: str) -> tuple[list[PixelFrame], int, list[str]]:
-    """Frames of one size; a last one that is cut short is left out.
+    """Check that frames have one size; an incomplete last frame is left out. Returns frames, width and remarks.
 
     Raises
     ------
-    InputError : no frame, or another size in the midst of them.
+    InputError : no frame, or a frame of another size before the last.
     """
     if not frames:
         raise InputError("no frame of numbers was found")
@@ -211,11 +211,11 @@ def span_of(region: CameraRegion) -> tuple[tuple[int, int], tuple[int, int]]:
 
 
 def stamp_of(frame: PixelFrame, name: str) -> str:
-    """What the lines above a frame tell of its time.
+    """The named value above a frame that holds its time.
 
     Raises
     ------
-    InputError : nothing of that name.
+    InputError : there is no value of that name, or several.
     """
     values = [aside.value for aside in frame.above if aside.name == name]
     if len(values) != 1:

@@ -1,4 +1,4 @@
-"""A series of regions over time: one row a frame, columns of the user's own names."""
+"""Read a table of regions over time: one row per frame, with columns named by the user."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -16,13 +16,13 @@ from leactl_plugins.thermal_csv.settings import ThermalCsvSettings, unit_named
 from leactl_plugins.thermal_csv.stamps import RowTimes, looks_plain, read_frames, read_plain, read_stamps
 
 Array = npt.NDArray[np.float64]
-COLDEST, HOTTEST = -460.0, 6000.0  # in any of the units; no camera tells more
+COLDEST, HOTTEST = -460.0, 6000.0  # range of cameras in any of the units
 EMISSIVITY = re.compile(r"emissivity|emissivit|emissionsgrad|发射率|辐射率|\bε", re.IGNORECASE)
 UNIT_LINE = re.compile(r"^(temperature\s*)?units?$|^temp\w*\s*unit|单位", re.IGNORECASE)
 
 
 class CameraFile(NamedTuple):
-    """What one file holds, in its own order."""
+    """Content of one file, in the order of its rows."""
 
     clock: RowTimes
     values: Array  # (rows, regions), degC
@@ -35,7 +35,7 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
 
     Raises
     ------
-    InputError : everything in it that is wrong or has two readings.
+    InputError : all faults and ambiguities of the file.
     """
     time = settings.time
     regions = {name: str(region.column) for name, region in settings.regions.items()}
@@ -79,7 +79,7 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
 
 
 def by_order(rows: int, settings: ThermalCsvSettings, where: Callable[[int], str]) -> RowTimes:
-    """The clock of rows that carry no stamp: frames by their order."""
+    """Times of rows without stamps, from the frame rate."""
     return read_frames(np.arange(rows, dtype=np.float64), settings.time, where)
 
 
@@ -90,11 +90,11 @@ def unit_in(
     columns: Mapping[str, Numbers],
     asides: list[Aside],
 ) -> str:
-    """The one temperature unit of a file: by headings, cells or a line above them, or as the settings say.
+    """The temperature unit of a file, from headings, cells, a line above the table, or the settings.
 
     Raises
     ------
-    InputError : none is named, or several.
+    InputError : no unit or several units are named.
     """
     sources_by_unit: dict[str, str] = {}
     for name, heading in headings.items():
@@ -125,7 +125,7 @@ def unit_after_slash(heading: str) -> str | None:
 
 
 def to_celsius(values: Array, unit: str) -> Array:
-    """Temperatures in degC."""
+    """Convert temperatures to degC."""
     conversion = converter(unit, "winding_temperature")
     assert conversion is not None
     converted: Array = conversion.factor * (values - conversion.zero)
@@ -133,7 +133,7 @@ def to_celsius(values: Array, unit: str) -> Array:
 
 
 def marks_told(headings: Mapping[str, str], columns: Mapping[str, Numbers]) -> list[str]:
-    """Cells without a number, by column."""
+    """Remarks on missing and over-range cells, one for each column."""
     remarks = []
     for name, numbers in columns.items():
         over = ", ".join(f"{mark} {count} times" for mark, count in numbers.outside.items())
@@ -144,7 +144,7 @@ def marks_told(headings: Mapping[str, str], columns: Mapping[str, Numbers]) -> l
 
 
 def emissivities(asides: list[Aside]) -> list[str]:
-    """The emissivity that the camera was set to, and where it changed."""
+    """A remark on the camera's emissivity and its changes; empty if the file has none."""
     emissivity_lines = [aside for aside in asides if EMISSIVITY.search(aside.name)]
     changes = [
         aside for k, aside in enumerate(emissivity_lines) if k == 0 or aside.value != emissivity_lines[k - 1].value
@@ -157,7 +157,7 @@ def emissivities(asides: list[Aside]) -> list[str]:
 
 
 def emissivity_columns(table: Table) -> list[str]:
-    """Emissivities that stand in columns of their own, and where they change."""
+    """Remarks on columns of emissivities and their changes."""
     remarks = []
     for column, heading in enumerate(table.headings):
         if EMISSIVITY.search(heading):

@@ -1,6 +1,6 @@
-"""Stamps of a camera's export as seconds: time of day, elapsed time or frame numbers, in every way they are written.
+"""Convert stamps of a camera's export to seconds: time of day, elapsed time or frame numbers, in all usual formats.
 
-Where a stamp has two readings that differ, such as 01/02/2026, it is refused with the setting that decides.
+An ambiguous stamp, such as 01/02/2026, is refused with the name of the setting that decides.
 """
 
 import math
@@ -31,7 +31,7 @@ ORDERS = {"ymd": (0, 1, 2), "dmy": (2, 1, 0), "mdy": (2, 0, 1)}
 
 
 class RowTimes(NamedTuple):
-    """Stamps as they were read."""
+    """Times of the rows of one file."""
 
     time: Array  # s; of the first day's midnight where the clock is a wall clock
     midnight: datetime | None  # UTC moment of time zero, where day and zone are known
@@ -41,7 +41,7 @@ class RowTimes(NamedTuple):
 
 
 class StampParts(NamedTuple):
-    """One stamp taken apart, without its fraction of a second."""
+    """Parts of a stamp, without its fraction of a second."""
 
     day: tuple[int, int, int] | None  # as it stands
     fields: tuple[int, ...]  # of the time, between colons
@@ -50,16 +50,16 @@ class StampParts(NamedTuple):
 
 
 def looks_plain(text: str) -> bool:
-    """Whether a stamp is a plain number: elapsed time or a frame's number."""
+    """Whether a stamp is a plain number: elapsed time or a frame number."""
     return PLAIN.fullmatch(text.strip()) is not None
 
 
 def read_stamps(texts: Sequence[str], settings: StampSettings, where: Where) -> RowTimes:
-    """Seconds out of stamps with colons.
+    """Convert stamps with colons to seconds.
 
     Raises
     ------
-    InputError : a stamp that is none, or one with two readings.
+    InputError : a stamp is invalid or ambiguous.
     """
     if settings.colons == "fraction_last":
         texts = [".".join(text.rsplit(":", 1)) if text.count(":") == 3 else text for text in texts]
@@ -95,9 +95,9 @@ def read_stamps(texts: Sequence[str], settings: StampSettings, where: Where) -> 
 
 
 def without_fractions(texts: Sequence[str]) -> tuple[list[tuple[str, str]], Array, int]:
-    """What stands before and behind each fraction of a second, the fractions, and the digits of the longest.
+    """Texts before and after each fraction of a second, the fractions (n,) [s], and their largest number of digits.
 
-    A long record has few stamps that differ in more than their fraction; only those are taken apart.
+    Few stamps of a long record differ in more than their fraction; only those are parsed.
     """
     stamp_texts: list[tuple[str, str]] = []
     fractions = np.zeros(len(texts))
@@ -112,7 +112,12 @@ def without_fractions(texts: Sequence[str]) -> tuple[list[tuple[str, str]], Arra
 
 
 def take_apart(text: str, where: str) -> StampParts:
-    """The parts of one stamp."""
+    """Parse one stamp.
+
+    Raises
+    ------
+    InputError : it is no date and time.
+    """
     match = STAMP.fullmatch(text.strip())
     if match is None or (match["early"] and match["late"]):
         raise InputError(f"{where}: {text!r} is no date and time that is known")
@@ -125,7 +130,7 @@ def take_apart(text: str, where: str) -> StampParts:
 def read_days(
     stamps: dict[tuple[str, str], StampParts], settings: StampSettings, where: Callable[[tuple[str, str]], str]
 ) -> tuple[dict[tuple[int, int, int] | None, date | None], str]:
-    """Every day as a date, in the one order of year, month and day that fits all of them."""
+    """Convert days to dates by the only order of year, month and day that fits all; also returns the order as text."""
     days = {stamp.day: key for key, stamp in stamps.items()}
     readings: dict[str, dict[tuple[int, int, int] | None, date | None]] = {}
     for order in ORDERS if settings.date_order is None else (settings.date_order,):
@@ -146,7 +151,7 @@ def read_days(
 
 
 def date_in(order: str, day: tuple[int, int, int]) -> date | None:
-    """A date in one order; the year has two or four digits and a four-digit one stands where the order says."""
+    """A date from three numbers in an order; None if it is no date from 1990 to 2100."""
     year, month, number = (day[index] for index in ORDERS[order])
     if year < 100:
         year += 2000
@@ -157,7 +162,7 @@ def date_in(order: str, day: tuple[int, int, int]) -> date | None:
 
 
 def kind_of(stamps: dict[tuple[str, str], StampParts], settings: StampSettings, where: Where) -> str:
-    """What the clock tells: the time of day, elapsed time, or either ("") where that makes no difference."""
+    """Kind of the stamps: "wall", "elapsed", or "" if either is possible."""
     dated = any(stamp.day is not None or stamp.half for stamp in stamps.values())
     past_a_day = any(len(stamp.fields) == 3 and stamp.fields[0] > 23 for stamp in stamps.values())
     if dated:
@@ -172,12 +177,12 @@ def kind_of(stamps: dict[tuple[str, str], StampParts], settings: StampSettings, 
 
 
 def first_day(stamps: dict[tuple[str, str], StampParts]) -> tuple[int, int, int] | None:
-    """The day of the first stamp."""
+    """The day in the first stamp; None if it has none."""
     return next(iter(stamps.values())).day
 
 
 def base_day(days: set[date | None], first: StampParts, settings: StampSettings, kind: str) -> date | None:
-    """The day whose midnight is time zero."""
+    """The date whose midnight is time zero; None if unknown."""
     dated = [day for day in days if day is not None]
     if dated:
         return min(dated)
@@ -191,11 +196,11 @@ def base_day(days: set[date | None], first: StampParts, settings: StampSettings,
 def two_fields_are_hours(
     stamps: dict[tuple[str, str], StampParts], settings: StampSettings, kind: str, digits: int, where: Where
 ) -> bool:
-    """Whether stamps such as 10:15 are hours and minutes, and not minutes and seconds.
+    """Whether stamps such as 10:15 are hours and minutes instead of minutes and seconds.
 
     Raises
     ------
-    InputError : they may be both, or minutes and seconds where a time of day is needed.
+    InputError : both are possible, or they are minutes and seconds although a time of day is needed.
     """
     short = next((stamp for stamp in stamps.values() if len(stamp.fields) == 2), None)
     if short is None:
@@ -217,7 +222,7 @@ def two_fields_are_hours(
 
 
 def clock_seconds(stamp: StampParts, days_first: bool, hours_first: bool, where: str, kind: str) -> float:
-    """Seconds of the day, or since the start, without the fraction."""
+    """Seconds since midnight or since the start, without the fraction."""
     fields, days = stamp.fields, 0
     if len(fields) == 4 and not days_first:
         text = ":".join(f"{part:02d}" for part in fields)
@@ -239,7 +244,7 @@ def clock_seconds(stamp: StampParts, days_first: bool, hours_first: bool, where:
 def midnight_of(
     base: date | None, zones: set[str], settings: StampSettings, time_s: Array, where: Where
 ) -> tuple[datetime | None, str]:
-    """Time zero as a moment, where the clock tells the day and the zone."""
+    """Time zero as a UTC moment (None without date or zone), and a description of the zone."""
     if len(zones) > 1:
         raise InputError(f"{where(0)}: stamps of several zones: {', '.join(sorted(zones))}")
     zone_in_stamp = next(iter(zones))
@@ -270,11 +275,11 @@ def midnight_of(
 
 
 def read_plain(values: Array, heading_unit: str, settings: StampSettings, heading: str, where: Where) -> RowTimes:
-    """Seconds out of plain numbers: elapsed time in its unit, or frames by their number.
+    """Convert plain numbers to seconds: elapsed time in a unit, or frame numbers.
 
     Raises
     ------
-    InputError : neither the heading nor a setting says which.
+    InputError : neither the heading nor a setting says which, or they contradict.
     """
     named = heading_unit if heading_unit in SECONDS else None
     unit = settings.units or named
@@ -295,7 +300,7 @@ def read_plain(values: Array, heading_unit: str, settings: StampSettings, headin
 
 
 def read_frames(values: Array, settings: StampSettings, where: Where) -> RowTimes:
-    """Seconds out of frame numbers."""
+    """Convert frame numbers to seconds by the frame rate."""
     if settings.frame_rate_Hz is None:
         raise InputError(f"{where(0)}: frames by number; time.frame_rate_Hz is needed")
     wrong = np.flatnonzero(values != np.round(values))
